@@ -22,7 +22,7 @@ TIMEOUTS := --timeout 900 --timeout-method signal -o faulthandler_exit_on_timeou
 REALTIME := -n 1 --dist loadfile --max-worker-restart 1 --reruns 1 -rR --timeout 120 -o faulthandler_timeout=180
 # The pytest of Ubuntu 24.04, which `colcon test` has to do with there.
 UBUNTU_PYTEST := $(VENV)/pytest-7.4
-# Tests publish commands: they keep away from the nodes of whoever runs them.
+# Tests publish commands: a domain of their own keeps them away from other nodes.
 TEST_DOMAIN_ID ?= $(shell echo $$(( $$$$ % 90 + 10 )))
 
 NATIVE := $(shell find firmware servo_twin/native -name '*.[ch]') servo_twin/setup.py \
@@ -56,6 +56,9 @@ GUIDED = $(FUSED) $(if $(FAST_CC),-fprofile-use=$(abspath $(PROFILE))/all $(CLAN
            -fprofile-use=$(abspath $(PROFILE)) -fprofile-partial-training -Wno-missing-profile \
            -fno-tree-loop-vectorize -fno-tree-slp-vectorize)
 CONFTESTS = $(shell find firmware $(PACKAGES) tests -name conftest.py)
+C_CORE := $(wildcard $(foreach room,math control sensing diagnosis drive app comm config,firmware/$(room)/*.c))
+C_MODELS := $(wildcard servo_twin/native/chip/*.c servo_twin/native/plant/*.c)
+C_LINT := --std=c99 -Ifirmware -Iservo_twin/native
 C_FILES := $(filter-out %_gen.c %_gen.h,$(filter %.c %.h,$(NATIVE))) $(shell find tests -name '*.[ch]')
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
@@ -128,12 +131,15 @@ test: $(VENV)/.native $(VENV)/.dev ## every check and every test
 	run "one at a time" -m "realtime$(if $(MARKS), and ($(MARKS)))" $(REALTIME); \
 	exit $$status
 
-lint: $(VENV)/.dev ## ruff, mypy and clang-format, changing nothing
+lint: $(VENV)/.dev ## ruff, mypy, clang-format, clang-tidy and cppcheck, changing nothing
 	@status=0; \
 	echo "== ruff"; $(BIN)/ruff check --quiet || status=1; $(BIN)/ruff format --quiet --diff || status=1; \
 	echo "== mypy"; $(BIN)/mypy || status=1; \
 	for conftest in $(CONFTESTS); do $(BIN)/mypy --no-error-summary $$conftest || status=1; done; \
 	echo "== clang-format"; $(BIN)/clang-format --dry-run -Werror $(C_FILES) || status=1; \
+	echo "== clang-tidy"; $(BIN)/clang-tidy --quiet $(C_CORE) $(C_MODELS) -- $(C_LINT) -Wshadow 2>$(VENV)/clang-tidy.log || status=1; \
+	echo "== cppcheck"; $(BIN)/cppcheck --quiet --enable=warning,style,performance,portability --error-exitcode=1 \
+	  --suppressions-list=.cppcheck-suppressions $(C_LINT) $(C_CORE) $(filter %/chip/%,$(C_MODELS)) || status=1; \
 	exit $$status
 
 format: $(VENV)/.dev ## lay out Python and C sources

@@ -30,7 +30,7 @@ setup(
     ],
     zip_safe=False,
     python_requires=">=3.10",
-    install_requires=["cffi", "numpy", "pycparser", "servo_msgs_py", "tqdm", 'tomli; python_version < "3.11"'],
+    install_requires=["cffi", "numpy", "pycparser", "scipy", "servo_msgs_py", "tqdm", 'tomli; python_version < "3.11"'],
     extras_require={
         "ros": ["servo_msgs_py[ros]"],
         "test": ["pytest", "hypothesis"],

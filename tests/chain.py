@@ -244,7 +244,7 @@ class Chain:
 
 
 class User:
-    """Somebody who uses the servo over ROS topics and services."""
+    """A user of the servo over ROS topics and services."""
 
     def __init__(self) -> None:
         self.context = rclpy.Context()

@@ -1,4 +1,4 @@
-"""Somebody with other motors: edit two files, tune, build, run. Nothing else of the project changes."""
+"""A user with other motors: edit two files, tune, build, run. Nothing else of the project changes."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ def test_servo_tool_prints_the_currents_before_the_fault(chain: Chain, board: Bo
 
 
 def test_the_topic_has_the_first_fault_until_it_is_cleared(chain: Chain, bench: Bench, record: FaultRecord) -> None:
-    """A second fault changes nothing of it; somebody who comes later gets it; the next one after clearing is news."""
+    """A second fault changes nothing of it; a later subscriber gets it; the next one after clearing is news."""
     chain.bridge()
     with user() as first:
         messages = listen(first)

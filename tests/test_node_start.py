@@ -40,7 +40,7 @@ def bridge(**node_arguments: Any) -> Node:
     ],
 )
 def test_refused_node_is_gone(node: Callable[..., Node], parameter: str, value: Any, name: str) -> None:
-    """At once: the exception, which somebody may keep, holds all that is left of it."""
+    """At once: the exception, which may be kept, holds all that is left of it."""
     context = rclpy.Context()
     rclpy.init(context=context)
     try:

@@ -162,7 +162,7 @@ def test_a_compiler_that_refuses_is_reported(c_sources: Sources, recordings: lis
 
 
 def test_recorder_knows_every_function_of_the_board(c_sources: Sources, tmp_path: Path) -> None:
-    """A function of the board that nobody records could not be replayed."""
+    """A function of the board that is not recorded could not be replayed."""
     sources = edited(
         c_sources,
         tmp_path / "copy",

@@ -52,12 +52,17 @@ typedef struct {
     int32_t position[HAL_AXES];
     frac32_t speed[HAL_AXES];
     int32_t home_position[HAL_AXES]; /* counts */
+    uint32_t test_step[HAL_AXES];    /* test signal: swept_sine_t */
+    uint32_t test_growth[HAL_AXES];
+    uint32_t test_calls[HAL_AXES];
     frac16_t i_q[HAL_AXES];
     uint16_t mode[HAL_AXES];
     uint16_t enable[HAL_AXES];
     uint16_t quick_stop[HAL_AXES];
     uint16_t clear_faults[HAL_AXES];
     uint16_t home[HAL_AXES]; /* home_method_t */
+    frac16_t test_amplitude[HAL_AXES];
+    uint16_t test_point[HAL_AXES]; /* test_point_t */
     int32_t points[POINTS_TOGETHER * POINT_WORDS]; /* app/points.c */
 } command_block_t;
 

@@ -1,6 +1,7 @@
 #include "app/latch.h"
 
 #include "app/points.h"
+#include "drive/excitation.h"
 #include "drive/holding_brake.h"
 #include "drive/homing.h"
 #include "drive/limits.h"
@@ -25,6 +26,7 @@ static const field_t fields[] = {
     FIELD(quick_stop, FRESH_QUICK_STOP),
     FIELD(clear_faults, FRESH_CLEAR_FAULTS),
     FIELD(home, FRESH_HOME),
+    FIELD(test_point, FRESH_TEST),
     FIELD(home_position, 0), /* counts as a command, and waits for the one before */
 };
 #define FIELDS (sizeof fields / sizeof fields[0])
@@ -72,6 +74,17 @@ static void apply_command(uint16_t fresh, command_block_t *block, axis_t *axis)
     if ((fresh & FRESH_HOME) != 0U) {
         homing_request(axis, block->home[i], block->home_position[i]);
         block->home[i] = HOME_METHOD_NONE;
+    }
+
+    if ((fresh & FRESH_TEST) != 0U) {
+        const swept_sine_t sine = {
+            .amplitude = block->test_amplitude[i],
+            .step = block->test_step[i],
+            .growth = block->test_growth[i],
+            .calls = block->test_calls[i],
+        };
+        excitation_start(axis, block->test_point[i], &sine);
+        block->test_point[i] = TEST_POINT_NONE;
     }
 
     command->position = block->position[i];

@@ -14,6 +14,7 @@
 #define SLOT_ESTIMATE (SERVO_SLOW_PERIODS / 4U)
 #define SLOT_CHECK (SLOT_ESTIMATE + 1U)
 #define SLOT_WATCH (SERVO_SLOW_PERIODS / 2U)
+#define SLOT_EXCITE (SERVO_SLOW_PERIODS - 2U) /* behind the monitors, which may ask for a test current */
 #define SLOT_SUPERVISE (SERVO_SLOW_PERIODS - 2U)
 #define SLOT_LATCH (SERVO_SLOW_PERIODS - 1U) /* for the slow tick that follows: trajectories, then commands */
 
@@ -275,10 +276,11 @@ static void run_axis_slot(axis_t *axis, uint32_t tick)
     case SLOT_WATCH + 1U:
         axis_watch_encoder(axis);
         break;
-    case SLOT_LATCH:
-        axis_plan(axis, tick + 1U);
+    case SLOT_EXCITE:
+        axis_excite(axis);
         break;
-    default:
+    default: /* SLOT_LATCH: every slot has its work */
+        axis_plan(axis, tick + 1U);
         break;
     }
 }

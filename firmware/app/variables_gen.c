@@ -34,193 +34,204 @@ CHECK(14, SIZE(command.quick_stop) == 4);
 CHECK(15, SIZE(command.clear_faults) == 4);
 CHECK(16, SIZE(command.home_position) == 8);
 CHECK(17, SIZE(command.home) == 4);
-CHECK(18, SIZE(command.points) == 128);
-CHECK(19, SIZE(config.window) == 100);
-CHECK(20, SIZE(config.header) == 16);
-CHECK(21, SIZE(config.take) == 2);
-CHECK(22, SIZE(config_status.layout) == 4);
-CHECK(23, SIZE(config_status.checksum) == 8);
-CHECK(24, SIZE(config_status.taken_tick) == 4);
-CHECK(25, SIZE(config_status.taken_count) == 2);
-CHECK(26, SIZE(config_status.answers) == 2);
-CHECK(27, SIZE(config_status.refusal) == 2);
-CHECK(28, SIZE(config_status.refused_member) == 2);
-CHECK(29, SIZE(storage_request.request) == 4);
-CHECK(30, SIZE(storage_status.sequence) == 4);
-CHECK(31, SIZE(storage_status.state) == 2);
-CHECK(32, SIZE(storage_status.answered) == 2);
-CHECK(33, SIZE(storage_status.refusal) == 2);
-CHECK(34, SIZE(storage_status.source) == 2);
-CHECK(35, SIZE(storage_status.copy) == 4);
-CHECK(36, SIZE(storage_status.saves) == 2);
-CHECK(37, SIZE(parameter.speed_limit) == 8);
-CHECK(38, SIZE(parameter.acceleration_limit) == 8);
-CHECK(39, SIZE(parameter.i_q_limit) == 4);
-CHECK(40, SIZE(parameter.features) == 4);
-CHECK(41, SIZE(parameter.position_min) == 8);
-CHECK(42, SIZE(parameter.position_max) == 8);
-CHECK(43, SIZE(parameter.following_error) == 8);
-CHECK(44, SIZE(parameter.over_speed) == 8);
-CHECK(45, SIZE(parameter.feedback) == 4);
-CHECK(46, SIZE(parameter.on_disable) == 4);
-CHECK(47, SIZE(parameter.on_quick_stop) == 4);
-CHECK(48, SIZE(parameter.faults_enabled) == 8);
-CHECK(49, SIZE(parameter.monitor) == 4);
-CHECK(50, SIZE(parameter.host_timeout) == 2);
-CHECK(51, SIZE(parameter.command_timeout) == 2);
-CHECK(52, SIZE(parameter.brake) == 2);
-CHECK(53, SIZE(snapshot.axis[0].position) == 4);
-CHECK(54, SIZE(snapshot.axis[0].position_ref) == 4);
-CHECK(55, SIZE(snapshot.axis[0].speed) == 4);
-CHECK(56, SIZE(snapshot.axis[0].speed_ref) == 4);
-CHECK(57, SIZE(snapshot.axis[0].i_q) == 2);
-CHECK(58, SIZE(snapshot.axis[0].i_d) == 2);
-CHECK(59, SIZE(snapshot.axis[0].i_q_ref) == 2);
-CHECK(60, SIZE(snapshot.axis[0].u_d) == 2);
-CHECK(61, SIZE(snapshot.axis[0].u_q) == 2);
-CHECK(62, SIZE(snapshot.axis[0].theta_e) == 2);
-CHECK(63, SIZE(snapshot.axis[0].state) == 2);
-CHECK(64, SIZE(snapshot.axis[0].substate) == 2);
-CHECK(65, SIZE(snapshot.axis[0].faults) == 4);
-CHECK(66, SIZE(snapshot.axis[0].first_fault) == 2);
-CHECK(67, SIZE(snapshot.axis[0].limits) == 2);
-CHECK(68, SIZE(snapshot.axis[0].points_waiting) == 2);
-CHECK(69, SIZE(snapshot.axis[0].points_taken) == 2);
-CHECK(70, SIZE(snapshot.axis[0].points_late) == 2);
-CHECK(71, SIZE(snapshot.axis[0].winding_temperature) == 2);
-CHECK(72, SIZE(snapshot.axis[0].home_state) == 2);
-CHECK(73, SIZE(snapshot.axis[0].inputs) == 2);
-CHECK(74, SIZE(snapshot.monitor[0]) == 2);
-CHECK(75, SIZE(estimate.axis[0].speed) == 4);
-CHECK(76, SIZE(estimate.axis[0].theta_e) == 2);
-CHECK(77, SIZE(estimate.axis[0].emf) == 2);
-CHECK(78, SIZE(estimate.axis[0].reliable) == 2);
-CHECK(79, SIZE(record[0].pending) == 4);
-CHECK(80, SIZE(belief.torque_constant[0]) == 2);
-CHECK(81, SIZE(belief.acceleration_current[0]) == 4);
-CHECK(82, SIZE(snapshot.axis[1].position) == 4);
-CHECK(83, SIZE(snapshot.axis[1].position_ref) == 4);
-CHECK(84, SIZE(snapshot.axis[1].speed) == 4);
-CHECK(85, SIZE(snapshot.axis[1].speed_ref) == 4);
-CHECK(86, SIZE(snapshot.axis[1].i_q) == 2);
-CHECK(87, SIZE(snapshot.axis[1].i_d) == 2);
-CHECK(88, SIZE(snapshot.axis[1].i_q_ref) == 2);
-CHECK(89, SIZE(snapshot.axis[1].u_d) == 2);
-CHECK(90, SIZE(snapshot.axis[1].u_q) == 2);
-CHECK(91, SIZE(snapshot.axis[1].theta_e) == 2);
-CHECK(92, SIZE(snapshot.axis[1].state) == 2);
-CHECK(93, SIZE(snapshot.axis[1].substate) == 2);
-CHECK(94, SIZE(snapshot.axis[1].faults) == 4);
-CHECK(95, SIZE(snapshot.axis[1].first_fault) == 2);
-CHECK(96, SIZE(snapshot.axis[1].limits) == 2);
-CHECK(97, SIZE(snapshot.axis[1].points_waiting) == 2);
-CHECK(98, SIZE(snapshot.axis[1].points_taken) == 2);
-CHECK(99, SIZE(snapshot.axis[1].points_late) == 2);
-CHECK(100, SIZE(snapshot.axis[1].winding_temperature) == 2);
-CHECK(101, SIZE(snapshot.axis[1].home_state) == 2);
-CHECK(102, SIZE(snapshot.axis[1].inputs) == 2);
-CHECK(103, SIZE(snapshot.monitor[1]) == 2);
-CHECK(104, SIZE(estimate.axis[1].speed) == 4);
-CHECK(105, SIZE(estimate.axis[1].theta_e) == 2);
-CHECK(106, SIZE(estimate.axis[1].emf) == 2);
-CHECK(107, SIZE(estimate.axis[1].reliable) == 2);
-CHECK(108, SIZE(record[1].pending) == 4);
-CHECK(109, SIZE(belief.torque_constant[1]) == 2);
-CHECK(110, SIZE(belief.acceleration_current[1]) == 4);
-CHECK(111, SIZE(tick) >= 4);
-CHECK(112, SIZE(applied_tick) >= 4);
-CHECK(113, SIZE(applied_count) >= 2);
-CHECK(114, SIZE(axis[0].u_dc) >= 2);
-CHECK(115, SIZE(late_loops) >= 2);
-CHECK(116, SIZE(points_refused) >= 2);
-CHECK(117, SIZE(point_refusal) >= 2);
-CHECK(118, SIZE(axis[0].u_dc_now) >= 4);
-CHECK(119, SIZE(axis[0].feedback.position) >= 4);
-CHECK(120, SIZE(axis[0].feedback.speed) >= 4);
-CHECK(121, SIZE(axis[0].motion.speed_ref) >= 4);
-CHECK(122, SIZE(axis[0].current_loop.current.q) >= 2);
-CHECK(123, SIZE(axis[0].current_loop.current.d) >= 2);
-CHECK(124, SIZE(axis[0].current_ref.q) >= 2);
-CHECK(125, SIZE(axis[0].current_loop.voltage.d) >= 2);
-CHECK(126, SIZE(axis[0].current_loop.voltage.q) >= 2);
-CHECK(127, SIZE(axis[0].feedback.theta_e) >= 2);
-CHECK(128, SIZE(axis[0].latch.captured) >= 4);
-CHECK(129, SIZE(axis[0].latch.first) >= 2);
-CHECK(130, SIZE(axis[0].active_limits) >= 2);
-CHECK(131, SIZE(axis[0].trajectory.taken) >= 2);
-CHECK(132, SIZE(axis[0].trajectory.late) >= 2);
-CHECK(133, SIZE(axis[0].diagnosis.winding.temperature) >= 4);
-CHECK(134, SIZE(axis[0].current_max.winding) >= 2);
-CHECK(135, SIZE(axis[0].home.state) >= 2);
-CHECK(136, SIZE(axis[0].inputs) >= 2);
-CHECK(137, SIZE(axis[0].estimate.speed) >= 4);
-CHECK(138, SIZE(axis[0].estimate.size) >= 2);
-CHECK(139, SIZE(axis[0].latch.pending) >= 4);
-CHECK(140, SIZE(axis[0].home.result) >= 2);
-CHECK(141, SIZE(axis[0].home.spread) >= 2);
-CHECK(142, SIZE(axis[0].sense.current.a) >= 2);
-CHECK(143, SIZE(axis[0].sense.current.b) >= 2);
-CHECK(144, SIZE(axis[0].sense.current.c) >= 2);
-CHECK(145, SIZE(axis[0].current_ref.d) >= 2);
-CHECK(146, SIZE(axis[0].sense.duty.a) >= 2);
-CHECK(147, SIZE(axis[0].sense.duty.b) >= 2);
-CHECK(148, SIZE(axis[0].sense.duty.c) >= 2);
-CHECK(149, SIZE(axis[0].current_loop.d.integral) >= 8);
-CHECK(150, SIZE(axis[0].current_loop.q.integral) >= 8);
-CHECK(151, SIZE(axis[0].motion.speed_pi.integral) >= 8);
-CHECK(152, SIZE(axis[0].feedback.mean_speed) >= 4);
-CHECK(153, SIZE(axis[0].motion.shaped_speed) >= 4);
-CHECK(154, SIZE(axis[0].estimate.pll.angle) >= 4);
-CHECK(155, SIZE(axis[0].estimate.pll.step) >= 4);
-CHECK(156, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
-CHECK(157, SIZE(axis[0].estimate.observer.e.beta) >= 4);
-CHECK(158, SIZE(axis[0].command.mode) >= 2);
-CHECK(159, SIZE(axis[0].events.command) >= 2);
-CHECK(160, SIZE(axis[0].events.mode) >= 2);
-CHECK(161, SIZE(axis[0].sm.entered) >= 2);
-CHECK(162, SIZE(axis[1].feedback.position) >= 4);
-CHECK(163, SIZE(axis[1].feedback.speed) >= 4);
-CHECK(164, SIZE(axis[1].motion.speed_ref) >= 4);
-CHECK(165, SIZE(axis[1].current_loop.current.q) >= 2);
-CHECK(166, SIZE(axis[1].current_loop.current.d) >= 2);
-CHECK(167, SIZE(axis[1].current_ref.q) >= 2);
-CHECK(168, SIZE(axis[1].current_loop.voltage.d) >= 2);
-CHECK(169, SIZE(axis[1].current_loop.voltage.q) >= 2);
-CHECK(170, SIZE(axis[1].feedback.theta_e) >= 2);
-CHECK(171, SIZE(axis[1].latch.captured) >= 4);
-CHECK(172, SIZE(axis[1].latch.first) >= 2);
-CHECK(173, SIZE(axis[1].active_limits) >= 2);
-CHECK(174, SIZE(axis[1].trajectory.taken) >= 2);
-CHECK(175, SIZE(axis[1].trajectory.late) >= 2);
-CHECK(176, SIZE(axis[1].diagnosis.winding.temperature) >= 4);
-CHECK(177, SIZE(axis[1].current_max.winding) >= 2);
-CHECK(178, SIZE(axis[1].home.state) >= 2);
-CHECK(179, SIZE(axis[1].inputs) >= 2);
-CHECK(180, SIZE(axis[1].estimate.speed) >= 4);
-CHECK(181, SIZE(axis[1].estimate.size) >= 2);
-CHECK(182, SIZE(axis[1].latch.pending) >= 4);
-CHECK(183, SIZE(axis[1].home.result) >= 2);
-CHECK(184, SIZE(axis[1].home.spread) >= 2);
-CHECK(185, SIZE(axis[1].sense.current.a) >= 2);
-CHECK(186, SIZE(axis[1].sense.current.b) >= 2);
-CHECK(187, SIZE(axis[1].sense.current.c) >= 2);
-CHECK(188, SIZE(axis[1].current_ref.d) >= 2);
-CHECK(189, SIZE(axis[1].sense.duty.a) >= 2);
-CHECK(190, SIZE(axis[1].sense.duty.b) >= 2);
-CHECK(191, SIZE(axis[1].sense.duty.c) >= 2);
-CHECK(192, SIZE(axis[1].current_loop.d.integral) >= 8);
-CHECK(193, SIZE(axis[1].current_loop.q.integral) >= 8);
-CHECK(194, SIZE(axis[1].motion.speed_pi.integral) >= 8);
-CHECK(195, SIZE(axis[1].feedback.mean_speed) >= 4);
-CHECK(196, SIZE(axis[1].motion.shaped_speed) >= 4);
-CHECK(197, SIZE(axis[1].estimate.pll.angle) >= 4);
-CHECK(198, SIZE(axis[1].estimate.pll.step) >= 4);
-CHECK(199, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
-CHECK(200, SIZE(axis[1].estimate.observer.e.beta) >= 4);
-CHECK(201, SIZE(axis[1].command.mode) >= 2);
-CHECK(202, SIZE(axis[1].events.command) >= 2);
-CHECK(203, SIZE(axis[1].events.mode) >= 2);
-CHECK(204, SIZE(axis[1].sm.entered) >= 2);
+CHECK(18, SIZE(command.test_amplitude) == 4);
+CHECK(19, SIZE(command.test_step) == 8);
+CHECK(20, SIZE(command.test_growth) == 8);
+CHECK(21, SIZE(command.test_calls) == 8);
+CHECK(22, SIZE(command.test_point) == 4);
+CHECK(23, SIZE(command.points) == 128);
+CHECK(24, SIZE(config.window) == 100);
+CHECK(25, SIZE(config.header) == 16);
+CHECK(26, SIZE(config.take) == 2);
+CHECK(27, SIZE(config_status.layout) == 4);
+CHECK(28, SIZE(config_status.checksum) == 8);
+CHECK(29, SIZE(config_status.taken_tick) == 4);
+CHECK(30, SIZE(config_status.taken_count) == 2);
+CHECK(31, SIZE(config_status.answers) == 2);
+CHECK(32, SIZE(config_status.refusal) == 2);
+CHECK(33, SIZE(config_status.refused_member) == 2);
+CHECK(34, SIZE(storage_request.request) == 4);
+CHECK(35, SIZE(storage_status.sequence) == 4);
+CHECK(36, SIZE(storage_status.state) == 2);
+CHECK(37, SIZE(storage_status.answered) == 2);
+CHECK(38, SIZE(storage_status.refusal) == 2);
+CHECK(39, SIZE(storage_status.source) == 2);
+CHECK(40, SIZE(storage_status.copy) == 4);
+CHECK(41, SIZE(storage_status.saves) == 2);
+CHECK(42, SIZE(parameter.speed_limit) == 8);
+CHECK(43, SIZE(parameter.acceleration_limit) == 8);
+CHECK(44, SIZE(parameter.i_q_limit) == 4);
+CHECK(45, SIZE(parameter.features) == 4);
+CHECK(46, SIZE(parameter.position_min) == 8);
+CHECK(47, SIZE(parameter.position_max) == 8);
+CHECK(48, SIZE(parameter.following_error) == 8);
+CHECK(49, SIZE(parameter.over_speed) == 8);
+CHECK(50, SIZE(parameter.feedback) == 4);
+CHECK(51, SIZE(parameter.on_disable) == 4);
+CHECK(52, SIZE(parameter.on_quick_stop) == 4);
+CHECK(53, SIZE(parameter.faults_enabled) == 8);
+CHECK(54, SIZE(parameter.monitor) == 4);
+CHECK(55, SIZE(parameter.host_timeout) == 2);
+CHECK(56, SIZE(parameter.command_timeout) == 2);
+CHECK(57, SIZE(parameter.brake) == 2);
+CHECK(58, SIZE(snapshot.axis[0].position) == 4);
+CHECK(59, SIZE(snapshot.axis[0].position_ref) == 4);
+CHECK(60, SIZE(snapshot.axis[0].speed) == 4);
+CHECK(61, SIZE(snapshot.axis[0].speed_ref) == 4);
+CHECK(62, SIZE(snapshot.axis[0].i_q) == 2);
+CHECK(63, SIZE(snapshot.axis[0].i_d) == 2);
+CHECK(64, SIZE(snapshot.axis[0].i_q_ref) == 2);
+CHECK(65, SIZE(snapshot.axis[0].u_d) == 2);
+CHECK(66, SIZE(snapshot.axis[0].u_q) == 2);
+CHECK(67, SIZE(snapshot.axis[0].theta_e) == 2);
+CHECK(68, SIZE(snapshot.axis[0].state) == 2);
+CHECK(69, SIZE(snapshot.axis[0].substate) == 2);
+CHECK(70, SIZE(snapshot.axis[0].faults) == 4);
+CHECK(71, SIZE(snapshot.axis[0].first_fault) == 2);
+CHECK(72, SIZE(snapshot.axis[0].limits) == 2);
+CHECK(73, SIZE(snapshot.axis[0].points_waiting) == 2);
+CHECK(74, SIZE(snapshot.axis[0].points_taken) == 2);
+CHECK(75, SIZE(snapshot.axis[0].points_late) == 2);
+CHECK(76, SIZE(snapshot.axis[0].winding_temperature) == 2);
+CHECK(77, SIZE(snapshot.axis[0].home_state) == 2);
+CHECK(78, SIZE(snapshot.axis[0].inputs) == 2);
+CHECK(79, SIZE(snapshot.monitor[0]) == 2);
+CHECK(80, SIZE(estimate.axis[0].speed) == 4);
+CHECK(81, SIZE(estimate.axis[0].theta_e) == 2);
+CHECK(82, SIZE(estimate.axis[0].emf) == 2);
+CHECK(83, SIZE(estimate.axis[0].reliable) == 2);
+CHECK(84, SIZE(record[0].pending) == 4);
+CHECK(85, SIZE(belief.torque_constant[0]) == 2);
+CHECK(86, SIZE(belief.acceleration_current[0]) == 4);
+CHECK(87, SIZE(snapshot.axis[1].position) == 4);
+CHECK(88, SIZE(snapshot.axis[1].position_ref) == 4);
+CHECK(89, SIZE(snapshot.axis[1].speed) == 4);
+CHECK(90, SIZE(snapshot.axis[1].speed_ref) == 4);
+CHECK(91, SIZE(snapshot.axis[1].i_q) == 2);
+CHECK(92, SIZE(snapshot.axis[1].i_d) == 2);
+CHECK(93, SIZE(snapshot.axis[1].i_q_ref) == 2);
+CHECK(94, SIZE(snapshot.axis[1].u_d) == 2);
+CHECK(95, SIZE(snapshot.axis[1].u_q) == 2);
+CHECK(96, SIZE(snapshot.axis[1].theta_e) == 2);
+CHECK(97, SIZE(snapshot.axis[1].state) == 2);
+CHECK(98, SIZE(snapshot.axis[1].substate) == 2);
+CHECK(99, SIZE(snapshot.axis[1].faults) == 4);
+CHECK(100, SIZE(snapshot.axis[1].first_fault) == 2);
+CHECK(101, SIZE(snapshot.axis[1].limits) == 2);
+CHECK(102, SIZE(snapshot.axis[1].points_waiting) == 2);
+CHECK(103, SIZE(snapshot.axis[1].points_taken) == 2);
+CHECK(104, SIZE(snapshot.axis[1].points_late) == 2);
+CHECK(105, SIZE(snapshot.axis[1].winding_temperature) == 2);
+CHECK(106, SIZE(snapshot.axis[1].home_state) == 2);
+CHECK(107, SIZE(snapshot.axis[1].inputs) == 2);
+CHECK(108, SIZE(snapshot.monitor[1]) == 2);
+CHECK(109, SIZE(estimate.axis[1].speed) == 4);
+CHECK(110, SIZE(estimate.axis[1].theta_e) == 2);
+CHECK(111, SIZE(estimate.axis[1].emf) == 2);
+CHECK(112, SIZE(estimate.axis[1].reliable) == 2);
+CHECK(113, SIZE(record[1].pending) == 4);
+CHECK(114, SIZE(belief.torque_constant[1]) == 2);
+CHECK(115, SIZE(belief.acceleration_current[1]) == 4);
+CHECK(116, SIZE(tick) >= 4);
+CHECK(117, SIZE(applied_tick) >= 4);
+CHECK(118, SIZE(applied_count) >= 2);
+CHECK(119, SIZE(axis[0].u_dc) >= 2);
+CHECK(120, SIZE(late_loops) >= 2);
+CHECK(121, SIZE(points_refused) >= 2);
+CHECK(122, SIZE(point_refusal) >= 2);
+CHECK(123, SIZE(axis[0].u_dc_now) >= 4);
+CHECK(124, SIZE(axis[0].feedback.position) >= 4);
+CHECK(125, SIZE(axis[0].feedback.speed) >= 4);
+CHECK(126, SIZE(axis[0].motion.speed_ref) >= 4);
+CHECK(127, SIZE(axis[0].current_loop.current.q) >= 2);
+CHECK(128, SIZE(axis[0].current_loop.current.d) >= 2);
+CHECK(129, SIZE(axis[0].current_ref.q) >= 2);
+CHECK(130, SIZE(axis[0].current_loop.voltage.d) >= 2);
+CHECK(131, SIZE(axis[0].current_loop.voltage.q) >= 2);
+CHECK(132, SIZE(axis[0].feedback.theta_e) >= 2);
+CHECK(133, SIZE(axis[0].latch.captured) >= 4);
+CHECK(134, SIZE(axis[0].latch.first) >= 2);
+CHECK(135, SIZE(axis[0].active_limits) >= 2);
+CHECK(136, SIZE(axis[0].trajectory.taken) >= 2);
+CHECK(137, SIZE(axis[0].trajectory.late) >= 2);
+CHECK(138, SIZE(axis[0].diagnosis.winding.temperature) >= 4);
+CHECK(139, SIZE(axis[0].current_max.winding) >= 2);
+CHECK(140, SIZE(axis[0].home.state) >= 2);
+CHECK(141, SIZE(axis[0].inputs) >= 2);
+CHECK(142, SIZE(axis[0].estimate.speed) >= 4);
+CHECK(143, SIZE(axis[0].estimate.size) >= 2);
+CHECK(144, SIZE(axis[0].latch.pending) >= 4);
+CHECK(145, SIZE(axis[0].home.result) >= 2);
+CHECK(146, SIZE(axis[0].home.spread) >= 2);
+CHECK(147, SIZE(axis[0].sense.current.a) >= 2);
+CHECK(148, SIZE(axis[0].sense.current.b) >= 2);
+CHECK(149, SIZE(axis[0].sense.current.c) >= 2);
+CHECK(150, SIZE(axis[0].current_ref.d) >= 2);
+CHECK(151, SIZE(axis[0].sense.duty.a) >= 2);
+CHECK(152, SIZE(axis[0].sense.duty.b) >= 2);
+CHECK(153, SIZE(axis[0].sense.duty.c) >= 2);
+CHECK(154, SIZE(axis[0].current_loop.d.integral) >= 8);
+CHECK(155, SIZE(axis[0].current_loop.q.integral) >= 8);
+CHECK(156, SIZE(axis[0].motion.speed_pi.integral) >= 8);
+CHECK(157, SIZE(axis[0].feedback.mean_speed) >= 4);
+CHECK(158, SIZE(axis[0].motion.shaped_speed) >= 4);
+CHECK(159, SIZE(axis[0].estimate.pll.angle) >= 4);
+CHECK(160, SIZE(axis[0].estimate.pll.step) >= 4);
+CHECK(161, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
+CHECK(162, SIZE(axis[0].estimate.observer.e.beta) >= 4);
+CHECK(163, SIZE(axis[0].excitation.point) >= 2);
+CHECK(164, SIZE(axis[0].excitation.value) >= 2);
+CHECK(165, SIZE(axis[0].startup.angle) >= 4);
+CHECK(166, SIZE(axis[0].command.mode) >= 2);
+CHECK(167, SIZE(axis[0].events.command) >= 2);
+CHECK(168, SIZE(axis[0].events.mode) >= 2);
+CHECK(169, SIZE(axis[0].sm.entered) >= 2);
+CHECK(170, SIZE(axis[1].feedback.position) >= 4);
+CHECK(171, SIZE(axis[1].feedback.speed) >= 4);
+CHECK(172, SIZE(axis[1].motion.speed_ref) >= 4);
+CHECK(173, SIZE(axis[1].current_loop.current.q) >= 2);
+CHECK(174, SIZE(axis[1].current_loop.current.d) >= 2);
+CHECK(175, SIZE(axis[1].current_ref.q) >= 2);
+CHECK(176, SIZE(axis[1].current_loop.voltage.d) >= 2);
+CHECK(177, SIZE(axis[1].current_loop.voltage.q) >= 2);
+CHECK(178, SIZE(axis[1].feedback.theta_e) >= 2);
+CHECK(179, SIZE(axis[1].latch.captured) >= 4);
+CHECK(180, SIZE(axis[1].latch.first) >= 2);
+CHECK(181, SIZE(axis[1].active_limits) >= 2);
+CHECK(182, SIZE(axis[1].trajectory.taken) >= 2);
+CHECK(183, SIZE(axis[1].trajectory.late) >= 2);
+CHECK(184, SIZE(axis[1].diagnosis.winding.temperature) >= 4);
+CHECK(185, SIZE(axis[1].current_max.winding) >= 2);
+CHECK(186, SIZE(axis[1].home.state) >= 2);
+CHECK(187, SIZE(axis[1].inputs) >= 2);
+CHECK(188, SIZE(axis[1].estimate.speed) >= 4);
+CHECK(189, SIZE(axis[1].estimate.size) >= 2);
+CHECK(190, SIZE(axis[1].latch.pending) >= 4);
+CHECK(191, SIZE(axis[1].home.result) >= 2);
+CHECK(192, SIZE(axis[1].home.spread) >= 2);
+CHECK(193, SIZE(axis[1].sense.current.a) >= 2);
+CHECK(194, SIZE(axis[1].sense.current.b) >= 2);
+CHECK(195, SIZE(axis[1].sense.current.c) >= 2);
+CHECK(196, SIZE(axis[1].current_ref.d) >= 2);
+CHECK(197, SIZE(axis[1].sense.duty.a) >= 2);
+CHECK(198, SIZE(axis[1].sense.duty.b) >= 2);
+CHECK(199, SIZE(axis[1].sense.duty.c) >= 2);
+CHECK(200, SIZE(axis[1].current_loop.d.integral) >= 8);
+CHECK(201, SIZE(axis[1].current_loop.q.integral) >= 8);
+CHECK(202, SIZE(axis[1].motion.speed_pi.integral) >= 8);
+CHECK(203, SIZE(axis[1].feedback.mean_speed) >= 4);
+CHECK(204, SIZE(axis[1].motion.shaped_speed) >= 4);
+CHECK(205, SIZE(axis[1].estimate.pll.angle) >= 4);
+CHECK(206, SIZE(axis[1].estimate.pll.step) >= 4);
+CHECK(207, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
+CHECK(208, SIZE(axis[1].estimate.observer.e.beta) >= 4);
+CHECK(209, SIZE(axis[1].excitation.point) >= 2);
+CHECK(210, SIZE(axis[1].excitation.value) >= 2);
+CHECK(211, SIZE(axis[1].startup.angle) >= 4);
+CHECK(212, SIZE(axis[1].command.mode) >= 2);
+CHECK(213, SIZE(axis[1].events.command) >= 2);
+CHECK(214, SIZE(axis[1].events.mode) >= 2);
+CHECK(215, SIZE(axis[1].sm.entered) >= 2);
 CHECK(fault_record_t_pending, IN(fault_record_t, pending) == 0 && SIZE_IN(fault_record_t, pending) == 4);
 CHECK(fault_record_t_tick, IN(fault_record_t, tick) == 4 && SIZE_IN(fault_record_t, tick) == 4);
 CHECK(fault_record_t_code, IN(fault_record_t, code) == 8 && SIZE_IN(fault_record_t, code) == 2);
@@ -251,11 +262,16 @@ static const char strings[] TABLE_MEMORY =
     "SPIN\0"
     "FREEWHEEL\0"
     "STARTUP\0"
+    "TEST\0"
     "control_mode_t\0"
     "POSITION\0"
     "SPEED\0"
     "TORQUE\0"
     "TRAJECTORY\0"
+    "test_point_t\0"
+    "NONE\0"
+    "I_D\0"
+    "I_Q\0"
     "feedback_kind_t\0"
     "ENCODER\0"
     "OBSERVER\0"
@@ -265,7 +281,6 @@ static const char strings[] TABLE_MEMORY =
     "RAMP\0"
     "HOLD\0"
     "point_refusal_t\0"
-    "NONE\0"
     "MODE\0"
     "PAST\0"
     "ORDER\0"
@@ -386,6 +401,11 @@ static const char strings[] TABLE_MEMORY =
     "cmd.clear_faults\0"
     "cmd.home_position\0"
     "cmd.home\0"
+    "cmd.test_amplitude\0"
+    "cmd.test_step\0"
+    "cmd.test_growth\0"
+    "cmd.test_calls\0"
+    "cmd.test_point\0"
     "cmd.points\0"
     "config.window\0"
     "config.header\0"
@@ -471,6 +491,9 @@ static const char strings[] TABLE_MEMORY =
     "axis1.pll_speed\0"
     "axis1.emf_alpha\0"
     "axis1.emf_beta\0"
+    "axis1.test_point\0"
+    "axis1.test_signal\0"
+    "axis1.test_angle\0"
     "axis1.mode\0"
     "axis1.event_command\0"
     "axis1.event_mode\0"
@@ -524,6 +547,9 @@ static const char strings[] TABLE_MEMORY =
     "axis2.pll_speed\0"
     "axis2.emf_alpha\0"
     "axis2.emf_beta\0"
+    "axis2.test_point\0"
+    "axis2.test_signal\0"
+    "axis2.test_angle\0"
     "axis2.mode\0"
     "axis2.event_command\0"
     "axis2.event_mode\0"
@@ -565,304 +591,323 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {72, 21, 3, 0, TSA_KIND_NONE}, /* SPIN */
     {77, 21, 4, 0, TSA_KIND_NONE}, /* FREEWHEEL */
     {87, 21, 5, 0, TSA_KIND_NONE}, /* STARTUP */
-    {95, 8, 0, 2, TSA_KIND_NONE}, /* control_mode_t */
-    {110, 21, 0, 0, TSA_KIND_NONE}, /* POSITION */
-    {119, 21, 1, 0, TSA_KIND_NONE}, /* SPEED */
-    {125, 21, 2, 0, TSA_KIND_NONE}, /* TORQUE */
-    {132, 21, 3, 0, TSA_KIND_NONE}, /* TRAJECTORY */
-    {143, 8, 0, 2, TSA_KIND_NONE}, /* feedback_kind_t */
-    {159, 21, 0, 0, TSA_KIND_NONE}, /* ENCODER */
-    {167, 21, 1, 0, TSA_KIND_NONE}, /* OBSERVER */
-    {176, 8, 0, 2, TSA_KIND_NONE}, /* stop_category_t */
-    {192, 21, 0, 0, TSA_KIND_NONE}, /* COAST */
-    {198, 21, 1, 0, TSA_KIND_NONE}, /* SHORT */
-    {204, 21, 2, 0, TSA_KIND_NONE}, /* RAMP */
-    {209, 21, 3, 0, TSA_KIND_NONE}, /* HOLD */
-    {214, 8, 0, 2, TSA_KIND_NONE}, /* point_refusal_t */
-    {230, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
-    {235, 21, 1, 0, TSA_KIND_NONE}, /* MODE */
-    {240, 21, 2, 0, TSA_KIND_NONE}, /* PAST */
-    {245, 21, 3, 0, TSA_KIND_NONE}, /* ORDER */
-    {251, 21, 4, 0, TSA_KIND_NONE}, /* DURATION */
-    {260, 21, 5, 0, TSA_KIND_NONE}, /* FULL */
-    {110, 21, 6, 0, TSA_KIND_NONE}, /* POSITION */
-    {119, 21, 7, 0, TSA_KIND_NONE}, /* SPEED */
-    {265, 21, 8, 0, TSA_KIND_NONE}, /* ACCELERATION */
-    {278, 21, 9, 0, TSA_KIND_NONE}, /* BUSY */
-    {283, 21, 10, 0, TSA_KIND_NONE}, /* FORM */
-    {288, 8, 0, 2, TSA_KIND_NONE}, /* home_state_t */
-    {301, 21, 0, 0, TSA_KIND_NONE}, /* UNKNOWN */
-    {309, 21, 1, 0, TSA_KIND_NONE}, /* ASSUMED */
-    {317, 21, 2, 0, TSA_KIND_NONE}, /* HOMING */
-    {324, 21, 3, 0, TSA_KIND_NONE}, /* KNOWN */
-    {330, 8, 0, 2, TSA_KIND_NONE}, /* home_method_t */
-    {230, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
-    {344, 21, 1, 0, TSA_KIND_NONE}, /* HERE */
-    {349, 21, 2, 0, TSA_KIND_NONE}, /* ASSUME */
-    {356, 21, 3, 0, TSA_KIND_NONE}, /* STOP_POSITIVE */
-    {370, 21, 4, 0, TSA_KIND_NONE}, /* STOP_NEGATIVE */
-    {384, 21, 5, 0, TSA_KIND_NONE}, /* SWITCH_POSITIVE */
-    {400, 21, 6, 0, TSA_KIND_NONE}, /* SWITCH_NEGATIVE */
-    {416, 8, 0, 2, TSA_KIND_NONE}, /* home_result_t */
-    {230, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
-    {430, 21, 1, 0, TSA_KIND_NONE}, /* RUNNING */
-    {438, 21, 2, 0, TSA_KIND_NONE}, /* DONE */
-    {443, 21, 3, 0, TSA_KIND_NONE}, /* ABORTED */
-    {451, 21, 4, 0, TSA_KIND_NONE}, /* MOTION */
-    {458, 21, 5, 0, TSA_KIND_NONE}, /* SENSORLESS */
-    {324, 21, 6, 0, TSA_KIND_NONE}, /* KNOWN */
-    {469, 21, 7, 0, TSA_KIND_NONE}, /* NOT_FOUND */
-    {479, 21, 8, 0, TSA_KIND_NONE}, /* TIMEOUT */
-    {487, 21, 9, 0, TSA_KIND_NONE}, /* BLOCKED */
-    {495, 21, 10, 0, TSA_KIND_NONE}, /* STUCK */
-    {501, 21, 11, 0, TSA_KIND_NONE}, /* SPREAD */
-    {508, 8, 0, 2, TSA_KIND_NONE}, /* monitor_t */
-    {230, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
-    {518, 21, 1, 0, TSA_KIND_NONE}, /* U_DC */
-    {523, 21, 2, 0, TSA_KIND_NONE}, /* AXIS1_I_D */
-    {533, 21, 3, 0, TSA_KIND_NONE}, /* AXIS1_I_Q */
-    {543, 21, 4, 0, TSA_KIND_NONE}, /* AXIS1_I_Q_REF */
-    {557, 21, 5, 0, TSA_KIND_NONE}, /* AXIS1_U_D */
-    {567, 21, 6, 0, TSA_KIND_NONE}, /* AXIS1_U_Q */
-    {577, 21, 7, 0, TSA_KIND_NONE}, /* AXIS1_THETA_E */
-    {591, 21, 8, 0, TSA_KIND_NONE}, /* AXIS1_SPEED */
-    {603, 21, 9, 0, TSA_KIND_NONE}, /* AXIS2_I_D */
-    {613, 21, 10, 0, TSA_KIND_NONE}, /* AXIS2_I_Q */
-    {623, 21, 11, 0, TSA_KIND_NONE}, /* AXIS2_I_Q_REF */
-    {637, 21, 12, 0, TSA_KIND_NONE}, /* AXIS2_U_D */
-    {647, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
-    {657, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
-    {671, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
-    {683, 8, 0, 2, TSA_KIND_NONE}, /* storage_state_t */
-    {699, 21, 0, 0, TSA_KIND_NONE}, /* IDLE */
-    {704, 21, 1, 0, TSA_KIND_NONE}, /* SAVING */
-    {711, 21, 2, 0, TSA_KIND_NONE}, /* ERASING */
-    {719, 8, 0, 2, TSA_KIND_NONE}, /* storage_source_t */
-    {736, 21, 0, 0, TSA_KIND_NONE}, /* BUILT_IN */
-    {745, 21, 1, 0, TSA_KIND_NONE}, /* COPY_A */
-    {752, 21, 2, 0, TSA_KIND_NONE}, /* COPY_B */
-    {759, 8, 0, 2, TSA_KIND_NONE}, /* stored_copy_t */
-    {773, 21, 0, 0, TSA_KIND_NONE}, /* EMPTY */
-    {779, 21, 1, 0, TSA_KIND_NONE}, /* INTACT */
-    {786, 21, 2, 0, TSA_KIND_NONE}, /* DAMAGED */
-    {794, 21, 3, 0, TSA_KIND_NONE}, /* OTHER_LAYOUT */
-    {807, 21, 4, 0, TSA_KIND_NONE}, /* OUT_OF_RANGE */
-    {820, 21, 5, 0, TSA_KIND_NONE}, /* ABSENT */
-    {827, 8, 0, 2, TSA_KIND_NONE}, /* storage_refusal_t */
-    {230, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
-    {283, 21, 1, 0, TSA_KIND_NONE}, /* FORM */
-    {820, 21, 2, 0, TSA_KIND_NONE}, /* ABSENT */
-    {278, 21, 3, 0, TSA_KIND_NONE}, /* BUSY */
-    {451, 21, 4, 0, TSA_KIND_NONE}, /* MOTION */
-    {845, 21, 5, 0, TSA_KIND_NONE}, /* CHANGED */
-    {853, 21, 6, 0, TSA_KIND_NONE}, /* FLASH */
-    {859, 870, 0, (uint16_t)sizeof(snapshot_t), TSA_KIND_NONE}, /* snapshot_t */
-    {879, 884, IN(snapshot_t, tick), SIZE_IN(snapshot_t, tick), TSA_KIND_NONE}, /* tick */
-    {886, 884, IN(snapshot_t, applied_tick), SIZE_IN(snapshot_t, applied_tick), TSA_KIND_NONE}, /* applied_tick */
-    {899, 913, IN(snapshot_t, applied_count), SIZE_IN(snapshot_t, applied_count), TSA_KIND_NONE}, /* applied_count */
-    {915, 920, IN(snapshot_t, u_dc), SIZE_IN(snapshot_t, u_dc), TSA_KIND_NONE}, /* u_dc */
-    {922, 913, IN(snapshot_t, late_loops), SIZE_IN(snapshot_t, late_loops), TSA_KIND_NONE}, /* late_loops */
-    {933, 913, IN(snapshot_t, receiver_overruns), SIZE_IN(snapshot_t, receiver_overruns), TSA_KIND_NONE}, /* receiver_overruns */
-    {951, 913, IN(snapshot_t, points_refused), SIZE_IN(snapshot_t, points_refused), TSA_KIND_NONE}, /* points_refused */
-    {966, 214, IN(snapshot_t, point_refusal), SIZE_IN(snapshot_t, point_refusal), TSA_KIND_NONE}, /* point_refusal */
-    {980, 985, IN(snapshot_t, axis), SIZE_IN(snapshot_t, axis), TSA_KIND_NONE}, /* axis */
-    {1001, 920, IN(snapshot_t, monitor), SIZE_IN(snapshot_t, monitor), TSA_KIND_NONE}, /* monitor */
-    {985, 870, 0, (uint16_t)sizeof(axis_snapshot_t), TSA_KIND_NONE}, /* axis_snapshot_t */
-    {1009, 1018, IN(axis_snapshot_t, position), SIZE_IN(axis_snapshot_t, position), TSA_KIND_NONE}, /* position */
-    {1020, 1018, IN(axis_snapshot_t, position_ref), SIZE_IN(axis_snapshot_t, position_ref), TSA_KIND_NONE}, /* position_ref */
-    {1033, 1039, IN(axis_snapshot_t, speed), SIZE_IN(axis_snapshot_t, speed), TSA_KIND_NONE}, /* speed */
-    {1041, 1039, IN(axis_snapshot_t, speed_ref), SIZE_IN(axis_snapshot_t, speed_ref), TSA_KIND_NONE}, /* speed_ref */
-    {1051, 920, IN(axis_snapshot_t, i_q), SIZE_IN(axis_snapshot_t, i_q), TSA_KIND_NONE}, /* i_q */
-    {1055, 920, IN(axis_snapshot_t, i_d), SIZE_IN(axis_snapshot_t, i_d), TSA_KIND_NONE}, /* i_d */
-    {1059, 920, IN(axis_snapshot_t, i_q_ref), SIZE_IN(axis_snapshot_t, i_q_ref), TSA_KIND_NONE}, /* i_q_ref */
-    {1067, 920, IN(axis_snapshot_t, u_d), SIZE_IN(axis_snapshot_t, u_d), TSA_KIND_NONE}, /* u_d */
-    {1071, 920, IN(axis_snapshot_t, u_q), SIZE_IN(axis_snapshot_t, u_q), TSA_KIND_NONE}, /* u_q */
-    {1075, 920, IN(axis_snapshot_t, theta_e), SIZE_IN(axis_snapshot_t, theta_e), TSA_KIND_NONE}, /* theta_e */
-    {1083, 0, IN(axis_snapshot_t, state), SIZE_IN(axis_snapshot_t, state), TSA_KIND_NONE}, /* state */
-    {1089, 43, IN(axis_snapshot_t, substate), SIZE_IN(axis_snapshot_t, substate), TSA_KIND_NONE}, /* substate */
-    {1098, 884, IN(axis_snapshot_t, faults), SIZE_IN(axis_snapshot_t, faults), TSA_KIND_NONE}, /* faults */
-    {1105, 913, IN(axis_snapshot_t, first_fault), SIZE_IN(axis_snapshot_t, first_fault), TSA_KIND_NONE}, /* first_fault */
-    {1117, 913, IN(axis_snapshot_t, limits), SIZE_IN(axis_snapshot_t, limits), TSA_KIND_NONE}, /* limits */
-    {1124, 913, IN(axis_snapshot_t, points_waiting), SIZE_IN(axis_snapshot_t, points_waiting), TSA_KIND_NONE}, /* points_waiting */
-    {1139, 913, IN(axis_snapshot_t, points_taken), SIZE_IN(axis_snapshot_t, points_taken), TSA_KIND_NONE}, /* points_taken */
-    {1152, 913, IN(axis_snapshot_t, points_late), SIZE_IN(axis_snapshot_t, points_late), TSA_KIND_NONE}, /* points_late */
-    {1164, 920, IN(axis_snapshot_t, winding_temperature), SIZE_IN(axis_snapshot_t, winding_temperature), TSA_KIND_NONE}, /* winding_temperature */
-    {1184, 288, IN(axis_snapshot_t, home_state), SIZE_IN(axis_snapshot_t, home_state), TSA_KIND_NONE}, /* home_state */
-    {1195, 913, IN(axis_snapshot_t, inputs), SIZE_IN(axis_snapshot_t, inputs), TSA_KIND_NONE}, /* inputs */
-    {1202, 870, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
-    {1217, 884, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
-    {879, 884, IN(fault_record_t, tick), SIZE_IN(fault_record_t, tick), TSA_KIND_NONE}, /* tick */
-    {1225, 913, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
-    {1083, 0, IN(fault_record_t, state), SIZE_IN(fault_record_t, state), TSA_KIND_NONE}, /* state */
-    {1089, 43, IN(fault_record_t, substate), SIZE_IN(fault_record_t, substate), TSA_KIND_NONE}, /* substate */
-    {1230, 913, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
-    {1235, 913, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
-    {1055, 920, IN(fault_record_t, i_d), SIZE_IN(fault_record_t, i_d), TSA_KIND_NONE}, /* i_d */
-    {1051, 920, IN(fault_record_t, i_q), SIZE_IN(fault_record_t, i_q), TSA_KIND_NONE}, /* i_q */
-    {1075, 920, IN(fault_record_t, theta_e), SIZE_IN(fault_record_t, theta_e), TSA_KIND_NONE}, /* theta_e */
-    {915, 920, IN(fault_record_t, u_dc), SIZE_IN(fault_record_t, u_dc), TSA_KIND_NONE}, /* u_dc */
-    {1033, 920, IN(fault_record_t, speed), SIZE_IN(fault_record_t, speed), TSA_KIND_NONE}, /* speed */
-    {1240, 884, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
-    {1255, 859, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
-    {879, 884, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
-    {886, 884, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
-    {899, 913, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
-    {915, 920, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
-    {922, 913, AT(snapshot.late_loops), SIZE(snapshot.late_loops), TSA_KIND_RO}, /* late_loops */
-    {933, 913, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
-    {951, 913, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
-    {966, 214, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
-    {1264, 1018, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
-    {1277, 1039, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
-    {1287, 920, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
-    {1295, 95, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
-    {1304, 913, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
-    {1315, 913, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
-    {1330, 913, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
-    {1347, 1018, AT(command.home_position), SIZE(command.home_position), TSA_KIND_RW}, /* cmd.home_position */
-    {1365, 330, AT(command.home), SIZE(command.home), TSA_KIND_RW}, /* cmd.home */
-    {1374, 1018, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
-    {1385, 1018, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
-    {1399, 1018, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
-    {1413, 913, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
-    {1425, 884, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
-    {1439, 884, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
-    {1455, 884, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
-    {1473, 913, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
-    {1492, 913, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
-    {1507, 913, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
-    {1522, 913, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
-    {1544, 913, AT(storage_request.request), SIZE(storage_request.request), TSA_KIND_RW}, /* storage.request */
-    {1560, 884, AT(storage_status.sequence), SIZE(storage_status.sequence), TSA_KIND_RO}, /* storage.sequence */
-    {1577, 683, AT(storage_status.state), SIZE(storage_status.state), TSA_KIND_RO}, /* storage.state */
-    {1591, 913, AT(storage_status.answered), SIZE(storage_status.answered), TSA_KIND_RO}, /* storage.answered */
-    {1608, 827, AT(storage_status.refusal), SIZE(storage_status.refusal), TSA_KIND_RO}, /* storage.refusal */
-    {1624, 719, AT(storage_status.source), SIZE(storage_status.source), TSA_KIND_RO}, /* storage.source */
-    {1639, 759, AT(storage_status.copy), SIZE(storage_status.copy), TSA_KIND_RO}, /* storage.copy */
-    {1652, 913, AT(storage_status.saves), SIZE(storage_status.saves), TSA_KIND_RO}, /* storage.saves */
-    {1666, 1039, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
-    {1684, 1039, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
-    {1709, 920, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
-    {1725, 913, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
-    {1740, 1018, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
-    {1759, 1018, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
-    {1778, 1018, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
-    {1800, 1039, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
-    {1817, 143, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
-    {1832, 176, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
-    {1849, 176, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
-    {1869, 884, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
-    {1890, 508, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
-    {1904, 913, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
-    {1923, 913, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
-    {1945, 913, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
-    {1957, 1039, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
-    {1966, 1018, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
-    {1981, 1018, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
-    {2000, 1039, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
-    {2012, 1039, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
-    {2028, 920, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
-    {2038, 920, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
-    {2048, 920, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
-    {2062, 920, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
-    {2072, 920, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
-    {2082, 920, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
-    {2096, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
-    {2108, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
-    {2123, 884, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
-    {2136, 913, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
-    {2154, 913, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
-    {2167, 913, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
-    {2188, 913, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
-    {2207, 913, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
-    {2225, 920, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
-    {2251, 920, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
-    {2273, 288, AT(snapshot.axis[0].home_state), SIZE(snapshot.axis[0].home_state), TSA_KIND_RO}, /* axis1.home_state */
-    {2290, 913, AT(snapshot.axis[0].inputs), SIZE(snapshot.axis[0].inputs), TSA_KIND_RO}, /* axis1.inputs */
-    {2303, 920, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
-    {2317, 1039, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
-    {2338, 920, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
-    {2361, 920, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
-    {2380, 913, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
-    {2404, 884, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
-    {2418, 1202, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
-    {2437, 416, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
-    {2455, 913, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
-    {2473, 920, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {2495, 1018, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
-    {2522, 920, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
-    {2532, 920, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
-    {2542, 920, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
-    {2552, 920, LIVE(7), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
-    {2566, 920, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_a */
-    {2579, 920, LIVE(9), 2, TSA_KIND_RO}, /* axis1.duty_b */
-    {2592, 920, LIVE(10), 2, TSA_KIND_RO}, /* axis1.duty_c */
-    {2605, 1018, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_d */
-    {2616, 1018, LIVE(12), 4, TSA_KIND_RO}, /* axis1.pi_q */
-    {2627, 1018, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pi_speed */
-    {2642, 1039, LIVE(14), 4, TSA_KIND_RO}, /* axis1.speed_raw */
-    {2658, 1039, LIVE(15), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
-    {2677, 1039, LIVE(16), 4, TSA_KIND_RO}, /* axis1.pll_angle */
-    {2693, 1018, LIVE(17), 4, TSA_KIND_RO}, /* axis1.pll_speed */
-    {2709, 1018, LIVE(18), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
-    {2725, 1018, LIVE(19), 4, TSA_KIND_RO}, /* axis1.emf_beta */
-    {2740, 95, LIVE(20), 2, TSA_KIND_RO}, /* axis1.mode */
-    {2751, 913, LIVE(21), 2, TSA_KIND_RO}, /* axis1.event_command */
-    {2771, 913, LIVE(22), 2, TSA_KIND_RO}, /* axis1.event_mode */
-    {2788, 913, LIVE(23), 2, TSA_KIND_RO}, /* axis1.event_state */
-    {2806, 1018, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
-    {2821, 1018, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
-    {2840, 1039, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
-    {2852, 1039, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
-    {2868, 920, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
-    {2878, 920, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
-    {2888, 920, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
-    {2902, 920, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
-    {2912, 920, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
-    {2922, 920, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
-    {2936, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
-    {2948, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
-    {2963, 884, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
-    {2976, 913, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
-    {2994, 913, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
-    {3007, 913, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
-    {3028, 913, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
-    {3047, 913, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
-    {3065, 920, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
-    {3091, 920, LIVE(24), 2, TSA_KIND_RO}, /* axis2.winding_current */
-    {3113, 288, AT(snapshot.axis[1].home_state), SIZE(snapshot.axis[1].home_state), TSA_KIND_RO}, /* axis2.home_state */
-    {3130, 913, AT(snapshot.axis[1].inputs), SIZE(snapshot.axis[1].inputs), TSA_KIND_RO}, /* axis2.inputs */
-    {3143, 920, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
-    {3157, 1039, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
-    {3178, 920, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
-    {3201, 920, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
-    {3220, 913, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
-    {3244, 884, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
-    {3258, 1202, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
-    {3277, 416, LIVE(25), 2, TSA_KIND_RO}, /* axis2.home_result */
-    {3295, 913, LIVE(26), 2, TSA_KIND_RO}, /* axis2.home_spread */
-    {3313, 920, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
-    {3335, 1018, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
-    {3362, 920, LIVE(27), 2, TSA_KIND_RO}, /* axis2.i_a */
-    {3372, 920, LIVE(28), 2, TSA_KIND_RO}, /* axis2.i_b */
-    {3382, 920, LIVE(29), 2, TSA_KIND_RO}, /* axis2.i_c */
-    {3392, 920, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
-    {3406, 920, LIVE(31), 2, TSA_KIND_RO}, /* axis2.duty_a */
-    {3419, 920, LIVE(32), 2, TSA_KIND_RO}, /* axis2.duty_b */
-    {3432, 920, LIVE(33), 2, TSA_KIND_RO}, /* axis2.duty_c */
-    {3445, 1018, LIVE(34), 4, TSA_KIND_RO}, /* axis2.pi_d */
-    {3456, 1018, LIVE(35), 4, TSA_KIND_RO}, /* axis2.pi_q */
-    {3467, 1018, LIVE(36), 4, TSA_KIND_RO}, /* axis2.pi_speed */
-    {3482, 1039, LIVE(37), 4, TSA_KIND_RO}, /* axis2.speed_raw */
-    {3498, 1039, LIVE(38), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
-    {3517, 1039, LIVE(39), 4, TSA_KIND_RO}, /* axis2.pll_angle */
-    {3533, 1018, LIVE(40), 4, TSA_KIND_RO}, /* axis2.pll_speed */
-    {3549, 1018, LIVE(41), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
-    {3565, 1018, LIVE(42), 4, TSA_KIND_RO}, /* axis2.emf_beta */
-    {3580, 95, LIVE(43), 2, TSA_KIND_RO}, /* axis2.mode */
-    {3591, 913, LIVE(44), 2, TSA_KIND_RO}, /* axis2.event_command */
-    {3611, 913, LIVE(45), 2, TSA_KIND_RO}, /* axis2.event_mode */
-    {3628, 913, LIVE(46), 2, TSA_KIND_RO}, /* axis2.event_state */
+    {95, 21, 6, 0, TSA_KIND_NONE}, /* TEST */
+    {100, 8, 0, 2, TSA_KIND_NONE}, /* control_mode_t */
+    {115, 21, 0, 0, TSA_KIND_NONE}, /* POSITION */
+    {124, 21, 1, 0, TSA_KIND_NONE}, /* SPEED */
+    {130, 21, 2, 0, TSA_KIND_NONE}, /* TORQUE */
+    {137, 21, 3, 0, TSA_KIND_NONE}, /* TRAJECTORY */
+    {95, 21, 4, 0, TSA_KIND_NONE}, /* TEST */
+    {148, 8, 0, 2, TSA_KIND_NONE}, /* test_point_t */
+    {161, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
+    {166, 21, 1, 0, TSA_KIND_NONE}, /* I_D */
+    {170, 21, 2, 0, TSA_KIND_NONE}, /* I_Q */
+    {130, 21, 3, 0, TSA_KIND_NONE}, /* TORQUE */
+    {124, 21, 4, 0, TSA_KIND_NONE}, /* SPEED */
+    {174, 8, 0, 2, TSA_KIND_NONE}, /* feedback_kind_t */
+    {190, 21, 0, 0, TSA_KIND_NONE}, /* ENCODER */
+    {198, 21, 1, 0, TSA_KIND_NONE}, /* OBSERVER */
+    {207, 8, 0, 2, TSA_KIND_NONE}, /* stop_category_t */
+    {223, 21, 0, 0, TSA_KIND_NONE}, /* COAST */
+    {229, 21, 1, 0, TSA_KIND_NONE}, /* SHORT */
+    {235, 21, 2, 0, TSA_KIND_NONE}, /* RAMP */
+    {240, 21, 3, 0, TSA_KIND_NONE}, /* HOLD */
+    {245, 8, 0, 2, TSA_KIND_NONE}, /* point_refusal_t */
+    {161, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
+    {261, 21, 1, 0, TSA_KIND_NONE}, /* MODE */
+    {266, 21, 2, 0, TSA_KIND_NONE}, /* PAST */
+    {271, 21, 3, 0, TSA_KIND_NONE}, /* ORDER */
+    {277, 21, 4, 0, TSA_KIND_NONE}, /* DURATION */
+    {286, 21, 5, 0, TSA_KIND_NONE}, /* FULL */
+    {115, 21, 6, 0, TSA_KIND_NONE}, /* POSITION */
+    {124, 21, 7, 0, TSA_KIND_NONE}, /* SPEED */
+    {291, 21, 8, 0, TSA_KIND_NONE}, /* ACCELERATION */
+    {304, 21, 9, 0, TSA_KIND_NONE}, /* BUSY */
+    {309, 21, 10, 0, TSA_KIND_NONE}, /* FORM */
+    {314, 8, 0, 2, TSA_KIND_NONE}, /* home_state_t */
+    {327, 21, 0, 0, TSA_KIND_NONE}, /* UNKNOWN */
+    {335, 21, 1, 0, TSA_KIND_NONE}, /* ASSUMED */
+    {343, 21, 2, 0, TSA_KIND_NONE}, /* HOMING */
+    {350, 21, 3, 0, TSA_KIND_NONE}, /* KNOWN */
+    {356, 8, 0, 2, TSA_KIND_NONE}, /* home_method_t */
+    {161, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
+    {370, 21, 1, 0, TSA_KIND_NONE}, /* HERE */
+    {375, 21, 2, 0, TSA_KIND_NONE}, /* ASSUME */
+    {382, 21, 3, 0, TSA_KIND_NONE}, /* STOP_POSITIVE */
+    {396, 21, 4, 0, TSA_KIND_NONE}, /* STOP_NEGATIVE */
+    {410, 21, 5, 0, TSA_KIND_NONE}, /* SWITCH_POSITIVE */
+    {426, 21, 6, 0, TSA_KIND_NONE}, /* SWITCH_NEGATIVE */
+    {442, 8, 0, 2, TSA_KIND_NONE}, /* home_result_t */
+    {161, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
+    {456, 21, 1, 0, TSA_KIND_NONE}, /* RUNNING */
+    {464, 21, 2, 0, TSA_KIND_NONE}, /* DONE */
+    {469, 21, 3, 0, TSA_KIND_NONE}, /* ABORTED */
+    {477, 21, 4, 0, TSA_KIND_NONE}, /* MOTION */
+    {484, 21, 5, 0, TSA_KIND_NONE}, /* SENSORLESS */
+    {350, 21, 6, 0, TSA_KIND_NONE}, /* KNOWN */
+    {495, 21, 7, 0, TSA_KIND_NONE}, /* NOT_FOUND */
+    {505, 21, 8, 0, TSA_KIND_NONE}, /* TIMEOUT */
+    {513, 21, 9, 0, TSA_KIND_NONE}, /* BLOCKED */
+    {521, 21, 10, 0, TSA_KIND_NONE}, /* STUCK */
+    {527, 21, 11, 0, TSA_KIND_NONE}, /* SPREAD */
+    {534, 8, 0, 2, TSA_KIND_NONE}, /* monitor_t */
+    {161, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
+    {544, 21, 1, 0, TSA_KIND_NONE}, /* U_DC */
+    {549, 21, 2, 0, TSA_KIND_NONE}, /* AXIS1_I_D */
+    {559, 21, 3, 0, TSA_KIND_NONE}, /* AXIS1_I_Q */
+    {569, 21, 4, 0, TSA_KIND_NONE}, /* AXIS1_I_Q_REF */
+    {583, 21, 5, 0, TSA_KIND_NONE}, /* AXIS1_U_D */
+    {593, 21, 6, 0, TSA_KIND_NONE}, /* AXIS1_U_Q */
+    {603, 21, 7, 0, TSA_KIND_NONE}, /* AXIS1_THETA_E */
+    {617, 21, 8, 0, TSA_KIND_NONE}, /* AXIS1_SPEED */
+    {629, 21, 9, 0, TSA_KIND_NONE}, /* AXIS2_I_D */
+    {639, 21, 10, 0, TSA_KIND_NONE}, /* AXIS2_I_Q */
+    {649, 21, 11, 0, TSA_KIND_NONE}, /* AXIS2_I_Q_REF */
+    {663, 21, 12, 0, TSA_KIND_NONE}, /* AXIS2_U_D */
+    {673, 21, 13, 0, TSA_KIND_NONE}, /* AXIS2_U_Q */
+    {683, 21, 14, 0, TSA_KIND_NONE}, /* AXIS2_THETA_E */
+    {697, 21, 15, 0, TSA_KIND_NONE}, /* AXIS2_SPEED */
+    {709, 8, 0, 2, TSA_KIND_NONE}, /* storage_state_t */
+    {725, 21, 0, 0, TSA_KIND_NONE}, /* IDLE */
+    {730, 21, 1, 0, TSA_KIND_NONE}, /* SAVING */
+    {737, 21, 2, 0, TSA_KIND_NONE}, /* ERASING */
+    {745, 8, 0, 2, TSA_KIND_NONE}, /* storage_source_t */
+    {762, 21, 0, 0, TSA_KIND_NONE}, /* BUILT_IN */
+    {771, 21, 1, 0, TSA_KIND_NONE}, /* COPY_A */
+    {778, 21, 2, 0, TSA_KIND_NONE}, /* COPY_B */
+    {785, 8, 0, 2, TSA_KIND_NONE}, /* stored_copy_t */
+    {799, 21, 0, 0, TSA_KIND_NONE}, /* EMPTY */
+    {805, 21, 1, 0, TSA_KIND_NONE}, /* INTACT */
+    {812, 21, 2, 0, TSA_KIND_NONE}, /* DAMAGED */
+    {820, 21, 3, 0, TSA_KIND_NONE}, /* OTHER_LAYOUT */
+    {833, 21, 4, 0, TSA_KIND_NONE}, /* OUT_OF_RANGE */
+    {846, 21, 5, 0, TSA_KIND_NONE}, /* ABSENT */
+    {853, 8, 0, 2, TSA_KIND_NONE}, /* storage_refusal_t */
+    {161, 21, 0, 0, TSA_KIND_NONE}, /* NONE */
+    {309, 21, 1, 0, TSA_KIND_NONE}, /* FORM */
+    {846, 21, 2, 0, TSA_KIND_NONE}, /* ABSENT */
+    {304, 21, 3, 0, TSA_KIND_NONE}, /* BUSY */
+    {477, 21, 4, 0, TSA_KIND_NONE}, /* MOTION */
+    {871, 21, 5, 0, TSA_KIND_NONE}, /* CHANGED */
+    {879, 21, 6, 0, TSA_KIND_NONE}, /* FLASH */
+    {885, 896, 0, (uint16_t)sizeof(snapshot_t), TSA_KIND_NONE}, /* snapshot_t */
+    {905, 910, IN(snapshot_t, tick), SIZE_IN(snapshot_t, tick), TSA_KIND_NONE}, /* tick */
+    {912, 910, IN(snapshot_t, applied_tick), SIZE_IN(snapshot_t, applied_tick), TSA_KIND_NONE}, /* applied_tick */
+    {925, 939, IN(snapshot_t, applied_count), SIZE_IN(snapshot_t, applied_count), TSA_KIND_NONE}, /* applied_count */
+    {941, 946, IN(snapshot_t, u_dc), SIZE_IN(snapshot_t, u_dc), TSA_KIND_NONE}, /* u_dc */
+    {948, 939, IN(snapshot_t, late_loops), SIZE_IN(snapshot_t, late_loops), TSA_KIND_NONE}, /* late_loops */
+    {959, 939, IN(snapshot_t, receiver_overruns), SIZE_IN(snapshot_t, receiver_overruns), TSA_KIND_NONE}, /* receiver_overruns */
+    {977, 939, IN(snapshot_t, points_refused), SIZE_IN(snapshot_t, points_refused), TSA_KIND_NONE}, /* points_refused */
+    {992, 245, IN(snapshot_t, point_refusal), SIZE_IN(snapshot_t, point_refusal), TSA_KIND_NONE}, /* point_refusal */
+    {1006, 1011, IN(snapshot_t, axis), SIZE_IN(snapshot_t, axis), TSA_KIND_NONE}, /* axis */
+    {1027, 946, IN(snapshot_t, monitor), SIZE_IN(snapshot_t, monitor), TSA_KIND_NONE}, /* monitor */
+    {1011, 896, 0, (uint16_t)sizeof(axis_snapshot_t), TSA_KIND_NONE}, /* axis_snapshot_t */
+    {1035, 1044, IN(axis_snapshot_t, position), SIZE_IN(axis_snapshot_t, position), TSA_KIND_NONE}, /* position */
+    {1046, 1044, IN(axis_snapshot_t, position_ref), SIZE_IN(axis_snapshot_t, position_ref), TSA_KIND_NONE}, /* position_ref */
+    {1059, 1065, IN(axis_snapshot_t, speed), SIZE_IN(axis_snapshot_t, speed), TSA_KIND_NONE}, /* speed */
+    {1067, 1065, IN(axis_snapshot_t, speed_ref), SIZE_IN(axis_snapshot_t, speed_ref), TSA_KIND_NONE}, /* speed_ref */
+    {1077, 946, IN(axis_snapshot_t, i_q), SIZE_IN(axis_snapshot_t, i_q), TSA_KIND_NONE}, /* i_q */
+    {1081, 946, IN(axis_snapshot_t, i_d), SIZE_IN(axis_snapshot_t, i_d), TSA_KIND_NONE}, /* i_d */
+    {1085, 946, IN(axis_snapshot_t, i_q_ref), SIZE_IN(axis_snapshot_t, i_q_ref), TSA_KIND_NONE}, /* i_q_ref */
+    {1093, 946, IN(axis_snapshot_t, u_d), SIZE_IN(axis_snapshot_t, u_d), TSA_KIND_NONE}, /* u_d */
+    {1097, 946, IN(axis_snapshot_t, u_q), SIZE_IN(axis_snapshot_t, u_q), TSA_KIND_NONE}, /* u_q */
+    {1101, 946, IN(axis_snapshot_t, theta_e), SIZE_IN(axis_snapshot_t, theta_e), TSA_KIND_NONE}, /* theta_e */
+    {1109, 0, IN(axis_snapshot_t, state), SIZE_IN(axis_snapshot_t, state), TSA_KIND_NONE}, /* state */
+    {1115, 43, IN(axis_snapshot_t, substate), SIZE_IN(axis_snapshot_t, substate), TSA_KIND_NONE}, /* substate */
+    {1124, 910, IN(axis_snapshot_t, faults), SIZE_IN(axis_snapshot_t, faults), TSA_KIND_NONE}, /* faults */
+    {1131, 939, IN(axis_snapshot_t, first_fault), SIZE_IN(axis_snapshot_t, first_fault), TSA_KIND_NONE}, /* first_fault */
+    {1143, 939, IN(axis_snapshot_t, limits), SIZE_IN(axis_snapshot_t, limits), TSA_KIND_NONE}, /* limits */
+    {1150, 939, IN(axis_snapshot_t, points_waiting), SIZE_IN(axis_snapshot_t, points_waiting), TSA_KIND_NONE}, /* points_waiting */
+    {1165, 939, IN(axis_snapshot_t, points_taken), SIZE_IN(axis_snapshot_t, points_taken), TSA_KIND_NONE}, /* points_taken */
+    {1178, 939, IN(axis_snapshot_t, points_late), SIZE_IN(axis_snapshot_t, points_late), TSA_KIND_NONE}, /* points_late */
+    {1190, 946, IN(axis_snapshot_t, winding_temperature), SIZE_IN(axis_snapshot_t, winding_temperature), TSA_KIND_NONE}, /* winding_temperature */
+    {1210, 314, IN(axis_snapshot_t, home_state), SIZE_IN(axis_snapshot_t, home_state), TSA_KIND_NONE}, /* home_state */
+    {1221, 939, IN(axis_snapshot_t, inputs), SIZE_IN(axis_snapshot_t, inputs), TSA_KIND_NONE}, /* inputs */
+    {1228, 896, 0, (uint16_t)sizeof(fault_record_t), TSA_KIND_NONE}, /* fault_record_t */
+    {1243, 910, IN(fault_record_t, pending), SIZE_IN(fault_record_t, pending), TSA_KIND_NONE}, /* pending */
+    {905, 910, IN(fault_record_t, tick), SIZE_IN(fault_record_t, tick), TSA_KIND_NONE}, /* tick */
+    {1251, 939, IN(fault_record_t, code), SIZE_IN(fault_record_t, code), TSA_KIND_NONE}, /* code */
+    {1109, 0, IN(fault_record_t, state), SIZE_IN(fault_record_t, state), TSA_KIND_NONE}, /* state */
+    {1115, 43, IN(fault_record_t, substate), SIZE_IN(fault_record_t, substate), TSA_KIND_NONE}, /* substate */
+    {1256, 939, IN(fault_record_t, next), SIZE_IN(fault_record_t, next), TSA_KIND_NONE}, /* next */
+    {1261, 939, IN(fault_record_t, size), SIZE_IN(fault_record_t, size), TSA_KIND_NONE}, /* size */
+    {1081, 946, IN(fault_record_t, i_d), SIZE_IN(fault_record_t, i_d), TSA_KIND_NONE}, /* i_d */
+    {1077, 946, IN(fault_record_t, i_q), SIZE_IN(fault_record_t, i_q), TSA_KIND_NONE}, /* i_q */
+    {1101, 946, IN(fault_record_t, theta_e), SIZE_IN(fault_record_t, theta_e), TSA_KIND_NONE}, /* theta_e */
+    {941, 946, IN(fault_record_t, u_dc), SIZE_IN(fault_record_t, u_dc), TSA_KIND_NONE}, /* u_dc */
+    {1059, 946, IN(fault_record_t, speed), SIZE_IN(fault_record_t, speed), TSA_KIND_NONE}, /* speed */
+    {1266, 910, AT(catalogue_hash), SIZE(catalogue_hash), TSA_KIND_RO}, /* catalogue_hash */
+    {1281, 885, AT(snapshot), SIZE(snapshot), TSA_KIND_RO}, /* snapshot */
+    {905, 910, AT(snapshot.tick), SIZE(snapshot.tick), TSA_KIND_RO}, /* tick */
+    {912, 910, AT(snapshot.applied_tick), SIZE(snapshot.applied_tick), TSA_KIND_RO}, /* applied_tick */
+    {925, 939, AT(snapshot.applied_count), SIZE(snapshot.applied_count), TSA_KIND_RO}, /* applied_count */
+    {941, 946, AT(snapshot.u_dc), SIZE(snapshot.u_dc), TSA_KIND_RO}, /* u_dc */
+    {948, 939, AT(snapshot.late_loops), SIZE(snapshot.late_loops), TSA_KIND_RO}, /* late_loops */
+    {959, 939, AT(snapshot.receiver_overruns), SIZE(snapshot.receiver_overruns), TSA_KIND_RO}, /* receiver_overruns */
+    {977, 939, AT(snapshot.points_refused), SIZE(snapshot.points_refused), TSA_KIND_RO}, /* points_refused */
+    {992, 245, AT(snapshot.point_refusal), SIZE(snapshot.point_refusal), TSA_KIND_RO}, /* point_refusal */
+    {1290, 1044, AT(command.position), SIZE(command.position), TSA_KIND_RW}, /* cmd.position */
+    {1303, 1065, AT(command.speed), SIZE(command.speed), TSA_KIND_RW}, /* cmd.speed */
+    {1313, 946, AT(command.i_q), SIZE(command.i_q), TSA_KIND_RW}, /* cmd.i_q */
+    {1321, 100, AT(command.mode), SIZE(command.mode), TSA_KIND_RW}, /* cmd.mode */
+    {1330, 939, AT(command.enable), SIZE(command.enable), TSA_KIND_RW}, /* cmd.enable */
+    {1341, 939, AT(command.quick_stop), SIZE(command.quick_stop), TSA_KIND_RW}, /* cmd.quick_stop */
+    {1356, 939, AT(command.clear_faults), SIZE(command.clear_faults), TSA_KIND_RW}, /* cmd.clear_faults */
+    {1373, 1044, AT(command.home_position), SIZE(command.home_position), TSA_KIND_RW}, /* cmd.home_position */
+    {1391, 356, AT(command.home), SIZE(command.home), TSA_KIND_RW}, /* cmd.home */
+    {1400, 946, AT(command.test_amplitude), SIZE(command.test_amplitude), TSA_KIND_RW}, /* cmd.test_amplitude */
+    {1419, 910, AT(command.test_step), SIZE(command.test_step), TSA_KIND_RW}, /* cmd.test_step */
+    {1433, 910, AT(command.test_growth), SIZE(command.test_growth), TSA_KIND_RW}, /* cmd.test_growth */
+    {1449, 910, AT(command.test_calls), SIZE(command.test_calls), TSA_KIND_RW}, /* cmd.test_calls */
+    {1464, 148, AT(command.test_point), SIZE(command.test_point), TSA_KIND_RW}, /* cmd.test_point */
+    {1479, 1044, AT(command.points), SIZE(command.points), TSA_KIND_RW}, /* cmd.points */
+    {1490, 1044, AT(config.window), SIZE(config.window), TSA_KIND_RW}, /* config.window */
+    {1504, 1044, AT(config.header), SIZE(config.header), TSA_KIND_RW}, /* config.header */
+    {1518, 939, AT(config.take), SIZE(config.take), TSA_KIND_RW}, /* config.take */
+    {1530, 910, AT(config_status.layout), SIZE(config_status.layout), TSA_KIND_RO}, /* config.layout */
+    {1544, 910, AT(config_status.checksum), SIZE(config_status.checksum), TSA_KIND_RO}, /* config.checksum */
+    {1560, 910, AT(config_status.taken_tick), SIZE(config_status.taken_tick), TSA_KIND_RO}, /* config.taken_tick */
+    {1578, 939, AT(config_status.taken_count), SIZE(config_status.taken_count), TSA_KIND_RO}, /* config.taken_count */
+    {1597, 939, AT(config_status.answers), SIZE(config_status.answers), TSA_KIND_RO}, /* config.answers */
+    {1612, 939, AT(config_status.refusal), SIZE(config_status.refusal), TSA_KIND_RO}, /* config.refusal */
+    {1627, 939, AT(config_status.refused_member), SIZE(config_status.refused_member), TSA_KIND_RO}, /* config.refused_member */
+    {1649, 939, AT(storage_request.request), SIZE(storage_request.request), TSA_KIND_RW}, /* storage.request */
+    {1665, 910, AT(storage_status.sequence), SIZE(storage_status.sequence), TSA_KIND_RO}, /* storage.sequence */
+    {1682, 709, AT(storage_status.state), SIZE(storage_status.state), TSA_KIND_RO}, /* storage.state */
+    {1696, 939, AT(storage_status.answered), SIZE(storage_status.answered), TSA_KIND_RO}, /* storage.answered */
+    {1713, 853, AT(storage_status.refusal), SIZE(storage_status.refusal), TSA_KIND_RO}, /* storage.refusal */
+    {1729, 745, AT(storage_status.source), SIZE(storage_status.source), TSA_KIND_RO}, /* storage.source */
+    {1744, 785, AT(storage_status.copy), SIZE(storage_status.copy), TSA_KIND_RO}, /* storage.copy */
+    {1757, 939, AT(storage_status.saves), SIZE(storage_status.saves), TSA_KIND_RO}, /* storage.saves */
+    {1771, 1065, AT(parameter.speed_limit), SIZE(parameter.speed_limit), TSA_KIND_RW}, /* param.speed_limit */
+    {1789, 1065, AT(parameter.acceleration_limit), SIZE(parameter.acceleration_limit), TSA_KIND_RW}, /* param.acceleration_limit */
+    {1814, 946, AT(parameter.i_q_limit), SIZE(parameter.i_q_limit), TSA_KIND_RW}, /* param.i_q_limit */
+    {1830, 939, AT(parameter.features), SIZE(parameter.features), TSA_KIND_RW}, /* param.features */
+    {1845, 1044, AT(parameter.position_min), SIZE(parameter.position_min), TSA_KIND_RW}, /* param.position_min */
+    {1864, 1044, AT(parameter.position_max), SIZE(parameter.position_max), TSA_KIND_RW}, /* param.position_max */
+    {1883, 1044, AT(parameter.following_error), SIZE(parameter.following_error), TSA_KIND_RW}, /* param.following_error */
+    {1905, 1065, AT(parameter.over_speed), SIZE(parameter.over_speed), TSA_KIND_RW}, /* param.over_speed */
+    {1922, 174, AT(parameter.feedback), SIZE(parameter.feedback), TSA_KIND_RW}, /* param.feedback */
+    {1937, 207, AT(parameter.on_disable), SIZE(parameter.on_disable), TSA_KIND_RW}, /* param.on_disable */
+    {1954, 207, AT(parameter.on_quick_stop), SIZE(parameter.on_quick_stop), TSA_KIND_RW}, /* param.on_quick_stop */
+    {1974, 910, AT(parameter.faults_enabled), SIZE(parameter.faults_enabled), TSA_KIND_RW}, /* param.faults_enabled */
+    {1995, 534, AT(parameter.monitor), SIZE(parameter.monitor), TSA_KIND_RW}, /* param.monitor */
+    {2009, 939, AT(parameter.host_timeout), SIZE(parameter.host_timeout), TSA_KIND_RW}, /* param.host_timeout */
+    {2028, 939, AT(parameter.command_timeout), SIZE(parameter.command_timeout), TSA_KIND_RW}, /* param.command_timeout */
+    {2050, 939, AT(parameter.brake), SIZE(parameter.brake), TSA_KIND_RW}, /* param.brake */
+    {2062, 1065, LIVE(0), 4, TSA_KIND_RO}, /* u_dc_now */
+    {2071, 1044, AT(snapshot.axis[0].position), SIZE(snapshot.axis[0].position), TSA_KIND_RO}, /* axis1.position */
+    {2086, 1044, AT(snapshot.axis[0].position_ref), SIZE(snapshot.axis[0].position_ref), TSA_KIND_RO}, /* axis1.position_ref */
+    {2105, 1065, AT(snapshot.axis[0].speed), SIZE(snapshot.axis[0].speed), TSA_KIND_RO}, /* axis1.speed */
+    {2117, 1065, AT(snapshot.axis[0].speed_ref), SIZE(snapshot.axis[0].speed_ref), TSA_KIND_RO}, /* axis1.speed_ref */
+    {2133, 946, AT(snapshot.axis[0].i_q), SIZE(snapshot.axis[0].i_q), TSA_KIND_RO}, /* axis1.i_q */
+    {2143, 946, AT(snapshot.axis[0].i_d), SIZE(snapshot.axis[0].i_d), TSA_KIND_RO}, /* axis1.i_d */
+    {2153, 946, AT(snapshot.axis[0].i_q_ref), SIZE(snapshot.axis[0].i_q_ref), TSA_KIND_RO}, /* axis1.i_q_ref */
+    {2167, 946, AT(snapshot.axis[0].u_d), SIZE(snapshot.axis[0].u_d), TSA_KIND_RO}, /* axis1.u_d */
+    {2177, 946, AT(snapshot.axis[0].u_q), SIZE(snapshot.axis[0].u_q), TSA_KIND_RO}, /* axis1.u_q */
+    {2187, 946, AT(snapshot.axis[0].theta_e), SIZE(snapshot.axis[0].theta_e), TSA_KIND_RO}, /* axis1.theta_e */
+    {2201, 0, AT(snapshot.axis[0].state), SIZE(snapshot.axis[0].state), TSA_KIND_RO}, /* axis1.state */
+    {2213, 43, AT(snapshot.axis[0].substate), SIZE(snapshot.axis[0].substate), TSA_KIND_RO}, /* axis1.substate */
+    {2228, 910, AT(snapshot.axis[0].faults), SIZE(snapshot.axis[0].faults), TSA_KIND_RO}, /* axis1.faults */
+    {2241, 939, AT(snapshot.axis[0].first_fault), SIZE(snapshot.axis[0].first_fault), TSA_KIND_RO}, /* axis1.first_fault */
+    {2259, 939, AT(snapshot.axis[0].limits), SIZE(snapshot.axis[0].limits), TSA_KIND_RO}, /* axis1.limits */
+    {2272, 939, AT(snapshot.axis[0].points_waiting), SIZE(snapshot.axis[0].points_waiting), TSA_KIND_RO}, /* axis1.points_waiting */
+    {2293, 939, AT(snapshot.axis[0].points_taken), SIZE(snapshot.axis[0].points_taken), TSA_KIND_RO}, /* axis1.points_taken */
+    {2312, 939, AT(snapshot.axis[0].points_late), SIZE(snapshot.axis[0].points_late), TSA_KIND_RO}, /* axis1.points_late */
+    {2330, 946, AT(snapshot.axis[0].winding_temperature), SIZE(snapshot.axis[0].winding_temperature), TSA_KIND_RO}, /* axis1.winding_temperature */
+    {2356, 946, LIVE(1), 2, TSA_KIND_RO}, /* axis1.winding_current */
+    {2378, 314, AT(snapshot.axis[0].home_state), SIZE(snapshot.axis[0].home_state), TSA_KIND_RO}, /* axis1.home_state */
+    {2395, 939, AT(snapshot.axis[0].inputs), SIZE(snapshot.axis[0].inputs), TSA_KIND_RO}, /* axis1.inputs */
+    {2408, 946, AT(snapshot.monitor[0]), SIZE(snapshot.monitor[0]), TSA_KIND_RO}, /* axis1.monitor */
+    {2422, 1065, AT(estimate.axis[0].speed), SIZE(estimate.axis[0].speed), TSA_KIND_RO}, /* axis1.estimate_speed */
+    {2443, 946, AT(estimate.axis[0].theta_e), SIZE(estimate.axis[0].theta_e), TSA_KIND_RO}, /* axis1.estimate_theta_e */
+    {2466, 946, AT(estimate.axis[0].emf), SIZE(estimate.axis[0].emf), TSA_KIND_RO}, /* axis1.estimate_emf */
+    {2485, 939, AT(estimate.axis[0].reliable), SIZE(estimate.axis[0].reliable), TSA_KIND_RO}, /* axis1.estimate_reliable */
+    {2509, 910, AT(record[0].pending), SIZE(record[0].pending), TSA_KIND_RO}, /* axis1.pending */
+    {2523, 1228, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
+    {2542, 442, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
+    {2560, 939, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
+    {2578, 946, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {2600, 1044, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
+    {2627, 946, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
+    {2637, 946, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
+    {2647, 946, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
+    {2657, 946, LIVE(7), 2, TSA_KIND_RO}, /* axis1.i_d_ref */
+    {2671, 946, LIVE(8), 2, TSA_KIND_RO}, /* axis1.duty_a */
+    {2684, 946, LIVE(9), 2, TSA_KIND_RO}, /* axis1.duty_b */
+    {2697, 946, LIVE(10), 2, TSA_KIND_RO}, /* axis1.duty_c */
+    {2710, 1044, LIVE(11), 4, TSA_KIND_RO}, /* axis1.pi_d */
+    {2721, 1044, LIVE(12), 4, TSA_KIND_RO}, /* axis1.pi_q */
+    {2732, 1044, LIVE(13), 4, TSA_KIND_RO}, /* axis1.pi_speed */
+    {2747, 1065, LIVE(14), 4, TSA_KIND_RO}, /* axis1.speed_raw */
+    {2763, 1065, LIVE(15), 4, TSA_KIND_RO}, /* axis1.speed_shaped */
+    {2782, 1065, LIVE(16), 4, TSA_KIND_RO}, /* axis1.pll_angle */
+    {2798, 1044, LIVE(17), 4, TSA_KIND_RO}, /* axis1.pll_speed */
+    {2814, 1044, LIVE(18), 4, TSA_KIND_RO}, /* axis1.emf_alpha */
+    {2830, 1044, LIVE(19), 4, TSA_KIND_RO}, /* axis1.emf_beta */
+    {2845, 148, LIVE(20), 2, TSA_KIND_RO}, /* axis1.test_point */
+    {2862, 946, LIVE(21), 2, TSA_KIND_RO}, /* axis1.test_signal */
+    {2880, 946, LIVE(22), 2, TSA_KIND_RO}, /* axis1.test_angle */
+    {2897, 100, LIVE(23), 2, TSA_KIND_RO}, /* axis1.mode */
+    {2908, 939, LIVE(24), 2, TSA_KIND_RO}, /* axis1.event_command */
+    {2928, 939, LIVE(25), 2, TSA_KIND_RO}, /* axis1.event_mode */
+    {2945, 939, LIVE(26), 2, TSA_KIND_RO}, /* axis1.event_state */
+    {2963, 1044, AT(snapshot.axis[1].position), SIZE(snapshot.axis[1].position), TSA_KIND_RO}, /* axis2.position */
+    {2978, 1044, AT(snapshot.axis[1].position_ref), SIZE(snapshot.axis[1].position_ref), TSA_KIND_RO}, /* axis2.position_ref */
+    {2997, 1065, AT(snapshot.axis[1].speed), SIZE(snapshot.axis[1].speed), TSA_KIND_RO}, /* axis2.speed */
+    {3009, 1065, AT(snapshot.axis[1].speed_ref), SIZE(snapshot.axis[1].speed_ref), TSA_KIND_RO}, /* axis2.speed_ref */
+    {3025, 946, AT(snapshot.axis[1].i_q), SIZE(snapshot.axis[1].i_q), TSA_KIND_RO}, /* axis2.i_q */
+    {3035, 946, AT(snapshot.axis[1].i_d), SIZE(snapshot.axis[1].i_d), TSA_KIND_RO}, /* axis2.i_d */
+    {3045, 946, AT(snapshot.axis[1].i_q_ref), SIZE(snapshot.axis[1].i_q_ref), TSA_KIND_RO}, /* axis2.i_q_ref */
+    {3059, 946, AT(snapshot.axis[1].u_d), SIZE(snapshot.axis[1].u_d), TSA_KIND_RO}, /* axis2.u_d */
+    {3069, 946, AT(snapshot.axis[1].u_q), SIZE(snapshot.axis[1].u_q), TSA_KIND_RO}, /* axis2.u_q */
+    {3079, 946, AT(snapshot.axis[1].theta_e), SIZE(snapshot.axis[1].theta_e), TSA_KIND_RO}, /* axis2.theta_e */
+    {3093, 0, AT(snapshot.axis[1].state), SIZE(snapshot.axis[1].state), TSA_KIND_RO}, /* axis2.state */
+    {3105, 43, AT(snapshot.axis[1].substate), SIZE(snapshot.axis[1].substate), TSA_KIND_RO}, /* axis2.substate */
+    {3120, 910, AT(snapshot.axis[1].faults), SIZE(snapshot.axis[1].faults), TSA_KIND_RO}, /* axis2.faults */
+    {3133, 939, AT(snapshot.axis[1].first_fault), SIZE(snapshot.axis[1].first_fault), TSA_KIND_RO}, /* axis2.first_fault */
+    {3151, 939, AT(snapshot.axis[1].limits), SIZE(snapshot.axis[1].limits), TSA_KIND_RO}, /* axis2.limits */
+    {3164, 939, AT(snapshot.axis[1].points_waiting), SIZE(snapshot.axis[1].points_waiting), TSA_KIND_RO}, /* axis2.points_waiting */
+    {3185, 939, AT(snapshot.axis[1].points_taken), SIZE(snapshot.axis[1].points_taken), TSA_KIND_RO}, /* axis2.points_taken */
+    {3204, 939, AT(snapshot.axis[1].points_late), SIZE(snapshot.axis[1].points_late), TSA_KIND_RO}, /* axis2.points_late */
+    {3222, 946, AT(snapshot.axis[1].winding_temperature), SIZE(snapshot.axis[1].winding_temperature), TSA_KIND_RO}, /* axis2.winding_temperature */
+    {3248, 946, LIVE(27), 2, TSA_KIND_RO}, /* axis2.winding_current */
+    {3270, 314, AT(snapshot.axis[1].home_state), SIZE(snapshot.axis[1].home_state), TSA_KIND_RO}, /* axis2.home_state */
+    {3287, 939, AT(snapshot.axis[1].inputs), SIZE(snapshot.axis[1].inputs), TSA_KIND_RO}, /* axis2.inputs */
+    {3300, 946, AT(snapshot.monitor[1]), SIZE(snapshot.monitor[1]), TSA_KIND_RO}, /* axis2.monitor */
+    {3314, 1065, AT(estimate.axis[1].speed), SIZE(estimate.axis[1].speed), TSA_KIND_RO}, /* axis2.estimate_speed */
+    {3335, 946, AT(estimate.axis[1].theta_e), SIZE(estimate.axis[1].theta_e), TSA_KIND_RO}, /* axis2.estimate_theta_e */
+    {3358, 946, AT(estimate.axis[1].emf), SIZE(estimate.axis[1].emf), TSA_KIND_RO}, /* axis2.estimate_emf */
+    {3377, 939, AT(estimate.axis[1].reliable), SIZE(estimate.axis[1].reliable), TSA_KIND_RO}, /* axis2.estimate_reliable */
+    {3401, 910, AT(record[1].pending), SIZE(record[1].pending), TSA_KIND_RO}, /* axis2.pending */
+    {3415, 1228, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
+    {3434, 442, LIVE(28), 2, TSA_KIND_RO}, /* axis2.home_result */
+    {3452, 939, LIVE(29), 2, TSA_KIND_RO}, /* axis2.home_spread */
+    {3470, 946, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {3492, 1044, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
+    {3519, 946, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_a */
+    {3529, 946, LIVE(31), 2, TSA_KIND_RO}, /* axis2.i_b */
+    {3539, 946, LIVE(32), 2, TSA_KIND_RO}, /* axis2.i_c */
+    {3549, 946, LIVE(33), 2, TSA_KIND_RO}, /* axis2.i_d_ref */
+    {3563, 946, LIVE(34), 2, TSA_KIND_RO}, /* axis2.duty_a */
+    {3576, 946, LIVE(35), 2, TSA_KIND_RO}, /* axis2.duty_b */
+    {3589, 946, LIVE(36), 2, TSA_KIND_RO}, /* axis2.duty_c */
+    {3602, 1044, LIVE(37), 4, TSA_KIND_RO}, /* axis2.pi_d */
+    {3613, 1044, LIVE(38), 4, TSA_KIND_RO}, /* axis2.pi_q */
+    {3624, 1044, LIVE(39), 4, TSA_KIND_RO}, /* axis2.pi_speed */
+    {3639, 1065, LIVE(40), 4, TSA_KIND_RO}, /* axis2.speed_raw */
+    {3655, 1065, LIVE(41), 4, TSA_KIND_RO}, /* axis2.speed_shaped */
+    {3674, 1065, LIVE(42), 4, TSA_KIND_RO}, /* axis2.pll_angle */
+    {3690, 1044, LIVE(43), 4, TSA_KIND_RO}, /* axis2.pll_speed */
+    {3706, 1044, LIVE(44), 4, TSA_KIND_RO}, /* axis2.emf_alpha */
+    {3722, 1044, LIVE(45), 4, TSA_KIND_RO}, /* axis2.emf_beta */
+    {3737, 148, LIVE(46), 2, TSA_KIND_RO}, /* axis2.test_point */
+    {3754, 946, LIVE(47), 2, TSA_KIND_RO}, /* axis2.test_signal */
+    {3772, 946, LIVE(48), 2, TSA_KIND_RO}, /* axis2.test_angle */
+    {3789, 100, LIVE(49), 2, TSA_KIND_RO}, /* axis2.mode */
+    {3800, 939, LIVE(50), 2, TSA_KIND_RO}, /* axis2.event_command */
+    {3820, 939, LIVE(51), 2, TSA_KIND_RO}, /* axis2.event_mode */
+    {3837, 939, LIVE(52), 2, TSA_KIND_RO}, /* axis2.event_state */
 };
 
 static const tsa_source_t sources[] TABLE_MEMORY = {
@@ -913,10 +958,13 @@ static const tsa_source_t sources[] TABLE_MEMORY = {
     {LIVE(17), OFFSET(axis[0].estimate.pll.step), 4}, /* axis1.pll_speed */
     {LIVE(18), OFFSET(axis[0].estimate.observer.e.alpha), 4}, /* axis1.emf_alpha */
     {LIVE(19), OFFSET(axis[0].estimate.observer.e.beta), 4}, /* axis1.emf_beta */
-    {LIVE(20), OFFSET(axis[0].command.mode), 2}, /* axis1.mode */
-    {LIVE(21), OFFSET(axis[0].events.command), 2}, /* axis1.event_command */
-    {LIVE(22), OFFSET(axis[0].events.mode), 2}, /* axis1.event_mode */
-    {LIVE(23), OFFSET(axis[0].sm.entered), 2}, /* axis1.event_state */
+    {LIVE(20), OFFSET(axis[0].excitation.point), 2}, /* axis1.test_point */
+    {LIVE(21), OFFSET(axis[0].excitation.value), 2}, /* axis1.test_signal */
+    {LIVE(22), OFFSET(axis[0].startup.angle) + 2, 2}, /* axis1.test_angle */
+    {LIVE(23), OFFSET(axis[0].command.mode), 2}, /* axis1.mode */
+    {LIVE(24), OFFSET(axis[0].events.command), 2}, /* axis1.event_command */
+    {LIVE(25), OFFSET(axis[0].events.mode), 2}, /* axis1.event_mode */
+    {LIVE(26), OFFSET(axis[0].sm.entered), 2}, /* axis1.event_state */
     {AT(snapshot.axis[1].position), OFFSET(axis[1].feedback.position), 4}, /* axis2.position */
     {AT(snapshot.axis[1].speed), OFFSET(axis[1].feedback.speed), 4}, /* axis2.speed */
     {AT(snapshot.axis[1].speed_ref), OFFSET(axis[1].motion.speed_ref), 4}, /* axis2.speed_ref */
@@ -932,34 +980,37 @@ static const tsa_source_t sources[] TABLE_MEMORY = {
     {AT(snapshot.axis[1].points_taken), OFFSET(axis[1].trajectory.taken), 2}, /* axis2.points_taken */
     {AT(snapshot.axis[1].points_late), OFFSET(axis[1].trajectory.late), 2}, /* axis2.points_late */
     {AT(snapshot.axis[1].winding_temperature), OFFSET(axis[1].diagnosis.winding.temperature) + 2, 2}, /* axis2.winding_temperature */
-    {LIVE(24), OFFSET(axis[1].current_max.winding), 2}, /* axis2.winding_current */
+    {LIVE(27), OFFSET(axis[1].current_max.winding), 2}, /* axis2.winding_current */
     {AT(snapshot.axis[1].home_state), OFFSET(axis[1].home.state), 2}, /* axis2.home_state */
     {AT(snapshot.axis[1].inputs), OFFSET(axis[1].inputs), 2}, /* axis2.inputs */
     {AT(estimate.axis[1].speed), OFFSET(axis[1].estimate.speed), 4}, /* axis2.estimate_speed */
     {AT(estimate.axis[1].emf), OFFSET(axis[1].estimate.size), 2}, /* axis2.estimate_emf */
     {AT(record[1].pending), OFFSET(axis[1].latch.pending), 4}, /* axis2.pending */
-    {LIVE(25), OFFSET(axis[1].home.result), 2}, /* axis2.home_result */
-    {LIVE(26), OFFSET(axis[1].home.spread), 2}, /* axis2.home_spread */
-    {LIVE(27), OFFSET(axis[1].sense.current.a), 2}, /* axis2.i_a */
-    {LIVE(28), OFFSET(axis[1].sense.current.b), 2}, /* axis2.i_b */
-    {LIVE(29), OFFSET(axis[1].sense.current.c), 2}, /* axis2.i_c */
-    {LIVE(30), OFFSET(axis[1].current_ref.d), 2}, /* axis2.i_d_ref */
-    {LIVE(31), OFFSET(axis[1].sense.duty.a), 2}, /* axis2.duty_a */
-    {LIVE(32), OFFSET(axis[1].sense.duty.b), 2}, /* axis2.duty_b */
-    {LIVE(33), OFFSET(axis[1].sense.duty.c), 2}, /* axis2.duty_c */
-    {LIVE(34), OFFSET(axis[1].current_loop.d.integral) + 4, 4}, /* axis2.pi_d */
-    {LIVE(35), OFFSET(axis[1].current_loop.q.integral) + 4, 4}, /* axis2.pi_q */
-    {LIVE(36), OFFSET(axis[1].motion.speed_pi.integral) + 4, 4}, /* axis2.pi_speed */
-    {LIVE(37), OFFSET(axis[1].feedback.mean_speed), 4}, /* axis2.speed_raw */
-    {LIVE(38), OFFSET(axis[1].motion.shaped_speed), 4}, /* axis2.speed_shaped */
-    {LIVE(39), OFFSET(axis[1].estimate.pll.angle), 4}, /* axis2.pll_angle */
-    {LIVE(40), OFFSET(axis[1].estimate.pll.step), 4}, /* axis2.pll_speed */
-    {LIVE(41), OFFSET(axis[1].estimate.observer.e.alpha), 4}, /* axis2.emf_alpha */
-    {LIVE(42), OFFSET(axis[1].estimate.observer.e.beta), 4}, /* axis2.emf_beta */
-    {LIVE(43), OFFSET(axis[1].command.mode), 2}, /* axis2.mode */
-    {LIVE(44), OFFSET(axis[1].events.command), 2}, /* axis2.event_command */
-    {LIVE(45), OFFSET(axis[1].events.mode), 2}, /* axis2.event_mode */
-    {LIVE(46), OFFSET(axis[1].sm.entered), 2}, /* axis2.event_state */
+    {LIVE(28), OFFSET(axis[1].home.result), 2}, /* axis2.home_result */
+    {LIVE(29), OFFSET(axis[1].home.spread), 2}, /* axis2.home_spread */
+    {LIVE(30), OFFSET(axis[1].sense.current.a), 2}, /* axis2.i_a */
+    {LIVE(31), OFFSET(axis[1].sense.current.b), 2}, /* axis2.i_b */
+    {LIVE(32), OFFSET(axis[1].sense.current.c), 2}, /* axis2.i_c */
+    {LIVE(33), OFFSET(axis[1].current_ref.d), 2}, /* axis2.i_d_ref */
+    {LIVE(34), OFFSET(axis[1].sense.duty.a), 2}, /* axis2.duty_a */
+    {LIVE(35), OFFSET(axis[1].sense.duty.b), 2}, /* axis2.duty_b */
+    {LIVE(36), OFFSET(axis[1].sense.duty.c), 2}, /* axis2.duty_c */
+    {LIVE(37), OFFSET(axis[1].current_loop.d.integral) + 4, 4}, /* axis2.pi_d */
+    {LIVE(38), OFFSET(axis[1].current_loop.q.integral) + 4, 4}, /* axis2.pi_q */
+    {LIVE(39), OFFSET(axis[1].motion.speed_pi.integral) + 4, 4}, /* axis2.pi_speed */
+    {LIVE(40), OFFSET(axis[1].feedback.mean_speed), 4}, /* axis2.speed_raw */
+    {LIVE(41), OFFSET(axis[1].motion.shaped_speed), 4}, /* axis2.speed_shaped */
+    {LIVE(42), OFFSET(axis[1].estimate.pll.angle), 4}, /* axis2.pll_angle */
+    {LIVE(43), OFFSET(axis[1].estimate.pll.step), 4}, /* axis2.pll_speed */
+    {LIVE(44), OFFSET(axis[1].estimate.observer.e.alpha), 4}, /* axis2.emf_alpha */
+    {LIVE(45), OFFSET(axis[1].estimate.observer.e.beta), 4}, /* axis2.emf_beta */
+    {LIVE(46), OFFSET(axis[1].excitation.point), 2}, /* axis2.test_point */
+    {LIVE(47), OFFSET(axis[1].excitation.value), 2}, /* axis2.test_signal */
+    {LIVE(48), OFFSET(axis[1].startup.angle) + 2, 2}, /* axis2.test_angle */
+    {LIVE(49), OFFSET(axis[1].command.mode), 2}, /* axis2.mode */
+    {LIVE(50), OFFSET(axis[1].events.command), 2}, /* axis2.event_command */
+    {LIVE(51), OFFSET(axis[1].events.mode), 2}, /* axis2.event_mode */
+    {LIVE(52), OFFSET(axis[1].sm.entered), 2}, /* axis2.event_state */
 };
 
 const tsa_table_t servo_variables = {
@@ -969,25 +1020,30 @@ const tsa_table_t servo_variables = {
 
 static const uint16_t state_offsets[] = {15, 29, 34, 39};
 const name_list_t servo_state_names = {state_offsets, 4};
-static const uint16_t substate_offsets[] = {54, 60, 66, 72, 77, 87};
-const name_list_t servo_substate_names = {substate_offsets, 6};
-static const uint16_t refusal_offsets[] = {230, 235, 240, 245, 251, 260, 110, 119, 265, 278, 283};
+static const uint16_t substate_offsets[] = {54, 60, 66, 72, 77, 87, 95};
+const name_list_t servo_substate_names = {substate_offsets, 7};
+static const uint16_t refusal_offsets[] = {161, 261, 266, 271, 277, 286, 115, 124, 291, 304, 309};
 const name_list_t servo_refusal_names = {refusal_offsets, 11};
-static const uint16_t copy_offsets[] = {773, 779, 786, 794, 807, 820};
+static const uint16_t copy_offsets[] = {799, 805, 812, 820, 833, 846};
 const name_list_t servo_copy_names = {copy_offsets, 6};
-static const uint16_t fault_offsets[] = {3646, 3659, 3673, 3686, 3701, 159, 3714, 3726, 3734, 3742, 3755, 3771, 3782, 3799, 3816, 3825, 3840, 3855, 3866, 3880, 3890, 3899, 317, 3917, 3930};
+static const uint16_t fault_offsets[] = {3855, 3868, 3882, 3895, 3910, 190, 3923, 3935, 3943, 3951, 3964, 3980, 3991, 4008, 4025, 4034, 4049, 4064, 4075, 4089, 4099, 4108, 343, 4126, 4139};
 const name_list_t servo_fault_names = {fault_offsets, 25};
 
 const variable_range_t servo_ranges[] = {
     {OFFSET(command.position), 4, 2, INT32_MIN, INT32_C(2147483647)}, /* cmd.position */
     {OFFSET(command.speed), 4, 2, INT32_C(-1718483103), INT32_C(1718483103)}, /* cmd.speed */
     {OFFSET(command.i_q), 2, 2, INT32_C(-15888), INT32_C(15888)}, /* cmd.i_q */
-    {OFFSET(command.mode), 2, 2, INT32_C(0), INT32_C(3)}, /* cmd.mode */
+    {OFFSET(command.mode), 2, 2, INT32_C(0), INT32_C(4)}, /* cmd.mode */
     {OFFSET(command.enable), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.enable */
     {OFFSET(command.quick_stop), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.quick_stop */
     {OFFSET(command.clear_faults), 2, 2, INT32_C(0), INT32_C(1)}, /* cmd.clear_faults */
     {OFFSET(command.home_position), 4, 2, INT32_C(-954929659), INT32_C(954929659)}, /* cmd.home_position */
     {OFFSET(command.home), 2, 2, INT32_C(0), INT32_C(6)}, /* cmd.home */
+    {OFFSET(command.test_amplitude), 2, 2, INT32_C(0), INT32_C(16384)}, /* cmd.test_amplitude */
+    {OFFSET(command.test_step), 4, 2, INT32_C(0), INT32_C(1932735283)}, /* cmd.test_step */
+    {OFFSET(command.test_growth), 4, 2, INT32_C(0), INT32_C(429496730)}, /* cmd.test_growth */
+    {OFFSET(command.test_calls), 4, 2, INT32_C(0), INT32_C(960000)}, /* cmd.test_calls */
+    {OFFSET(command.test_point), 2, 2, INT32_C(0), INT32_C(4)}, /* cmd.test_point */
     {OFFSET(command.points), 4, 32, INT32_MIN, INT32_C(2147483647)}, /* cmd.points */
     {OFFSET(config.window), 4, 25, INT32_MIN, INT32_C(2147483647)}, /* config.window */
     {OFFSET(config.header), 4, 4, INT32_MIN, INT32_C(2147483647)}, /* config.header */

@@ -211,8 +211,8 @@ static uint8_t start(recorder_t *recorder)
     if (!finish(recorder)) {
         return FM_BAD_SIZE;
     }
-    volatile recorder_sampling_t *sampling = &recorder->memory->sampling;
     if (!recorder->running) {
+        volatile recorder_sampling_t *sampling = &recorder->memory->sampling;
         recorder->started = true;
         sampling->next = (uint8_t *)recorder->memory->samples;
         sampling->skip = 0;

@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define CATALOGUE_HASH UINT32_C(0x7F4D9E4A)
+#define CATALOGUE_HASH UINT32_C(0x2BF6C9FA)
 
 #define PARAMETER_LAYOUT UINT32_C(0xC4DA1EDC)
 #define PARAMETER_VALUES 29U
@@ -24,6 +24,7 @@ typedef enum {
     SUBSTATE_SPIN = 3,
     SUBSTATE_FREEWHEEL = 4,
     SUBSTATE_STARTUP = 5,
+    SUBSTATE_TEST = 6,
 } substate_t;
 
 typedef enum {
@@ -31,7 +32,16 @@ typedef enum {
     CONTROL_MODE_SPEED = 1,
     CONTROL_MODE_TORQUE = 2,
     CONTROL_MODE_TRAJECTORY = 3,
+    CONTROL_MODE_TEST = 4,
 } control_mode_t;
+
+typedef enum {
+    TEST_POINT_NONE = 0,
+    TEST_POINT_I_D = 1,
+    TEST_POINT_I_Q = 2,
+    TEST_POINT_TORQUE = 3,
+    TEST_POINT_SPEED = 4,
+} test_point_t;
 
 typedef enum {
     FEEDBACK_KIND_ENCODER = 0,
@@ -167,7 +177,7 @@ typedef enum {
 #define FAULT_ENABLE_INPUT UINT32_C(0x00800000) /* the enable input has opened while the axis was enabled; the hardware has opened the switches */
 #define FAULT_LIMIT_SWITCH UINT32_C(0x01000000) /* a limit switch was reached in motion, or its wire is cut */
 
-#define FAULTS_ALWAYS UINT32_C(0x00D8701F) /* nobody can switch them off */
+#define FAULTS_ALWAYS UINT32_C(0x00D8701F) /* cannot be switched off */
 
 #define LIMIT_CURRENT UINT16_C(0x0001) /* current set-point at its limit */
 #define LIMIT_VOLTAGE UINT16_C(0x0002) /* stator voltage at its limit */

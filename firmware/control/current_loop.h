@@ -22,7 +22,7 @@ typedef struct {
     dq_t voltage; /* what was asked of the inverter */
     ab_t stator_current; /* the same in the stator frame */
     ab_t stator_voltage;
-    bool limited; /* the voltage has been at its limit since somebody cleared this */
+    bool limited; /* the voltage has been at its limit since this was cleared */
     bool dead_time_off; /* leave the duties as the SVM made them */
     pi_state_t d;
     pi_state_t q;

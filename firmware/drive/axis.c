@@ -5,6 +5,7 @@
 
 #include "diagnosis/fault_isolate.h"
 #include "drive/axis_states.h"
+#include "drive/excitation.h"
 #include "drive/feedback.h"
 #include "drive/holding_brake.h"
 #include "drive/homing.h"
@@ -207,6 +208,8 @@ void axis_protect(axis_t *axis)
     winding_protect(axis);
     weakening_step(axis); /* within what the winding bears */
 }
+
+void axis_excite(axis_t *axis) { excitation_step(axis); }
 
 void axis_edge(axis_t *axis) { axis->source->edge(axis); }
 

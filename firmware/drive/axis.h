@@ -33,6 +33,9 @@ void axis_plan(axis_t *axis, uint32_t tick);
 /* Once per slow tick, in a period of its own: what protects the motor and can wait a tick. */
 void axis_protect(axis_t *axis);
 
+/* Test signals. */
+void axis_excite(axis_t *axis);
+
 /* Every slow tick; `axis->command` and `axis->limits` hold what is valid for this tick. */
 void axis_slow(axis_t *axis);
 

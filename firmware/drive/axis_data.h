@@ -9,6 +9,7 @@
 #include "diagnosis/fault_latch.h"
 #include "drive/current_sense.h"
 #include "drive/estimate_data.h"
+#include "drive/excitation_data.h"
 #include "drive/feedback_data.h"
 #include "drive/home_data.h"
 #include "drive/inputs_data.h"
@@ -27,6 +28,7 @@ typedef enum {
     LOOP_OBSERVED, /* the fast loop with the observer in it */
     LOOP_ESTIMATE, /* in axis_estimate */
     LOOP_CHECK, /* in axis_check */
+    LOOP_EXCITED, /* the fast loop with a test signal on a current */
 } axis_loop_t;
 
 /* What the host has written since the last tick: a set-point or an enable takes effect by being written, never by
@@ -41,6 +43,7 @@ typedef enum {
 #define FRESH_QUICK_STOP UINT16_C(0x40)
 #define FRESH_CLEAR_FAULTS UINT16_C(0x80) /* a 1 */
 #define FRESH_HOME UINT16_C(0x100)
+#define FRESH_TEST UINT16_C(0x200)
 
 /* What the host asks of an axis, latched once per slow tick. */
 typedef struct {
@@ -63,7 +66,9 @@ typedef struct {
 /* A set-point of the mode has just been written. */
 static inline bool axis_set_point_fresh(const axis_command_t *command)
 {
-    return (command->fresh & (FRESH_POSITION << command->mode)) != 0U;
+    const uint16_t own =
+        (command->mode == CONTROL_MODE_TEST) ? (FRESH_SPEED | FRESH_I_Q) : (uint16_t)(FRESH_POSITION << command->mode);
+    return (command->fresh & own) != 0U;
 }
 
 typedef struct {
@@ -119,6 +124,7 @@ typedef struct {
     frac32_t acceleration; /* change of the shaped speed in this tick */
     pi_state_t speed_pi;
     frac32_t speed_ref;
+    frac32_t speed_excitation; /* test signal in it */
     bool saturated;       /* the speed controller pushes with all it has */
     bool held_back;       /* bus or winding bear less current than the controller wants and the limits allow */
     frac32_t resistance;  /* torque mode: what holds a load that drives the shaft past a limit */
@@ -188,7 +194,8 @@ typedef struct axis {
     home_t home;
     observation_t observation;
     diagnosis_t diagnosis;
-    dq_t test_current; /* that a monitor asks for on top of the set-point */
+    dq_t test_current; /* that a monitor or a test signal asks for on top of the set-point */
+    excitation_t excitation;
 } axis_t;
 
 /* LIMIT_ bits of this slow tick. */

@@ -283,7 +283,7 @@ static bool out_of_time(axis_t *axis)
 
 static void run_leg(axis_t *axis)
 {
-    home_t *home = &axis->home;
+    const home_t *home = &axis->home;
     const int32_t way = i32_sub_wrap(axis->feedback.position, home->origin);
     home_result_t result = approaches(home->leg) ? approach(axis, way) : back_off(axis, way);
     if (result == HOME_RESULT_RUNNING && out_of_time(axis)) {
@@ -334,7 +334,7 @@ static void take_request(axis_t *axis)
 
 static void proceed(axis_t *axis)
 {
-    home_t *home = &axis->home;
+    const home_t *home = &axis->home;
     if (!held(axis)) {
         end(axis, HOME_RESULT_ABORTED);
     } else if (home->leg == LEG_SETTLE) {
@@ -350,7 +350,7 @@ static void proceed(axis_t *axis)
 
 void homing_step(axis_t *axis)
 {
-    home_t *home = &axis->home;
+    const home_t *home = &axis->home;
     if (home->leg == LEG_ASKED) {
         take_request(axis);
     } else if (home->leg != LEG_NONE) {

@@ -52,7 +52,8 @@ static bool reached(const axis_t *axis, uint16_t fresh)
 static void watch_limits(axis_t *axis, uint16_t before)
 {
     const uint16_t fresh = axis->inputs & (uint16_t)~before & INPUT_LIMITS;
-    const bool driven = axis->substate == SUBSTATE_SPIN || axis->substate == SUBSTATE_STARTUP;
+    const bool driven =
+        axis->substate == SUBSTATE_SPIN || axis->substate == SUBSTATE_STARTUP || axis->substate == SUBSTATE_TEST;
     if (fresh != 0U) {
         limits_tighten(axis);
         if (axis->sm.state == STATE_RUN && driven && reached(axis, fresh)) {

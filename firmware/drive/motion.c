@@ -60,7 +60,8 @@ static void hold(axis_t *axis) { start_path(axis, axis->feedback.position, 0); }
 
 /* ---- commands --------------------------------------------------------------------------------------------------- */
 
-static bool mode_holds(uint16_t mode) { return mode == CONTROL_MODE_POSITION || mode == CONTROL_MODE_TRAJECTORY; }
+/* Modes without a set-point that goes on by itself: until there is one the axis comes to rest. */
+static bool mode_holds(uint16_t mode) { return mode != CONTROL_MODE_SPEED && mode != CONTROL_MODE_TORQUE; }
 
 /* A new mode without a set-point brings the axis to rest, or without current in torque mode. */
 static void take_mode(axis_t *axis)
@@ -90,8 +91,8 @@ static void take_set_point(axis_t *axis)
     m->expired = false;
     m->starved = false;
     limits_renew(axis);
-    if (command->mode == CONTROL_MODE_TRAJECTORY) {
-        return; /* the points wait in their queue */
+    if (command->mode == CONTROL_MODE_TRAJECTORY || command->mode == CONTROL_MODE_TEST) {
+        return; /* points wait in their queue; a test begins at rest with the drive off */
     }
     if (command->mode == CONTROL_MODE_SPEED) {
         begin(axis, MOTION_SPEED);
@@ -123,6 +124,18 @@ static void expire(motion_state_t *m)
     m->expired = m->expired || m->speed_target != 0 || m->motion == MOTION_TORQUE;
     m->speed_target = 0;
     m->i_q_target = 0;
+}
+
+void motion_expire(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    if (expired(axis)) {
+        m->expired = m->expired || m->i_q_target != 0;
+        expire(m);
+    }
+    if (m->expired) {
+        axis_report(axis, LIMIT_EXPIRED);
+    }
 }
 
 /* A stop ends by holding the position: of a drive that is wanted, or for some time. */
@@ -279,7 +292,7 @@ static void follow_model(axis_t *axis)
 
 static frac32_t position_controller(axis_t *axis)
 {
-    motion_state_t *m = &axis->motion;
+    const motion_state_t *m = &axis->motion;
     confine_target(axis);
     follow_path(axis);
     if (rests(axis)) {
@@ -525,6 +538,7 @@ void motion_step(axis_t *axis)
             end_stop(axis);
         }
     }
+    m->speed_ref = f32_add(m->speed_ref, m->speed_excitation);
     axis->current_ref.q = speed_control(axis);
 }
 

@@ -15,6 +15,7 @@
 #include "drive/run_step.h"
 #include "drive/startup.h"
 #include "drive/stop.h"
+#include "drive/test_mode.h"
 #include "sensing/rotor_hold.h"
 
 /* ---- common ----------------------------------------------------------------------------------------------------- */
@@ -159,6 +160,15 @@ static void ready_startup(axis_t *axis)
     enter(axis, SUBSTATE_STARTUP);
 }
 
+/* The vector may leave the rotor anywhere: the angle of the last search still holds. */
+static void ready_test(axis_t *axis)
+{
+    axis_zero_voltage(axis, true);
+    choose_dead_time(axis, axis->features);
+    test_mode_start(axis);
+    enter(axis, SUBSTATE_TEST);
+}
+
 static void startup_spin(axis_t *axis)
 {
     startup_hand_over(axis);
@@ -201,6 +211,13 @@ static void ready_fast(axis_t *axis) { measure(axis); }
 static void ready_slow(axis_t *axis)
 {
     if (!axis->requested) {
+        return;
+    }
+    if (test_mode_wanted(axis)) {
+        holding_brake_ask(axis, true);
+        if (holding_brake_open(axis)) {
+            ready_test(axis);
+        }
         return;
     }
     if (axis->sensorless && motion_wanted_speed(axis) == 0) {
@@ -492,6 +509,29 @@ static void startup_check(axis_t *axis)
     }
 }
 
+/* ---- TEST: a current vector along an imposed angle ----------------------------------------------------------------- */
+
+static void test_slow(axis_t *axis)
+{
+    if (test_mode_wanted(axis)) {
+        test_mode_slow(axis);
+        return;
+    }
+    axis->requested = false; /* what comes next has to be enabled */
+    axis->fast = LOOP_FAST;
+    if (stop_may_short(axis)) {
+        to_ready(axis);
+    } else {
+        to_freewheel(axis);
+    }
+}
+
+static void test_estimate(axis_t *axis)
+{
+    track_offsets(axis);
+    choose_dead_time(axis, axis->features);
+}
+
 /* ---- FREEWHEEL: outputs off until the rotor is still; or shorted windings, which become the same ------------------- */
 
 static void freewheel_fast(axis_t *axis)
@@ -523,13 +563,15 @@ static void freewheel_slow(axis_t *axis)
 
 /* ---- the table ------------------------------------------------------------------------------------------------------ */
 
-const axis_function_t run_table[6][5] = {
-    [SUBSTATE_CALIB] = {calib_fast, calib_slow, calib_fast, idle, idle},
-    [SUBSTATE_READY] = {ready_fast, ready_slow, ready_fast, track_offsets, idle},
-    [SUBSTATE_ALIGN] = {align_fast, align_slow, align_fast, track_offsets, idle},
-    [SUBSTATE_SPIN] = {spin_fast, spin_slow, spin_observed_fast, spin_estimate, spin_check},
-    [SUBSTATE_FREEWHEEL] = {freewheel_fast, freewheel_slow, freewheel_fast, track_offsets, idle},
-    [SUBSTATE_STARTUP] = {startup_fast, startup_slow_state, startup_fast, startup_estimate, startup_check},
+const axis_function_t run_table[7][6] = {
+    [SUBSTATE_CALIB] = {calib_fast, calib_slow, calib_fast, idle, idle, calib_fast},
+    [SUBSTATE_READY] = {ready_fast, ready_slow, ready_fast, track_offsets, idle, ready_fast},
+    [SUBSTATE_ALIGN] = {align_fast, align_slow, align_fast, track_offsets, idle, align_fast},
+    [SUBSTATE_SPIN] = {spin_fast, spin_slow, spin_observed_fast, spin_estimate, spin_check, spin_excited_fast},
+    [SUBSTATE_FREEWHEEL] = {freewheel_fast, freewheel_slow, freewheel_fast, track_offsets, idle, freewheel_fast},
+    [SUBSTATE_STARTUP] = {startup_fast, startup_slow_state, startup_fast, startup_estimate, startup_check,
+                          startup_fast},
+    [SUBSTATE_TEST] = {test_mode_fast, test_slow, test_mode_fast, test_estimate, idle, test_mode_excited_fast},
 };
 
 void run_state_enter(axis_t *axis)

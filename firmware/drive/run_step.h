@@ -8,9 +8,10 @@
 void run_state_step(axis_t *axis);
 
 /* By sub-state and loop (drive/run_states.c). */
-extern const axis_function_t run_table[6][5];
+extern const axis_function_t run_table[7][6];
 
 void spin_fast(axis_t *axis);
 void spin_observed_fast(axis_t *axis);
+void spin_excited_fast(axis_t *axis);
 
 #endif

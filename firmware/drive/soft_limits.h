@@ -1,7 +1,7 @@
 /* soft_limits.h - where the shaft may go, and how fast it may still turn near the end of that (FEATURE_POSITION_LIMITS).
  *
  * Beyond the reference design. A limit never pulls: set behind the shaft, or behind another limit, it only forbids to go
- * on that way. Nothing moves before somebody asks for it.
+ * on that way. Nothing moves before it is commanded.
  */
 #ifndef SERVO_DRIVE_SOFT_LIMITS_H
 #define SERVO_DRIVE_SOFT_LIMITS_H

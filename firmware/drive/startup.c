@@ -178,7 +178,7 @@ static frac16_t damping_current(const axis_t *axis, frac32_t speed)
 /* While the back-EMF is too small the PLL goes with the vector, which the rotor trails by less than a quarter turn. */
 static void lock(axis_t *axis, int32_t before)
 {
-    startup_t *startup = &axis->startup;
+    const startup_t *startup = &axis->startup;
     if (axis->estimate.locked) {
         axis->estimate.pll.integral += startup->step - before;
     } else if (axis->estimate.size >= least_emf(axis) && startup->speed >= axis->config->startup.minimum_speed) {

@@ -2,6 +2,7 @@
 
 #include "diagnosis/fault_isolate.h"
 #include "drive/axis_faults.h"
+#include "drive/test_mode.h"
 
 finding_set_t watch_bus_now(const axis_t *axis)
 {
@@ -33,6 +34,8 @@ static void observe_frame(axis_t *axis)
         o->frame = axis->feedback.theta_e;
     } else if (substate == SUBSTATE_STARTUP) {
         o->frame = startup_frame(axis);
+    } else if (substate == SUBSTATE_TEST) {
+        o->frame = test_mode_angle(axis);
     } else if (substate == SUBSTATE_ALIGN && axis->diagnosis.stall.runs) {
         o->frame = axis->diagnosis.stall.vector;
     } else {

@@ -1,4 +1,4 @@
-/* emf_check.h - does the back-EMF fit the angle and the speed that somebody claims?
+/* emf_check.h - does the back-EMF fit the angle and the speed that are given?
  *
  * In the frame of the true rotor it is (0, omega psi_m). An angle that is wrong turns it, a speed that is wrong gives it
  * another length. So it tells a wrong encoder offset and a dead encoder, and a rotor that only swings where the observer

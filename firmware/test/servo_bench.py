@@ -11,7 +11,7 @@ from quad_timer import AGE_OVERFLOW, COUNTS, QuadTimer
 from servo_msgs_py.catalogue import Catalogue
 
 FAULT, INIT, STOP, RUN = range(4)
-CALIB, READY, ALIGN, SPIN, FREEWHEEL, STARTUP = range(6)
+CALIB, READY, ALIGN, SPIN, FREEWHEEL, STARTUP, TEST = range(7)
 POSITION, SPEED, TORQUE = range(3)
 
 OVER_VOLTAGE, UNDER_VOLTAGE, OVER_CURRENT, CURRENT_OFFSET, ROTOR_SEARCH, ENCODER, HOST_SILENT, STALLED, RUNAWAY = (
@@ -30,6 +30,7 @@ LIMIT_TEMPERATURE = 1 << 9
 WINDING_MODEL = 1 << 13  # features
 LIMIT_FIELD_WEAKENING = 1 << 10
 LIMIT_INPUT = 1 << 12
+BRAKE_OPEN_INPUT = 1 << 4
 SEED_FEATURES: Final = 0b1111
 """Those of the reference design, which are on after reset."""
 FRICTION, SPEED_FORWARD, ACCELERATION_FORWARD, POSITION_LIMITS, FOLLOWING_ERROR, OVER_SPEED, SPEED_OBSERVER = (
@@ -99,7 +100,7 @@ class Bench:
         core.lib.servo_init(self.servo, self.hal)
         self.servo.parameter.command_timeout = 0  # set-points stand until the next one
         for axis in range(2):
-            # No current flows on this board, whatever the voltage: a lost phase, if anybody looked.
+            # No current flows on this board, whatever the voltage: a lost phase, if it were monitored.
             self.servo.parameter.faults_enabled[axis] = ALL_FAULTS & ~PHASE_LOST
 
     # ---- time ----------------------------------------------------------------------------------------------------

@@ -79,7 +79,7 @@ class Monkey:
         assert hal.pair == self.bench.axis(axis).sense.pair
         assert now[0] == before[0] or (before[0], now[0]) in LEGAL | AT_ONCE
         if before[0] == STOP and now[0] == RUN:
-            assert self.enabled[axis], "nobody has asked for it since the last stop"
+            assert self.enabled[axis], "no command since the last stop"
         if now[0] in (FAULT, INIT, STOP) and before[0] == RUN:
             self.enabled[axis] = False
 

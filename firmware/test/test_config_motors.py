@@ -108,7 +108,7 @@ def fields_of(core: Core, type_: Any, prefix: str = "") -> set[str]:
 
 
 def test_every_field_of_the_structure_is_written(core: Core) -> None:
-    """A field that nobody initialises would be 0 and nobody would know."""
+    """A field that is not initialised would be 0 without a warning."""
     _, axes = tune(table())
     assert set(axes[0].constants) == fields_of(core, core.ffi.typeof("axis_config_t"))
 

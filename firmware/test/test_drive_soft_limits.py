@@ -172,7 +172,7 @@ def test_torque_mode_begins_without_what_an_earlier_load_has_left(bench: Bench) 
 
 @pytest.mark.parametrize(("low", "high"), [(100, 5000), (-5000, -100), (100, -100), (-100, -200)])
 def test_limits_behind_the_shaft_do_not_move_it(bench: Bench, low: int, high: int) -> None:
-    """Nothing moves before somebody asks for it, also when the limits contradict each other."""
+    """Nothing moves before it is commanded, also when the limits contradict each other."""
     confine(bench, low, high)
     for _ in range(200):
         bench.slow()

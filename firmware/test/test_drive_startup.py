@@ -78,7 +78,7 @@ def test_motor_that_cannot_be_observed_keeps_its_encoder(core: Core) -> None:
 
 
 def test_waits_with_its_outputs_off(bench: Bench) -> None:
-    """READY of an encoder axis shorts the windings; a shaft that nobody sees may turn."""
+    """READY of an encoder axis shorts the windings; a shaft without an encoder may turn."""
     to_ready(bench)
     bench.slow(200)
     assert substate(bench) == (RUN, READY)

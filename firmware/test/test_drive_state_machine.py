@@ -78,7 +78,7 @@ def test_numbers_are_those_of_the_seed(core: Core) -> None:
     assert core.ffi.typeof("state_t").relements == {
         f"STATE_{n}": k for k, n in enumerate(("FAULT", "INIT", "STOP", "RUN"))
     }
-    names = ("CALIB", "READY", "ALIGN", "SPIN", "FREEWHEEL", "STARTUP")
+    names = ("CALIB", "READY", "ALIGN", "SPIN", "FREEWHEEL", "STARTUP", "TEST")
     assert core.ffi.typeof("substate_t").relements == {f"SUBSTATE_{n}": k for k, n in enumerate(names)}
     assert [f for f, _ in core.ffi.typeof("sm_transitions_t").fields] == list(TRANSITIONS)
 

@@ -58,7 +58,7 @@ def test_one_capture_per_arming(board: FakeBoard) -> None:
     edge(board, 0, 123, 456)
     assert take(board, 0) == (123, 456)
     assert not board[TMR[0] + SCTRL] & IEFIE
-    edge(board, 0, 124, 457)  # kept out: nobody has armed
+    edge(board, 0, 124, 457)  # ignored: not armed
     assert take(board, 0) is None
     board.lib.hal_capture_arm(board.hal, 0)
     edge(board, 0, 125, 458)

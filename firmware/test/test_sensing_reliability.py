@@ -123,7 +123,7 @@ def test_back_emf_tells_a_wrong_angle(core: Core, volts: float) -> None:
 
 def test_back_emf_tells_a_wrong_size(core: Core) -> None:
     assert deviates(core, turned(1.0, 0.0), 3.0)
-    assert deviates(core, turned(3.0, 0.0), 0.0), "the motor turns, and nobody knows"
+    assert deviates(core, turned(3.0, 0.0), 0.0), "the motor turns unnoticed"
     assert not deviates(core, turned(2.5, 0.0), 3.0), "a magnet that is hot"
 
 

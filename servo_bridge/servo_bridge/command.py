@@ -81,14 +81,14 @@ class Commander(Node):
         Runs this node; only `wait_for` and `turn` turn it.
     namespace : str
         Of the bridge.
-    patience : float
+    timeout : float
         For answers [s].
     interrupted : threading.Event
         Set by a signal; what waits then raises `KeyboardInterrupt`, and clears it: a motion has to be stopped after
         that.
     """
 
-    def __init__(self, executor: EventsExecutor, namespace: str, patience: float, interrupted: threading.Event) -> None:
+    def __init__(self, executor: EventsExecutor, namespace: str, timeout: float, interrupted: threading.Event) -> None:
         super().__init__("servo_command")
         self._interrupted = interrupted
         self._log_lines: list[str] | None = None
@@ -96,7 +96,7 @@ class Commander(Node):
         self._matched_publishers: dict[str, Any] = {}
         self._runner = executor
         self._namespace = namespace
-        self._patience = patience
+        self._timeout = timeout
         self._catalogue = Catalogue.load()
         executor.add_node(self)
 
@@ -107,19 +107,19 @@ class Commander(Node):
         """Name of a part of the bridge in /diagnostics."""
         return f"{self._of(_BRIDGE).lstrip('/')}: {name}"
 
-    def wait_for(self, condition: Callable[[], Any], what: str, patience: float | None = None) -> None:
-        """Turn the executor until the condition holds, for so long [s] or for the patience of this user.
+    def wait_for(self, condition: Callable[[], Any], what: str, timeout: float | None = None) -> None:
+        """Turn the executor until the condition holds, for so long [s] or for the timeout of this user.
 
         Raises
         ------
         CommandError
-            If it does not within the patience.
+            If it does not within the timeout.
         """
-        patience = self._patience if patience is None else patience
-        deadline = time.monotonic() + patience
+        timeout = self._timeout if timeout is None else timeout
+        deadline = time.monotonic() + timeout
         while not condition():
             if time.monotonic() >= deadline:
-                raise CommandError(f"{what} within {patience:g} s; is `make up` running in the same ROS domain?")
+                raise CommandError(f"{what} within {timeout:g} s; is `make up` running in the same ROS domain?")
             self._spin()
 
     def _spin(self) -> None:
@@ -233,7 +233,7 @@ class Commander(Node):
         Raises
         ------
         CommandError
-            If they are not within the patience, or there is no board.
+            If they are not within the timeout, or there is no board.
         """
         state = self._state()
         if state.startswith(_LOST):
@@ -298,7 +298,7 @@ class Commander(Node):
         Raises
         ------
         CommandError
-            If the bridge rejects them, or does not say within the patience that they took effect.
+            If the bridge rejects them, or does not say within the timeout that they took effect.
         """
         applied: list[Float64MultiArray] = []
         heard = self._bridge_log()
@@ -352,7 +352,7 @@ class Commander(Node):
         Raises
         ------
         CommandError
-            If the bridge rejects it, or does not say within the patience that it follows it.
+            If the bridge rejects it, or does not say within the timeout that it follows it.
         """
         heard = self._bridge_log()
         self._publisher(JointTrajectory, topics.JOINT_TRAJECTORY).publish(message)
@@ -463,7 +463,7 @@ def _duration(text: str) -> float:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="servo-command", description="Send one command to the servo over ROS.")
     parser.add_argument("--namespace", default="/servo", help="of the bridge (default: %(default)s)")
-    parser.add_argument("--wait", type=float, default=10.0, metavar="S", help="patience (default: %(default)s)")
+    parser.add_argument("--wait", type=float, default=10.0, metavar="S", help="time to wait (default: %(default)s)")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="COMMAND")
     for verb, text in (
         ("enable", "find the rotors and hold position"),

@@ -77,19 +77,19 @@ class Demo:
         self.paths: list[PathRow] = []
 
     # ---- phases
-    def connect(self, patience: float, *, require_twin: bool) -> None:
+    def connect(self, timeout: float, *, require_twin: bool) -> None:
         """Wait for the servo, and for the twin if it is required."""
         client = self._client
         self._say("waiting for the servo ...")
-        if not client.wait_for(client.ready, patience):
+        if not client.wait_for(client.ready, timeout):
             seen = f"; its state is: {client.state}" if client.state else ""
             raise DemoError(
-                f"no servo telemetry within {patience:g} s{seen}. Start the servo first: `make up`, or `servo_bridge "
+                f"no servo telemetry within {timeout:g} s{seen}. Start the servo first: `make up`, or `servo_bridge "
                 "--ros-args -p port:=/dev/ttyUSB0` for a board; ROS_DOMAIN_ID has to be the same here and there"
             )
-        if require_twin and not client.wait_for(lambda: client.residual_after(0), patience):
+        if require_twin and not client.wait_for(lambda: client.residual_after(0), timeout):
             raise DemoError(
-                f"no residuals of a twin within {patience:g} s. Start it with `servo_twin` and see its log, "
+                f"no residuals of a twin within {timeout:g} s. Start it with `servo_twin` and see its log, "
                 "or leave out --require-twin"
             )
         if client.geared:
@@ -325,7 +325,9 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--timeout", type=float, default=10.0, metavar="S", help="longest time for a move (default: 10)"
     )
-    parser.add_argument("--wait", type=float, default=20.0, metavar="S", help="patience for the servo (default: 20)")
+    parser.add_argument(
+        "--wait", type=float, default=20.0, metavar="S", help="time to wait for the servo (default: 20)"
+    )
     arguments = parser.parse_args(argv)
     if arguments.tolerance <= 0.0 or arguments.timeout <= 0.0 or arguments.wait < 0.0:
         parser.error("tolerance and timeout have to be positive, wait must not be negative")

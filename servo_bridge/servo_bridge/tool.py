@@ -15,7 +15,7 @@ from pathlib import Path
 
 from servo_msgs_py.catalogue import Catalogue
 
-from servo_bridge import tool_commands, tool_faults, tool_record, tool_scope, tool_storage, tool_tune
+from servo_bridge import tool_bode, tool_commands, tool_faults, tool_record, tool_scope, tool_storage, tool_tune
 from servo_bridge.desktop_project import desktop_project
 from servo_bridge.freemaster.client import PASSWORD_VARIABLE, Client, password_of_environment
 from servo_bridge.freemaster.errors import FreemasterError, OutOfRangeError, RecorderError
@@ -172,6 +172,9 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("file", type=_project_file, metavar="FILE.pmpx")
     command = add("tune", tool_tune.tune, "change gains and motor data of a board that runs, or read them back")
     tool_tune.add_arguments(command)
+    command = add("bode", tool_bode.bode, "measure the open loop of a controller on the running axis")
+    command.description = tool_bode.ABOUT
+    tool_bode.add_arguments(command)
     for name, run, text in (
         (
             "save",

@@ -21,7 +21,7 @@ class Device(Protocol):
 
 
 class NoiseDevice:
-    """Prints text and listens to nobody."""
+    """Prints text and reads nothing."""
 
     chatter = b"T=23.4 C ok\r\n"
 
@@ -76,7 +76,7 @@ class FakePort:
         self._thread.start()
 
     def unplug(self) -> None:
-        """Make the port vanish; whoever has it open sees a hang-up."""
+        """Make the port vanish; programs that have it open see a hang-up."""
         if self._thread is None:
             return
         os.write(self._wake_write, b"x")

@@ -26,7 +26,7 @@ class FakeTransport:
         return self.now
 
     def push(self, delay_ns: int, data: bytes) -> None:
-        """Deliver bytes that nobody asked for."""
+        """Deliver bytes without a request."""
         self._pending.append((self.now + delay_ns, data))
         self._pending.sort(key=lambda item: item[0])
 

@@ -31,7 +31,7 @@ def test_ticks_are_followed_past_32_bits(start: int, steps: list[int]) -> None:
     [
         (1_000_000, 0.01, 0),  # goes back
         (0xF000_0000, 0.01, 100),  # goes back across half of the range, so that it looks like a leap forward
-        (5 * 16_000, 60.0, 8 * 16_000),  # came back while nobody looked
+        (5 * 16_000, 60.0, 8 * 16_000),  # came back unobserved
     ],
 )
 def test_a_reset_is_noticed(last: int, gap_s: float, raw: int) -> None:

@@ -296,7 +296,7 @@ def test_an_interrupted_demonstration_disables_the_axes(
             env=dict(os.environ, ROS_DOMAIN_ID=str(DOMAIN)),
         ) as demo:
             try:
-                # The shafts of this board never move, so the first move lasts until somebody ends it.
+                # The shafts of this board never move, so the first move lasts until it is ended.
                 bridge.until(lambda: any(name == "cmd.position" for name, _, _ in servo.command_writes()))
                 demo.send_signal(number)
                 output, _ = demo.communicate(timeout=20)

@@ -23,7 +23,7 @@ PHASE_LOST, OVER_CURRENT, OVER_VOLTAGE = (
 
 
 class Desk:
-    """A link whose answers wait until the test hands them out, and somebody who writes down what has changed."""
+    """A link whose answers wait until the test hands them out, and a log of what has changed."""
 
     def __init__(self) -> None:
         self.asked: list[tuple[str, Future[Value]]] = []

@@ -80,7 +80,7 @@ def test_any_value_is_taken_or_named(name: str, operator: str, value: str) -> No
 
 
 @pytest.mark.parametrize("name", ["i8", "q"])
-@given(  # what is closer to a whole number of units than anybody writes is taken as such
+@given(  # what is closer to a whole number of units than a user would write is taken as such
     operator=OPERATORS, value=st.one_of(st.integers(-200, 200), st.floats(-10, 10).map(lambda value: round(value, 6)))
 )
 def test_a_whole_range_of_raw_numbers_compares_as_the_text_says(name: str, operator: str, value: float) -> None:

@@ -86,7 +86,7 @@ class Flag:
     cause: str
     remedy: str
     always: bool = False
-    """A fault that nobody can switch off."""
+    """A fault that cannot be switched off."""
 
     @property
     def mask(self) -> int:

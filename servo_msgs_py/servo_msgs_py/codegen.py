@@ -62,7 +62,7 @@ def contract_header(catalogue: Catalogue) -> str:
         )
         always = sum(f.mask for f in flags if f.always)
         if always:
-            lines.append(f"#define {prefix}S_ALWAYS {kind}(0x{always:0{digits}X}) /* nobody can switch them off */\n")
+            lines.append(f"#define {prefix}S_ALWAYS {kind}(0x{always:0{digits}X}) /* cannot be switched off */\n")
     for name, entries in catalogue.bits.items():
         lines.append("".join(f"#define {name.upper()}_{key} {value}\n" for key, value in entries.items()))
     lines.append(

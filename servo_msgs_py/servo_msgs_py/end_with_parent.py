@@ -32,7 +32,7 @@ def bound_to_us(command: Sequence[str]) -> list[str]:
 
 
 def _become(parent: int, command: list[str]) -> None:
-    import ctypes  # here, for nobody else needs it
+    import ctypes  # needed here only
 
     pr_set_pdeathsig = 1  # linux/prctl.h
     ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGTERM)

@@ -66,8 +66,8 @@ def test_only_commands_blocks_and_parameters_can_be_written() -> None:
 def test_numbers_of_states_are_those_of_the_seed() -> None:
     assert CATALOGUE.enums["state_t"] == {"FAULT": 0, "INIT": 1, "STOP": 2, "RUN": 3}
     substates = CATALOGUE.enums["substate_t"]
-    assert [substates[n] for n in ("CALIB", "READY", "ALIGN", "SPIN", "FREEWHEEL", "STARTUP")] == list(range(6))
-    assert CATALOGUE.enums["control_mode_t"] == {"POSITION": 0, "SPEED": 1, "TORQUE": 2, "TRAJECTORY": 3}
+    assert [substates[n] for n in ("CALIB", "READY", "ALIGN", "SPIN", "FREEWHEEL", "STARTUP", "TEST")] == list(range(7))
+    assert CATALOGUE.enums["control_mode_t"] == {"POSITION": 0, "SPEED": 1, "TORQUE": 2, "TRAJECTORY": 3, "TEST": 4}
 
 
 def test_flags_have_a_bit_each_and_faults_a_remedy() -> None:

@@ -25,78 +25,99 @@ typedef struct {
     double inertia;        /* total inertia [kg m^2] */
     double friction;       /* Coulomb friction [N m] */
     double viscous;        /* viscous friction [N m s] */
-    double load_torque;    /* external, against positive motion; not friction: it keeps its sign [N m] */
+    /* all that follows up to the end stops is not there while it is 0 (servo_twin/doc/plant.md) */
+    double
+        load_inertia; /* of a second mass at the end of a shaft that twists; `inertia` is the rotor's then [kg m^2] */
+    double shaft_stiffness; /* [N m/rad] */
+    double shaft_damping; /* [N m s] */
+    double backlash; /* of the shaft, from one flank to the other [rad] */
+    double load_friction; /* Coulomb friction of the second mass [N m] */
+    double cogging_torque; /* amplitude [N m] */
+    double cogging_periods; /* per turn */
+    double cogging_phase; /* [rad] */
+    double i_saturation_d, i_saturation_q; /* current scale of the saturation of L_d, L_q [A] */
+    double winding_warms; /* 1: at the ideal level, too, r_s follows the winding's temperature */
+    double magnet_coefficient; /* of the magnet's flux, over that at the ambient temperature [1/K] */
+    double magnet_time; /* in which the magnet follows the winding's temperature [s] */
+    double disc_eccentricity; /* amplitude of the encoder's error, once per turn [rad] */
+    double disc_phase; /* [rad] */
+    double load_torque; /* external, against positive motion; not friction: it keeps its sign [N m] */
     double stop_min, stop_max; /* angles of the end stops [rad] (mechanical) */
     double stop_stiffness; /* [N m/rad]; 0: there are none */
-    double stop_damping;   /* [N m s] */
-    double encoder_lines;  /* lines per turn; counts are four times as many */
-    double theta_start;    /* mechanical rotor angle at time zero [rad] */
-    double i_full_scale;   /* ADC range is -i_full_scale .. +i_full_scale [A] */
-    double i_offset[3];    /* offset of each current amplifier [A] */
-    double i_noise;        /* standard deviation of a current sample [A] */
-    double i_break;        /* hardware over-current threshold [A] */
-    double dead_time;      /* [s] */
-    double v_drop;         /* forward drop of switch and diode [V] */
-    double r_on;           /* on resistance [ohm] */
+    double stop_damping; /* [N m s] */
+    double encoder_lines; /* lines per turn; counts are four times as many */
+    double theta_start; /* mechanical rotor angle at time zero [rad] */
+    double i_full_scale; /* ADC range is -i_full_scale .. +i_full_scale [A] */
+    double i_offset[3]; /* offset of each current amplifier [A] */
+    double i_noise; /* standard deviation of a current sample [A] */
+    double i_break; /* hardware over-current threshold [A] */
+    double dead_time; /* [s] */
+    double v_drop; /* forward drop of switch and diode [V] */
+    double r_on; /* on resistance [ohm] */
     /* seen by the plant at switching level only */
-    double dead_time_min;  /* shortest dead time of the switches: a leg with less is a short for the rest of it [s] */
-    double i_settle;       /* time constant of the current amplifiers [s] */
+    double dead_time_min; /* shortest dead time of the switches: a leg with less is a short for the rest of it [s] */
+    double i_settle; /* time constant of the current amplifiers [s] */
     double encoder_jitter; /* standard deviation of an edge [counts] */
     double encoder_duty_error; /* a line is high for 1/2 + this of its period */
     double encoder_hysteresis; /* an edge comes back so far behind where it was passed [counts] */
     double winding_capacity, winding_resistance; /* to the ambient air [J/K], [K/W] */
     double sink_capacity, sink_resistance; /* heatsink of the inverter [J/K], [K/W] */
     /* pins: what is wired to them */
-    double home_from, home_to;   /* mechanical angles between which the home switch is closed [rad] */
+    double home_from, home_to; /* mechanical angles between which the home switch is closed [rad] */
     double limit_min, limit_max; /* the limit switches open there [rad] */
-    double enable_closed;        /* 1: the enable circuit is closed, 0: open */
-    double brake_torque;         /* of the holding brake; 0: there is none [N m] */
+    double enable_closed; /* 1: the enable circuit is closed, 0: open */
+    double brake_torque; /* of the holding brake; 0: there is none [N m] */
     double brake_open_time, brake_close_time; /* after its coil [s] */
 } plant_axis_t;
 
 typedef struct {
-    double u_source;       /* open-circuit supply voltage [V] */
-    double r_source;       /* source resistance [ohm]; the source takes no energy back */
-    double capacitance;    /* [F] */
-    double u_full_scale;   /* ADC full scale of the bus divider [V] */
-    double u_noise;        /* standard deviation of a bus sample [V] */
-    double r_brake;        /* brake resistor [ohm]; 0: there is none */
+    double u_source; /* open-circuit supply voltage [V] */
+    double r_source; /* source resistance [ohm]; the source takes no energy back */
+    double capacitance; /* [F] */
+    double u_full_scale; /* ADC full scale of the bus divider [V] */
+    double u_noise; /* standard deviation of a bus sample [V] */
+    double r_brake; /* brake resistor [ohm]; 0: there is none */
     double brake_capacity, brake_resistance; /* of the brake resistor, to the ambient air [J/K], [K/W] */
 } plant_bus_t;
 
 /* How fast the core of the DSC is (servo_twin/core.toml); register level only. */
 typedef struct {
     double cycles_per_instruction; /* of those that a Cortex-M3 would take */
-    uint32_t entry_cycles;         /* of an interrupt: vector, registers saved and restored */
+    uint32_t entry_cycles; /* of an interrupt: vector, registers saved and restored */
 } board_core_t;
 
 typedef struct {
     plant_axis_t axis[2];
     plant_bus_t bus;
-    double pwm_frequency;  /* [Hz] */
-    double ambient;        /* temperature of the air [deg C] */
-    double baud;           /* serial line [bit/s], 10 bits per byte */
+    double pwm_frequency; /* [Hz] */
+    double ambient; /* temperature of the air [deg C] */
+    double baud; /* serial line [bit/s], 10 bits per byte */
     board_core_t core;
-    uint64_t seed;         /* of every random number */
-    const uint8_t *flash;  /* image of the data flash, board_flash_size() bytes; NULL: erased */
+    uint64_t seed; /* of every random number */
+    const uint8_t *flash; /* image of the data flash, board_flash_size() bytes; NULL: erased */
 } board_config_t;
 
 /* The plant's own state, which no sensor sees exactly; to look changes nothing. At register level the state of the present
  * clock, at the ideal level that of the end of the last half cycle of the PWM. Temperatures move once in 1 ms. */
 typedef struct {
-    double theta_m;        /* mechanical angle, not wrapped [rad] */
-    double omega_m;        /* mechanical speed [rad/s] */
-    double i_d, i_q;       /* [A]; with the ripple at register level */
-    double torque_e;       /* air-gap torque of these currents [N m] */
-    double t_sink;         /* temperature of the axis' power stage [deg C] */
-    double t_winding;      /* temperature of the motor's winding [deg C] */
-    double u_dc;           /* [V] */
-    double e_brake;        /* burnt in the brake resistor since power-on [J] */
-    double t_brake;        /* temperature of the brake resistor [deg C] */
+    double theta_m; /* mechanical angle, not wrapped [rad] */
+    double omega_m; /* mechanical speed [rad/s] */
+    double i_d, i_q; /* [A]; with the ripple at register level */
+    double torque_e; /* air-gap torque of these currents [N m] */
+    double t_sink; /* temperature of the axis' power stage [deg C] */
+    double t_winding; /* temperature of the motor's winding [deg C] */
+    double u_dc; /* [V] */
+    double e_brake; /* burnt in the brake resistor since power-on [J] */
+    double t_brake; /* temperature of the brake resistor [deg C] */
     /* Mean voltages of the motor's terminals against the midpoint of u_dc [V]: over the last half cycle at the ideal level,
      * over the last full window at register level (a PWM period; windows follow each other from power-on). */
     double u_a, u_b, u_c;
     double brake_holds; /* 1: the holding brake is closed (and holds its torque), 0: open */
+    double theta_load, omega_load; /* of the second mass, or the rotor's [rad], [rad/s] */
+    double torque_shaft; /* between them, mean of the present step [N m] */
+    double t_magnet; /* [deg C] */
+    double r_s, psi_m; /* at these temperatures [ohm], [V s] */
+    double l_d, l_q; /* for small changes of these currents [H] */
 } board_truth_t;
 
 board_t *board_new(const board_config_t *config); /* NULL when memory is short */
@@ -150,6 +171,7 @@ void board_set_winding(board_t *board, int axis, double celsius);
 
 /* The same of the firmware's estimate alone. */
 void board_set_winding_estimate(board_t *board, int axis, double celsius);
+void board_set_magnet(board_t *board, int axis, double celsius); /* its temperature from now on [deg C] */
 void board_set_motor(board_t *board, int axis, int connected); /* 0: motor cable unplugged */
 
 /* Wires of an axis. */

@@ -92,6 +92,14 @@ void board_truth(const board_t *board, int axis, board_truth_t *truth)
         .u_dc = board->chip.plant.bus.u,
         .e_brake = board->chip.plant.bus.e_brake,
         .t_brake = board->chip.plant.bus.brake.t,
+        .theta_load = drive->shaft.two_masses ? drive->shaft.theta : drive->motor.theta,
+        .omega_load = drive->shaft.two_masses ? drive->shaft.omega : drive->motor.omega,
+        .torque_shaft = drive->shaft.two_masses ? drive->shaft.torque : 0.0,
+        .t_magnet = drive->t_magnet,
+        .r_s = plant_resistance(drive),
+        .psi_m = drive->motor.psi_m,
+        .l_d = 1.0 / drive->motor.inv_l_d,
+        .l_q = 1.0 / drive->motor.inv_l_q,
     };
 }
 
@@ -139,6 +147,8 @@ void board_cut_encoder(board_t *board, int axis, int line)
 }
 
 void board_warm_winding(board_t *board, int axis, double celsius) { drive_of(board, axis)->winding.t = celsius; }
+
+void board_set_magnet(board_t *board, int axis, double celsius) { drive_of(board, axis)->t_magnet = celsius; }
 
 void board_set_motor(board_t *board, int axis, int connected)
 {

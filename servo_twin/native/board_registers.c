@@ -91,13 +91,13 @@ static inline unsigned line_pin(const board_t *board, int axis, int line)
 }
 
 /* Edges that only count are kept back by the plant, which has less to do for each then. */
-void world_patience(void *world)
+void world_deferrable_edges(void *world)
 {
     board_t *board = (board_t *)world;
     board->chip.core.horizon = 0; /* the plant may have something sooner */
     for (int axis = 0; axis < BOARD_AXES; axis++) {
-        const unsigned a = chip_patience(&board->chip, encoder_pin[axis][0]);
-        const unsigned b = chip_patience(&board->chip, encoder_pin[axis][1]);
+        const unsigned a = chip_deferrable_edges(&board->chip, encoder_pin[axis][0]);
+        const unsigned b = chip_deferrable_edges(&board->chip, encoder_pin[axis][1]);
         const unsigned edges = (a < b) ? a : b;
         if (edges != board->plant.axis[axis].patience) {
             switching_keep_back(&board->plant, axis, edges);
@@ -400,6 +400,14 @@ void board_truth(const board_t *board, int axis, board_truth_t *truth)
         .u_dc = bus.u_dc,
         .e_brake = bus.e_brake,
         .t_brake = bus.t_brake,
+        .theta_load = now.theta_load,
+        .omega_load = now.omega_load,
+        .torque_shaft = now.torque_shaft,
+        .t_magnet = now.t_magnet,
+        .r_s = now.r_s,
+        .psi_m = now.psi_m,
+        .l_d = now.l_d,
+        .l_q = now.l_q,
         .brake_holds = board->pins[axis].holds ? 1.0 : 0.0,
     };
 }
@@ -446,7 +454,7 @@ void board_reverse_encoder(board_t *board, int axis)
     for (int line = 0; line < 2; line++) {
         chip_pin(&board->chip, line_pin(board, axis, line), switching_line(&board->plant, axis, line));
     }
-    world_patience(board); /* these changes have used some */
+    world_deferrable_edges(board); /* these changes have used some */
 }
 
 void board_obstruct_shaft(board_t *board, int axis, double below, double above)
@@ -458,6 +466,8 @@ void board_warm_winding(board_t *board, int axis, double celsius)
 {
     switching_warm_winding(&board->plant, axis, celsius);
 }
+
+void board_set_magnet(board_t *board, int axis, double celsius) { switching_warm_magnet(&board->plant, axis, celsius); }
 
 void board_set_motor(board_t *board, int axis, int connected) { switching_plug(&board->plant, axis, connected != 0); }
 

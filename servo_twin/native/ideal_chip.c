@@ -31,7 +31,7 @@ void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo)
     chip->scans = 0;
     chip->breaks = 0;
     chip->watchdog = 0;
-    chip->bitten = false;
+    chip->watchdog_reset = false;
     chip->late = 0;
     chip->left_out = 0;
     chip->stalled_ns = 0;
@@ -99,7 +99,7 @@ PLANT_INLINE adc_pair_t codes_of(const hal_t *chip, int i, const plant_samples_t
 
 static bool awake(const hal_t *chip) { return chip->now_ns >= chip->stalled_ns; }
 
-/* Nobody has served it: the board starts anew. What is outside of the chip goes on. */
+/* It was not served: the board starts anew. What is outside of the chip goes on. */
 static void watch_dog(hal_t *chip)
 {
     if (chip->now_ns - chip->served_ns <= WATCHDOG_NS) {
@@ -114,7 +114,7 @@ static void watch_dog(hal_t *chip)
         follow_enable(chip, i);
     }
     flash_break_off(&chip->flash, chip->now_ns);
-    chip->bitten = true;
+    chip->watchdog_reset = true;
     chip->left_out = 0;
     chip->stalled_ns = 0;
     chip->served_ns = chip->now_ns;
@@ -316,7 +316,7 @@ uint16_t hal_late_loops(hal_t *hal) { return hal->late; }
 
 uint16_t hal_receiver_overruns(hal_t *hal) { return (uint16_t)hal->uart.overruns; }
 
-bool hal_reset_by_watchdog(hal_t *hal) { return hal->bitten; }
+bool hal_reset_by_watchdog(hal_t *hal) { return hal->watchdog_reset; }
 
 /* Its last sectors, as on the chip: the first ones belong to tables. */
 #define KEPT_WORD ((FLASH_SECTORS - HAL_FLASH_SECTORS) * FLASH_SECTOR_WORDS)

@@ -48,7 +48,7 @@ struct hal {
     unsigned left_out;   /* loops in a row */
     uint64_t stalled_ns; /* until then the core does nothing */
     uint64_t served_ns;  /* last service of the watchdog */
-    bool bitten;         /* the watchdog has reset the board */
+    bool watchdog_reset;         /* the watchdog has reset the board */
     uint32_t watchdog;   /* times the watchdog was serviced */
 };
 

@@ -25,7 +25,7 @@ FIRMWARE_FOLDERS = ("math", "control", "sensing", "diagnosis", "drive", "app", "
 PORT = FIRMWARE / "port" / "mc56f84789"
 
 # Without contraction of a * b + c every processor computes the same bits; pairs of doubles in vectors only cost time in
-# code where each number waits for the one before. Nobody looks at errno or at the flags of floating point: no number
+# code where each number waits for the one before. errno and the flags of floating point: no number
 # changes by that either.
 _FLOATS = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
 # With gcc -O3 is more code and 5 % slower.

@@ -23,7 +23,7 @@ from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 from servo_twin.board_memory import BoardError, BoardMemory
 from servo_twin.board_sampler import BoardSampler
 from servo_twin.core_speed import CoreSpeed
-from servo_twin.harm import Harm
+from servo_twin.harm import ChangedValue, Harm, NativeHarm
 from servo_twin.level import Level, chosen_level
 from servo_twin.plant import BUILT_IN, PlantConfig, PlantError
 
@@ -109,6 +109,16 @@ class Truth:
         Temperature of the brake resistor [deg C].
     brake_holds : float
         1: the holding brake is closed, 0: it is open.
+    theta_load, omega_load : float
+        Angle [rad] and speed [rad/s] of the second mass; without one, of the rotor.
+    torque_shaft : float
+        Between the two, mean of the step of the plant that contains the instant [N m].
+    t_magnet : float
+        Temperature of the magnet [deg C].
+    r_s, psi_m : float
+        Resistance [ohm] and magnet's flux linkage [V s] at these temperatures.
+    l_d, l_q : float
+        Inductances for small changes of `i_d` and `i_q` [H].
     """
 
     theta_m: float
@@ -125,6 +135,14 @@ class Truth:
     e_brake: float
     t_brake: float
     brake_holds: float
+    theta_load: float
+    omega_load: float
+    torque_shaft: float
+    t_magnet: float
+    r_s: float
+    psi_m: float
+    l_d: float
+    l_q: float
 
 
 @dataclass(frozen=True)
@@ -545,7 +563,12 @@ class Board:
         return BoardStats(**{name: getattr(stats, name) for name in BoardStats.__dataclass_fields__})
 
     def inject(self, harm: Harm) -> None:
-        """Break something, from this moment on (`servo_twin.harm`)."""
+        """Break something, from this moment on (`servo_twin.harm`); `plant` stays what it is without the damage."""
+        if isinstance(harm, ChangedValue):
+            harm.applied(self.plant)  # what cannot be is refused before anything changes
+            self._harms.append(harm)
+            self._change_plant()
+            return
         self._lib.board_inject(self._board, self._raw(harm))
         self._harms.append(harm)
 
@@ -553,10 +576,14 @@ class Board:
         """Make whole again what `inject` has broken; everything by default."""
         harms = self._harms if harm is None else [harm]
         for one in reversed(harms):
-            self._lib.board_heal(self._board, self._raw(one))
+            if not isinstance(one, ChangedValue):
+                self._lib.board_heal(self._board, self._raw(one))
+        changed = any(isinstance(one, ChangedValue) for one in harms)
         self._harms = [one for one in self._harms if one not in harms]
+        if changed:
+            self._change_plant()
 
-    def _raw(self, harm: Harm) -> Any:
+    def _raw(self, harm: NativeHarm) -> Any:
         kind, *where = harm.raw()
         return self._ffi.new("board_harm_t *", (getattr(self._lib, kind), *where))
 
@@ -577,7 +604,13 @@ class Board:
     def take_plant(self, plant: PlantConfig) -> None:
         """As `set_plant`, with all values at once; those of `servo_twin.plant.BUILT_IN` have to stay as they are."""
         self.plant = plant
-        self.plant.drawn(self._seed).fill(self._config)
+        self._change_plant()
+
+    def _change_plant(self) -> None:
+        plant = self.plant
+        for harm in self._harms:
+            plant = harm.applied(plant) if isinstance(harm, ChangedValue) else plant
+        plant.drawn(self._seed).fill(self._config)
         self._lib.board_change_plant(self._board, self._config)
 
     def set_load(self, axis: int, torque: float) -> None:
@@ -620,6 +653,10 @@ class Board:
         """
         self._check_winding(axis, celsius)
         self._lib.board_set_winding(self._board, _axis_index(axis), celsius)
+
+    def set_magnet(self, axis: int, celsius: float) -> None:
+        """Temperature of a magnet from now on; it follows the winding's with `magnet_time` [deg C]."""
+        self._lib.board_set_magnet(self._board, _axis_index(axis), celsius)
 
     def set_winding_estimate(self, axis: int, celsius: float) -> None:
         """The firmware's estimate of it alone: the motor keeps its temperature. Errors as in `set_winding`."""

@@ -16,6 +16,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_twin.board import Board
 from servo_twin.diagnosis import command as diagnose
 from servo_twin.experiments import command as experiment
+from servo_twin.identification import command as identify
 from servo_twin.level import DEFAULT_LEVEL, FAST_LEVEL, Level, add_level_option
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.simulation import MoveResult, SimulationError, enable, move, time_axis, turns
@@ -54,6 +55,7 @@ def parser() -> argparse.ArgumentParser:
     experiment.add_parser(verbs, common, _levelled(FAST_LEVEL))
     sweep.add_parser(verbs, common, _levelled(FAST_LEVEL))
     robust_command.add_parser(verbs, common, _levelled(FAST_LEVEL))
+    identify.add_parser(verbs, common, _levelled(FAST_LEVEL))
     diagnose.add_parser(verbs, common, _levelled(FAST_LEVEL))
     timing.add_parser(verbs, common)
     core_measured.add_parser(verbs, common)

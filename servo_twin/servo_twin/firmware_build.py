@@ -102,7 +102,7 @@ def build_firmware(config: str, level: Level | None = None, folder: Path = _CACH
 
 
 def _build(place: Path, name: str, kind: Level, config: str) -> None:
-    """Beside its place, and there when it is done: somebody else may be building the same."""
+    """Beside its place, and there when it is done: another process may be building the same."""
     place.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=place.parent) as folder:
         work = Path(folder) / name

@@ -14,22 +14,31 @@ from typing import Final, Literal, NamedTuple, get_args
 
 from servo_msgs_py.catalogue import AXES
 
+from servo_twin.plant import PlantConfig
+
 __all__ = [
+    "BadContact",
     "BusNoise",
+    "ChangedValue",
     "CurrentNoise",
     "CutWire",
+    "DryBearing",
     "EncoderGlitches",
     "Harm",
     "HotPowerStage",
     "LockedRotor",
+    "NativeHarm",
     "OpenPhase",
     "RawHarm",
+    "ShiftedDisc",
     "ShortedPhase",
     "SlippedEncoder",
     "StalledCore",
     "StuckConverter",
     "StuckLine",
     "SupplyDip",
+    "WeakMagnet",
+    "WornShaft",
 ]
 
 Phase = Literal["a", "b", "c"]
@@ -217,6 +226,69 @@ class CutWire:
 
 
 @dataclass(frozen=True)
+class WeakMagnet:
+    """The magnet keeps this part of its flux, 0 .. 1."""
+
+    axis: int
+    part: float
+
+    def applied(self, plant: PlantConfig) -> PlantConfig:
+        if not 0.0 <= self.part <= 1.0:
+            raise ValueError(f"part {self.part} is not within 0 .. 1")
+        return plant.with_axis(_axis(self.axis), psi_m=self.part * plant.axes[self.axis].psi_m)
+
+
+@dataclass(frozen=True)
+class BadContact:
+    """All phases have more resistance: a connector that corrodes, turns that are lost [ohm]."""
+
+    axis: int
+    ohms: float
+
+    def applied(self, plant: PlantConfig) -> PlantConfig:
+        return plant.with_axis(_axis(self.axis), r_s=plant.axes[self.axis].r_s + _amount(self.ohms, "resistance"))
+
+
+@dataclass(frozen=True)
+class WornShaft:
+    """A shaft with a second mass has more play [rad]."""
+
+    axis: int
+    radians: float
+
+    def applied(self, plant: PlantConfig) -> PlantConfig:
+        shaft = plant.axes[_axis(self.axis)]
+        if shaft.load_inertia == 0.0:
+            raise ValueError(f"axis {self.axis} has no second mass (load_inertia) that could have play")
+        return plant.with_axis(self.axis, backlash=shaft.backlash + _amount(self.radians, "play"))
+
+
+@dataclass(frozen=True)
+class ShiftedDisc:
+    """The encoder's disc is off the shaft's centre: an error once per turn, with its phase [rad]."""
+
+    axis: int
+    radians: float
+    phase: float = 0.0
+
+    def applied(self, plant: PlantConfig) -> PlantConfig:
+        return plant.with_axis(_axis(self.axis), disc_eccentricity=self.radians, disc_phase=self.phase)
+
+
+@dataclass(frozen=True)
+class DryBearing:
+    """Coulomb and viscous friction are so many times as large."""
+
+    axis: int
+    times: float
+
+    def applied(self, plant: PlantConfig) -> PlantConfig:
+        shaft = plant.axes[_axis(self.axis)]
+        times = _amount(self.times, "factor")
+        return plant.with_axis(self.axis, friction=times * shaft.friction, viscous=times * shaft.viscous)
+
+
+@dataclass(frozen=True)
 class HotPowerStage:
     """The power stage of an axis is at a temperature and stays there [deg C]."""
 
@@ -227,7 +299,10 @@ class HotPowerStage:
         return RawHarm("BOARD_HEAT", _axis(self.axis), value=float(self.celsius))
 
 
-Harm = (
+ChangedValue = WeakMagnet | BadContact | WornShaft | ShiftedDisc | DryBearing
+"""What is another value of the plant, `applied` to the one that it has without."""
+
+NativeHarm = (
     OpenPhase
     | ShortedPhase
     | StuckConverter
@@ -242,4 +317,7 @@ Harm = (
     | CutWire
     | StalledCore
 )
+"""What the plant in C knows as a kind of damage."""
+
+Harm = NativeHarm | ChangedValue
 """Anything that can go wrong."""

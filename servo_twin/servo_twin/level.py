@@ -12,13 +12,13 @@ Level = Literal["registers", "ideal"]
 """How closely the board is modelled."""
 
 LEVEL_VARIABLE: Final = "SERVO_TWIN_LEVEL"
-"""Environment variable that names the level of boards for which nobody does."""
+"""Environment variable that names the level of boards without an explicit one."""
 
 DEFAULT_LEVEL: Final[Level] = "registers"
 """Where it does not, either: as close to the board as there is."""
 
 FAST_LEVEL: Final[Level] = "ideal"
-"""Of experiments, which simulate minutes and hours, where nobody names another."""
+"""Of experiments, which simulate minutes and hours, unless another is named."""
 
 _LEVELS: Final[tuple[Level, ...]] = get_args(Level)
 

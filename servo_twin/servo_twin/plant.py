@@ -24,6 +24,12 @@ STIFFEST: Final = 0.06
 """Of an end stop, over inertia and the square of the PWM frequency: it swings in 25 periods, and its torque is worked
 out once in each."""
 
+FASTEST: Final = 8000.0
+"""Resonance of a shaft with a second mass [Hz]: 16 steps of it, in which its frequency is off by 0.6 %."""
+
+DAMPED: Final = 5e4
+"""Of a twist, at most [1/s]: a shaft's torque is worked out every 6 to 8 us."""
+
 BUILT_IN: Final = frozenset(
     {
         "ambient", "pwm_frequency", "pole_pairs", "theta_start", "dead_time", "i_settle",
@@ -48,6 +54,7 @@ _POSITIVE: Final[_Rule] = ("above 0", lambda x: x > 0.0)
 _NOT_NEGATIVE: Final[_Rule] = ("0 or more", lambda x: x >= 0.0)
 _WHOLE: Final[_Rule] = ("a whole number from 1", lambda x: x >= 1.0 and x == int(x))
 _ANY: Final[_Rule] = ("a finite number", lambda x: True)
+_SWITCH: Final[_Rule] = ("0 or 1", lambda x: x in (0.0, 1.0))
 
 _AXIS_RULES: Final[Mapping[str, _Rule]] = {
     "r_s": _POSITIVE,
@@ -59,6 +66,21 @@ _AXIS_RULES: Final[Mapping[str, _Rule]] = {
     "friction": _NOT_NEGATIVE,
     "viscous": _NOT_NEGATIVE,
     "load_torque": _ANY,
+    "load_inertia": _NOT_NEGATIVE,
+    "shaft_stiffness": _NOT_NEGATIVE,
+    "shaft_damping": _NOT_NEGATIVE,
+    "backlash": _NOT_NEGATIVE,
+    "load_friction": _NOT_NEGATIVE,
+    "cogging_torque": _NOT_NEGATIVE,
+    "cogging_periods": _WHOLE,
+    "cogging_phase": _ANY,
+    "i_saturation_d": _NOT_NEGATIVE,
+    "i_saturation_q": _NOT_NEGATIVE,
+    "winding_warms": _SWITCH,
+    "magnet_coefficient": ("between -0.01 and 0.01", lambda x: -0.01 < x < 0.01),
+    "magnet_time": _NOT_NEGATIVE,
+    "disc_eccentricity": ("0 or more and below 0.2", lambda x: 0.0 <= x < 0.2),
+    "disc_phase": _ANY,
     "stop_min": _ANY,
     "stop_max": _ANY,
     "stop_stiffness": _NOT_NEGATIVE,
@@ -136,7 +158,7 @@ class PinsPlant:
                 raise PlantError(f"{name}: {value!r} is not an angle, finite or infinite")
         for name in ("brake_torque", "brake_open_time", "brake_close_time"):
             _check(name, getattr(self, name), _NOT_NEGATIVE)
-        _check("enable_closed", self.enable_closed, ("0 or 1", lambda x: x in (0.0, 1.0)))
+        _check("enable_closed", self.enable_closed, _SWITCH)
 
 
 @dataclass(frozen=True)
@@ -158,7 +180,27 @@ class AxisPlant:
     friction, viscous : float
         Coulomb [N m] and viscous [N m s] friction.
     load_torque : float
-        External torque that slows positive motion and drives negative motion [N m].
+        External torque that slows positive motion and drives negative motion, on the second mass if there is one [N m].
+    load_inertia : float
+        Second mass at the end of a shaft that twists; 0: there is none, `inertia` is all [kg m^2].
+    shaft_stiffness, shaft_damping : float
+        Of that shaft [N m/rad], [N m s].
+    backlash : float
+        Its play, from one flank to the other [rad].
+    load_friction : float
+        Coulomb friction of the second mass [N m].
+    cogging_torque, cogging_periods, cogging_phase : float
+        Amplitude [N m], periods per turn and phase [rad] of the cogging.
+    i_saturation_d, i_saturation_q : float
+        Current scale of the saturation of `l_d` and `l_q`, which are those without current; 0: they never saturate [A].
+    winding_warms : float
+        1: the resistance follows the winding's temperature at the level ``ideal``, as it always does at ``registers``.
+    magnet_coefficient : float
+        Change of `psi_m`, which is that at the ambient temperature [1/K].
+    magnet_time : float
+        Time constant with which the magnet follows the winding's temperature [s].
+    disc_eccentricity, disc_phase : float
+        Amplitude of the encoder's error once per turn, and its phase [rad].
     stop_min, stop_max : float
         Mechanical rotor angles of the end stops [rad].
     stop_stiffness, stop_damping : float
@@ -207,6 +249,21 @@ class AxisPlant:
     friction: float
     viscous: float
     load_torque: float
+    load_inertia: float
+    shaft_stiffness: float
+    shaft_damping: float
+    backlash: float
+    load_friction: float
+    cogging_torque: float
+    cogging_periods: float
+    cogging_phase: float
+    i_saturation_d: float
+    i_saturation_q: float
+    winding_warms: float
+    magnet_coefficient: float
+    magnet_time: float
+    disc_eccentricity: float
+    disc_phase: float
     stop_min: float
     stop_max: float
     stop_stiffness: float
@@ -239,6 +296,18 @@ class AxisPlant:
             _check(name, getattr(self, name), rule)
         if self.stop_min > self.stop_max:
             raise PlantError(f"stop_min: {self.stop_min!r} is not below stop_max = {self.stop_max!r}")
+        if self.load_inertia > 0.0 and self.shaft_stiffness == 0.0:
+            raise PlantError("shaft_stiffness: 0 does not couple a second mass (load_inertia) to the rotor")
+        if self.resonance > FASTEST:
+            raise PlantError(
+                f"shaft_stiffness: {self.shaft_stiffness!r} N m/rad lets the masses swing with {self.resonance:.3g} Hz;"
+                f" the most that is followed is {FASTEST:g} Hz"
+            )
+        if self.shaft_damping * self._per_mass > DAMPED:
+            raise PlantError(
+                f"shaft_damping: {self.shaft_damping!r} N m s stops a twist within a step of the plant;"
+                f" with these masses the most is {DAMPED / self._per_mass:.3g}"
+            )
         if self.theta_start != "random":
             _check("theta_start", self.theta_start, _ANY)
         offsets: object = self.i_offset
@@ -251,6 +320,16 @@ class AxisPlant:
     def members(self) -> dict[str, Any]:
         """Values by the names of the C structure ``plant_axis_t``."""
         return {name: value for name, value in (vars(self) | vars(self.pins)).items() if name != "pins"}
+
+    @property
+    def resonance(self) -> float:
+        """Frequency at which rotor and second mass swing against each other, both free [Hz]; 0 without one."""
+        return math.sqrt(self.shaft_stiffness * self._per_mass) / (2.0 * math.pi)
+
+    @property
+    def _per_mass(self) -> float:
+        """One over the mass that a twist moves [1 / (kg m^2)]; 0 without a second mass."""
+        return 1.0 / self.inertia + 1.0 / self.load_inertia if self.load_inertia > 0.0 else 0.0
 
     @property
     def torque_constant(self) -> float:

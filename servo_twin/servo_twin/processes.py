@@ -18,7 +18,7 @@ from servo_msgs_py.end_with_parent import bound_to_us
 __all__ = ["Child", "ChildError", "executable", "stop_all", "wait_until"]
 
 _POLL: Final = 0.05  # [s]
-_TERM_PATIENCE: Final = 8.0  # from SIGTERM to SIGKILL [s]
+_TERM_TIMEOUT: Final = 8.0  # from SIGTERM to SIGKILL [s]
 
 
 class ChildError(RuntimeError):
@@ -118,11 +118,11 @@ class Child:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, signal.SIGKILL)
 
-    def stop(self, patience: float = _TERM_PATIENCE) -> bool:
+    def stop(self, timeout: float = _TERM_TIMEOUT) -> bool:
         """End it; returns False when it had to be killed."""
         self.terminate()
         try:
-            self._process.wait(patience)
+            self._process.wait(timeout)
             orderly = True
         except subprocess.TimeoutExpired:
             orderly = False
@@ -136,15 +136,15 @@ def stop_all(children: Sequence[Child]) -> list[str]:
     return [child.name for child in children if not child.stop()]
 
 
-def wait_until(condition: Callable[[], bool], children: Sequence[Child], patience: float) -> bool:
-    """Wait for a condition while all children live; False when the patience [s] is over.
+def wait_until(condition: Callable[[], bool], children: Sequence[Child], timeout: float) -> bool:
+    """Wait for a condition while all children live; False after the timeout [s].
 
     Raises
     ------
     ChildError
         If a child ends meanwhile.
     """
-    for _ in _ticks(patience):
+    for _ in _ticks(timeout):
         if condition():
             return True
         for child in children:
@@ -152,8 +152,8 @@ def wait_until(condition: Callable[[], bool], children: Sequence[Child], patienc
     return condition()
 
 
-def _ticks(patience: float) -> Iterator[None]:
-    end = time.monotonic() + patience
+def _ticks(timeout: float) -> Iterator[None]:
+    end = time.monotonic() + timeout
     while time.monotonic() < end:
         yield
         time.sleep(_POLL)

@@ -30,10 +30,10 @@ from servo_twin.processes import Child, ChildError, executable, stop_all, wait_u
 
 __all__ = ["Stack", "main", "parser"]
 
-_BOARD_PATIENCE: Final = 10.0  # [s]
-_CONNECT_PATIENCE: Final = 15.0
-_VIEWER_PATIENCE: Final = 30.0  # the first start of the viewer compiles nothing but reads a lot
-_DEMO_PATIENCE: Final = 240.0
+_BOARD_TIMEOUT: Final = 10.0  # [s]
+_CONNECT_TIMEOUT: Final = 15.0
+_VIEWER_TIMEOUT: Final = 30.0  # the first start of the viewer compiles nothing but reads a lot
+_DEMO_TIMEOUT: Final = 240.0
 _INTERRUPTED: Final = 130
 _HIGHEST_DOMAIN: Final = 232  # a higher one has no ports
 _WARNING: Final = "virtual_board: warning:"
@@ -178,9 +178,9 @@ class Stack:
         self.children.append(child)
         return child
 
-    def wait(self, child: Child, text: str, patience: float) -> bool:
-        """Wait until a child has printed something; False when the patience [s] is over."""
-        return wait_until(lambda: text in child.text(), self.children, patience)
+    def wait(self, child: Child, text: str, timeout: float) -> bool:
+        """Wait until a child has printed something; False after the timeout [s]."""
+        return wait_until(lambda: text in child.text(), self.children, timeout)
 
     def tell_warnings(self) -> None:
         """Pass on what the virtual board warns of: that the machine is too slow for it."""
@@ -234,8 +234,8 @@ def _virtual_board(stack: Stack, args: argparse.Namespace, folder: Path) -> str:
     plant = ["--plant", str(args.plant)] if args.plant else []
     _say(f"virtual board on {link}, {args.baud} baud, seed {args.seed}, level {chosen_level(args.level)}")
     stack.start("virtual_board", "--link", str(link), "--baud", str(args.baud), "--seed", str(args.seed), *plant)
-    if not wait_until(link.exists, stack.children, _BOARD_PATIENCE):
-        raise ChildError(f"the virtual board made no port within {_BOARD_PATIENCE:g} s")
+    if not wait_until(link.exists, stack.children, _BOARD_TIMEOUT):
+        raise ChildError(f"the virtual board made no port within {_BOARD_TIMEOUT:g} s")
     return str(link)
 
 
@@ -257,13 +257,13 @@ def _bring_up(stack: Stack, args: argparse.Namespace, folder: Path, record: Path
     viewer = None
     if web or record:
         viewer = stack.start("servo_viewer", *_ros(record=record or "''", web=web))
-    if stack.wait(bridge, "connected to", _CONNECT_PATIENCE):
+    if stack.wait(bridge, "connected to", _CONNECT_TIMEOUT):
         _say(f"bridge connected to {port}")
     else:
         _say(f"bridge: no board on {port} yet; it keeps trying. It says:\n{bridge.last_words(3)}")
     _say(f"twin follows (log: {twin.log})")
     if web and viewer is not None:
-        found = wait_until(lambda: _URL.search(viewer.text()) is not None, stack.children, _VIEWER_PATIENCE)
+        found = wait_until(lambda: _URL.search(viewer.text()) is not None, stack.children, _VIEWER_TIMEOUT)
         match = _URL.search(viewer.text())
         _say(f"viewer: {match.group(0) if found and match else 'not up yet, see ' + str(viewer.log)}")
     if record:
@@ -286,9 +286,9 @@ def _run_demo(stack: Stack, environment: Mapping[str, str], out: Path) -> int:
         bound_to_us(command), stdin=subprocess.DEVNULL, env=dict(environment), start_new_session=True
     )
     try:
-        ended = wait_until(lambda: demo.poll() is not None, stack.children, _DEMO_PATIENCE)
+        ended = wait_until(lambda: demo.poll() is not None, stack.children, _DEMO_TIMEOUT)
         if not ended:
-            _say(f"servo-demo did not end within {_DEMO_PATIENCE:g} s")
+            _say(f"servo-demo did not end within {_DEMO_TIMEOUT:g} s")
         return demo.returncode if ended else 1
     finally:
         stack.tell_warnings()

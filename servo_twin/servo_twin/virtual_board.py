@@ -211,7 +211,7 @@ class Terminal:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Hand bytes to the client; what does not fit because nobody reads is lost, as on a wire."""
+        """Hand bytes to the client; what does not fit because it is not read is lost, as on a wire."""
         view = memoryview(data)
         while view:
             try:

@@ -50,7 +50,7 @@ uint16_t chip_read(chip_t *chip, uint32_t address);
 void chip_write(chip_t *chip, uint32_t address, uint16_t value);
 void chip_interrupts(chip_t *chip, bool on);
 void chip_pin(chip_t *chip, unsigned pin, bool level);
-unsigned chip_patience(const chip_t *chip, unsigned pin);
+unsigned chip_deferrable_edges(const chip_t *chip, unsigned pin);
 void chip_pin_late(chip_t *chip, unsigned pin, bool level, uint64_t clock);
 bool chip_pin_level(const chip_t *chip, unsigned pin);
 size_t chip_line_write(chip_t *chip, const uint8_t *data, size_t size);
@@ -80,7 +80,7 @@ static const rig_world_t *rig(void *world) { return (const rig_world_t *)world; 
 void world_advance(void *world, uint64_t clock) { rig(world)->advance(clock); }
 uint64_t world_next(void *world) { return rig(world)->next(); }
 void world_events(void *world) { rig(world)->events(); }
-void world_patience(void *world) { (void)world; /* asks whenever it wants to know */ }
+void world_deferrable_edges(void *world) { (void)world; /* asks whenever it wants to know */ }
 void world_late(void *world) { rig(world)->late(); }
 void world_gates(void *world, unsigned module, unsigned submodule, unsigned levels)
 {
@@ -266,7 +266,7 @@ class ChipRig:
     edges : list of (clock, pin, level)
         What the world will put on pins; sorted.
     keeps_back : bool
-        As many of them as the chip has patience for come when it asks for them; all are of one timer module then.
+        As many of them as the chip can defer come when it asks for them; all are of one timer module then.
     kept_back : int
         How many have.
     """
@@ -320,12 +320,12 @@ class ChipRig:
     def _next(self) -> int:
         first = 0
         if self.keeps_back and self.edges:
-            first = min(self.lib.chip_patience(self.chip, pin(name)) for _, name, _ in self.edges[:2])
+            first = min(self.lib.chip_deferrable_edges(self.chip, pin(name)) for _, name, _ in self.edges[:2])
         return self.edges[first][0] if first < len(self.edges) else NEVER
 
     def _late(self) -> None:
         while self.keeps_back and self.edges and self.edges[0][0] <= self.chip.now:
-            if self.lib.chip_patience(self.chip, pin(self.edges[0][1])) == 0:
+            if self.lib.chip_deferrable_edges(self.chip, pin(self.edges[0][1])) == 0:
                 break  # an event
             clock, name, level = self.edges.pop(0)
             self.kept_back += clock < self.chip.now

@@ -28,7 +28,11 @@ PLANT_CDEF = """
 typedef struct { ...; } plant_random_t;
 typedef struct { double alpha, beta; } plant_vector_t;
 typedef struct {
-    double r_s, l_d, l_q, psi_m, pole_pairs, inertia, friction, viscous, load_torque;
+    double r_s, l_d, l_q, psi_m, pole_pairs, inertia, friction, viscous;
+    double load_inertia, shaft_stiffness, shaft_damping, backlash, load_friction;
+    double cogging_torque, cogging_periods, cogging_phase;
+    double i_saturation_d, i_saturation_q, winding_warms, magnet_coefficient, magnet_time;
+    double disc_eccentricity, disc_phase, load_torque;
     double stop_min, stop_max, stop_stiffness, stop_damping, encoder_lines, theta_start, i_full_scale;
     double i_offset[3], i_noise, i_break, dead_time, v_drop, r_on, dead_time_min, i_settle;
     double encoder_jitter, encoder_duty_error, encoder_hysteresis;

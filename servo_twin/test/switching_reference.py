@@ -19,6 +19,9 @@ from servo_twin.plant import AxisPlant, BusPlant, PlantConfig
 CLOCK = 1e-8
 OPEN, HIGH, LOW = 0, 1, 2
 
+STATES = 6  # of an axis
+BUS = 2 * STATES  # index of the bus' voltage, behind those of both axes
+
 Edge = tuple[int, int, int, int]
 """Clock, axis, phase, gates."""
 
@@ -27,6 +30,12 @@ _AXIS = [(1.0, 0.0), (-0.5, math.sqrt(0.75)), (-0.5, -math.sqrt(0.75))]
 
 def clarke(v: Sequence[float]) -> tuple[float, float]:
     return (2 * v[0] - v[1] - v[2]) / 3, (v[1] - v[2]) / math.sqrt(3)
+
+
+def iron(inductance: float, i_s: float, current: float) -> tuple[float, float]:
+    """Flux of a current, and its slope, where i = flux / L (1 + (flux / (L i_s))^2 / 3), by Cardano's formula."""
+    x = 2.0 * math.sinh(math.asinh(1.5 * current / i_s) / 3.0) if i_s > 0.0 else 0.0
+    return (inductance * i_s * x, inductance / (1.0 + x * x)) if i_s > 0.0 else (inductance * current, inductance)
 
 
 @dataclass
@@ -42,6 +51,11 @@ class Machine:
     sign: list[int] = field(default_factory=lambda: [0] * 3)
     moving: int = 0
     load: float = 0.0
+    omega_load: float = 0.0
+    theta_load: float = math.nan
+
+    def __post_init__(self) -> None:
+        self.theta_load = self.theta if math.isnan(self.theta_load) else self.theta_load
 
     def phases(self) -> list[float]:
         angle = self.plant.pole_pairs * self.theta
@@ -50,17 +64,39 @@ class Machine:
         return [a * x + b * y for x, y in _AXIS]
 
     def torque(self) -> float:
+        return self.torque_of(self.i_d, self.i_q)
+
+    def torque_of(self, i_d: float, i_q: float) -> float:
         p = self.plant
-        return 1.5 * p.pole_pairs * (p.psi_m + (p.l_d - p.l_q) * self.i_d) * self.i_q
+        flux_d, _ = iron(p.l_d, p.i_saturation_d, i_d)
+        flux_q, _ = iron(p.l_q, p.i_saturation_q, i_q)
+        return 1.5 * p.pole_pairs * ((p.psi_m + flux_d) * i_q - flux_q * i_d)
+
+    def pull(self, x: Sequence[float]) -> float:
+        """Torque of cogging and shaft on the rotor."""
+        p = self.plant
+        omega, theta, omega_load, theta_load = x[2:]
+        return p.cogging_torque * math.sin(p.cogging_periods * theta + p.cogging_phase) - self.twist(
+            theta - theta_load, omega - omega_load
+        )
+
+    def twist(self, angle: float, speed: float) -> float:
+        """Torque through the shaft."""
+        p = self.plant
+        deep = math.copysign(max(abs(angle) - 0.5 * p.backlash, 0.0), angle)
+        torque = p.shaft_stiffness * deep + p.shaft_damping * speed
+        return torque if torque * deep > 0.0 and p.load_inertia > 0.0 else 0.0
 
     def limits(self, k: int, u: float) -> tuple[float, float]:
         v = self.plant.v_drop
         return {OPEN: (-v, u + v), HIGH: (u - v, u + v), LOW: (-v, v)}[self.gates[k]]
 
     def rates(self, x: Sequence[float], u: float, sign: Sequence[int]) -> tuple[list[float], list[float], float]:
-        """Derivatives of i_d, i_q, omega, theta; the leg voltages; the current out of the bus."""
+        """Derivatives of `x`; the leg voltages; the current out of the bus."""
         p = self.plant
-        i_d, i_q, omega, theta = x
+        i_d, i_q, omega, theta, omega_load, theta_load = x
+        flux_d, l_d = iron(p.l_d, p.i_saturation_d, i_d)
+        flux_q, l_q = iron(p.l_q, p.i_saturation_q, i_q)
         angle = p.pole_pairs * theta
         c, s = math.cos(angle), math.sin(angle)
         w = p.pole_pairs * omega
@@ -69,8 +105,8 @@ class Machine:
         def slopes(v: Sequence[float]) -> tuple[float, float]:
             a, b = clarke(v)
             return (
-                (a * c + b * s - r * i_d + w * p.l_q * i_q) / p.l_d,
-                (b * c - a * s - r * i_q - w * (p.l_d * i_d + p.psi_m)) / p.l_q,
+                (a * c + b * s - r * i_d + w * flux_q) / l_d,
+                (b * c - a * s - r * i_q - w * (flux_d + p.psi_m)) / l_q,
             )
 
         def phase_slope(k: int, v: Sequence[float]) -> float:
@@ -93,24 +129,27 @@ class Machine:
             v[k] = 1.0
             v[k] = -zero / (phase_slope(k, v) - zero)
         d, q = (0.0, 0.0) if len(floating) == 3 else slopes(v)
-        accel = 0.0
+        two = p.load_inertia > 0.0
+        accel = accel_load = 0.0
         if self.moving:
-            torque = 1.5 * p.pole_pairs * (p.psi_m + (p.l_d - p.l_q) * i_d) * i_q
-            accel = (torque - self.load - self.moving * p.friction - p.viscous * omega) / p.inertia
+            torque = self.torque_of(i_d, i_q) + self.pull(x) - (0.0 if two else self.load)
+            accel = (torque - self.moving * p.friction - p.viscous * omega) / p.inertia
+        if two:
+            accel_load = (self.twist(theta - theta_load, omega - omega_load) - self.load) / p.load_inertia
         current = 0.0
         for k, (a, b) in enumerate(_AXIS):
             upper = self.gates[k] == HIGH or (self.gates[k] == OPEN and sign[k] < 0)
             if upper and sign[k] != 0:
                 current += a * (i_d * c - i_q * s) + b * (i_d * s + i_q * c)
-        return [d, q, accel, omega], v, current
+        return [d, q, accel, omega, accel_load, omega_load], v, current
 
     @property
     def x(self) -> list[float]:
-        return [self.i_d, self.i_q, self.omega, self.theta]
+        return [self.i_d, self.i_q, self.omega, self.theta, self.omega_load, self.theta_load]
 
     @x.setter
     def x(self, value: Sequence[float]) -> None:
-        self.i_d, self.i_q, self.omega, self.theta = value
+        self.i_d, self.i_q, self.omega, self.theta, self.omega_load, self.theta_load = value
 
     def decide(self, u: float) -> None:
         """Signs of the currents that are zero, by trial; direction of motion."""
@@ -131,8 +170,8 @@ class Machine:
         if abs(self.omega) > 1e-9:
             self.moving = 1 if self.omega > 0 else -1
         else:
-            drive = self.torque() - self.load
             self.omega = 0.0
+            drive = self.drive()
             self.moving = 0 if abs(drive) <= self.plant.friction else 1 if drive > 0 else -1
 
     def _consistent(self, u: float, sign: Sequence[int], zero: Sequence[int]) -> bool:
@@ -174,8 +213,12 @@ class Machine:
             span = [(self.limits(k, u)[0] - v[k], self.limits(k, u)[1] - v[k]) for k in range(3)]
             worst = max(worst, max(s[0] for s in span) - min(s[1] for s in span))
         if not self.moving:
-            worst = max(worst, abs(self.torque() - self.load) - self.plant.friction)
+            worst = max(worst, abs(self.drive()) - self.plant.friction)
         return worst
+
+    def drive(self) -> float:
+        """Torque on a rotor that stands, without friction."""
+        return self.torque() + self.pull(self.x) - (0.0 if self.plant.load_inertia > 0.0 else self.load)
 
     def cross(self) -> None:
         """At the moment of a violation: currents at zero are zero."""
@@ -203,16 +246,16 @@ class Reference:
 
     def _rates(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         rates = np.zeros_like(x)
-        u = float(x[8])
+        u = float(x[BUS])
         load = 0.0
         for n, axis in enumerate(self.axes):
-            rate, v, current = axis.rates([float(value) for value in x[4 * n : 4 * n + 4]], u, axis.sign)
-            rates[4 * n : 4 * n + 4] = rate
-            rates[9 + n] = u * current
-            rates[11 + 3 * n : 14 + 3 * n] = v
+            part = slice(STATES * n, STATES * (n + 1))
+            rates[part], v, current = axis.rates([float(value) for value in x[part]], u, axis.sign)
+            rates[BUS + 1 + n] = u * current
+            rates[BUS + 3 + 3 * n : BUS + 6 + 3 * n] = v
             load += current
         source = max(0.0, (self.bus.u_source - u) / self.bus.r_source)
-        rates[8] = (source - load) / self.bus.capacitance
+        rates[BUS] = (source - load) / self.bus.capacitance
         return rates
 
     def _state(self) -> NDArray[np.float64]:
@@ -221,10 +264,10 @@ class Reference:
 
     def _put(self, x: NDArray[np.float64]) -> None:
         for n, axis in enumerate(self.axes):
-            axis.x = [float(value) for value in x[4 * n : 4 * n + 4]]
-        self.u = float(x[8])
-        self.energy = [float(x[9]), float(x[10])]
-        self.volt_seconds = x[11:17].reshape(2, 3).copy()
+            axis.x = [float(value) for value in x[STATES * n : STATES * (n + 1)]]
+        self.u = float(x[BUS])
+        self.energy = [float(x[BUS + 1]), float(x[BUS + 2])]
+        self.volt_seconds = x[BUS + 3 :].reshape(2, 3).copy()
 
     def _try(self, x: NDArray[np.float64], h: float) -> None:
         k1 = self._rates(x)

@@ -19,7 +19,8 @@ typedef struct {
     double theta, omega, phase[3], low, high; unsigned positive, negative, joint; ...;
 } bridge_t;
 typedef struct { bridge_t bridge; ...; } switching_axis_t;
-typedef struct { switching_axis_t axis[2]; supply_t supply; ...; } switching_t;
+typedef struct { double speed; ...; } shaft_t;
+typedef struct { switching_axis_t axis[2]; shaft_t shaft[2]; supply_t supply; ...; } switching_t;
 typedef struct { uint64_t clock; uint8_t kind, axis, line; bool level; } switching_event_t;
 double root_of(double f0, double d0, double f1, double h);
 unsigned straight_roots(const double f0[4], const double f1[4], const double d0[4], double h, double root[4]);
@@ -35,7 +36,8 @@ uint16_t switching_bus_code(switching_t *plant);
 bool switching_over_current(const switching_t *plant, int axis);
 bool switching_line(const switching_t *plant, int axis, int line);
 typedef struct {
-    double theta, omega, i_d, i_q, phase[3], shunt[3], amplifier[3], torque, voltage[3], t_winding, t_sink;
+    double theta, omega, i_d, i_q, phase[3], shunt[3], amplifier[3], torque, voltage[3], t_winding, t_sink, t_magnet;
+    double theta_load, omega_load, torque_shaft, r_s, psi_m, l_d, l_q;
     double e_bus, e_copper, e_switch; bool over_current;
 } switching_truth_t;
 void switching_truth(const switching_t *plant, int axis, switching_truth_t *truth);
@@ -67,7 +69,7 @@ class Switching:
 
     def spin(self, axis: int, omega: float) -> None:
         """Give the shaft a speed; before anything has happened."""
-        self.c.axis[axis].bridge.omega = omega
+        self.c.axis[axis].bridge.omega = self.c.shaft[axis].speed = omega
 
     def charge(self, volts: float) -> None:
         """Give the bus a voltage; before anything has happened."""

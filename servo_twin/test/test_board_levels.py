@@ -262,7 +262,7 @@ class TestErrors:
 
 
 def test_the_watchdog_starts_the_firmware_anew() -> None:
-    """M1 comes no more, so nobody serves the watchdog: reset, and the sequence runs again."""
+    """M1 comes no more, so the watchdog is not served: reset, and the sequence runs again."""
     with Board(level="registers") as board:
         board.run(0.02)
         (ticks,) = board.read_raw("tick")

@@ -346,7 +346,7 @@ WATCHED = ("TMRA0_CNTR", "TMRA0_CAPT", "TMRA0_SCTRL", "TMRA0_CSCTRL", "TMRA1_CAP
 
 
 class TestPatience:
-    """Edges that only count may be handed over late, and nobody sees a difference."""
+    """Edges that only count may be handed over late, without a visible difference."""
 
     @staticmethod
     def edges(chance: random.Random, start: int, count: int) -> list[tuple[int, str, bool]]:
@@ -459,23 +459,23 @@ class TestPatience:
         assert captures[0] == captures[1] != []
 
     def test_what_an_edge_must_not_be_late_for(self, rig: ChipRig, encoder: Encoder) -> None:
-        def patience() -> int:
-            return int(rig.lib.chip_patience(rig.chip, pin("C3")))
+        def deferrable() -> int:
+            return int(rig.lib.chip_deferrable_edges(rig.chip, pin("C3")))
 
         rig.write("TMRA0_CNTR", 1000)
-        assert patience() == 0  # three channels will capture
+        assert deferrable() == 0  # three channels will capture
         encoder.turn(2)
-        assert patience() == 100
+        assert deferrable() == 100
         rig.write("TMRA0_CNTR", 3990)
-        assert 0 < patience() < 9  # before the compare
+        assert 0 < deferrable() < 9  # before the compare
         rig.write("TMRA0_CNTR", 1000)
-        assert patience() == 100
+        assert deferrable() == 100
         rig.write("TMRA3_SCTRL", 0x00C0)  # captures again
-        assert patience() == 0
+        assert deferrable() == 0
         encoder.turn(2)
-        assert patience() == 100
+        assert deferrable() == 100
         rig.write("SIM_GPSCL", 1 << 4 | 1 << 6)  # no timer any more
-        assert patience() == 0
+        assert deferrable() == 0
 
 
 @pytest.mark.parametrize("mode", [3, 5, 6])

@@ -24,7 +24,7 @@ def test_agrees_with_other_motors_and_a_tenth_of_the_capacitor() -> None:
 
 
 def test_a_board_that_does_not_fold_back_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a limit means that lies where nobody holds back yet."""
+    """What a limit means below where the fold-back begins."""
     monkeypatch.setattr(braking, "OVER_VOLTAGE", 28.0)
     assert "no resistor: highest bus voltage" in wrong(PlantConfig.load())
 

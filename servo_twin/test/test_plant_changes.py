@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from servo_twin.board import Board
 from servo_twin.experiments.rig import TICK, choose_mode, command_speed
-from servo_twin.harm import CurrentNoise
+from servo_twin.harm import BadContact, CurrentNoise, DryBearing, ShiftedDisc, WeakMagnet, WornShaft
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.simulation import enable
@@ -129,3 +129,89 @@ def test_a_noisy_sensor_outlives_a_change_and_heals_to_the_present_value(level: 
 def test_what_cannot_change_says_so(name: str, value: float, text: str) -> None:
     with Board(level="ideal") as board, pytest.raises(PlantError, match=text):
         board.set_plant(name, value)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_damages_that_are_other_values(level: Level) -> None:
+    """Each is seen in the truth, several of one value add up, and healing leaves what there was."""
+    plant = PlantConfig.load().with_axis(0, load_inertia=1e-5, shaft_stiffness=50.0, backlash=1e-3)
+    axis = plant.axes[0]
+    with Board(plant, level=level) as board:
+        board.run(0.001)
+        whole = board.truth(0)
+        board.inject(WeakMagnet(0, 0.8))
+        board.inject(BadContact(0, 0.3))
+        board.inject(BadContact(0, 0.2))
+        assert board.truth(0).psi_m == pytest.approx(0.8 * axis.psi_m)
+        assert board.truth(0).r_s == pytest.approx(axis.r_s + 0.5)
+        board.set_plant("axis1.r_s", 0.7)  # the damage is on top of whatever there is
+        assert board.truth(0).r_s == pytest.approx(0.7 + 0.5)
+        assert board.plant == plant.with_value("axis1.r_s", 0.7)
+        board.heal(BadContact(0, 0.3))
+        assert board.truth(0).r_s == pytest.approx(0.7 + 0.2)
+        board.set_plant("axis1.r_s", axis.r_s)
+        board.heal()
+        assert (board.truth(0).r_s, board.truth(0).psi_m) == (whole.r_s, whole.psi_m)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_worn_shaft_has_more_play(level: Level) -> None:
+    plant = PlantConfig.load().with_axis(0, load_inertia=1e-5, shaft_stiffness=5.0, shaft_damping=0.01, backlash=0.01)
+    rest = []
+    with Board(plant, level=level) as board:
+        board.lock_shaft(0)
+        board.inject(WornShaft(0, 0.02))
+        for torque in (0.01, -0.01):
+            board.set_load(0, torque)
+            board.run(0.3)
+            rest.append(board.truth(0).theta_load)
+    assert rest[1] - rest[0] == pytest.approx(0.03 + 2.0 * 0.01 / 5.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_dry_bearing_takes_more_current(level: Level) -> None:
+    with Board(level=level, seed=1) as board:
+        enable(board)
+        choose_mode(board, 0, "SPEED")
+        command_speed(board, 0, SPEED)
+        before = seen(board)["axis1.friction"]
+        board.inject(DryBearing(0, 4.0))
+        after = seen(board)["axis1.friction"]
+        axis = board.plant.axes[0]
+    assert after - before == pytest.approx(3.0 * (axis.friction + axis.viscous * SPEED), rel=0.1)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_a_disc_that_shifts_moves_the_position(level: Level) -> None:
+    """A running shaft is shown up to the new error, without losing a count for good."""
+    with Board(PlantConfig.load().with_axis(0, theta_start=0.0), level=level) as board:
+        enable(board)
+        choose_mode(board, 0, "SPEED")
+        command_speed(board, 0, 20.0)
+        board.run(0.2)
+
+        def error() -> float:
+            board.run(0.001)
+            return board.read_raw("axis1.position")[0] * 2.0 * np.pi / 4000.0 - board.truth(0).theta_m
+
+        before = np.array([error() for _ in range(400)])
+        harm = ShiftedDisc(0, 0.02, 1.0)
+        board.inject(harm)
+        during = np.array([error() for _ in range(400)])
+        board.heal(harm)
+        after = np.array([error() for _ in range(400)])
+    assert np.ptp(during) == pytest.approx(0.04, rel=0.2)
+    assert np.mean(after) == pytest.approx(np.mean(before), abs=2.0 * np.pi / 4000.0)
+
+
+def test_damages_that_cannot_be_say_so() -> None:
+    with Board(level="ideal") as board:
+        for harm, text in (
+            (WornShaft(0, 0.01), "axis 0 has no second mass"),
+            (WeakMagnet(0, 1.5), "part 1.5 is not within 0 .. 1"),
+            (BadContact(0, -0.1), "resistance -0.1 is not"),
+            (ShiftedDisc(0, 0.5), "disc_eccentricity: 0.5 is not"),
+            (DryBearing(2, 1.0), "axis 2: a board has the axes 0 .. 1"),
+        ):
+            with pytest.raises((ValueError, IndexError), match=text):
+                board.inject(harm)

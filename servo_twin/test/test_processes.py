@@ -60,7 +60,7 @@ def test_a_stubborn_child_is_killed_with_its_whole_group(children: list[Child], 
     child = start(children, tmp_path, STUBBORN)
     assert wait_until(lambda: ready(child), children, 10.0)
     grandchild = int(child.text().split()[1])
-    assert child.stop(patience=0.2) is False
+    assert child.stop(timeout=0.2) is False
     assert not child.running
     assert wait_until(lambda: not alive(grandchild), [], 5.0)
 
@@ -86,7 +86,7 @@ def test_a_program_that_is_not_there_is_named(tmp_path: Path) -> None:
         executable("no-such-script")
 
 
-def test_waiting_ends_with_the_patience(children: list[Child], tmp_path: Path) -> None:
+def test_waiting_ends_with_the_timeout(children: list[Child], tmp_path: Path) -> None:
     child = start(children, tmp_path, POLITE)
     assert wait_until(lambda: False, [child], 0.1) is False
 

@@ -281,7 +281,7 @@ def test_no_dead_time_shorts_the_bus(board: Board) -> None:
 
 
 def test_a_fault_that_is_not_mapped_waits_for_software(board: Board) -> None:
-    board.poke(PWMA + FCTRL0, 0x1010)  # and nobody is told
+    board.poke(PWMA + FCTRL0, 0x1010)  # without an interrupt
     for submodule in range(3):
         board.poke(sm(PWMA, submodule, DISMAP0), 0xFF00)
     assert pulses(board)[0] > 100  # until a loop looks

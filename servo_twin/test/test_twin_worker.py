@@ -16,7 +16,7 @@ PATIENCE = 10.0  # [s]
 
 
 class Recorder:
-    """Takes what a worker publishes; wakes up whoever waits for something in it."""
+    """Takes what a worker publishes; wakes up threads that wait for something in it."""
 
     def __init__(self) -> None:
         self.pairs: list[Pair] = []

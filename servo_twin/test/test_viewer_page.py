@@ -30,7 +30,7 @@ time.sleep(60)
 
 @pytest.fixture
 def listener() -> Iterator[int]:
-    """A port that somebody listens on."""
+    """A port that is in use."""
     with socket.socket() as server:
         server.bind((LOOPBACK, 0))
         server.listen()

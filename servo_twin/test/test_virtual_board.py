@@ -206,7 +206,7 @@ def read_for(fd: int, size: int) -> bytes:
 def opened(path: Path | str) -> Iterator[int]:
     fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)  # nobody else shall take our bytes
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)  # no other reader
         yield fd
     finally:
         os.close(fd)

@@ -1,4 +1,4 @@
-"""Who takes the instructions of a turning board, firmware, chip or plant: counted by valgrind, whoever else is at work.
+"""Who takes the instructions of a turning board, firmware, chip or plant: counted by valgrind, on a loaded machine too.
 
 Needs valgrind and an extension with line numbers, which is what compilers are told to make where Python says so.
 """

@@ -101,7 +101,7 @@ class Together:
     factor : float
         Simulated time of all of them over the time on the wall.
     had : float
-        Part of the time on the cores that they could have had; 1 on a machine where nobody else works.
+        Part of the time on the cores that they could have had; 1 on an idle machine.
     """
 
     factor: float

@@ -1,4 +1,4 @@
-"""Bytes of the application, from the linker's map: what is left when nobody calls what is not needed."""
+"""Bytes of the application, from the linker's map: what is linked with and without the server."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Which part of the firmware the instructions of a loop belong to: each one of a run, looked up in the line table.
 
 Parts are source files. What a file's inline functions become inside others counts for the file; the arithmetic of
-``math/frac.h`` counts for whoever uses it.
+``math/frac.h`` counts for its callers.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 `int` has 16 bits on the 56800EX as on the AVR, so a missing cast is an error that the host hides. Each removal is built
 for the AVR: the compiler may refuse it or make the same machine code of it, or a replay has to give other numbers. What
-nobody notices is printed, and has to be something that no number can show, such as ``-(int32_t)limit`` of a limit that
-is not negative. Takes some seconds per cast; ``--room control`` looks at one folder.
+no machine notices is printed, and has to be something that no number can show, such as ``-(int32_t)limit`` of a limit
+that is not negative. Takes some seconds per cast; ``--room control`` looks at one folder.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def _removals(file: str, text: str) -> Iterator[Removal]:
 def verdict(
     removal: Removal, sources: Sources, built: AvrProgram, expected: Sequence[Expectation], place: Path
 ) -> str | None:
-    """Say who notices a removal; None when nobody does.
+    """Name the machine that notices a removal, or None.
 
     Parameters
     ----------

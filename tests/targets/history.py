@@ -40,9 +40,12 @@ RUN_TRANSITIONS: Final = frozenset(
         ("READY", "STARTUP"),
         ("STARTUP", "SPIN"),
         ("STARTUP", "FREEWHEEL"),
+        ("READY", "TEST"),
+        ("TEST", "READY"),
+        ("TEST", "FREEWHEEL"),
     }
 )
-"""Transitions between the sub-states of RUN (DRM F37, and STARTUP). Besides, each entry into RUN starts with CALIB."""
+"""Transitions between the sub-states of RUN (DRM F37, STARTUP, TEST); each entry into RUN starts with CALIB."""
 
 Transition = tuple[str, str]
 

@@ -39,7 +39,7 @@ class Sources:
     root: Path = ROOT
 
     def copy(self, folder: Path) -> Sources:
-        """Freeze the C sources in `folder`: edits to the checkout no longer matter, edits to the copy harm nobody."""
+        """Freeze the C sources in `folder`: later edits of either have no effect on the other."""
         for name in _FOLDERS:
             source = self.root / name
             if source.is_dir():

@@ -2,7 +2,7 @@
  *
  * port_init() once after reset: it sets up every peripheral, initialises the application and starts both carriers; with
  * the start interrupt the circle t0 to t3 of DRM F34 begins. The vector table calls the handlers; on the host the chip's
- * interrupt controller calls port_isr(). Whoever owns the board calls servo_background() whenever nothing else runs.
+ * interrupt controller calls port_isr(). The main program calls servo_background() whenever nothing else runs.
  */
 #ifndef PORT_PORT_H
 #define PORT_PORT_H

@@ -35,7 +35,7 @@ void isr_edge_1(void) { port_edge_1(&startup_hal); }
 void isr_edge_2(void) { port_edge_2(&startup_hal); }
 void isr_receive(void) { port_receive(&startup_hal); }
 
-/* An interrupt that nobody has switched on: open the switches and let the watchdog reset the board. */
+/* An interrupt that was not enabled: open the switches and let the watchdog reset the board. */
 void isr_unexpected(void)
 {
     REG_WRITE(&startup_hal, PWMA_BASE + PWM_OUTEN, 0U);

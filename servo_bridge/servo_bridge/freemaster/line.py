@@ -8,6 +8,7 @@ the line has been quiet for a while.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -193,6 +194,12 @@ class Line:
                 return exchange
             left -= 1
             self.statistics.retries += 1
+
+    def rest(self, seconds: float) -> None:
+        """Let time pass without a request [s]; what comes meanwhile was not asked for."""
+        deadline = self.clock() + math.ceil(seconds * 1e9)
+        while self.clock() < deadline:
+            self.statistics.stray_bytes += len(self._transport.read(deadline))
 
     def work_off(self) -> None:
         """Do now what would be done while the next request is on its way."""

@@ -29,7 +29,7 @@ class LinkStatistics:
         Bytes per second on the line lately, both directions.
     timeouts, crc_errors, damaged, retries, refused, stray_bytes : int
         Unanswered requests, answers with a wrong checksum, answers that were not intact for any reason, repeated
-        requests, requests that the board refused, bytes that nobody had asked for.
+        requests, requests that the board refused, bytes without a request.
     round_trip_p50, round_trip_p99, round_trip_max : float
         Time from request to answer of the latest samples [s].
     writes : int

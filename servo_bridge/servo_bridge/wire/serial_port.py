@@ -192,7 +192,7 @@ class SerialPort:
 
 
 def _refuse_left_over_link(url: str) -> None:
-    """Keep away from a terminal that has got the number of one that is gone: somebody else works there.
+    """Keep away from a terminal that has got the number of one that is gone: another program may use it.
 
     A virtual board that is killed leaves its link behind. All times of a pseudo terminal begin with its making: reading
     and writing move two of them, a change of its mode the third. A link that is older than all of them, and of several
@@ -207,7 +207,7 @@ def _refuse_left_over_link(url: str) -> None:
         return  # opening it tells
     if min(terminal.st_atime, terminal.st_mtime, terminal.st_ctime) > made + _LINK_TOLERANCE:
         raise PortError(
-            f"the link {link} is older than the terminal behind it: whoever made it is gone",
+            f"the link {link} is older than the terminal behind it: the program that made it has ended",
             f"start the virtual board again, make the link anew, or give {os.path.realpath(link)} itself",
             missing=True,
         )

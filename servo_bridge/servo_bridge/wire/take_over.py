@@ -17,7 +17,7 @@ from servo_bridge.freemaster.errors import (
     StatusError,
 )
 
-__all__ = ["KEEP_ALIVE_PERIOD", "taken_over"]
+__all__ = ["KEEP_ALIVE_PERIOD", "kept_alive", "taken_over"]
 
 KEEP_ALIVE_PERIOD: Final = 0.1
 """Longest time between two keep-alives [s]; an exchange that is longer than that is not interrupted."""
@@ -50,9 +50,22 @@ def taken_over(client: Client, catalogue: Catalogue) -> Iterator[None]:
         # Firmware without application commands: the comparison with the catalogue says so.
         if error.code != Status.UNKNOWN_COMMAND:
             raise
-    client.before_exchange = _keep_alive(client, codes["KEEP_ALIVE"])
-    try:
+    with kept_alive(client, catalogue):
         yield
+
+
+@contextmanager
+def kept_alive(client: Client, catalogue: Catalogue) -> Iterator[Callable[[], None]]:
+    """Send keep-alives before the exchanges of a client, one when `KEEP_ALIVE_PERIOD` is over.
+
+    Yields
+    ------
+    callable
+        Sends one if it is due; for a time without exchanges.
+    """
+    client.before_exchange = when_due = _keep_alive(client, catalogue.bits["command"]["KEEP_ALIVE"])
+    try:
+        yield when_due
     finally:
         client.before_exchange = None
 

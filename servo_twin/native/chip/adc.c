@@ -63,7 +63,7 @@ static bool powered(const chip_t *chip, unsigned c)
 }
 
 /* Results whose time has come. */
-CHIP_APART static void settle(chip_t *chip)
+NOINLINE static void settle(chip_t *chip)
 {
     adc_t *adc = &chip->adc;
     unsigned come = 0;
@@ -78,7 +78,7 @@ CHIP_APART static void settle(chip_t *chip)
     adc->waits &= ~come;
 }
 
-CHIP_APART static void request(chip_t *chip)
+NOINLINE static void request(chip_t *chip)
 {
     const adc_t *adc = &chip->adc;
     const bool end_a = (adc->stat & 0x0800u) != 0 && (adc->ctrl1 & CTRL_EOSIE) != 0;
@@ -89,7 +89,7 @@ CHIP_APART static void request(chip_t *chip)
 }
 
 /* When a sample is ready whose interrupt stops the scan. */
-CHIP_APART static uint64_t next_halt(const adc_t *adc)
+NOINLINE static uint64_t next_halt(const adc_t *adc)
 {
     uint64_t next = CHIP_NEVER;
     for (unsigned left = adc->waits & adc->schlten; left != 0; left &= left - 1u) {
@@ -179,7 +179,7 @@ static inline void hold(chip_t *chip, unsigned n, uint64_t ready)
         chip_fail(chip, "ADC: sample %u of converter %c takes an input of the other one (CLIST)", n, "AB"[c]);
     }
     chip_note(chip, TRACE_SAMPLE, n, channel);
-    chip_meet_world(chip);
+    sync_plant(chip);
     const bool connected = ((chip->pins.analog >> channel) & 1u) != 0;
     const uint16_t code = connected ? world_convert(chip->world, channel) : 0u;
     if (((adc->waits >> n) & 1u) != 0) {
@@ -257,7 +257,7 @@ static void stop(chip_t *chip, unsigned c)
 
 static void begin(chip_t *chip, unsigned c)
 {
-    adc_converter_t *converter = &chip->adc.converter[c];
+    const adc_converter_t *converter = &chip->adc.converter[c];
     if (!powered(chip, c)) {
         chip_fail(chip, "ADC: a scan begins while converter %c is powered down", "AB"[c]);
     }

@@ -99,7 +99,7 @@ static inline const block_t *block_of(chip_t *chip, uint32_t address)
     return block;
 }
 
-CHIP_NORETURN CHIP_APART static void fail_waiting(chip_t *chip, uint32_t address)
+CHIP_NORETURN NOINLINE static void fail_waiting(chip_t *chip, uint32_t address)
 {
     char name[64];
     chip_register_name(address, name, sizeof name);
@@ -192,7 +192,7 @@ static inline bool step(chip_t *chip, uint64_t until)
             return stand_still(chip, until);
         }
         chip_pass_time(chip, outside);
-        chip_meet_world(chip);
+        sync_plant(chip);
         world_events(chip->world);
         return true;
     }
@@ -229,6 +229,7 @@ bool chip_step(chip_t *chip, uint64_t until)
 /* Where the chip's life begins, with its address in two halves. */
 static void inside(unsigned upper, unsigned lower)
 {
+    /* NOLINTNEXTLINE(performance-no-int-to-ptr): a context takes ints */
     chip_t *chip = (chip_t *)(uintptr_t)((uint64_t)upper << 32 | lower);
     core_run(chip);
     while (setjmp(chip->escape) == ESCAPE_FAILURE) {

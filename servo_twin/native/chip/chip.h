@@ -121,7 +121,7 @@ void chip_pin(chip_t *chip, unsigned pin, bool level);
 
 /* So many edges at a pin change nothing but counts. They may be kept back then, until world_late asks for them; those of
  * all pins with the same timer module count together. */
-unsigned chip_patience(const chip_t *chip, unsigned pin);
+unsigned chip_deferrable_edges(const chip_t *chip, unsigned pin);
 
 /* One of these, at the clock at which it was; in order for each module. */
 void chip_pin_late(chip_t *chip, unsigned pin, bool level, uint64_t clock);
@@ -130,7 +130,7 @@ void chip_pin_late(chip_t *chip, unsigned pin, bool level, uint64_t clock);
 int32_t chip_peek(chip_t *chip, uint32_t address);
 int chip_poke(chip_t *chip, uint32_t address, uint16_t value);
 
-/* Level of a pin, whoever drives it. */
+/* Level of a pin, driven from inside or outside. */
 bool chip_pin_level(const chip_t *chip, unsigned pin);
 
 /* The host's end of the serial line. */

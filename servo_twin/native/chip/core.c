@@ -172,7 +172,7 @@ void core_spend(int units)
 }
 #endif
 
-CHIP_APART static void start(chip_t *chip, unsigned vector, int level)
+NOINLINE static void start(chip_t *chip, unsigned vector, int level)
 {
     core_t *core = &chip->core;
     const int outer = core->level;
@@ -190,7 +190,7 @@ CHIP_APART static void start(chip_t *chip, unsigned vector, int level)
     core_wake(chip);
 }
 
-CHIP_APART static void look_for_requests(chip_t *chip)
+NOINLINE static void look_for_requests(chip_t *chip)
 {
     core_t *core = &chip->core;
     while (core->changed) {

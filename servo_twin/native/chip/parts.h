@@ -7,11 +7,11 @@
 #if defined(__GNUC__)
 #define CHIP_NORETURN __attribute__((noreturn))
 #define CHIP_PRINTF(text, first) __attribute__((format(printf, text, first)))
-#define CHIP_APART __attribute__((noinline)) /* what is rare stays out of its callers: their short way needs no frame */
+#define NOINLINE __attribute__((noinline)) /* what is rare stays out of its callers: their short way needs no frame */
 #else
 #define CHIP_NORETURN
 #define CHIP_PRINTF(text, first)
-#define CHIP_APART
+#define NOINLINE
 #endif
 
 /* ---- errors (chip.c) ------------------------------------------------------------------------------------------------ */
@@ -117,7 +117,7 @@ static inline void chip_pass_time(chip_t *chip, uint64_t clock)
 }
 
 /* Bring the world along to the present clock, before something acts on it or looks at it. */
-static inline void chip_meet_world(chip_t *chip)
+static inline void sync_plant(chip_t *chip)
 {
     if (chip->world_clock < chip->now) {
         chip->world_clock = chip->now;
@@ -166,7 +166,7 @@ void system_reset(chip_t *chip, reset_cause_t cause);
 
 void pwm_event(chip_t *chip, unsigned n);
 void pwm_fault_event(chip_t *chip);
-CHIP_APART void adc_event(chip_t *chip, unsigned converter);
+NOINLINE void adc_event(chip_t *chip, unsigned converter);
 void qtmr_event(chip_t *chip, unsigned module);
 void sci_event(chip_t *chip);
 void cop_event(chip_t *chip);
@@ -217,7 +217,7 @@ void adc_sync(chip_t *chip, unsigned converter);
 void qtmr_gates_changed(chip_t *chip);
 void qtmr_input(chip_t *chip, unsigned module, unsigned input, bool level, uint64_t clock); /* past, if it is patient */
 void qtmr_pulse(chip_t *chip, unsigned module, unsigned input);
-void qtmr_catch_up(chip_t *chip); /* with all edges up to the present clock, before anybody looks at them */
+void qtmr_catch_up(chip_t *chip); /* with all edges up to the present clock, before they are read */
 
 /* ---- pins and gates --------------------------------------------------------------------------------------------------- */
 

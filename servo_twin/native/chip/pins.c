@@ -159,10 +159,10 @@ void chip_pin(chip_t *chip, unsigned pin, bool level)
     put(chip, pins_function(chip, pin), level);
 }
 
-unsigned chip_patience(const chip_t *chip, unsigned pin)
+unsigned chip_deferrable_edges(const chip_t *chip, unsigned pin)
 {
     const unsigned i = timer_input(chip, pins_function(chip, pin));
-    return (i != NO_TIMER) ? chip->timer[i / QTMR_CHANNELS].patience : 0u;
+    return (i != NO_TIMER) ? chip->timer[i / QTMR_CHANNELS].deferrable_edges : 0u;
 }
 
 void chip_pin_late(chip_t *chip, unsigned pin, bool level, uint64_t clock)
@@ -210,7 +210,7 @@ void pins_reroute(chip_t *chip)
         }
     }
     pwm_pins_changed(chip);
-    world_patience(chip->world);
+    world_deferrable_edges(chip->world);
 }
 
 bool chip_pin_level(const chip_t *chip, unsigned pin)

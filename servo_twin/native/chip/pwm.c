@@ -223,7 +223,7 @@ void pwm_load(chip_t *chip, pwm_submodule_t *s)
 /* A reload point of a submodule: counts for LDFQ, then loads what is ready in it and in those that follow it. */
 static void reload(chip_t *chip, pwm_submodule_t *s, bool at_end)
 {
-    pwm_t *pwm = pwm_of(chip, s);
+    const pwm_t *pwm = pwm_of(chip, s);
     if (++s->opportunities <= CTRL_LDFQ(s->ctrl)) {
         return;
     }
@@ -478,11 +478,11 @@ void pwm_follow_run(chip_t *chip, unsigned m)
         const bool shared = n > 0 && CTRL2_CLK_SEL(s->ctrl2) == 2u;
         const bool clocked =
             sim_gate_open(chip, 3, ((m == 0) ? 7u : 3u) - n) && (!shared || sim_gate_open(chip, 3, (m == 0) ? 7u : 3u));
-        const bool run = clocked && ((pwm->run >> n) & (shared ? pwm->run : 1u) & 1u) != 0;
-        if (run == s->running) {
+        const bool runs = clocked && ((pwm->run >> n) & (shared ? pwm->run : 1u) & 1u) != 0;
+        if (runs == s->running) {
             continue;
         }
-        if (run) {
+        if (runs) {
             occs_need_bus_clock(chip, "a PWM");
             if (((pwm->ldok >> n) & 1u) != 0) {
                 pwm_load(chip, s);

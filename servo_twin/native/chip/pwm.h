@@ -5,7 +5,7 @@
  * (VALk - base) mod 2^16, and the cycle ends one past the distance of VAL1.
  *
  * Matches that change an output, load registers, fire a trigger or want an interrupt are events; the flags of all others
- * are found when somebody looks (`settled`).
+ * are computed when they are read (`settled`).
  *
  * Within one clock: compares see the values that were active at its beginning; what is loaded at a VAL0 match acts from
  * the next clock on, so a new VAL that equals the count of that very clock is missed. What is loaded at the end of the

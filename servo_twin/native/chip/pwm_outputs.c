@@ -3,7 +3,7 @@
 
 /* ---- outputs ------------------------------------------------------------------------------------------------------- */
 
-/* Which pins of a pair follow its outputs. One that nobody drives is held low by the resistor of its gate driver. */
+/* Which pins of a pair follow its outputs. One that is not driven is held low by the resistor of its gate driver. */
 void pwm_prepare(chip_t *chip, pwm_submodule_t *s)
 {
     const pwm_t *pwm = pwm_of(chip, s);

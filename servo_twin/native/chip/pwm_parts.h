@@ -1,4 +1,4 @@
-/* pwm_parts.h - what the parts of the PWM share; nobody else includes it. */
+/* pwm_parts.h - what the parts of the PWM share; included there only. */
 #ifndef CHIP_PWM_PARTS_H
 #define CHIP_PWM_PARTS_H
 
@@ -77,7 +77,7 @@ static inline void pwm_show(chip_t *chip, pwm_submodule_t *s)
     if (levels != s->levels) {
         s->levels = levels;
         chip_note(chip, TRACE_GATES, s->id, levels);
-        chip_meet_world(chip);
+        sync_plant(chip);
         world_gates(chip->world, s->module, s->number, levels);
     }
 }

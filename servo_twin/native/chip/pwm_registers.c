@@ -394,7 +394,7 @@ static void write_buffer(chip_t *chip, uint32_t address, unsigned m, unsigned wh
     s->updated = true;
 }
 
-CHIP_APART static void write_plain(chip_t *chip, uint32_t address, uint16_t value)
+NOINLINE static void write_plain(chip_t *chip, uint32_t address, uint16_t value)
 {
     const unsigned m = (address - BASE) / MODULE_SIZE;
     const uint32_t offset = (address - BASE) % MODULE_SIZE;

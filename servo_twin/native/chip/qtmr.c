@@ -65,7 +65,7 @@ static void request(chip_t *chip, qtmr_t *timer, unsigned n)
 
 static void count(chip_t *chip, qtmr_t *timer, unsigned n, bool up);
 
-CHIP_APART static void change_oflag(chip_t *chip, qtmr_t *timer, unsigned n, bool level)
+NOINLINE static void change_oflag(chip_t *chip, qtmr_t *timer, unsigned n, bool level)
 {
     qtmr_channel_t *c = &timer->channel[n];
     c->oflag = level;
@@ -89,7 +89,7 @@ static inline void set_oflag(chip_t *chip, qtmr_t *timer, unsigned n, bool level
 }
 
 /* The count has met COMP1 (up) or COMP2 (down). */
-CHIP_APART static void compare(chip_t *chip, qtmr_t *timer, unsigned n, bool up)
+NOINLINE static void compare(chip_t *chip, qtmr_t *timer, unsigned n, bool up)
 {
     qtmr_channel_t *c = &timer->channel[n];
     c->sctrl = (uint16_t)(c->sctrl | SCTRL_TCF);
@@ -122,7 +122,7 @@ CHIP_APART static void compare(chip_t *chip, qtmr_t *timer, unsigned n, bool up)
     request(chip, timer, n);
 }
 
-CHIP_APART static void rollover(chip_t *chip, qtmr_t *timer, unsigned n)
+NOINLINE static void rollover(chip_t *chip, qtmr_t *timer, unsigned n)
 {
     qtmr_channel_t *c = &timer->channel[n];
     c->sctrl = (uint16_t)(c->sctrl | SCTRL_TOF);
@@ -194,7 +194,7 @@ static inline void settle_to(chip_t *chip, qtmr_t *timer, unsigned n, uint64_t c
     }
 }
 
-CHIP_APART static void settle_on_bus(chip_t *chip, qtmr_t *timer, unsigned n)
+NOINLINE static void settle_on_bus(chip_t *chip, qtmr_t *timer, unsigned n)
 {
     if (((timer->holds >> n) & 1u) != 0) {
         timer->holds &= ~(1u << n);
@@ -216,15 +216,15 @@ static void settle_all(chip_t *chip, qtmr_t *timer)
     FOR_EACH(n, timer->on_bus) { settle(chip, timer, n); }
 }
 
-/* A channel on the bus clock whose compares nobody hears of has no events. */
+/* A channel on the bus clock whose compares have no consequence has no events. */
 static bool has_events(const qtmr_channel_t *c)
 {
     return (c->sctrl & (SCTRL_TCFIE | SCTRL_TOFIE)) != 0 || (c->csctrl & (CSCTRL_TCF1EN | CSCTRL_TCF2EN)) != 0 ||
            CTRL_OUTMODE(c->ctrl) != OUT_ACTIVE || (c->ctrl & CTRL_ONCE) != 0;
 }
 
-/* The next event of the channels whose events somebody hears of. */
-CHIP_APART static uint64_t next_heard(chip_t *chip, qtmr_t *timer)
+/* The next event of the channels whose events have a consequence. */
+NOINLINE static uint64_t next_heard(chip_t *chip, qtmr_t *timer)
 {
     FOR_EACH(n, timer->heard) { settle(chip, timer, n); }
     uint64_t next = CHIP_NEVER;
@@ -254,7 +254,7 @@ static inline void schedule(chip_t *chip, qtmr_t *timer)
 
 /* ---- inputs ---------------------------------------------------------------------------------------------------------- */
 
-CHIP_APART static void capture(chip_t *chip, qtmr_t *timer, unsigned n, bool rises)
+NOINLINE static void capture(chip_t *chip, qtmr_t *timer, unsigned n, bool rises)
 {
     qtmr_channel_t *c = &timer->channel[n];
     const bool inverted = (c->sctrl & SCTRL_IPS) != 0;
@@ -296,7 +296,7 @@ static inline bool counts_edge(const qtmr_channel_t *c, bool rises)
 
 /* A level behind the filter has changed. What a secondary input does to OFLAG comes before the count, its capture after:
  * the captured count includes the edge. */
-CHIP_APART static void edge(chip_t *chip, qtmr_t *timer, unsigned input)
+NOINLINE static void edge(chip_t *chip, qtmr_t *timer, unsigned input)
 {
     timer->in ^= 1u << input;
     const bool rises = ((timer->in >> input) & 1u) != 0;
@@ -312,11 +312,11 @@ CHIP_APART static void edge(chip_t *chip, qtmr_t *timer, unsigned input)
     FOR_EACH(n, timer->captures[input] & ~timer->captured) { capture(chip, timer, n, rises); }
 }
 
-/* ---- patience ------------------------------------------------------------------------------------------------------------ */
+/* ---- edges that only count ------------------------------------------------------------------------------------------- */
 
 /* How many edges from now on would change a count, and nothing would follow from that: no compare, rollover, capture or
  * output. */
-static unsigned find_patience(const chip_t *chip, const qtmr_t *timer)
+static unsigned find_deferrable_edges(const chip_t *chip, const qtmr_t *timer)
 {
     if (timer->heard != 0 || chip->turn[SOURCE_TIMER + timer->module] < CHIP_NO_TURN) {
         return 0;
@@ -338,7 +338,7 @@ static unsigned find_patience(const chip_t *chip, const qtmr_t *timer)
             return 0;
         }
     }
-    unsigned least = QTMR_PATIENCE + QTMR_CHANNELS + 1u; /* behind each filter one may be waiting */
+    unsigned fewest = QTMR_DEFERRABLE_EDGES_MAX + QTMR_CHANNELS + 1u; /* behind each filter one may be waiting */
     FOR_EACH(n, counting)
     {
         const qtmr_channel_t *c = &timer->channel[n];
@@ -347,19 +347,19 @@ static unsigned find_patience(const chip_t *chip, const qtmr_t *timer)
             const uint16_t up = (uint16_t)(special[i] - c->cntr);
             const uint16_t down = (uint16_t)(c->cntr - special[i]);
             const uint16_t way = (up < down) ? up : down;
-            least = (way < least) ? way : least;
+            fewest = (way < fewest) ? way : fewest;
         }
     }
-    return (least > QTMR_CHANNELS + 1u) ? least - QTMR_CHANNELS - 1u : 0u;
+    return (fewest > QTMR_CHANNELS + 1u) ? fewest - QTMR_CHANNELS - 1u : 0u;
 }
 
 /* After a change of what the next edges may do. All that have been kept back so far have to be handed over first. */
 static void listen(chip_t *chip, qtmr_t *timer)
 {
-    const unsigned before = timer->patience;
-    timer->patience = find_patience(chip, timer);
-    if (timer->patience != before) {
-        world_patience(chip->world);
+    const unsigned before = timer->deferrable_edges;
+    timer->deferrable_edges = find_deferrable_edges(chip, timer);
+    if (timer->deferrable_edges != before) {
+        world_deferrable_edges(chip->world);
     }
 }
 
@@ -402,12 +402,13 @@ void qtmr_catch_up(chip_t *chip)
         return;
     }
     chip->caught_up = chip->now;
-    chip_meet_world(chip);
+    sync_plant(chip);
     world_late(chip->world);
     for (unsigned m = 0; m < QTMR_MODULES; m++) {
         qtmr_t *timer = &chip->timer[m];
         let_through(timer, chip->now + 1u);
-        if (timer->patience > 0 && timer->patience < QTMR_PATIENCE / 2u) { /* before there is none left */
+        if (timer->deferrable_edges > 0 &&
+            timer->deferrable_edges < QTMR_DEFERRABLE_EDGES_MAX / 2u) { /* before there is none left */
             listen(chip, timer);
         }
     }
@@ -437,8 +438,8 @@ void qtmr_input(chip_t *chip, unsigned m, unsigned input, bool level, uint64_t c
     if (((timer->raw >> input) & 1u) == (level ? 1u : 0u)) {
         return;
     }
-    if (timer->patience > 0) {
-        timer->patience--;
+    if (timer->deferrable_edges > 0) {
+        timer->deferrable_edges--;
         if (enter_filter(timer, input, level, clock)) {
             pass_quietly(timer, input);
         }
@@ -572,7 +573,7 @@ static void write_ctrl(chip_t *chip, uint32_t address, qtmr_t *timer, unsigned n
 
 static uint16_t read_channel(chip_t *chip, uint32_t address, qtmr_t *timer, unsigned n, uint32_t r)
 {
-    qtmr_channel_t *c = &timer->channel[n];
+    const qtmr_channel_t *c = &timer->channel[n];
     switch (r) {
     case COMP1:
         return c->comp1;
@@ -735,7 +736,7 @@ void qtmr_write(chip_t *chip, uint32_t address, uint16_t value)
     qtmr_catch_up(chip);
     write_channel(chip, address, timer, n, address & 0xFu, value);
     listen(chip, timer);
-    if (timer->patience == 0 && timer->quiet_clock != CHIP_NEVER) {
+    if (timer->deferrable_edges == 0 && timer->quiet_clock != CHIP_NEVER) {
         schedule(chip, timer); /* what waits behind a filter may not only count any more */
     }
 }
@@ -748,5 +749,5 @@ void qtmr_reset(chip_t *chip)
             chip->timer[m].change_clock[i] = CHIP_NEVER;
         }
     }
-    world_patience(chip->world);
+    world_deferrable_edges(chip->world);
 }

@@ -1,7 +1,7 @@
 /* qtmr.h - quad timers A and B: four channels each, which share four inputs.
  *
- * Channels that count the bus clock are functions of time, brought up to date when somebody looks or when one of their
- * events has a consequence. Channels that count edges are stepped by them. While a module has patience its next edges only
+ * Channels that count the bus clock are functions of time, brought up to date when they are read or when one of their
+ * events has a consequence. Channels that count edges are stepped by them. While a module has deferrable edges these only
  * count: it may hear of them late, and what waits behind its filters is no event.
  */
 #ifndef CHIP_QTMR_H
@@ -12,7 +12,7 @@
 
 #define QTMR_MODULES 2
 #define QTMR_CHANNELS 4
-#define QTMR_PATIENCE 100u /* at most [edges] */
+#define QTMR_DEFERRABLE_EDGES_MAX 100u /* at most [edges] */
 
 typedef struct {
     uint16_t comp1, comp2, capt, load, hold, cntr, ctrl, sctrl, cmpld1, cmpld2, csctrl, filt;
@@ -31,7 +31,7 @@ typedef struct {
     uint64_t change_clock[QTMR_CHANNELS]; /* when the filter of an input will let its level through */
     uint32_t delay[QTMR_CHANNELS];       /* of that filter */
     uint64_t quiet_clock; /* the first such clock, if it is no event: that edge only counts; else CHIP_NEVER */
-    unsigned patience; /* so many edges to come would only count, too */
+    unsigned deferrable_edges; /* so many edges to come would only count, too */
     /* what follows from the registers */
     unsigned on_bus; /* channels that count the bus clock */
     unsigned heard; /* those of them whose compares and rollovers have a consequence */

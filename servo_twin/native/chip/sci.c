@@ -98,7 +98,7 @@ static void send_next(chip_t *chip, unsigned m)
 
 static void sent(chip_t *chip, unsigned m)
 {
-    sci_t *sci = &chip->sci[m];
+    const sci_t *sci = &chip->sci[m];
     if (sci->shift_clock > chip->now) {
         return;
     }

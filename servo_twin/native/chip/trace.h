@@ -1,4 +1,4 @@
-/* trace.h - what a logic analyser on the chip would show: written while somebody has given a buffer for it. */
+/* trace.h - what a logic analyser on the chip would show: written while there is a buffer for it. */
 #ifndef CHIP_TRACE_H
 #define CHIP_TRACE_H
 

@@ -1,6 +1,6 @@
 /* world.h - what the chip's pins are soldered to, and the software that its core runs.
  *
- * The chip calls these functions and includes nothing of plant and firmware. Whoever links the chip defines them, the
+ * The chip calls these functions and includes nothing of plant and firmware. The program that links the chip defines them, the
  * board or a test; `world` is what it has given to chip_init.
  */
 #ifndef CHIP_WORLD_H
@@ -19,8 +19,8 @@ uint64_t world_next(void *world);
 /* That clock has come: hand over what happened by chip_pin. */
 void world_events(void *world);
 
-/* What chip_patience says of a pin has changed. */
-void world_patience(void *world);
+/* What chip_deferrable_edges says of a pin has changed. */
+void world_deferrable_edges(void *world);
 
 /* Hand over by chip_pin_late what has been kept back up to the present clock. */
 void world_late(void *world);

@@ -61,7 +61,7 @@ static bool evaluate(const xbar_t *xbar, unsigned event, unsigned inputs)
 
 /* ---- signals ---------------------------------------------------------------------------------------------------------- */
 
-CHIP_APART static void lead_to_fault(chip_t *chip, unsigned input, xbar_edge_t edge)
+NOINLINE static void lead_to_fault(chip_t *chip, unsigned input, xbar_edge_t edge)
 {
     const bool level = edge == XBAR_RISE;
     if (edge == XBAR_PULSE) {
@@ -75,7 +75,7 @@ CHIP_APART static void lead_to_fault(chip_t *chip, unsigned input, xbar_edge_t e
     }
 }
 
-CHIP_APART static void lead_to_timer(chip_t *chip, unsigned module, unsigned input, xbar_edge_t edge)
+NOINLINE static void lead_to_timer(chip_t *chip, unsigned module, unsigned input, xbar_edge_t edge)
 {
     if (input < QTMR_CHANNELS && ((chip->sim.ips0 >> (8u + 4u * module + input)) & 1u) != 0) {
         if (edge == XBAR_PULSE) {
@@ -83,7 +83,7 @@ CHIP_APART static void lead_to_timer(chip_t *chip, unsigned module, unsigned inp
         } else {
             qtmr_catch_up(chip);
             qtmr_input(chip, module, input, edge == XBAR_RISE, chip->now);
-            world_patience(chip->world); /* it has used some */
+            world_deferrable_edges(chip->world); /* it has used some */
         }
     }
 }

@@ -7,6 +7,7 @@
 #define CURVED 0.75 /* half of i'' h^2, and as much again of that for what is beyond */
 #define NEAR 0.5e-6 /* so soon a current has hardly left the slope that it began with [s] */
 #define FAR 1e9 /* voltage that no leg comes to [V] */
+#define IRON_LONGEST 5e-6 /* in which saturated iron hardly changes [s] */
 #define FRESH_TRIG 64u /* turns of sine and cosine until they are evaluated afresh */
 
 /* Where the rotor looks, from its angle. */
@@ -43,8 +44,6 @@ static void set_drop(bridge_t *b, double v_drop)
 
 static void set_inductances(bridge_t *b, double l_d, double l_q)
 {
-    b->l_d = l_d;
-    b->l_q = l_q;
     b->inv_l_mean = 0.5 / l_d + 0.5 / l_q;
     b->inv_l_half = 0.5 / l_d - 0.5 / l_q;
     const double inv_l_least = b->inv_l_mean - fabs(b->inv_l_half);
@@ -54,10 +53,42 @@ static void set_inductances(bridge_t *b, double l_d, double l_q)
     b->coupling = aside + aside * aside; /* straight, or by way of the third phase */
 }
 
+static plant_vector_t to_rotor(plant_vector_t x, double c, double s)
+{
+    return (plant_vector_t){x.alpha * c + x.beta * s, x.beta * c - x.alpha * s};
+}
+
+static plant_vector_t to_stator(plant_vector_t x, double c, double s)
+{
+    return (plant_vector_t){x.alpha * c - x.beta * s, x.beta * c + x.alpha * s};
+}
+
+plant_vector_t bridge_iron_current(const bridge_t *b, plant_vector_t psi, double c, double s)
+{
+    const plant_vector_t flux = to_rotor(psi, c, s);
+    const plant_vector_t i = {saturation_current(iron_d(b), flux.alpha - b->psi_m),
+                              saturation_current(iron_q(b), flux.beta)};
+    return to_stator(i, c, s);
+}
+
+/* Inductances for small changes of the present flux. */
+static void tune_iron(bridge_t *b)
+{
+    const plant_vector_t flux = to_rotor(b->psi, b->cosine, b->sine);
+    set_inductances(b, saturation_inductance(iron_d(b), flux.alpha - b->psi_m),
+                    saturation_inductance(iron_q(b), flux.beta));
+    b->inverse = inverse_of(b, b->cosine, b->sine);
+}
+
 /* All that the configuration says but where the shaft is, and how the amplifiers settle. */
 static void set_parameters(bridge_t *b, const plant_axis_t *config, double r_s)
 {
     set_drop(b, config->v_drop);
+    b->l_d = config->l_d;
+    b->l_q = config->l_q;
+    b->per_s_d = saturation_of(config->l_d, config->i_saturation_d).per_s;
+    b->per_s_q = saturation_of(config->l_q, config->i_saturation_q).per_s;
+    b->saturates = config->i_saturation_d > 0.0 || config->i_saturation_q > 0.0;
     set_inductances(b, config->l_d, config->l_q);
     b->r_on = config->r_on;
     bridge_set_winding(b, r_s);
@@ -67,13 +98,14 @@ static void set_parameters(bridge_t *b, const plant_axis_t *config, double r_s)
     b->inv_inertia = 1.0 / config->inertia;
     b->viscous = config->viscous;
     b->longest = 0.1 * ((config->l_d < config->l_q) ? config->l_d : config->l_q) / (config->r_s + config->r_on);
-    b->load = config->load_torque;
+    b->longest = (b->saturates && b->longest > IRON_LONGEST) ? IRON_LONGEST : b->longest;
 }
 
 void bridge_init(bridge_t *bridge, const plant_axis_t *config)
 {
     *bridge = (bridge_t){
         .friction = config->friction,
+        .load = config->load_torque,
         .tau = config->i_settle,
         .theta = config->theta_start,
         .low = -INFINITY,
@@ -133,6 +165,9 @@ double bridge_accept(bridge_t *b, double h, double u_h, const end_t *e)
     b->phase[1] = e->phase[1];
     b->phase[2] = e->phase[2];
     b->begun = false;
+    if (b->saturates) {
+        tune_iron(b);
+    }
     bridge_count_turn(b);
     return charge;
 }
@@ -140,8 +175,13 @@ double bridge_accept(bridge_t *b, double h, double u_h, const end_t *e)
 /* Flux and torque of the present currents. */
 static void flux_follows(bridge_t *b)
 {
-    const double d = b->psi_m + b->l_d * (b->i.alpha * b->cosine + b->i.beta * b->sine);
-    const double q = b->l_q * (b->i.beta * b->cosine - b->i.alpha * b->sine);
+    double d = b->l_d * (b->i.alpha * b->cosine + b->i.beta * b->sine);
+    double q = b->l_q * (b->i.beta * b->cosine - b->i.alpha * b->sine);
+    if (b->saturates) {
+        d = saturation_flux(iron_d(b), d / b->l_d);
+        q = saturation_flux(iron_q(b), q / b->l_q);
+    }
+    d += b->psi_m;
     b->psi.alpha = d * b->cosine - q * b->sine;
     b->psi.beta = d * b->sine + q * b->cosine;
     b->torque = b->k_torque * cross(b->psi, b->i);
@@ -320,6 +360,9 @@ bool bridge_indifferent(bridge_t *b, int k, unsigned gates, double h, double u)
     if (b->dead) {
         return stays_dead(b, opens, gates);
     }
+    if (b->saturates) {
+        return false; /* how far its currents bend is not known beforehand */
+    }
     /* the diode across the other switch conducts, whether its gate is on or off */
     if (((b->gates ^ gates) & (b->positive | b->negative << BRIDGE_LOWER)) != 0u || bridge_is_stale(b, u)) {
         return false;
@@ -356,6 +399,16 @@ void bridge_change(bridge_t *b, const plant_axis_t *config, double r_s)
 {
     set_parameters(b, config, r_s);
     b->inverse = inverse_of(b, b->cosine, b->sine);
+    flux_follows(b);
+    if (b->saturates) {
+        tune_iron(b);
+    }
+    b->begun = false;
+}
+
+void bridge_set_magnet(bridge_t *b, double psi_m)
+{
+    b->psi_m = psi_m;
     flux_follows(b);
     b->begun = false;
 }

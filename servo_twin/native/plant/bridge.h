@@ -28,6 +28,9 @@
  * While nothing unusual happens and no leg touches anything segments are parabolas within a frame (bridge_frame.c), which
  * costs less than a third; whole runs stay within 1e-4 A then, and 1e-3 A with such gates.
  *
+ * Where the iron saturates i is a function of the flux in the rotor frame (saturation.h), which the voltages make without error,
+ * and L^-1 that of small changes; there are no frames then.
+ *
  * Broken wires: the interval of an open leg has no ends, that of a leg on bus minus no width, and two legs that touch go
  * together: the third one's current alone decides on their voltage.
  *
@@ -142,33 +145,35 @@ typedef struct {
     unsigned gates;                      /* that are on: upper ones, and lower ones << BRIDGE_LOWER */
     double load;                         /* [N m] */
     bool locked, unplugged;
-    double low, high;                    /* end stops, inelastic, mechanical [rad] */
-    double reach[3];                     /* of a leg's interval beyond the rails, without end for an open phase [V] */
-    int shorted_leg, shorted_beside;     /* the next two, were no phase open */
-    int grounded;                        /* leg that touches bus minus, -1: none */
-    int alone;                           /* the other two legs touch each other, -1: they do not */
-    bool shorted;                        /* one of the two */
-    unsigned joint;                      /* the two that touch: their own currents tell nothing */
-    unsigned own;                        /* the others, but for a grounded one */
+    bool saturates; /* inv_l_.. are those of small changes then, of the currents where a step begins */
+    double low, high; /* end stops, inelastic, mechanical [rad] */
+    double reach[3]; /* of a leg's interval beyond the rails, without end for an open phase [V] */
+    int shorted_leg, shorted_beside; /* the next two, were no phase open */
+    int grounded; /* leg that touches bus minus, -1: none */
+    int alone; /* the other two legs touch each other, -1: they do not */
+    bool shorted; /* one of the two */
+    unsigned joint; /* the two that touch: their own currents tell nothing */
+    unsigned own; /* the others, but for a grounded one */
     /* parameters */
-    double v_drop;                       /* [V] */
-    double r_s, r_on, r;                 /* winding, switch or diode, their sum [ohm] */
-    double l_d, l_q;
-    double inv_l_mean, inv_l_half;       /* half the sum and half the difference of 1 / L_d and 1 / L_q */
+    double v_drop; /* [V] */
+    double r_s, r_on, r; /* winding, switch or diode, their sum [ohm] */
+    double l_d, l_q; /* without current */
+    double per_s_d, per_s_q; /* where they saturate (saturation.h) [1 / (V s)] */
+    double inv_l_mean, inv_l_half; /* half the sum and half the difference of 1 / L_d and 1 / L_q */
     double psi_m, pole_pairs;
-    double inv_l_most, saliency;         /* the larger of 1 / L_d and 1 / L_q; over the smaller one */
-    double coupling;                     /* of what a phase's slope changes by, how much may be in another one */
-    double k_torque;                     /* 3/2 p */
+    double inv_l_most, saliency; /* the larger of 1 / L_d and 1 / L_q; over the smaller one */
+    double coupling; /* of what a phase's slope changes by, how much may be in another one */
+    double k_torque; /* 3/2 p */
     double inv_inertia;
     double friction, viscous;
-    double longest;                      /* step that the series are good for [s] */
-    double tau;                          /* of the current amplifiers [s] */
+    double longest; /* step that the series are good for [s] */
+    double tau; /* of the current amplifiers [s] */
     double decay_fine[BRIDGE_DECAY], decay_coarse[BRIDGE_DECAY + 1]; /* the last one is 0 */
     /* sums since the beginning */
-    double e_copper, e_switch;           /* [J] */
-    double e_bus;                        /* taken out of the bus [J] */
-    plant_vector_t charge;               /* [A s] */
-    double volt_seconds_0;               /* of the legs' mean [V s] */
+    double e_copper, e_switch; /* [J] */
+    double e_bus; /* taken out of the bus [J] */
+    plant_vector_t charge; /* [A s] */
+    double volt_seconds_0; /* of the legs' mean [V s] */
 } bridge_t;
 
 /* Integrals of the terminals' voltages above the negative rail, while the winding's resistance is constant [V s]. */
@@ -234,6 +239,7 @@ bridge_integral_t bridge_integral(const bridge_t *bridge);
 double bridge_shunt(const bridge_t *bridge, int phase);
 
 void bridge_set_winding(bridge_t *bridge, double r_s); /* as the copper warms up */
+void bridge_set_magnet(bridge_t *bridge, double psi_m); /* the same of the magnet; settled before */
 void bridge_plug(bridge_t *bridge, bool plugged);
 
 /* The wire of a phase breaks, or is mended. */

@@ -78,7 +78,7 @@ PLANT_WIDE bool bridge_frame(bridge_t *b, double u)
 {
     b->u = u;
     const bool standing = stands(b);
-    if (b->locked || b->held || b->unplugged || b->shorted || !(standing || runs_freely(b))) {
+    if (b->saturates || b->locked || b->held || b->unplugged || b->shorted || !(standing || runs_freely(b))) {
         return false;
     }
     const double w = b->pole_pairs * b->omega;

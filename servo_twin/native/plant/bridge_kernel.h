@@ -69,10 +69,20 @@ static inline bridge_matrix_t inverse_of(const bridge_t *b, double c, double s)
     return (bridge_matrix_t){b->inv_l_mean + along, 2.0 * b->inv_l_half * c * s, b->inv_l_mean - along};
 }
 
+static inline saturation_t iron_d(const bridge_t *b) { return (saturation_t){b->l_d, b->per_s_d}; }
+
+static inline saturation_t iron_q(const bridge_t *b) { return (saturation_t){b->l_q, b->per_s_q}; }
+
+/* bridge.c: currents of saturated iron. */
+plant_vector_t bridge_iron_current(const bridge_t *bridge, plant_vector_t psi, double c, double s);
+
 /* Currents that belong to a flux at the rotor angle of cosine and sine. */
 static inline plant_vector_t current_of(const bridge_t *b, bridge_matrix_t inverse, plant_vector_t psi, double c,
                                         double s)
 {
+    if (b->saturates) {
+        return bridge_iron_current(b, psi, c, s);
+    }
     return times(inverse, (plant_vector_t){psi.alpha - b->psi_m * c, psi.beta - b->psi_m * s});
 }
 

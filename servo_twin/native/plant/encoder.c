@@ -3,17 +3,21 @@
 #include <math.h>
 #include <stddef.h>
 
-#include "plant/trig.h"
-
 #define COMPARE_UP UINT16_C(3999)
 #define COMPARE_DOWN UINT16_C(0xF061) /* -3999 */
 #define AGE_OVERFLOW UINT32_C(0x10000)
 
 static int64_t edges_at(const plant_encoder_t *encoder, double theta)
 {
-    const double x = theta * encoder->edges_per_rad;
+    const double x = plant_encoder_disc(encoder, theta) * encoder->edges_per_rad;
     const int64_t whole = (int64_t)x;
     return whole - ((double)whole > x) + encoder->slipped; /* round down */
+}
+
+void plant_encoder_change(plant_encoder_t *encoder, const plant_axis_t *config)
+{
+    encoder->eccentricity = config->disc_eccentricity;
+    encoder->phase = config->disc_phase;
 }
 
 void plant_encoder_init(plant_encoder_t *encoder, const plant_axis_t *config)
@@ -22,6 +26,7 @@ void plant_encoder_init(plant_encoder_t *encoder, const plant_axis_t *config)
         .edges_per_rad = config->encoder_lines * (4.0 / (2.0 * PLANT_PI)),
         .alive = {true, true},
     };
+    plant_encoder_change(encoder, config);
     encoder->edge = edges_at(encoder, config->theta_start);
 }
 
@@ -76,10 +81,28 @@ static void latch_at(plant_encoder_t *encoder, uint64_t time_ns)
     encoder->latched = true;
 }
 
+/* How the disc moves with the shaft. */
+static plant_movement_t seen_from_disc(const plant_encoder_t *encoder, const plant_movement_t *movement)
+{
+    plant_movement_t disc = *movement;
+    if (encoder->eccentricity > 0.0) {
+        double sine;
+        double cosine[2];
+        plant_sincos(movement->theta_0 + encoder->phase, &sine, &cosine[0]);
+        plant_sincos(movement->theta_1 + encoder->phase, &sine, &cosine[1]);
+        disc.theta_0 = plant_encoder_disc(encoder, movement->theta_0);
+        disc.theta_1 = plant_encoder_disc(encoder, movement->theta_1);
+        disc.omega_0 += encoder->eccentricity * cosine[0] * movement->omega_0;
+        disc.omega_1 += encoder->eccentricity * cosine[1] * movement->omega_1;
+    }
+    return disc;
+}
+
 static void latch(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns, int64_t number)
 {
     const double theta = (double)(number - encoder->slipped) / encoder->edges_per_rad;
-    const double t = movement->start_ns + time_to(movement, theta);
+    const plant_movement_t disc = seen_from_disc(encoder, movement);
+    const double t = movement->start_ns + time_to(&disc, theta);
     latch_at(encoder, reference_ns + (uint64_t)t);
 }
 

@@ -17,13 +17,16 @@
 #include <stdint.h>
 
 #include "board.h"
+#include "plant/trig.h"
 
 #define PLANT_ENCODER_TICK_NS UINT64_C(1280) /* bus clock / 128 at 100 MHz: 781.25 kHz */
 
 typedef enum { PLANT_LINE_A, PLANT_LINE_B, PLANT_ENCODER_LINES } plant_line_t;
 
+/* The disc may be off the shaft's centre, which then turns by theta + a sin(theta + phase), a < 1: edges keep their order. */
 typedef struct {
     double edges_per_rad; /* negative: A and B are swapped */
+    double eccentricity, phase; /* of the disc: a, phase [rad] */
     bool alive[PLANT_ENCODER_LINES]; /* lines that still switch */
     bool stuck[PLANT_ENCODER_LINES]; /* level of one that does not */
     int64_t edge;        /* edges passed since angle 0 */
@@ -47,10 +50,26 @@ typedef struct {
 
 void plant_encoder_init(plant_encoder_t *encoder, const plant_axis_t *config);
 
+/* The disc is off its centre by another amount; its edges pass with the next movement. */
+void plant_encoder_change(plant_encoder_t *encoder, const plant_axis_t *config);
+
+/* Where the disc is with the shaft at `theta`. */
+static inline double plant_encoder_disc(const plant_encoder_t *encoder, double theta)
+{
+    if (encoder->eccentricity > 0.0) {
+        double sine;
+        double cosine;
+        plant_sincos(theta + encoder->phase, &sine, &cosine);
+        return theta + encoder->eccentricity * sine;
+    }
+    return theta;
+}
+
 /* True if the shaft at `theta` is past an edge that has not been counted yet. */
 static inline bool plant_encoder_leaves(const plant_encoder_t *encoder, double theta)
 {
-    const double x = theta * encoder->edges_per_rad - (double)(encoder->edge - encoder->slipped);
+    const double x =
+        plant_encoder_disc(encoder, theta) * encoder->edges_per_rad - (double)(encoder->edge - encoder->slipped);
     return x < 0.0 || x >= 1.0;
 }
 

@@ -23,6 +23,23 @@ static void refresh(plant_motor_t *motor)
     plant_motor_count_step(motor);
 }
 
+/* Inductances at these currents, with the fluxes that belong to them. */
+static void set_inductances(plant_motor_t *m, double flux_d, double flux_q)
+{
+    m->l_d = (m->i_d != 0.0) ? flux_d / m->i_d : m->iron_d.l;
+    m->l_q = (m->i_q != 0.0) ? flux_q / m->i_q : m->iron_q.l;
+    m->inv_l_d = 1.0 / saturation_inductance(m->iron_d, flux_d);
+    m->inv_l_q = 1.0 / saturation_inductance(m->iron_q, flux_q);
+    m->torque_l = 1.5 * m->pole_pairs * (m->l_d - m->l_q);
+}
+
+static void saturate(plant_motor_t *m)
+{
+    if (m->saturates) {
+        set_inductances(m, saturation_flux(m->iron_d, m->i_d), saturation_flux(m->iron_q, m->i_q));
+    }
+}
+
 void plant_motor_change(plant_motor_t *motor, const plant_axis_t *config)
 {
     motor->r = config->r_s + config->r_on;
@@ -37,6 +54,18 @@ void plant_motor_change(plant_motor_t *motor, const plant_axis_t *config)
     motor->viscous = config->viscous;
     motor->torque_psi = 1.5 * config->pole_pairs * config->psi_m;
     motor->torque_l = 1.5 * config->pole_pairs * (config->l_d - config->l_q);
+    motor->iron_d = saturation_of(config->l_d, config->i_saturation_d);
+    motor->iron_q = saturation_of(config->l_q, config->i_saturation_q);
+    motor->saturates = config->i_saturation_d > 0.0 || config->i_saturation_q > 0.0;
+    saturate(motor);
+}
+
+void plant_motor_warm(plant_motor_t *motor, double r_s, double r_on, double psi_m)
+{
+    motor->r = r_s + r_on;
+    motor->inv_r = 1.0 / motor->r;
+    motor->psi_m = psi_m;
+    motor->torque_psi = 1.5 * motor->pole_pairs * psi_m;
 }
 
 void plant_motor_init(plant_motor_t *motor, const plant_axis_t *config)
@@ -59,9 +88,62 @@ static single_vector_t seen_from_rotor(const plant_motor_t *m, plant_vector_t u)
     return v;
 }
 
+/* State of a motor whose iron saturates, or the rates of it: fluxes of the currents, speed, angle. */
+typedef struct {
+    double flux_d, flux_q, omega, way;
+} iron_state_t;
+
+static iron_state_t iron_sum(iron_state_t x, double h, iron_state_t rate)
+{
+    return (iron_state_t){x.flux_d + h * rate.flux_d, x.flux_q + h * rate.flux_q, x.omega + h * rate.omega,
+                          x.way + h * rate.way};
+}
+
+/* Rates under the voltage u, seen from the rotor at the beginning. */
+static iron_state_t iron_rate(const plant_motor_t *m, single_vector_t u, double direction, iron_state_t x)
+{
+    const single_vector_t v = single_turned_back(u, single_small_angle(m->pole_pairs * x.way));
+    const double i_d = saturation_current(m->iron_d, x.flux_d);
+    const double i_q = saturation_current(m->iron_q, x.flux_q);
+    const double w = m->pole_pairs * x.omega;
+    const double psi_d = m->psi_m + x.flux_d;
+    const double torque = 1.5 * m->pole_pairs * (psi_d * i_q - x.flux_q * i_d);
+    const double drag = m->load + direction * m->friction + m->viscous * x.omega;
+    return (iron_state_t){v.alpha - m->r * i_d + w * x.flux_q, v.beta - m->r * i_q - w * psi_d,
+                          direction * direction * (torque - drag) * m->inv_inertia, x.omega};
+}
+
+/* Runge-Kutta 4 of the fluxes; `direction` 0: the shaft stands. */
+static void turn_iron(plant_motor_t *m, plant_vector_t u, double h, double direction)
+{
+    const single_vector_t v = seen_from_rotor(m, u);
+    const iron_state_t x = {saturation_flux(m->iron_d, m->i_d), saturation_flux(m->iron_q, m->i_q),
+                            (direction != 0.0) ? m->omega : 0.0, 0.0};
+    const iron_state_t k1 = iron_rate(m, v, direction, x);
+    const iron_state_t k2 = iron_rate(m, v, direction, iron_sum(x, 0.5 * h, k1));
+    const iron_state_t k3 = iron_rate(m, v, direction, iron_sum(x, 0.5 * h, k2));
+    const iron_state_t k4 = iron_rate(m, v, direction, iron_sum(x, h, k3));
+    const iron_state_t middle = iron_sum(k2, 1.0, k3);
+    const iron_state_t mean = iron_sum(iron_sum(k1, 1.0, k4), 2.0, middle);
+    const iron_state_t end = iron_sum(x, h * (1.0 / 6.0), mean);
+    const single_vector_t e = single_small_angle(m->pole_pairs * end.way);
+    const double cosine = m->cosine;
+    m->cosine = cosine * e.alpha - m->sine * e.beta;
+    m->sine = m->sine * e.alpha + cosine * e.beta;
+    m->theta += end.way;
+    m->omega = end.omega;
+    m->i_d = saturation_current(m->iron_d, end.flux_d);
+    m->i_q = saturation_current(m->iron_q, end.flux_q);
+    set_inductances(m, end.flux_d, end.flux_q);
+}
+
 /* The turning motor, friction against `direction`. */
 static void turn(plant_motor_t *m, plant_vector_t u, double h, double direction)
 {
+    if (m->saturates) {
+        turn_iron(m, u, h, direction);
+        return;
+    }
     const double per_l_d = 0.5 * h * m->inv_l_d;
     const double per_l_q = 0.5 * h * m->inv_l_q;
     const double per_j = 0.5 * h * m->inv_inertia;
@@ -98,6 +180,10 @@ static double relax(double i, double i_end, double x)
 
 static void stand(plant_motor_t *m, plant_vector_t u, double h)
 {
+    if (m->saturates) {
+        turn_iron(m, u, h, 0.0);
+        return;
+    }
     const single_vector_t v = seen_from_rotor(m, u);
     m->i_d = relax(m->i_d, v.alpha * m->inv_r, h * m->r * m->inv_l_d);
     m->i_q = relax(m->i_q, v.beta * m->inv_r, h * m->r * m->inv_l_q);
@@ -222,6 +308,7 @@ void plant_motor_set_phases(plant_motor_t *motor, double i_a, double i_b)
     motor->phase[0] = abc[0];
     motor->phase[1] = abc[1];
     motor->phase[2] = abc[2];
+    saturate(motor);
 }
 
 void plant_motor_lock(plant_motor_t *motor, bool locked)

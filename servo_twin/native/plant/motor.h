@@ -6,6 +6,7 @@
  *   T_e = 3/2 p (psi_d i_q - psi_q i_d),  psi_d = psi_m + L_d i_d,  psi_q = L_q i_q
  *   J d(w_m)/dt = T_e - T_load - B w_m - T_friction
  * T_friction is Coulomb's: against the motion while it lasts; at standstill whatever holds the shaft, up to its limit.
+ * Where the iron saturates (saturation.h) the fluxes are integrated, of which the currents are functions.
  */
 #ifndef PLANT_MOTOR_H
 #define PLANT_MOTOR_H
@@ -13,6 +14,7 @@
 #include <stdbool.h>
 
 #include "board.h"
+#include "plant/saturation.h"
 
 /* Slower is standing: otherwise a stop could come after no time at all [rad/s]. */
 #define PLANT_STANDING 1e-9
@@ -24,8 +26,8 @@ typedef struct {
     /* parameters */
     double r;            /* stator and the switch in series with it [ohm] */
     double inv_r;        /* [S] */
-    double l_d, l_q;     /* [H] */
-    double inv_l_d, inv_l_q;
+    double l_d, l_q;     /* flux over current [H] */
+    double inv_l_d, inv_l_q; /* for small changes */
     double psi_m;        /* [V s] */
     double pole_pairs;
     double inv_inertia;  /* [1 / (kg m^2)] */
@@ -38,6 +40,9 @@ typedef struct {
     bool locked;         /* shaft held fast */
     double low, high;    /* end stops, inelastic, mechanical [rad] */
     bool obstructed;     /* there are some */
+    bool apart;          /* takes steps of its own (shaft.h) */
+    bool saturates;
+    saturation_t iron_d, iron_q;
     /* state */
     double i_d, i_q;     /* [A] */
     double omega;        /* mechanical [rad/s] */
@@ -57,6 +62,9 @@ void plant_motor_init(plant_motor_t *motor, const plant_axis_t *config);
 
 /* Other parameters from now on, the friction not: that is the shaft's together with its brake. */
 void plant_motor_change(plant_motor_t *motor, const plant_axis_t *config);
+
+/* Resistance of the winding and flux of the magnet, as they warm up [ohm], [V s]. */
+void plant_motor_warm(plant_motor_t *motor, double r_s, double r_on, double psi_m);
 
 /* One Runge-Kutta step of at most `dt` [s] with all windings connected. Ends early where the shaft comes to a stop, so
  * that friction can be decided anew; returns the time that has passed (> 0). */

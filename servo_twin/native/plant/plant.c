@@ -2,6 +2,12 @@
 
 static inline plant_lane_t lane_of(plant_drive_t *axis) { return (plant_lane_t){&axis->inverter, &axis->motor}; }
 
+static void pair_up(plant_t *plant)
+{
+    const plant_lane_t lane[2] = {lane_of(&plant->axis[0]), lane_of(&plant->axis[1])};
+    plant_pair_init(&plant->pair, lane, plant->step);
+}
+
 void plant_init(plant_t *plant, const board_config_t *config)
 {
     *plant = (plant_t){.u_noise = config->bus.u_noise, .u_noise_whole = config->bus.u_noise};
@@ -23,8 +29,34 @@ void plant_init(plant_t *plant, const board_config_t *config)
         thermal_init(&axis->sink, config->axis[i].sink_capacity, config->axis[i].sink_resistance, config->ambient);
         thermal_init(&axis->winding, config->axis[i].winding_capacity, config->axis[i].winding_resistance,
                      config->ambient);
+        axis->t_magnet = config->ambient;
     }
     plant_change(plant, config);
+}
+
+/* On the second mass, where there is one. */
+static void set_load(plant_drive_t *axis, double torque)
+{
+    axis->shaft.load = torque;
+    axis->stop.load = axis->shaft.two_masses ? 0.0 : torque;
+    axis->motor.load = axis->stop.load; /* the next step adds what stops, shaft and cogging take */
+}
+
+double plant_resistance(const plant_drive_t *axis)
+{
+    return axis->config.winding_warms > 0.0 ? axis->config.r_s * thermal_copper(&axis->winding) : axis->config.r_s;
+}
+
+/* Resistance and flux at the present temperatures. Returns false where they never change. */
+static bool follow_heat(plant_drive_t *axis)
+{
+    const plant_axis_t *c = &axis->config;
+    if (c->winding_warms <= 0.0 && c->magnet_coefficient == 0.0) {
+        return false;
+    }
+    const double psi_m = c->psi_m * (1.0 + c->magnet_coefficient * (axis->t_magnet - axis->winding.ambient));
+    plant_motor_warm(&axis->motor, plant_resistance(axis), c->r_on, psi_m);
+    return true;
 }
 
 static void change_axis(plant_drive_t *axis, const plant_axis_t *config, double pwm_frequency, double step)
@@ -36,11 +68,16 @@ static void change_axis(plant_drive_t *axis, const plant_axis_t *config, double 
     plant_motor_change(&axis->motor, config);
     plant_pins_change(&axis->pins, config);
     axis->motor.friction = plant_pins_friction(&axis->pins);
-    axis->stop = end_stop_of(config, step);
-    axis->motor.load = config->load_torque; /* the next step adds what a stop takes */
+    const double part = step / PLANT_SHAFT_STEPS;
+    shaft_change(&axis->shaft, config, axis->motor.theta, axis->motor.omega);
+    axis->motor.apart = axis->shaft.fine;
+    axis->stop = end_stop_of(config, axis->shaft.fine ? part : step);
+    set_load(axis, config->load_torque);
+    plant_encoder_change(&axis->encoder, config);
     axis->codes_per_ampere = 2048.0 / config->i_full_scale;
     thermal_change(&axis->sink, config->sink_capacity, config->sink_resistance);
     thermal_change(&axis->winding, config->winding_capacity, config->winding_resistance);
+    follow_heat(axis);
 }
 
 void plant_change(plant_t *plant, const board_config_t *config)
@@ -52,19 +89,17 @@ void plant_change(plant_t *plant, const board_config_t *config)
     plant->codes_per_volt = 4096.0 / config->bus.u_full_scale;
     supply_change(&plant->bus, &config->bus);
     plant->bus_step = supply_step_of(&plant->bus, plant->step);
-    const plant_lane_t lane[2] = {lane_of(&plant->axis[0]), lane_of(&plant->axis[1])};
-    plant_pair_init(&plant->pair, lane, plant->step);
+    pair_up(plant);
 }
 
-/* Returns the charge drawn from the bus [A s]. */
-static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, uint64_t step_ns)
+/* Part of a step of the plant, from `start` [ns] on. Returns the charge drawn from the bus [A s]. */
+static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, double start, double step)
 {
     plant_motor_t *motor = &axis->motor;
-    const double step = (double)step_ns;
     double done = 0.0; /* [ns] */
     double charge = 0.0;
     while (done < step) {
-        plant_movement_t movement = {.theta_0 = motor->theta, .omega_0 = motor->omega, .start_ns = done};
+        plant_movement_t movement = {.theta_0 = motor->theta, .omega_0 = motor->omega, .start_ns = start + done};
         const double rest = step - done;
         const double used = 1e9 * plant_inverter_step(&axis->inverter, motor, u_dc, 1e-9 * rest, &charge);
         movement.duration_ns = used;
@@ -75,6 +110,20 @@ static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, uint6
         }
         /* less than a nanosecond left is only the rounding of the units */
         done = (rest - used < 0.5) ? step : done + used;
+    }
+    return charge;
+}
+
+/* The same for all of a step in parts, each with the torque that shaft, cogging and end stops have in its middle. */
+static double fine_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, double step)
+{
+    const double part = step / PLANT_SHAFT_STEPS;
+    double charge = 0.0;
+    for (int n = 0; n < PLANT_SHAFT_STEPS; n++) {
+        plant_motor_t *motor = &axis->motor;
+        motor->load = end_stop_load(&axis->stop, motor->theta, motor->omega) +
+                      shaft_step(&axis->shaft, motor->theta, motor->omega, 1e-9 * part);
+        charge += axis_step(axis, u_dc, now_ns, n * part, part);
     }
     return charge;
 }
@@ -93,6 +142,7 @@ static void glitch(plant_drive_t *axis, double step, uint64_t now_ns)
 static void warm_up(plant_t *plant)
 {
     const double h = plant->step * PLANT_STEPS_PER_WARMTH;
+    bool warmer = false;
     for (int i = 0; i < BOARD_AXES; i++) {
         plant_drive_t *axis = &plant->axis[i];
         if (!axis->harm.heated) {
@@ -103,6 +153,11 @@ static void warm_up(plant_t *plant)
         const double loss =
             1.5 * axis->config.r_s * thermal_copper(&axis->winding) * (m->i_d * m->i_d + m->i_q * m->i_q);
         thermal_advance(&axis->winding, h, loss * h);
+        axis->t_magnet = thermal_magnet(axis->t_magnet, axis->winding.t, h, axis->config.magnet_time);
+        warmer = follow_heat(axis) || warmer;
+    }
+    if (warmer) {
+        pair_up(plant);
     }
     supply_warm(&plant->bus, h);
 }
@@ -124,7 +179,8 @@ void plant_step(plant_t *plant, uint64_t now_ns)
     for (int i = 0; i < BOARD_AXES; i++) {
         plant_drive_t *axis = &drive[i];
         if ((taken & (1u << i)) == 0u) {
-            charge += axis_step(axis, plant->bus.u, now_ns, plant->step_ns);
+            charge += axis->shaft.fine ? fine_step(axis, plant->bus.u, now_ns, (double)plant->step_ns)
+                                       : axis_step(axis, plant->bus.u, now_ns, 0.0, (double)plant->step_ns);
         } else if (plant_encoder_leaves(&axis->encoder, axis->motor.theta)) {
             if (axis->encoder.armed) {
                 const plant_movement_t movement = {
@@ -146,11 +202,7 @@ void plant_step(plant_t *plant, uint64_t now_ns)
     }
 }
 
-void plant_set_load(plant_t *plant, int axis, double torque)
-{
-    plant->axis[axis].stop.load = torque;
-    plant->axis[axis].motor.load = torque; /* the next step adds what a stop takes */
-}
+void plant_set_load(plant_t *plant, int axis, double torque) { set_load(&plant->axis[axis], torque); }
 
 void plant_voltages(const plant_t *plant, int axis, double voltage[3])
 {

@@ -14,22 +14,26 @@
 #include "plant/pair.h"
 #include "plant/pins.h"
 #include "plant/sensors.h"
+#include "plant/shaft.h"
 #include "plant/supply.h"
 #include "plant/thermal.h"
 
 #define PLANT_STEPS_PER_WARMTH 32u /* steps per step of the temperatures */
+#define PLANT_SHAFT_STEPS 4 /* parts of a step, where a shaft takes shorter ones: 7.8 us at 16 kHz */
 
 typedef struct {
     plant_axis_t config;
     plant_inverter_t inverter;
     plant_motor_t motor;
     end_stop_t stop;
+    shaft_t shaft;
     plant_encoder_t encoder;
     plant_random_t noise;
     double codes_per_ampere;
     plant_harm_t harm;
     thermal_t sink;        /* heatsink of the inverter */
-    thermal_t winding; /* its resistance grows in its losses only: the averaged motor keeps that of the ambient air */
+    thermal_t winding; /* its resistance grows in its losses; in the motor if the configuration says so */
+    double t_magnet; /* [deg C] */
     plant_pins_t pins;
 } plant_drive_t;
 
@@ -54,6 +58,9 @@ void plant_step(plant_t *plant, uint64_t now_ns);
 
 /* Other values from now on, as board_change_plant. */
 void plant_change(plant_t *plant, const board_config_t *config);
+
+/* Resistance of the winding, as the motor has it now [ohm]. */
+double plant_resistance(const plant_drive_t *axis);
 
 /* External torque [N m], as board_set_load. */
 void plant_set_load(plant_t *plant, int axis, double torque);

@@ -18,13 +18,35 @@ static double spread(uint64_t bits)
     return (double)sum * (2.449489742783178 / 65535.0);
 }
 
+static double disc_of(const quadrature_t *q, double theta)
+{
+    double sine;
+    double cosine;
+    plant_sincos(theta + q->phase, &sine, &cosine);
+    return theta + q->eccentricity * sine;
+}
+
+/* Angle of the shaft where its disc is at `disc`, by Newton's method. */
+static double shaft_of(const quadrature_t *q, double disc)
+{
+    double theta = disc;
+    double sine;
+    double cosine;
+    for (int n = 0; n < 6; n++) {
+        plant_sincos(theta + q->phase, &sine, &cosine);
+        theta -= (theta + q->eccentricity * sine - disc) / (1.0 + q->eccentricity * cosine);
+    }
+    return theta;
+}
+
 /* Where the next edge in a direction is this time. */
 static inline double draw(quadrature_t *q, bool upwards)
 {
     const int64_t n = q->position + upwards;
     static const double late[2] = {1.0, -1.0}; /* a table, as no processor can guess which */
     const double shift = late[rises(n)] * q->early + q->jitter * spread(plant_random_bits(&q->random));
-    return ((double)(n - q->slipped) + shift) * q->pitch + (upwards ? 0.5 : -0.5) * q->hysteresis;
+    const double disc = ((double)(n - q->slipped) + shift) * q->pitch + (upwards ? 0.5 : -0.5) * q->hysteresis;
+    return (q->eccentricity > 0.0) ? shaft_of(q, disc) : disc;
 }
 
 static double limit(double error)
@@ -41,7 +63,9 @@ void quadrature_init(quadrature_t *q, const plant_axis_t *config, uint64_t seed,
     };
     q->hysteresis = config->encoder_hysteresis * q->pitch;
     plant_random_init(&q->random, seed, stream);
-    const double x = config->theta_start / q->pitch;
+    q->eccentricity = config->disc_eccentricity;
+    q->phase = config->disc_phase;
+    const double x = disc_of(q, config->theta_start) / q->pitch;
     q->position = (int64_t)x - ((double)(int64_t)x > x);
     q->upwards = true;
     q->edge[0] = draw(q, false);
@@ -50,6 +74,22 @@ void quadrature_init(quadrature_t *q, const plant_axis_t *config, uint64_t seed,
     for (int64_t n = q->position - 1; n <= q->position; n++) {
         q->level[(n & 1) == 0] = rises(n);
     }
+}
+
+int32_t quadrature_change(quadrature_t *q, const plant_axis_t *config, double theta)
+{
+    if (q->eccentricity == config->disc_eccentricity && q->phase == config->disc_phase) {
+        return 0;
+    }
+    const double before = disc_of(q, theta);
+    q->eccentricity = config->disc_eccentricity;
+    q->phase = config->disc_phase;
+    const double edges = (disc_of(q, theta) - before) / q->pitch;
+    const int32_t jump = (int32_t)(edges + ((edges < 0.0) ? -0.5 : 0.5));
+    q->slipped -= jump;
+    q->edge[0] = draw(q, false);
+    q->edge[1] = draw(q, true);
+    return jump;
 }
 
 quadrature_edge_t quadrature_pass(quadrature_t *q)

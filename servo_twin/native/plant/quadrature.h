@@ -24,6 +24,7 @@ typedef struct {
     double jitter;      /* standard deviation of an edge [pitches] */
     double early;       /* of a rising edge, and delay of a falling one [pitches] */
     double hysteresis;  /* [rad] */
+    double eccentricity, phase; /* of the disc, as encoder.h has it [rad] */
     int64_t position;   /* edges passed since angle 0 */
     int64_t slipped;    /* of these by the disc alone */
     bool upwards;       /* direction in which the shaft moves, or has moved last */
@@ -43,6 +44,10 @@ typedef struct {
 } quadrature_edge_t;
 
 void quadrature_init(quadrature_t *encoder, const plant_axis_t *config, uint64_t seed, uint64_t stream);
+
+/* The disc is off its centre by another amount, the shaft at `theta`: returns how many edges it has jumped, which are still to
+ * pass by quadrature_slip. */
+int32_t quadrature_change(quadrature_t *encoder, const plant_axis_t *config, double theta);
 
 /* Angle of the next edge in the direction of motion [rad]. */
 static inline double quadrature_target(const quadrature_t *encoder) { return encoder->edge[encoder->upwards]; }

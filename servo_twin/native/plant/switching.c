@@ -7,6 +7,7 @@
 #include "plant/trig.h"
 
 #define CLOCK (1.0 / SWITCHING_CLOCK_HZ) /* [s] */
+#define SHAFT (SWITCHING_SHAFT * CLOCK) /* [s] */
 #define NEVER UINT64_MAX
 #define SPREAD 4u /* edges by which jitter, duty error and hysteresis may add to the way of the shaft */
 /* Edges are looked for as far ahead as a frame may last [s]. */
@@ -15,7 +16,18 @@
 #define GLITCH 100u /* a disturbance of an encoder line lasts so long [clocks] */
 #define SLIP 100u /* from edge to edge of a disc that slips [clocks] */
 
+static void find_rare(switching_t *plant);
+
 static double seconds(uint64_t from, uint64_t to) { return (double)(int64_t)(to - from) * CLOCK; }
+
+/* On the second mass, where there is one; the next step adds what stops, shaft and cogging take. */
+static void set_load(switching_t *plant, int i, double torque)
+{
+    shaft_t *shaft = &plant->shaft[i];
+    shaft->load = plant->given[i].load_torque = torque;
+    plant->stop[i].load = shaft->two_masses ? 0.0 : torque;
+    plant->axis[i].bridge.load = plant->stop[i].load + (shaft->two_masses ? shaft->torque : 0.0);
+}
 
 /* What the configuration says of the sensors, the switches and the end stops of an axis. */
 static void set_axis(switching_t *plant, int i, const board_config_t *config)
@@ -24,7 +36,9 @@ static void set_axis(switching_t *plant, int i, const board_config_t *config)
     switching_axis_t *axis = &plant->axis[i];
     const double l = (c->l_d < c->l_q) ? c->l_d : c->l_q;
     plant->given[i] = *c;
-    plant->stop[i] = end_stop_of(c, 1.0 / config->pwm_frequency);
+    shaft_change(&plant->shaft[i], c, axis->bridge.theta, axis->bridge.omega);
+    plant->stop[i] = end_stop_of(c, plant->shaft[i].fine ? SHAFT : 1.0 / config->pwm_frequency);
+    set_load(plant, i, c->load_torque);
     axis->dead_time_min = (uint64_t)(c->dead_time_min * SWITCHING_CLOCK_HZ + 0.5);
     axis->i_break = c->i_break;
     axis->square_break = c->i_break * c->i_break;
@@ -51,6 +65,7 @@ void switching_init(switching_t *plant, const board_config_t *config)
     plant->window = (uint64_t)(SWITCHING_CLOCK_HZ / config->pwm_frequency + 0.5);
     plant->window_clock = plant->window;
     plant->rare_clock = plant->window;
+    plant->shaft_clock = NEVER;
     for (int i = 0; i < BOARD_AXES; i++) {
         const plant_axis_t *c = &config->axis[i];
         switching_axis_t *axis = &plant->axis[i];
@@ -68,7 +83,9 @@ void switching_init(switching_t *plant, const board_config_t *config)
         axis->slip_clock = NEVER;
         axis->shown_clock = NEVER;
         axis->i_noise = c->i_noise;
+        plant->t_magnet[i] = config->ambient;
     }
+    find_rare(plant);
 }
 
 /* ---- events ------------------------------------------------------------------------------------------------------- */
@@ -160,6 +177,12 @@ static inline void find_next_of_all(switching_t *plant)
 static void find_rare(switching_t *plant)
 {
     plant->rare_clock = plant->window_clock;
+    if (!plant->shaft[0].fine && !plant->shaft[1].fine) {
+        plant->shaft_clock = NEVER;
+    } else if (plant->shaft_clock == NEVER) {
+        plant->shaft_clock = plant->now + 1u;
+    }
+    plant->rare_clock = earlier(plant->rare_clock, plant->shaft_clock);
     for (int i = 0; i < BOARD_AXES; i++) {
         if (plant->axis[i].short_clock > plant->now) {
             plant->rare_clock = earlier(plant->rare_clock, plant->axis[i].short_clock);
@@ -305,6 +328,13 @@ static void advance_axis(switching_t *plant, int i)
     }
 }
 
+/* Flux of the magnet as warm as it is. */
+static double magnet(const switching_t *plant, int i)
+{
+    const plant_axis_t *c = &plant->given[i];
+    return c->psi_m * (1.0 + c->magnet_coefficient * (plant->t_magnet[i] - plant->axis[i].winding.ambient));
+}
+
 static void warm_up(switching_t *plant)
 {
     const double h = (double)(THERMAL_WINDOWS * plant->window) * CLOCK;
@@ -320,19 +350,39 @@ static void warm_up(switching_t *plant)
         axis->e_copper = b->e_copper;
         axis->e_switch = b->e_switch;
         bridge_set_winding(b, axis->r_s * thermal_copper(&axis->winding));
+        plant->t_magnet[i] = thermal_magnet(plant->t_magnet[i], axis->winding.t, h, plant->given[i].magnet_time);
+        if (plant->given[i].magnet_coefficient != 0.0) {
+            bridge_set_magnet(b, magnet(plant, i));
+            b->moved = true;
+        }
     }
     supply_warm(&plant->supply, h);
 }
 
-/* What the end stops do to a shaft until the next time. */
+/* What end stops, shaft and cogging do to a rotor until the next time. */
 static void push_back(switching_t *plant, int i)
 {
     bridge_t *b = &plant->axis[i].bridge;
     bridge_settle(b);
     b->load = end_stop_load(&plant->stop[i], b->theta, b->omega);
+    if (plant->shaft[i].fine) {
+        b->load += shaft_step(&plant->shaft[i], b->theta, b->omega, SHAFT);
+    }
     b->begun = false;
     b->moved = true;
     plant->stale = true;
+}
+
+/* The next step of the shafts that take short ones. */
+static void step_shafts(switching_t *plant)
+{
+    for (int i = 0; i < BOARD_AXES; i++) {
+        if (plant->shaft[i].fine) {
+            advance_axis(plant, i);
+            push_back(plant, i);
+        }
+    }
+    plant->shaft_clock += SWITCHING_SHAFT;
 }
 
 /* Whoever looks at the means must not change what comes after: the plant itself stops for them, always at these clocks. */
@@ -346,7 +396,7 @@ static void end_window(switching_t *plant)
         for (int k = 0; k < 3; k++) {
             axis->voltage[k] = (now.volts[k] - axis->window.volts[k]) * per_h;
         }
-        if (plant->stop[i].stiffness > 0.0) {
+        if (plant->stop[i].stiffness > 0.0 && !plant->shaft[i].fine) {
             push_back(plant, i);
         }
     }
@@ -445,6 +495,9 @@ static void happen_rarely(switching_t *plant)
     }
     if (plant->window_clock == plant->now) {
         end_window(plant);
+    }
+    if (plant->shaft_clock == plant->now) {
+        step_shafts(plant);
     }
     find_rare(plant);
 }
@@ -667,12 +720,23 @@ void switching_truth(const switching_t *plant, int i, switching_truth_t *truth)
     switching_look_around(&copy);
     const switching_axis_t *axis = &copy.axis[i];
     const bridge_t *b = &axis->bridge;
+    const shaft_t *shaft = &copy.shaft[i];
+    const bool two = shaft->two_masses;
+    const double rest = two ? seconds(copy.now, copy.shaft_clock) : 0.0;
     *truth = (switching_truth_t){
         .theta = b->theta,
         .omega = b->omega,
         .i_d = b->i.alpha * b->cosine + b->i.beta * b->sine,
         .i_q = b->i.beta * b->cosine - b->i.alpha * b->sine,
         .torque = b->torque,
+        .theta_load = two ? shaft->theta - rest * (shaft->omega - 0.5 * rest * shaft->accel) : b->theta,
+        .omega_load = two ? shaft->omega - rest * shaft->accel : b->omega,
+        .torque_shaft = two ? shaft->torque : 0.0,
+        .t_magnet = copy.t_magnet[i],
+        .r_s = b->r_s,
+        .psi_m = b->psi_m,
+        .l_d = 1.0 / (b->inv_l_mean + b->inv_l_half),
+        .l_q = 1.0 / (b->inv_l_mean - b->inv_l_half),
         .t_winding = axis->winding.t,
         .t_sink = axis->sink.t,
         .e_bus = b->e_bus,
@@ -714,6 +778,14 @@ static bridge_t *touch(switching_t *plant, int i)
     return bridge;
 }
 
+/* The disc turns by so many edges, one after another; whoever calls looks for the next rare event. */
+static void turn_disc(switching_t *plant, int i, int32_t edges)
+{
+    switching_axis_t *axis = &plant->axis[i];
+    axis->slip += edges;
+    axis->slip_clock = (axis->slip != 0) ? plant->now + SLIP : NEVER;
+}
+
 static void change_axis(switching_t *plant, int i, const board_config_t *config)
 {
     const plant_axis_t *c = &config->axis[i];
@@ -725,6 +797,10 @@ static void change_axis(switching_t *plant, int i, const board_config_t *config)
     thermal_change(&axis->sink, c->sink_capacity, c->sink_resistance);
     set_axis(plant, i, config);
     bridge_change(b, c, c->r_s * thermal_copper(&axis->winding));
+    if (c->magnet_coefficient != 0.0) {
+        bridge_set_magnet(b, magnet(plant, i));
+    }
+    turn_disc(plant, i, quadrature_change(&axis->encoder, c, b->theta));
     const bridge_integral_t after = bridge_integral(b);
     for (int k = 0; k < 3; k++) { /* the flux has changed, which no voltage has done */
         axis->window.volts[k] += after.volts[k] - before.volts[k];
@@ -734,10 +810,13 @@ static void change_axis(switching_t *plant, int i, const board_config_t *config)
 void switching_change(switching_t *plant, const board_config_t *config)
 {
     for (int i = 0; i < BOARD_AXES; i++) {
+        /* NOLINTNEXTLINE(bugprone-suspicious-memory-comparison): a difference in padding only costs time */
         if (memcmp(&plant->given[i], &config->axis[i], sizeof plant->given[i]) != 0) {
             change_axis(plant, i, config);
         }
     }
+    find_rare(plant);
+    plant->stale = true;
     switching_look_around(plant);
     advance_supply(plant);
     set_bus(plant, &config->bus);
@@ -746,8 +825,8 @@ void switching_change(switching_t *plant, const board_config_t *config)
 
 void switching_set_load(switching_t *plant, int axis, double torque)
 {
-    plant->stop[axis].load = plant->given[axis].load_torque = torque;
-    touch(plant, axis)->load = torque; /* the next period adds what a stop takes */
+    (void)touch(plant, axis);
+    set_load(plant, axis, torque);
 }
 
 void switching_set_friction(switching_t *plant, int i, double friction)
@@ -773,6 +852,8 @@ void switching_obstruct(switching_t *plant, int axis, double below, double above
 
 /* The resistance follows with the next step of the temperatures. */
 void switching_warm_winding(switching_t *plant, int axis, double celsius) { plant->axis[axis].winding.t = celsius; }
+
+void switching_warm_magnet(switching_t *plant, int axis, double celsius) { plant->t_magnet[axis] = celsius; }
 
 void switching_plug(switching_t *plant, int axis, bool plugged) { bridge_plug(touch(plant, axis), plugged); }
 
@@ -854,9 +935,7 @@ static void harm_line(switching_t *plant, const board_harm_t *harm, bool healed)
 
 static void harm_disc(switching_t *plant, const board_harm_t *harm)
 {
-    switching_axis_t *axis = &plant->axis[harm->axis];
-    axis->slip += (int32_t)harm->value;
-    axis->slip_clock = (axis->slip != 0) ? plant->now + SLIP : NEVER;
+    turn_disc(plant, harm->axis, (int32_t)harm->value);
     plant->stale = true;
     find_rare(plant);
 }

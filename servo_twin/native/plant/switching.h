@@ -28,15 +28,17 @@
 #include "plant/harm.h"
 #include "plant/quadrature.h"
 #include "plant/sensors.h"
+#include "plant/shaft.h"
 #include "plant/supply.h"
 #include "plant/thermal.h"
 
 #define SWITCHING_CLOCK_HZ BRIDGE_CLOCK_HZ
 #define SWITCHING_HORIZON 3200u /* longest step without a look around [clocks] */
+#define SWITCHING_SHAFT 625u /* step of shafts that need shorter ones than a period, 6.25 us [clocks] */
 #define SWITCHING_LINE 64u /* a plant is quicker at a multiple of it [bytes] */
 #define SWITCHING_EVENTS 128u /* a power of two */
 /* Edges of an encoder that are kept back at most: with so many an axis fills lines of the cache. */
-#define SWITCHING_KEPT 130u
+#define SWITCHING_KEPT 129u
 
 /* Gate signals of one leg: bit 0 the upper switch, bit 1 the lower one. */
 typedef enum {
@@ -103,6 +105,9 @@ typedef struct {
 typedef struct {
     switching_axis_t axis[BOARD_AXES];
     end_stop_t stop[BOARD_AXES];
+    shaft_t shaft[BOARD_AXES]; /* to the end of the present step of SWITCHING_SHAFT */
+    uint64_t shaft_clock; /* the end of that step */
+    double t_magnet[BOARD_AXES]; /* [deg C] */
     supply_t supply;
     double u_noise, u_noise_whole, codes_per_volt;
     plant_random_t noise;
@@ -191,7 +196,9 @@ typedef struct {
     double amplifier[3]; /* what the amplifiers show of it [A] */
     double torque; /* air gap [N m] */
     double voltage[3]; /* mean terminal voltages above the negative rail in the last full window, a PWM period [V] */
-    double t_winding, t_sink; /* [deg C] */
+    double t_winding, t_sink, t_magnet; /* [deg C] */
+    double theta_load, omega_load, torque_shaft; /* second mass, or the rotor [rad], [rad/s]; between them [N m] */
+    double r_s, psi_m, l_d, l_q; /* winding and magnet as they are; for small changes [ohm], [V s], [H] */
     double e_bus; /* taken out of the bus since clock 0 [J] */
     double e_copper, e_switch; /* burnt in the windings, in switches and diodes [J] */
     bool over_current;
@@ -222,6 +229,7 @@ void switching_lock(switching_t *plant, int axis, bool locked);
 /* End stops so far from here [rad]. */
 void switching_obstruct(switching_t *plant, int axis, double below, double above);
 void switching_warm_winding(switching_t *plant, int axis, double celsius); /* its temperature from now on [deg C] */
+void switching_warm_magnet(switching_t *plant, int axis, double celsius); /* the same of the magnet */
 void switching_plug(switching_t *plant, int axis, bool plugged); /* motor cable */
 void switching_cut(switching_t *plant, int axis, int line, bool cut, bool level); /* encoder line stuck at a level */
 void switching_set_friction(switching_t *plant, int axis, double friction); /* Coulomb's [N m] */

@@ -13,6 +13,11 @@ void thermal_change(thermal_t *body, double capacity, double resistance)
     body->resistance = resistance;
 }
 
+double thermal_magnet(double t, double winding, double h, double time)
+{
+    return (time > 0.0) ? t + (winding - t) * plant_approach(h / time) : winding;
+}
+
 void thermal_advance(thermal_t *body, double h, double energy)
 {
     const double end = body->ambient + body->resistance * energy / h; /* where this power leads to */

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_twin.experiments.ability import inertia_ratio
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.plant_limits import inertia_ratio
 from servo_twin.experiments.rig import (
     RPM,
     TICK,

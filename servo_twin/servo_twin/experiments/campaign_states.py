@@ -146,7 +146,7 @@ class Bench:
         self.board.set_load(self.axis, self.torque_of_load)
 
     def blow(self, part: float) -> None:
-        """The same against the motion, if there is somebody to bear it; what drives a shaft, the bus need not bear."""
+        """The same against the motion, if the bus can take it; the bus need not take what drives a shaft."""
         if self.place() == "SPIN":
             self.load(math.copysign(part, self.board.truth(self.axis).omega_m))
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_twin.experiments import EXPERIMENTS, levels, rig
-from servo_twin.experiments.ability import differences
 from servo_twin.experiments.outcome import Bound, Outcome, Row
+from servo_twin.experiments.plant_limits import differences
 from servo_twin.experiments.report import draw, summary, table, update_summary
 from servo_twin.experiments.rig import at_level
 from servo_twin.level import Level

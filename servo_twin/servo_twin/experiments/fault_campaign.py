@@ -34,7 +34,7 @@ concerned. A part of the trials has no damage at all but hard manoeuvres, noise,
 fault may appear there."""
 
 COUNT: Final = 150
-"""Trials, if nobody asks for more."""
+"""Trials by default."""
 
 WHOLE: Final = 5
 """One trial of so many has no damage."""

@@ -11,8 +11,9 @@ import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
-from servo_twin.experiments.ability import believed, move_speeds
+from servo_twin.experiments.dead_time_torque import whole_counts
 from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.plant_limits import believed, move_speeds
 from servo_twin.experiments.rig import (
     COUNT,
     Recording,
@@ -24,7 +25,6 @@ from servo_twin.experiments.rig import (
     stays_from,
     watch,
 )
-from servo_twin.experiments.undelivered import whole_counts
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "feed-forward"

@@ -15,8 +15,8 @@ from servo_msgs_py.tuning.field_weakening import reserve_at
 from servo_msgs_py.tuning.field_weakening import top_speed as speed_left
 
 from servo_twin.board import Board
-from servo_twin.experiments.ability import MODULATION
 from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.plant_limits import MODULATION
 from servo_twin.experiments.rig import (
     RPM,
     TICK,

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
-from servo_twin.experiments.ability import believed
+from servo_twin.experiments.dead_time_torque import answer, pushed
 from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.plant_limits import believed
 from servo_twin.experiments.rig import (
     COUNT,
     RPM,
@@ -27,7 +28,6 @@ from servo_twin.experiments.rig import (
     spinning,
     watch,
 )
-from servo_twin.experiments.undelivered import answer, pushed
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "friction"

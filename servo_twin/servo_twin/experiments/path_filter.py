@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.units import COUNTS_PER_TURN
 
-from servo_twin.experiments.ability import current_limits, move_speeds
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.plant_limits import current_limits, move_speeds
 from servo_twin.experiments.rig import COUNT, TICK, Recording, command_position, position_of, set_axis, spinning, watch
 from servo_twin.plant import PlantConfig
 

@@ -10,8 +10,9 @@ from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
-from servo_twin.experiments.ability import move_speeds, path_settles
+from servo_twin.experiments.dead_time_torque import pushed, whole_counts
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.plant_limits import move_speeds, path_settles
 from servo_twin.experiments.rig import (
     COUNT,
     TICK,
@@ -23,7 +24,6 @@ from servo_twin.experiments.rig import (
     stays_from,
     watch,
 )
-from servo_twin.experiments.undelivered import pushed, whole_counts
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "position"

@@ -135,7 +135,7 @@ def at_level(level: Level | None) -> Iterator[None]:
 
 
 def level() -> Level:
-    """The level of the boards on this bench: what somebody has asked for, or the environment, or `FAST_LEVEL`."""
+    """The level of the boards on this bench: the level asked for, or that of the environment, or `FAST_LEVEL`."""
     return chosen_level(_level.get(), default=FAST_LEVEL)
 
 

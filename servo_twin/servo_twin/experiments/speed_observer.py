@@ -12,8 +12,9 @@ from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
-from servo_twin.experiments.ability import Belief, believed
+from servo_twin.experiments.dead_time_torque import pushed, whole_counts
 from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.plant_limits import Belief, believed
 from servo_twin.experiments.rig import (
     COUNT,
     RPM,
@@ -26,7 +27,6 @@ from servo_twin.experiments.rig import (
     spinning,
     watch,
 )
-from servo_twin.experiments.undelivered import pushed, whole_counts
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "speed-observer"
@@ -52,7 +52,7 @@ LOAD: Final = 2.0  # [A] worth of torque
 CYCLE_MOST: Final = 2.0
 """Counts: one to either side, which is what the encoder can tell.
 
-More by what the current that the inverter keeps back around zero moves the shaft to either side (undelivered.py):
+More by what the current that the inverter keeps back around zero moves the shaft to either side (dead_time_torque.py):
 friction does not hold a light or light-running one against it, and whether it comes to rest all the same is chance. And
 more where the M/T method does no better: neither sees less than a count.
 """

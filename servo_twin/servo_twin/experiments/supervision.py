@@ -13,8 +13,8 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
-from servo_twin.experiments.ability import current_limits, move_speeds
 from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.plant_limits import current_limits, move_speeds
 from servo_twin.experiments.rig import (
     TICK,
     Recording,

@@ -11,8 +11,8 @@ import numpy as np
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 
 from servo_twin.board import Board
-from servo_twin.experiments.ability import OVER_VOLTAGE, current_limits, top_speed
 from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.plant_limits import OVER_VOLTAGE, current_limits, top_speed
 from servo_twin.experiments.rig import (
     RPM,
     TICK,

@@ -176,6 +176,20 @@ def _recording(prepare: Callable[[Board], None]) -> Callable[[Board], None]:
     return then_record
 
 
+def _excited(prepare: Callable[[Board], None], point: str) -> Callable[[Board], None]:
+    """The same with a test signal on both axes."""
+
+    def then_excite(board: Board) -> None:
+        prepare(board)
+        board.write("cmd.test_amplitude", [0.002] * AXES)
+        board.write("cmd.test_step", [0.01] * AXES)
+        board.write("cmd.test_calls", [960000] * AXES)
+        board.write("cmd.test_point", [board.catalogue.enums["test_point_t"][point]] * AXES)
+        board.run(0.005)
+
+    return then_excite
+
+
 def _both(name: str, prepare: Callable[[bool], Callable[[Board], None]], seconds: float = 0.05) -> list[Scenario]:
     return [Scenario(name, prepare(False), seconds), Scenario(f"{name}, every feature", prepare(True), seconds)]
 
@@ -194,6 +208,10 @@ SCENARIOS: Final = (
     *_both("voltage limit", lambda every: _moving(every, "SPEED", 419.0, 1.0)),
     *_both("observer", lambda every: _observed(every, 3.0)),
     *_both("speed, recording", lambda every: _recording(_moving(every, "SPEED", 100.0))),
+    *_both(
+        "speed, recording, current excited", lambda every: _recording(_excited(_moving(every, "SPEED", 100.0), "I_Q"))
+    ),
+    Scenario("position, speed excited", _excited(_moving(False, "POSITION", 20 * _TURN), "SPEED"), 0.3),
     Scenario("observer, every feature, recording", _recording(_observed(True, 3.0))),
     Scenario("rotor search, every feature", _search, 1.5),
     *_both("observer start-up", lambda every: _observed(every, 0.0), 2.0),

@@ -45,7 +45,7 @@ def import_rerun() -> ModuleType:
     RecordingError
         If it is not installed.
     """
-    # Numbers of use are nobody's business, and a machine without network shall not wait for it.
+    # No usage statistics: they are private, and a machine without network would wait for them.
     os.environ.setdefault("RERUN_ANALYTICS", "false")
     try:
         import rerun

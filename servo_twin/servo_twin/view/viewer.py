@@ -1,6 +1,6 @@
 """From messages to a recording: what arrives is queued, one thread of its own writes it. Knows neither ROS nor rerun.
 
-Writing can stall for half a second at a time. Whoever calls the methods here never waits for it: the queue is bounded,
+Writing can stall for half a second at a time. Callers of these methods never wait for it: the queue is bounded,
 and what does not fit is dropped and counted.
 """
 

@@ -30,7 +30,7 @@ class WebPageError(RuntimeError):
 
 
 def free_port(wanted: int, but: int | None = None) -> int:
-    """First port from `wanted` on that nobody listens on.
+    """First port from `wanted` on that is free.
 
     Parameters
     ----------

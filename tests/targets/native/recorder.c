@@ -381,9 +381,9 @@ uint16_t __wrap_hal_receiver_overruns(hal_t *hal)
 
 bool __wrap_hal_reset_by_watchdog(hal_t *hal)
 {
-    const bool bitten = __real_hal_reset_by_watchdog(hal);
-    in(bitten);
-    return bitten;
+    const bool watchdog_reset = __real_hal_reset_by_watchdog(hal);
+    in(watchdog_reset);
+    return watchdog_reset;
 }
 
 bool __wrap_hal_break_active(hal_t *hal, uint16_t axis)

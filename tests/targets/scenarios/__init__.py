@@ -12,7 +12,7 @@ from typing import Final
 from targets import server_requests
 from targets.recording import Scenario
 from targets.rig import Rig
-from targets.scenarios import faults, homing, moves, observers, pins, stops, storage, tuning
+from targets.scenarios import excitation, faults, homing, moves, observers, pins, stops, storage, tuning
 from targets.scenarios.parts import plant, ready
 
 
@@ -66,5 +66,7 @@ SCENARIOS: Final = (
     Scenario("storage", plant(), storage.storage),
     Scenario("pins", pins.wired(), pins.pins),
     Scenario("held-searches", pins.wired(), pins.lost),
+    Scenario("imposed", plant(), excitation.imposed),
+    Scenario("excited", plant(), excitation.signals),
     Scenario("server", plant(), server),
 )

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from servo_twin.experiments import ability
-from servo_twin.experiments.ability import Demand, believed, differences, move_speeds, path_demands, top_speed
+from servo_twin.experiments import plant_limits
+from servo_twin.experiments.plant_limits import Demand, believed, differences, move_speeds, path_demands, top_speed
 from servo_twin.experiments.rig import (
     COUNT,
     TICK,
@@ -40,7 +40,7 @@ def test_belief_does_not_depend_on_what_is_there(plant: PlantConfig, factors: di
     """The packaged configuration believes in the packaged plant."""
     for entry, belief in zip(plant.axes, believed(both(plant, **factors), 3), strict=True):
         assert belief.inertia == pytest.approx(entry.inertia, rel=0.01)
-        assert belief.friction == pytest.approx(entry.friction + ability.PROBE_SPEED * entry.viscous, rel=0.01)
+        assert belief.friction == pytest.approx(entry.friction + plant_limits.PROBE_SPEED * entry.viscous, rel=0.01)
 
 
 def test_belief_is_worth_more_on_a_stronger_motor(plant: PlantConfig) -> None:
@@ -50,7 +50,7 @@ def test_belief_is_worth_more_on_a_stronger_motor(plant: PlantConfig) -> None:
 
 def test_belief_shows_in_a_smaller_step(plant: PlantConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the current limit hides the inertia; the friction shows in the large one."""
-    genuine, steps = ability._first_current, []
+    genuine, steps = plant_limits._first_current, []
 
     def first_current(plant: PlantConfig, seed: int, switch: str | None, speed: float) -> list[float]:
         steps.append(speed)
@@ -58,15 +58,15 @@ def test_belief_shows_in_a_smaller_step(plant: PlantConfig, monkeypatch: pytest.
             raise SimulationError("the current limit hides it")
         return genuine(plant, seed, switch, speed)
 
-    monkeypatch.setattr(ability, "_first_current", first_current)
+    monkeypatch.setattr(plant_limits, "_first_current", first_current)
     for entry, belief in zip(plant.axes, believed(plant, 3), strict=True):
         assert belief.inertia == pytest.approx(entry.inertia, rel=0.02)
     assert min(steps) == 0.5
 
 
 def test_belief_hidden_by_the_current_limit(plant: PlantConfig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ability, "PROBE_SPEED", 20.0)
-    monkeypatch.setattr(ability, "PROBE_HALVINGS", 1)
+    monkeypatch.setattr(plant_limits, "PROBE_SPEED", 20.0)
+    monkeypatch.setattr(plant_limits, "PROBE_HALVINGS", 1)
     with pytest.raises(SimulationError, match="current limit"):
         believed(plant, 3)
 
@@ -94,8 +94,8 @@ class TestTopSpeed:
         speed = top_speed(small, [0, 1], SPEED)
         energy = 0.5 * (plant.axes[0].inertia + plant.axes[1].inertia) * speed**2
         lifted = math.sqrt(small.bus.u_source**2 + 2.0 * energy / small.bus.capacitance)
-        assert lifted < ability.OVER_VOLTAGE
-        assert lifted > ability.OVER_VOLTAGE - 1.0
+        assert lifted < plant_limits.OVER_VOLTAGE
+        assert lifted > plant_limits.OVER_VOLTAGE - 1.0
         assert top_speed(small, [0], SPEED) > speed
 
     def test_voltage(self, plant: PlantConfig) -> None:
@@ -103,7 +103,7 @@ class TestTopSpeed:
         speed = top_speed(low, [0], SPEED)
         emf = plant.axes[0].pole_pairs * plant.axes[0].psi_m * speed
         assert speed < SPEED
-        assert 0.8 * ability.MODULATION * 18.0 < emf < ability.MODULATION * 18.0
+        assert 0.8 * plant_limits.MODULATION * 18.0 < emf < plant_limits.MODULATION * 18.0
 
     def test_nothing_is_left(self, plant: PlantConfig) -> None:
         with pytest.raises(SimulationError, match="out of this plant's reach"):

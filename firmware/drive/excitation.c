@@ -1,0 +1,76 @@
+#include "drive/excitation.h"
+
+#include "drive/current_drive.h"
+
+static bool fast(uint16_t point) { return point == TEST_POINT_I_D || point == TEST_POINT_I_Q; }
+
+/* Homing judges currents and speeds of its own. */
+static bool homing(const axis_t *axis)
+{
+    return axis->motion.motion == MOTION_HOME || axis->motion.motion == MOTION_PRESS;
+}
+
+static bool possible(const axis_t *axis, uint16_t point)
+{
+    if (axis->sm.state != STATE_RUN || !axis->requested || axis->command.quick_stop) {
+        return false;
+    }
+    return (axis->substate == SUBSTATE_SPIN) ? !homing(axis) : (axis->substate == SUBSTATE_TEST && fast(point));
+}
+
+static void end(axis_t *axis)
+{
+    excitation_t *excitation = &axis->excitation;
+    *excitation = (excitation_t){.point = TEST_POINT_NONE};
+    axis->motion.speed_excitation = 0;
+    if (axis->fast == LOOP_EXCITED) {
+        axis->fast = axis->estimate.runs ? LOOP_OBSERVED : LOOP_FAST;
+    }
+}
+
+void excitation_start(axis_t *axis, uint16_t point, const swept_sine_t *sine)
+{
+    end(axis);
+    if (point != TEST_POINT_NONE && possible(axis, point)) {
+        axis->excitation.point = point;
+        axis->excitation.sine = *sine;
+    }
+}
+
+void excitation_step(axis_t *axis)
+{
+    excitation_t *excitation = &axis->excitation;
+    if (excitation->point == TEST_POINT_NONE) {
+        return; /* almost always */
+    }
+    if (!possible(axis, excitation->point) || excitation->sine.calls == 0U) {
+        end(axis);
+        return;
+    }
+    if (fast(excitation->point)) {
+        axis->fast = LOOP_EXCITED;
+        return;
+    }
+    excitation->value = swept_sine_step(&excitation->sine);
+    if (excitation->point == TEST_POINT_SPEED) {
+        axis->motion.speed_excitation = f32_from_f16(excitation->value);
+    } else {
+        axis->test_current.q = f16_add(axis->test_current.q, excitation->value);
+    }
+}
+
+void excitation_drive(axis_t *axis, frac16_t theta_e)
+{
+    excitation_t *excitation = &axis->excitation;
+    const dq_t set_point = axis->current_ref;
+    const frac16_t limit = axis->current_max.vector;
+    frac16_t *excited = (excitation->point == TEST_POINT_I_D) ? &axis->current_ref.d : &axis->current_ref.q;
+    excitation->value = swept_sine_step(&excitation->sine);
+    *excited = f16_limit((int32_t)*excited + excitation->value, limit);
+    if (axis->estimate.runs) {
+        drive_observed(axis, theta_e);
+    } else {
+        drive_current(axis, theta_e);
+    }
+    axis->current_ref = set_point; /* the slow loop and the recorder see the set-point itself */
+}

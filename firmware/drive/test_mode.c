@@ -1,0 +1,89 @@
+#include "drive/test_mode.h"
+
+#include "drive/current_drive.h"
+#include "drive/excitation.h"
+#include "drive/limits.h"
+#include "drive/motion.h"
+#include "drive/soft_limits.h"
+
+/* The vector lives in the state of the sensorless start-up, which an axis with an encoder does not use. */
+
+bool test_mode_wanted(const axis_t *axis)
+{
+    return axis->requested && !axis->command.quick_stop && axis->command.mode == CONTROL_MODE_TEST && !axis->sensorless;
+}
+
+void test_mode_start(axis_t *axis)
+{
+    axis->startup = (startup_t){0};
+    axis->motion.speed_target = 0;
+    axis->motion.i_q_target = 0;
+    axis->motion.expired = false;
+    limits_renew(axis);
+}
+
+static frac16_t next_angle(const startup_t *vector) { return (frac16_t)(uint16_t)(vector->angle >> 16); }
+
+void test_mode_fast(axis_t *axis)
+{
+    drive_current(axis, next_angle(&axis->startup));
+    axis->startup.angle += (uint32_t)axis->startup.step;
+}
+
+void test_mode_excited_fast(axis_t *axis)
+{
+    excitation_drive(axis, next_angle(&axis->startup));
+    axis->startup.angle += (uint32_t)axis->startup.step;
+}
+
+frac16_t test_mode_angle(const axis_t *axis)
+{
+    return (frac16_t)(uint16_t)((axis->startup.angle - (uint32_t)axis->startup.step) >> 16);
+}
+
+/* A set-point takes effect by being written, and expires as in torque mode. */
+static void take_set_points(axis_t *axis)
+{
+    motion_state_t *m = &axis->motion;
+    const axis_command_t *command = &axis->command;
+    if ((command->fresh & FRESH_I_Q) != 0U) {
+        m->i_q_target = command->i_q;
+    }
+    if ((command->fresh & FRESH_SPEED) != 0U) {
+        m->speed_target = command->speed;
+    }
+    if (axis_set_point_fresh(command)) {
+        m->expired = false;
+        limits_renew(axis);
+    }
+    motion_expire(axis);
+}
+
+/* Speed of the vector within the limits; none that turns the shaft out of its range. */
+static frac32_t wanted_speed(axis_t *axis)
+{
+    const frac32_t speed = f32_clip(axis->motion.speed_target, axis->limits.speed);
+    const frac32_t confined = soft_limits_given(axis) ? soft_limits_confined(axis, speed) : speed;
+    if (confined != speed) {
+        axis_report(axis, axis->home.limit);
+    } else if (speed != axis->motion.speed_target) {
+        axis_report(axis, LIMIT_SPEED);
+    }
+    return confined;
+}
+
+void test_mode_slow(axis_t *axis)
+{
+    startup_t *vector = &axis->startup;
+    take_set_points(axis);
+    vector->speed += f32_clip(f32_sub(wanted_speed(axis), vector->speed), axis->limits.acceleration);
+    vector->step = f32_gain(vector->speed, axis->config->current_loop.angle_step);
+    const frac16_t wanted = f16_limit(axis->motion.i_q_target, axis->current_max.q);
+    if (wanted != axis->motion.i_q_target) {
+        axis_report(axis, LIMIT_CURRENT);
+    }
+    const frac32_t missing = f32_sub(f32_from_f16(wanted), vector->current);
+    vector->current += f32_clip(missing, axis->config->rotor_search.current_slew);
+    axis->current_ref = (dq_t){f16_from_f32(vector->current), 0};
+    current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(vector->speed));
+}

@@ -1,0 +1,242 @@
+"""Sub-state TEST and test signals: what starts them, what ends them, what they do to the set-points."""
+
+from __future__ import annotations
+
+import pytest
+from core_library import Core
+from servo_bench import (
+    BRAKE_OPEN_INPUT,
+    FAULT,
+    FREEWHEEL,
+    LIMIT_CURRENT,
+    LIMIT_EXPIRED,
+    LIMIT_SPEED,
+    POSITION,
+    READY,
+    SPEED,
+    SPIN,
+    STOP,
+    TEST,
+    TORQUE,
+    Bench,
+    amps,
+    bus_code,
+    speed,
+)
+
+NONE, I_D, I_Q, AT_TORQUE, AT_SPEED = range(5)
+TURN = 2**32
+
+
+def current(bench: Bench) -> float:
+    """Current that TEST asks for [A]."""
+    return float(bench.axis(0).current_ref.d / 32768 * 8.25)
+
+
+def start_signal(bench: Bench, point: int, amplitude: float = 0.05, step: float = 0.01, calls: int = 200) -> None:
+    """On the first axis; amplitude is a part of the full scale, step is in turns per call."""
+    bench.write(0, test_amplitude=round(amplitude * 32768), test_step=round(step * TURN), test_growth=0)
+    bench.write(0, test_calls=calls, test_point=point)
+
+
+def point(bench: Bench) -> int:
+    return int(bench.axis(0).excitation.point)
+
+
+@pytest.fixture
+def testing(core: Core) -> Bench:
+    """The first axis in TEST."""
+    bench = Bench(core)
+    bench.to_stop()
+    bench.write(0, mode=4, enable=1)
+    bench.to_substate(0, TEST)
+    return bench
+
+
+# ---- sub-state TEST -------------------------------------------------------------------------------------------------
+
+
+def test_it_begins_without_current_whatever_stands_in_memory(core: Core) -> None:
+    bench = Bench(core)
+    bench.to_stop()
+    bench.write(0, i_q=amps(2.0), speed=speed(20.0))
+    bench.slow(2)
+    bench.write(0, mode=4, enable=1)
+    bench.to_substate(0, TEST)
+    bench.slow(100)
+    assert current(bench) == 0.0
+    assert bench.axis(0).startup.step == 0
+
+
+def test_current_and_speed_of_the_vector_ramp_to_their_set_points(testing: Bench) -> None:
+    slew = testing.axis(0).config.rotor_search.current_slew / 2**31 * 8.25
+    testing.write(0, i_q=amps(1.5), speed=speed(30.0))
+    testing.slow(2)
+    assert current(testing) == pytest.approx(min(1.5, 2 * slew), rel=0.01)
+    testing.slow(200)
+    assert current(testing) == pytest.approx(1.5, abs=0.001)
+    before = testing.axis(0).startup.angle
+    testing.slow(100)
+    turned = ((testing.axis(0).startup.angle - before) % TURN) / TURN
+    pairs = testing.axis(0).config.encoder.pole_pairs
+    assert turned == pytest.approx(30.0 * pairs * 0.05 / 6.2831853 % 1.0, abs=0.002)
+
+
+def test_limits_hold(testing: Bench) -> None:
+    testing.set_parameter("i_q_limit", 1.0)
+    testing.set_parameter("speed_limit", 10.0)
+    testing.write(0, i_q=amps(3.0), speed=speed(30.0))
+    testing.slow(300)
+    assert current(testing) == pytest.approx(1.0, abs=0.001)
+    assert testing.axis(0).startup.speed == pytest.approx(speed(10.0), rel=1e-6)
+    assert testing.view(0).limits & (LIMIT_CURRENT | LIMIT_SPEED) == LIMIT_CURRENT | LIMIT_SPEED
+
+
+def test_set_points_expire(testing: Bench) -> None:
+    testing.set_parameter("command_timeout", 0.05)
+    testing.write(0, i_q=amps(1.0))
+    testing.slow(60)
+    assert current(testing) == pytest.approx(1.0, abs=0.001)
+    testing.slow(200)
+    assert current(testing) == 0.0
+    assert testing.view(0).limits & LIMIT_EXPIRED
+    assert testing.view(0).substate == TEST
+
+
+@pytest.mark.parametrize("command", [{"enable": 0}, {"quick_stop": 1}, {"mode": POSITION}, {"mode": SPEED}])
+def test_it_ends_without_current_and_waits_for_an_enable(testing: Bench, command: dict[str, int]) -> None:
+    testing.write(0, i_q=amps(1.0))
+    testing.slow(100)
+    testing.write(0, **command)
+    testing.until(lambda: testing.view(0).substate == READY or testing.view(0).state == STOP, 5)
+    testing.until(lambda: testing.view(0).state == STOP, 5)
+    testing.slow(500)
+    assert testing.view(0).state == STOP
+    assert not testing.hal.axis[0].outputs_on
+
+
+def test_a_fast_shaft_coasts_out(testing: Bench) -> None:
+    testing.turn(0, 300.0)
+    testing.slow(20)
+    testing.write(0, enable=0)
+    testing.to_substate(0, FREEWHEEL, 5)
+    assert not testing.hal.axis[0].outputs_on
+
+
+def test_the_mode_alone_starts_nothing(bench: Bench) -> None:
+    """A spinning axis comes to rest and holds; what stands in memory as a position is not followed."""
+    bench.write(0, mode=SPEED, speed=speed(20.0))
+    bench.follow(100)
+    bench.write(0, mode=4, position=100_000)
+    log = bench.follow(400)
+    assert bench.view(0).substate == SPIN
+    assert log[-1][1] == log[-100][1]
+    bench.write(0, i_q=amps(1.0))
+    assert bench.follow(50)[-1][1] == log[-1][1]
+
+
+def test_an_axis_without_an_encoder_does_not_test(core: Core) -> None:
+    bench = Bench(core)
+    bench.write_raw("param.feedback", [1, 0])
+    bench.to_stop()
+    bench.write(0, mode=4, enable=1)
+    bench.slow(300)
+    assert bench.view(0).substate == READY
+
+
+def test_the_brake_opens_first(core: Core) -> None:
+    bench = Bench(core)
+    bench.fit(BRAKE_OPEN_INPUT, open_ticks=50, close_ticks=20)
+    bench.to_stop()
+    bench.write(0, mode=4, enable=1)
+    bench.to_substate(0, READY)
+    bench.slow(30)
+    assert bench.view(0).substate == READY
+    bench.to_substate(0, TEST, 40)
+    assert bench.view(0).inputs & BRAKE_OPEN_INPUT
+
+
+# ---- test signals -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("at", [I_D, I_Q])
+def test_a_fast_signal_lasts_its_periods_and_leaves_the_set_point(testing: Bench, at: int) -> None:
+    testing.write(0, i_q=amps(1.0))
+    testing.slow(100)
+    start_signal(testing, at, calls=100)
+    testing.slow(2)
+    assert point(testing) == at
+    seen = set()
+    for _ in range(12):
+        testing.slow()
+        seen.add(testing.axis(0).excitation.value)
+        assert current(testing) == pytest.approx(1.0, abs=0.001)
+        assert testing.axis(0).current_ref.q == 0
+    assert len(seen) > 8
+    testing.slow(3)
+    assert point(testing) == NONE
+    assert testing.axis(0).excitation.value == 0
+    assert testing.axis(0).fast == testing.core.lib.LOOP_FAST
+
+
+def test_a_signal_on_the_torque_shows_in_the_set_point(bench: Bench) -> None:
+    bench.write(0, mode=TORQUE, i_q=0)
+    bench.slow(4)
+    start_signal(bench, AT_TORQUE, calls=50)
+    bench.slow(2)
+    for _ in range(40):
+        bench.slow()
+        assert bench.view(0).i_q_ref == bench.axis(0).excitation.value
+    bench.slow(20)
+    assert (point(bench), bench.view(0).i_q_ref) == (NONE, 0)
+
+
+def test_a_signal_on_the_speed_shows_in_the_set_point(bench: Bench) -> None:
+    bench.write(0, mode=SPEED, speed=0)
+    bench.slow(4)
+    start_signal(bench, AT_SPEED, amplitude=0.01, calls=50)
+    bench.slow(2)
+    for _ in range(40):
+        bench.slow()
+        assert bench.view(0).speed_ref == bench.axis(0).excitation.value * 65536
+    bench.slow(20)
+    assert (point(bench), bench.view(0).speed_ref) == (NONE, 0)
+
+
+def test_slow_points_need_a_controlled_speed(testing: Bench) -> None:
+    for at in (AT_TORQUE, AT_SPEED):
+        start_signal(testing, at)
+        testing.slow(3)
+        assert point(testing) == NONE
+
+
+@pytest.mark.parametrize("end", [{"enable": 0}, {"quick_stop": 1}, {"test_point": NONE}])
+def test_what_ends_a_signal(bench: Bench, end: dict[str, int]) -> None:
+    bench.write(0, mode=SPEED, speed=0)
+    start_signal(bench, AT_SPEED, amplitude=0.001, calls=100_000)
+    bench.slow(20)
+    assert point(bench) == AT_SPEED
+    bench.write(0, **end)
+    bench.slow(2)
+    assert point(bench) == NONE
+    assert bench.axis(0).motion.speed_excitation == 0
+
+
+def test_a_fault_ends_a_signal(bench: Bench) -> None:
+    start_signal(bench, I_Q, calls=100_000)
+    bench.slow(5)
+    assert point(bench) == I_Q
+    bench.hal.bus_code = bus_code(34.0)
+    bench.until(lambda: bench.view(0).state == FAULT, 20)
+    bench.slow()
+    assert point(bench) == NONE
+
+
+def test_at_rest_a_signal_is_not_remembered(core: Core) -> None:
+    bench = Bench(core)
+    bench.to_stop()
+    start_signal(bench, I_Q, calls=100_000)
+    bench.slow(5)
+    bench.to_spin(0)
+    bench.slow(5)
+    assert point(bench) == NONE

@@ -1,0 +1,69 @@
+"""A measured loop as a recording for the rerun viewer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.measurement.bode import Bode
+from servo_msgs_py.measurement.bode_report import rows, text
+
+from servo_bridge.bursts.rerun_log import entity_of, import_rerun, send_curve
+
+__all__ = ["FREQUENCY", "LOG_FREQUENCY", "write_recording"]
+
+FREQUENCY: Final = "frequency"
+"""Time line on which a second is a hertz."""
+
+LOG_FREQUENCY: Final = "log_frequency"
+"""Time line on which a second is a decade, from 1 Hz."""
+
+_CURVES: Final = (
+    ("gain", "measured", 1, "gain [dB]"),
+    ("gain", "predicted", 6, "predicted gain [dB]"),
+    ("phase", "measured", 2, "phase [degrees]"),
+    ("phase", "predicted", 7, "predicted phase [degrees]"),
+    ("coherence", "measured", 5, "coherence"),
+)
+
+
+def write_recording(bode: Bode, path: Path) -> None:
+    """Write gain, phase and coherence over the frequency, both as it is and as its logarithm, and the figures as text.
+
+    Raises
+    ------
+    UsageError
+        If rerun is not installed.
+    """
+    rr = import_rerun(f"{path.name}: a recording")
+    import rerun.blueprint as rrb
+
+    recording = rr.RecordingStream("servo-bode", send_properties=False)
+    recording.save(path)
+    base = ["bode", axis_name(bode.settings.axis), bode.settings.loop.name]
+    ends = rrb.TimeRangeBoundary.infinite()
+    whole = [rrb.VisibleTimeRange(line, start=ends, end=ends) for line in (LOG_FREQUENCY, FREQUENCY)]
+    views = [
+        rrb.TimeSeriesView(name=quantity, origin=entity_of([*base, quantity]), time_ranges=whole)
+        for quantity in ("gain", "phase", "coherence")
+    ]
+    figures = entity_of([*base, "figures"])
+    page = rrb.TextDocumentView(name="figures", origin=figures)
+    recording.send_blueprint(
+        rrb.Blueprint(
+            rrb.Vertical(*views, page, row_shares=[3, 3, 1, 1]),
+            rrb.TimePanel(state="collapsed", timeline=LOG_FREQUENCY),
+            auto_views=False,
+        )
+    )
+    table = rows(bode)
+    table[~bode.response.good, 1:3] = np.nan  # a gap: these points determine nothing
+    for quantity, which, column, head in _CURVES:
+        entity = entity_of([*base, quantity, which])
+        recording.log(entity, rr.SeriesLines(names=head), static=True)
+        for line, position in ((LOG_FREQUENCY, np.log10(table[:, 0])), (FREQUENCY, table[:, 0])):
+            send_curve(recording, entity, rr.TimeColumn(line, duration=position), table[:, column])
+    recording.log(figures, rr.TextDocument(text(bode)), static=True)
+    recording.flush()

@@ -1,0 +1,156 @@
+"""A board at a serial line to measure on: see `servo_msgs_py.measurement.access.BoardAccess`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Final
+
+import numpy as np
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.measurement.access import (
+    TRIGGER_TIMEOUT,
+    BoardAccess,
+    MeasurementError,
+    Recording,
+    element_of,
+    step_of,
+)
+
+from servo_bridge.bursts.burst import Burst
+from servo_bridge.bursts.recording import Phase
+from servo_bridge.bursts.recording import Recording as BurstRecording
+from servo_bridge.bursts.request import Before, BurstRequest
+from servo_bridge.freemaster.errors import RecorderError, Status, StatusError
+from servo_bridge.tool_values import UnknownVariableError
+from servo_bridge.wire.session import Session, element_bytes
+from servo_bridge.wire.take_over import kept_alive
+
+__all__ = ["SessionAccess", "measurement_access"]
+
+_FAST, _SLOW = 0, 1
+_LEAD: Final = 0.2  # longer than it takes to notice that a recording is over, and to stop it [s]
+_PAUSE: Final = 0.02  # between two looks whether a keep-alive is due [s]
+
+
+class SessionAccess(BoardAccess):
+    """Access to the board of a session; see `measurement_access`.
+
+    Parameters
+    ----------
+    session : Session
+        With a board of this contract.
+    meanwhile : callable
+        Called again and again during a wait; sends a keep-alive if it is due.
+    """
+
+    def __init__(self, session: Session, meanwhile: Callable[[], None]) -> None:
+        self._session, self._meanwhile = session, meanwhile
+        self._line = session.client.line
+
+    def _clock(self) -> float:
+        return self._line.clock() * 1e-9
+
+    @property
+    def catalogue(self) -> Catalogue:
+        """Variables of the board."""
+        return self._session.catalogue
+
+    def read_words(self, name: str) -> list[int]:
+        variable = self._session.variables[name]
+        return self.catalogue[name].decode_raw(self._session.client.read_memory(variable.address, variable.size))
+
+    def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
+        offset, data = element_bytes(self.catalogue[name], words, first)
+        try:
+            self._session.client.write_memory(self._session.variables[name].address + offset, data)
+        except StatusError as error:
+            if error.code != Status.OUT_OF_RANGE:
+                raise
+            return False
+        return True
+
+    def wait(self, seconds: float) -> None:
+        end = self._line.clock() + round(seconds * 1e9)
+        while (left := end - self._line.clock()) > 0:
+            self._meanwhile()
+            self._line.rest(min(left * 1e-9, _PAUSE))
+
+    def capacity(self, names: Sequence[str]) -> int:
+        memory = self._session.client.recorder(_FAST).limits().memory
+        if memory is None:
+            raise MeasurementError("the board does not say how much memory its recorder has")
+        return memory // sum(element_of(self.catalogue, name)[0].element_size for name in names)
+
+    def record(
+        self,
+        names: Sequence[str],
+        samples: int,
+        every: int,
+        slow: bool,
+        start: Callable[[], None] | None = None,
+        *,
+        trigger: str | None = None,
+    ) -> Recording:
+        condition = None if trigger is None else f"{trigger} >= 1"
+        step = step_of(every, slow)
+        request = BurstRequest(
+            tuple(names),
+            _SLOW if slow else _FAST,
+            condition,
+            trigger is not None,
+            None if trigger is None else Before(points=0),
+            samples,
+            1.0 / step,
+        )
+        recording = BurstRecording(request, self.catalogue, clock=self._clock)
+        try:
+            burst = self._recorded(recording, start, samples * step)
+        except (RecorderError, UnknownVariableError, ValueError) as error:
+            raise MeasurementError(f"recording {', '.join(names)}: {error}") from error
+        finally:
+            recording.abandon()
+        columns = {name: np.asarray(v, np.float64) for name, v in zip(names, burst.values, strict=True)}
+        return Recording(step, columns)
+
+    def _recorded(self, recording: BurstRecording, start: Callable[[], None] | None, seconds: float) -> Burst:
+        while recording.phase in (Phase.SET_UP, Phase.READY):
+            recording.step(self._session)
+        # Nothing triggers before the memory was full once; without a trigger the last samples before the stop are kept.
+        self.wait(_LEAD if recording.request.trigger is None else seconds + _LEAD)
+        if start is not None:
+            start()
+        due = self._clock() + TRIGGER_TIMEOUT + seconds
+        while (burst := recording.step(self._session)) is None:
+            if recording.phase is Phase.WAITING and self._clock() > due:
+                raise RecorderError(f"nothing started within {TRIGGER_TIMEOUT:g} s: the recording was not triggered")
+            self._meanwhile()
+            self.wait(recording.pause)
+        return burst
+
+
+@contextmanager
+def measurement_access(session: Session, check: Callable[[], None] = lambda: None) -> Iterator[SessionAccess]:
+    """Access to the board of a session, which is kept from missing its host until the end of the block.
+
+    Parameters
+    ----------
+    session : Session
+        The board.
+    check : callable
+        Called again and again while the access waits; may raise to end a measurement.
+
+    Raises
+    ------
+    BoardMismatchError
+        If the board has another table of variables.
+    """
+    if session.mismatch is not None:
+        raise session.mismatch
+    with kept_alive(session.client, session.catalogue) as keep_alive:
+
+        def meanwhile() -> None:
+            check()
+            keep_alive()
+
+        yield SessionAccess(session, meanwhile)

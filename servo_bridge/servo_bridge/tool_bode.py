@@ -1,0 +1,133 @@
+"""``servo-tool bode``: the open loop of a controller, measured on the running axis, beside its prediction."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.measurement.access import BoardAccess, MeasurementError
+from servo_msgs_py.measurement.bode import LOOPS, Bode, Request, measure
+from servo_msgs_py.measurement.bode_report import COLUMNS, as_dict, draw, rows, text
+from servo_msgs_py.tuning.errors import ConfigError
+
+from servo_bridge.bode_recording import write_recording
+from servo_bridge.measurement_access import measurement_access
+from servo_bridge.tool_progress import ProgressLine
+from servo_bridge.tool_record import interrupts
+
+if TYPE_CHECKING:
+    from servo_bridge.tool_commands import Context
+
+__all__ = ["add_arguments", "bode"]
+
+_AXES: Final = [axis_name(axis) for axis in range(AXES)]
+
+ABOUT: Final = """\
+Measure the open loop of a controller on the running axis with a swept sine that the board adds to a set-point, and
+compare it with the prediction of the tuning code. The shaft moves: speed and position loop are measured while it turns
+to and fro at a constant speed (--speed 0: about where it is), a current loop while a current holds the rotor, for which
+the axis has to be disabled before. Ctrl-C ends the signal and stops the shaft."""
+
+
+def add_arguments(command: argparse.ArgumentParser) -> None:
+    """Arguments of the command."""
+    command.add_argument("axis", choices=_AXES)
+    command.add_argument("loop", choices=list(LOOPS), help="current is the loop of i_q, current_d that of i_d")
+    command.add_argument("--amplitude", type=_positive, metavar="A", help="[A]; of the position loop [rad/s]")
+    command.add_argument("--from", dest="f_min", type=_positive, metavar="HZ", help="lowest frequency")
+    command.add_argument("--to", dest="f_max", type=_positive, metavar="HZ", help="highest frequency")
+    command.add_argument("--speed", type=_speed, metavar="RAD/S", help="constant speed meanwhile")
+    command.add_argument("--range", type=_positive, default=math.inf, metavar="RAD", help="way that the shaft may turn")
+    command.add_argument("--repeat", type=_count, default=4, metavar="N", help="sweeps per band (default: 4)")
+    command.add_argument("--enable", action="store_true", help="enable the axis, and disable it afterwards")
+    command.add_argument("--out", type=Path, metavar="DIR", help="write curves and picture there, as .csv and .png")
+    command.add_argument("--rrd", type=Path, metavar="FILE", help="write a recording for the rerun viewer")
+    command.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def bode(context: Context) -> int:
+    """Measure, write the files, print the figures; 1 when the data do not determine the crossover."""
+    args = context.args
+    request = Request(
+        _AXES.index(args.axis), args.loop, args.amplitude, args.f_min, args.f_max, args.speed, args.range, args.repeat
+    )
+    try:
+        with _interruptible(context) as access, ProgressLine() as progress:
+            result = measure(
+                access,
+                request,
+                enable=args.enable,
+                say=lambda sentence: print(f"servo-tool: {sentence}", file=sys.stderr, flush=True),
+                progress=progress.bar,
+            )
+        _write(result, args.out, args.rrd)
+    except (MeasurementError, ConfigError, ValueError) as error:
+        print(f"servo-tool: {error}", file=sys.stderr)
+        return 1
+    print(json.dumps(as_dict(result), allow_nan=False) if args.json else text(result), end="\n" if args.json else "")
+    return 0 if result.figures.crossover is not None else 1
+
+
+@contextmanager
+def _interruptible(context: Context) -> Iterator[BoardAccess]:
+    """The board; Ctrl-C ends a wait, never an exchange, so that the way back to rest has a line that works."""
+    pressed = False
+
+    def press() -> None:
+        nonlocal pressed
+        pressed = True
+
+    def check() -> None:
+        nonlocal pressed
+        if pressed:
+            pressed = False  # what brings the axis to rest has to wait, too
+            raise KeyboardInterrupt
+
+    with interrupts(press), measurement_access(context.session, check) as access:
+        yield access
+        check()
+
+
+def _write(result: Bode, folder: Path | None, recording: Path | None) -> None:
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        stem = f"bode_{axis_name(result.settings.axis)}_{result.settings.loop.name}"
+        with (folder / f"{stem}.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(COLUMNS)
+            writer.writerows([[f"{value:.8g}" for value in row] for row in rows(result).tolist()])
+        draw(result, folder / f"{stem}.png")
+    if recording is not None:
+        recording.parent.mkdir(parents=True, exist_ok=True)
+        write_recording(result, recording)
+
+
+def _speed(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text!r} is no speed")
+    return value
+
+
+def _positive(text: str) -> float:
+    value = _speed(text)
+    if value <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+    return value
+
+
+def _count(text: str) -> int:
+    if not text.isdigit() or not 2 <= int(text) <= 100:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 2 to 100")
+    return int(text)

@@ -1,0 +1,186 @@
+"""Closed-form estimates from the recordings of a motor test. Missing samples (NaN) are left out. Pure."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.measurement.access import MeasurementError, Recording
+from servo_msgs_py.measurement.least_squares import mean_of
+from servo_msgs_py.measurement.log import MeasurementLog
+from servo_msgs_py.measurement.motor_values import Estimate, MotorEstimates
+from servo_msgs_py.measurement.spinning import balance, flux, friction, steady_of, torque_of
+from servo_msgs_py.measurement.standstill import Ohmic, impedance, ohmic
+from servo_msgs_py.measurement.turning import sensor_errors, turning
+
+__all__ = [
+    "BAND",
+    "HOLD",
+    "estimates_of",
+    "flux_of",
+    "follows",
+    "inductances_of",
+    "resistance_of",
+    "running_of",
+    "turning_of",
+]
+
+BAND: Final = {"d": (400.0, 2500.0), "q": (700.0, 2500.0)}
+"""Frequencies that inductances are taken from [Hz]; below, the rotor gives way to a current across the vector."""
+
+HOLD: Final = 0.31
+"""Time at each speed [s]."""
+
+FLUX_FIRST: Final = 0.1
+"""Relative uncertainty of the flux of a turning vector: what dead time and drops do to it is not known."""
+
+FOLLOWS: Final = 0.15
+"""Part by which a shaft that swings about a turning vector may seem slower or faster."""
+
+
+def _columns(log: MeasurementLog, point: str) -> tuple[str, str, str]:
+    name = axis_name(log.axis)
+    return f"{name}.i_{point}", f"{name}.u_{point}", f"{name}.test_signal"
+
+
+def resistance_of(log: MeasurementLog) -> Ohmic:
+    """Resistance of winding and switch, and lost voltage, from current after current."""
+    name = axis_name(log.axis)
+    points = []
+    for recording in log.labelled("level"):
+        i_d, _ = mean_of(recording.columns[f"{name}.i_d"])
+        u_d, error = mean_of(recording.columns[f"{name}.u_d"])
+        if math.isfinite(i_d) and math.isfinite(u_d):
+            points.append((i_d, u_d, max(error, 1e-3)))
+    if len(points) < 4:
+        raise MeasurementError(f"{len(points)} currents with samples do not determine the resistance: measure again")
+    current, voltage, sigma = (np.array(column) for column in zip(*points, strict=True))
+    return ohmic(current, voltage, sigma)
+
+
+def inductances_of(log: MeasurementLog, r: float) -> dict[str, Estimate]:
+    """``l_d``, ``l_q`` and ``delay`` from swept sines; `r` with the switch [ohm]."""
+    of_d = impedance(log.labelled("sweep_d"), _columns(log, "d"), r, BAND["d"])
+    delay = of_d.delay.value
+    of_q = impedance(log.labelled("sweep_q"), _columns(log, "q"), r, BAND["q"], swings=True, delay=delay)
+    return {"l_d": of_d.inductance, "l_q": of_q.inductance, "delay": of_d.delay}
+
+
+def turning_of(log: MeasurementLog, r: float) -> dict[str, Estimate]:
+    """``pole_pairs``, gains and offsets from a vector that turns slowly, both ways.
+
+    Raises
+    ------
+    MeasurementError
+        If the shaft does not follow it, or the encoder counts the other way.
+    """
+    name = axis_name(log.axis)
+    slow = log.labelled("turn_slow")
+    if not slow:
+        raise MeasurementError("there is no recording of a turning vector")
+    found = [turning(one.columns[f"{name}.position"], one.columns[f"{name}.test_angle"]) for one in slow]
+    if len({one.pole_pairs for one in found}) != 1 or len({one.direction for one in found}) != 1:
+        raise MeasurementError("the shaft follows the turning vector in one direction only: it is held or loaded")
+    if found[0].direction < 0:
+        raise MeasurementError(
+            "the encoder counts against the direction in which the phases follow each other: swap its lines A and B,"
+            " or two wires of the motor"
+        )
+    return {"pole_pairs": Estimate(float(found[0].pole_pairs), 0.0), **sensor_errors(slow, name, r)}
+
+
+def _speeds(recording: Recording, name: str) -> tuple[float, float]:
+    """Mean speeds of vector and shaft, electrical and mechanical [rad/s]."""
+    angle, position = (recording.columns[f"{name}.{key}"] for key in ("test_angle", "position"))
+    usable = np.isfinite(angle) & np.isfinite(position)
+    time = recording.time[usable]
+    return tuple(float(np.polyfit(time, y, 1)[0]) for y in (np.unwrap(angle[usable]), position[usable]))  # type: ignore[return-value]
+
+
+def follows(recording: Recording, name: str, pairs: float) -> bool:
+    """Whether the shaft goes with a turning vector."""
+    electrical, shaft = _speeds(recording, name)
+    return abs(shaft * pairs - electrical) < FOLLOWS * abs(electrical)
+
+
+def flux_of(log: MeasurementLog, l_d: float, pairs: float) -> dict[str, Estimate]:
+    """A first ``psi_m`` from the voltage that a rotor induces which follows a turning vector.
+
+    Raises
+    ------
+    MeasurementError
+        If it does not follow, or induces nothing.
+    """
+    name = axis_name(log.axis)
+    fast = [one for one in log.labelled("turn_fast") if follows(one, name, pairs)][-2:]
+    speeds = [_speeds(one, name)[0] for one in fast]
+    if len(fast) < 2 or speeds[0] * speeds[1] > 0.0:
+        raise MeasurementError("the shaft does not follow a turning vector: it is held, or needs more current")
+    means = [mean_of(one.columns[f"{name}.u_q"])[0] for one in fast]
+    current = mean_of(fast[0].columns[f"{name}.i_d"])[0]
+    induced = (means[0] - means[1]) / (speeds[0] - speeds[1]) - l_d * current
+    if not induced > 1e-4:
+        raise MeasurementError("the turning rotor induces no voltage: are there magnets in it?")
+    return {"psi_m": Estimate(induced, FLUX_FIRST * induced)}
+
+
+def running_of(log: MeasurementLog, known: dict[str, Estimate], direct: Ohmic) -> dict[str, Estimate]:
+    """``psi_m``, friction, ``load`` and ``inertia`` from runs at several speeds."""
+    name = axis_name(log.axis)
+    runs = log.labelled("speed")
+    points = [steady_of(run, name) for run in log.labelled("hold")]
+    if len(points) < 4:
+        raise MeasurementError(f"{len(points)} runs do not determine flux and friction: measure again")
+    pairs, l_d, l_q = round(known["pole_pairs"].value), known["l_d"].value, known["l_q"].value
+    psi = flux(points, pairs, direct, float(log.notes["limits"]["voltage"]), l_d, l_q, known["delay"].value)
+    i_d, i_q = (np.array([getattr(point, key).value for point in points]) for key in ("i_d", "i_q"))
+    torque = torque_of(i_d, i_q, pairs, psi.value, l_d, l_q)
+    sigma = 1.5 * pairs * psi.value * np.array([point.i_q.sigma for point in points])
+    acceleration = np.array([point.acceleration for point in points])
+    inertia = Estimate(0.0, 0.0)
+    for _ in range(3):  # each needs a little of the other
+        parts = friction(points, torque - inertia.value * acceleration, sigma)
+        taken = parts["friction"].value, parts["viscous"].value, parts["load"].value
+        inertia, _ = balance(runs, name, (pairs, psi.value, l_d, l_q), taken)
+    # torque is measured in terms of the flux
+    scaled = {key: _with_part(value, psi.sigma / psi.value) for key, value in parts.items()}
+    return {"psi_m": psi, **scaled, "inertia": _with_part(inertia, psi.sigma / psi.value)}
+
+
+def _with_part(estimate: Estimate, part: float) -> Estimate:
+    return Estimate(estimate.value, math.hypot(estimate.sigma, part * estimate.value))
+
+
+def estimates_of(log: MeasurementLog) -> MotorEstimates:
+    """Everything that the recordings of a test determine, and why they do not determine the rest."""
+    r_on = float(log.notes["limits"]["r_on"])
+    values: dict[str, Estimate] = {}
+    undetermined: dict[str, str] = {}
+
+    def attempt(names: str, make: object) -> bool:
+        assert callable(make)
+        try:
+            values.update(make())
+        except MeasurementError as error:
+            undetermined.update(dict.fromkeys(names.split(), str(error)))
+            return False
+        return True
+
+    def standstill() -> dict[str, Estimate]:
+        found = resistance_of(log)
+        winding = Estimate(found.resistance.value - r_on, found.resistance.sigma)
+        return {"r_s": winding, "dead_voltage": found.lost}
+
+    total = lambda: Estimate(values["r_s"].value + r_on, values["r_s"].sigma)  # noqa: E731
+    if not attempt("r_s dead_voltage", standstill):
+        return MotorEstimates(values, undetermined)
+    attempt("l_d l_q delay", lambda: inductances_of(log, total().value))
+    if "l_d" not in values:
+        return MotorEstimates(values, undetermined)
+    if attempt("pole_pairs gain_ratio", lambda: turning_of(log, total().value)):
+        attempt("psi_m", lambda: flux_of(log, values["l_d"].value, values["pole_pairs"].value))
+        attempt("psi_m friction viscous load inertia", lambda: running_of(log, values, resistance_of(log)))
+    return MotorEstimates(values, undetermined)

@@ -1,0 +1,256 @@
+"""A measurement as a list of what was done and recorded: kept in a file, and repeated on another board. Pure.
+
+A file is a numpy archive: ``log`` is JSON with the calls in their order, ``r0``, ``r1`` .. are the recordings, one
+column per variable. A missing sample is NaN.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Recording
+
+__all__ = ["Call", "LoggedAccess", "MeasurementLog", "repeat"]
+
+FORMAT: Final = 1
+
+
+@dataclass(frozen=True)
+class Call:
+    """One call of a `BoardAccess`.
+
+    Attributes
+    ----------
+    kind : str
+        ``write``, ``wait`` or ``record``.
+    arguments : tuple
+        Of `BoardAccess.write_words`; the seconds; of `BoardAccess.record` without ``start``.
+    inner : tuple of Call
+        What ``start`` of a recording has called.
+    label : str
+        What a recording is for.
+    """
+
+    kind: str
+    arguments: tuple[Any, ...]
+    inner: tuple[Call, ...] = ()
+    label: str = ""
+
+
+@dataclass
+class MeasurementLog:
+    """Calls in their order, and what was recorded.
+
+    Attributes
+    ----------
+    axis : int
+        Index of the axis that was measured.
+    calls : list of Call
+    recordings : list of Recording
+        One per call of that kind.
+    notes : dict
+        What else was known: limits, first estimates, board time.
+    """
+
+    axis: int
+    calls: list[Call] = field(default_factory=list)
+    recordings: list[Recording] = field(default_factory=list)
+    notes: dict[str, Any] = field(default_factory=dict)
+
+    def labelled(self, label: str) -> list[Recording]:
+        """Recordings of one purpose, in their order."""
+        made = [call for call in self.calls if call.kind == "record"]
+        return [recording for call, recording in zip(made, self.recordings, strict=True) if call.label == label]
+
+    @property
+    def labels(self) -> list[str]:
+        """Purpose of each recording."""
+        return [call.label for call in self.calls if call.kind == "record"]
+
+    @property
+    def seconds(self) -> float:
+        """Board time that the calls have taken at least [s]."""
+        return sum(map(_seconds, self.calls))
+
+    def save(self, path: Path) -> None:
+        """Write a file."""
+        arrays: dict[str, Any] = {}
+        heads = []
+        for k, recording in enumerate(self.recordings):
+            arrays[f"r{k}"] = np.column_stack(list(recording.columns.values()))
+            heads.append({"step": recording.step, "names": list(recording.columns)})
+        text = {
+            "format": FORMAT,
+            "axis": self.axis,
+            "calls": [_as_json(call) for call in self.calls],
+            "recordings": heads,
+            "notes": self.notes,
+        }
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("wb") as file:
+            np.savez_compressed(file, log=np.array(json.dumps(text)), **arrays)
+
+    @classmethod
+    def load(cls, path: Path) -> MeasurementLog:
+        """Read a file.
+
+        Raises
+        ------
+        MeasurementError
+            If it is none.
+        OSError
+            If it cannot be read.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                text: Mapping[str, Any] = json.loads(str(archive["log"]))
+                if text["format"] != FORMAT:
+                    raise MeasurementError(f"{path} has the format {text['format']}, not {FORMAT}: measure again")
+                recordings = []
+                for k, head in enumerate(text["recordings"]):
+                    table = np.asarray(archive[f"r{k}"], dtype=np.float64)
+                    columns = {name: table[:, column] for column, name in enumerate(head["names"])}
+                    recordings.append(Recording(float(head["step"]), columns))
+        except (KeyError, ValueError, IndexError, TypeError, AttributeError) as error:
+            raise MeasurementError(f"{path} is no measurement of identify: {error}") from None
+        return cls(int(text["axis"]), [_of_json(call) for call in text["calls"]], recordings, dict(text["notes"]))
+
+
+def _seconds(call: Call) -> float:
+    if call.kind == "wait":
+        return float(call.arguments[0])
+    inner = sum(map(_seconds, call.inner))
+    if call.kind == "record":
+        _, samples, every, slow, _ = call.arguments
+        return max(inner, samples * every * (0.5e-3 if slow else 62.5e-6))
+    return inner
+
+
+def _as_json(call: Call) -> dict[str, Any]:
+    result: dict[str, Any] = {"kind": call.kind, "arguments": list(call.arguments)}
+    if call.inner:
+        result["inner"] = [_as_json(one) for one in call.inner]
+    if call.label:
+        result["label"] = call.label
+    return result
+
+
+def _of_json(entry: Mapping[str, Any]) -> Call:
+    inner = tuple(_of_json(one) for one in entry.get("inner", ()))
+    return Call(entry["kind"], tuple(entry["arguments"]), inner, entry.get("label", ""))
+
+
+class LoggedAccess(BoardAccess):
+    """Access that writes down what is done.
+
+    Parameters
+    ----------
+    access : BoardAccess
+        The board.
+    log : MeasurementLog
+        Where to write it.
+    """
+
+    def __init__(self, access: BoardAccess, log: MeasurementLog) -> None:
+        self._access = access
+        self.log = log
+        self._calls = log.calls
+
+    @property
+    def catalogue(self) -> Catalogue:
+        return self._access.catalogue
+
+    def read_words(self, name: str) -> list[int]:
+        return self._access.read_words(name)
+
+    def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
+        self._calls.append(Call("write", (name, [int(word) for word in words], first)))
+        return self._access.write_words(name, words, first)
+
+    def wait(self, seconds: float) -> None:
+        self._calls.append(Call("wait", (seconds,)))
+        self._access.wait(seconds)
+
+    def capacity(self, names: Sequence[str]) -> int:
+        return self._access.capacity(names)
+
+    def record(
+        self,
+        names: Sequence[str],
+        samples: int,
+        every: int,
+        slow: bool,
+        start: Callable[[], None] | None = None,
+        *,
+        trigger: str | None = None,
+    ) -> Recording:
+        return self.labelled("", names, samples, every, slow, start, trigger=trigger)
+
+    def labelled(
+        self,
+        label: str,
+        names: Sequence[str],
+        samples: int,
+        every: int,
+        slow: bool,
+        start: Callable[[], None] | None = None,
+        *,
+        trigger: str | None = None,
+    ) -> Recording:
+        """As `record`, with a purpose."""
+        outer, inner = self._calls, []
+
+        def logged_start() -> None:
+            self._calls = inner
+            try:
+                if start is not None:
+                    start()
+            finally:
+                self._calls = outer
+
+        recording = self._access.record(names, samples, every, slow, logged_start, trigger=trigger)
+        outer.append(Call("record", (list(names), samples, every, slow, trigger), tuple(inner), label))
+        self.log.recordings.append(recording)
+        return recording
+
+
+def repeat(log: MeasurementLog, access: BoardAccess) -> list[Recording]:
+    """Do the same to another board.
+
+    Returns
+    -------
+    list of Recording
+        What it shows, one for each of the log.
+
+    Raises
+    ------
+    MeasurementError
+        If it cannot be recorded.
+    """
+    recordings: list[Recording] = []
+    for call in log.calls:
+        _repeat(call, access, recordings)
+    return recordings
+
+
+def _repeat(call: Call, access: BoardAccess, recordings: list[Recording]) -> None:
+    if call.kind == "write":
+        name, words, first = call.arguments
+        access.write_words(name, words, first)
+    elif call.kind == "wait":
+        access.wait(call.arguments[0])
+    else:
+        names, samples, every, slow, trigger = call.arguments
+
+        def start() -> None:
+            for one in call.inner:
+                _repeat(one, access, recordings)
+
+        recordings.append(access.record(names, samples, every, slow, start, trigger=trigger))

@@ -1,0 +1,117 @@
+"""What is estimated of a motor, with its uncertainty, and what a controller is tuned for. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+__all__ = ["COVERAGE", "UNITS", "Estimate", "Limits", "MotorEstimates"]
+
+COVERAGE: Final = 1.96
+"""Half the width of a 95 % interval, over the standard uncertainty."""
+
+UNITS: Final[Mapping[str, str]] = {
+    "r_s": "ohm",
+    "l_d": "H",
+    "l_q": "H",
+    "psi_m": "V s",
+    "pole_pairs": "",
+    "inertia": "kg m^2",
+    "friction": "N m",
+    "viscous": "N m s",
+    "load": "N m",
+    "dead_voltage": "V",
+    "delay": "s",
+    "gain_ratio": "",
+    "offset_alpha": "A",
+    "offset_beta": "A",
+}
+"""What can be estimated, and its unit.
+
+``r_s`` is without the switches' resistance. ``dead_voltage`` is what a leg loses in its dead time and its switches
+together: at one bus voltage these are one number. ``gain_ratio`` is gain of phase a over that of b and c; the offsets
+are what the board's calibration has left, along phase a and across it.
+"""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number and how well it is known.
+
+    Attributes
+    ----------
+    value : float
+        SI.
+    sigma : float
+        Standard uncertainty.
+    """
+
+    value: float
+    sigma: float
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % confidence interval."""
+        return self.value - COVERAGE * self.sigma, self.value + COVERAGE * self.sigma
+
+    @property
+    def part(self) -> float:
+        """Half the width of the interval, over the value."""
+        return COVERAGE * self.sigma / abs(self.value) if self.value else math.inf
+
+
+@dataclass(frozen=True)
+class MotorEstimates:
+    """What a measurement has found out about an axis.
+
+    Attributes
+    ----------
+    values : mapping
+        By the names of `UNITS`.
+    undetermined : mapping
+        Why a value is not known, by name.
+    """
+
+    values: Mapping[str, Estimate]
+    undetermined: Mapping[str, str]
+
+    def __getitem__(self, name: str) -> float:
+        return self.values[name].value
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the user permits, and knows.
+
+    Attributes
+    ----------
+    voltage : float
+        Nominal voltage of the bus [V].
+    current : float
+        Largest current [A, peak].
+    speed : float
+        Largest speed [rad/s].
+    turns : float
+        The shaft stays within so many turns to both sides.
+    energy : float
+        What the bus can take from a shaft that brakes [J].
+    r_on : float
+        Resistance of a switch, which a measurement cannot tell from the winding's [ohm].
+    """
+
+    voltage: float
+    current: float
+    speed: float = 200.0
+    turns: float = 20.0
+    energy: float = 0.4
+    r_on: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("voltage", "current", "speed", "turns", "energy"):
+            value: float = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} is {value!r}; write a number above 0")
+        if not self.r_on >= 0.0:
+            raise ValueError(f"r_on is {self.r_on!r}; write the resistance of a switch, or 0")

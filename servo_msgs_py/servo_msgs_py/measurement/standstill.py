@@ -1,0 +1,192 @@
+"""Resistance, lost voltage, inductances and delay of a motor whose rotor a current vector holds. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from servo_msgs_py.measurement.access import Recording
+from servo_msgs_py.measurement.least_squares import Floats, fit_linear, fit_nonlinear
+from servo_msgs_py.measurement.motor_values import Estimate
+from servo_msgs_py.units import PERIOD_NS
+
+__all__ = ["Impedance", "Ohmic", "impedance", "ohmic", "spectra", "switching_share"]
+
+Complex = NDArray[np.complex128]
+
+PERIOD: Final = PERIOD_NS * 1e-9  # [s]
+SMOOTHED: Final = 6  # neighbouring frequencies whose cross spectra are added
+RESISTANCE_FIRST: Final = 0.4  # ohm; scale of what changes it
+
+
+def switching_share(x: Floats) -> Floats:
+    """Part of the lost voltage of a leg at a current, over the current within which it changes its sign.
+
+    The current of a leg that is close to zero changes its sign within a period of the PWM: then dead time and drops
+    of both signs act. Between both ends a cubic is close to what is measured.
+    """
+    clipped = np.clip(x, -1.0, 1.0)
+    share: Floats = clipped * (1.5 - 0.5 * clipped * clipped)
+    return share
+
+
+@dataclass(frozen=True)
+class Ohmic:
+    """What direct current shows.
+
+    Attributes
+    ----------
+    resistance : Estimate
+        Of winding and one switch [ohm].
+    lost : Estimate
+        Voltage that a leg loses in dead time and drops [V].
+    band : float
+        Current of a leg within which it does not lose all of that [A].
+    rms : float
+        Of the residuals [V].
+    """
+
+    resistance: Estimate
+    lost: Estimate
+    band: float
+    rms: float
+
+
+def ohmic(current: Floats, voltage: Floats, sigma: Floats) -> Ohmic:
+    """Line through voltages over currents along phase a, which phases b and c bring back in halves.
+
+    Parameters
+    ----------
+    current, voltage, sigma : ndarray, shape (n,)
+        Means of each level, and the standard uncertainty of the voltages [A], [V].
+    """
+    best: Ohmic | None = None
+    least = np.inf
+    for band in np.linspace(0.02, 0.6, 59) * float(np.abs(current).max()):
+        # mean of leg a against the mean of b and c, times 2/3
+        shape = (2.0 / 3.0) * (switching_share(current / band) + switching_share(0.5 * current / band))
+        (r, lost), covariance, rms = fit_linear(np.column_stack([current, shape]), voltage, sigma)
+        if rms < least:
+            least = rms
+            errors = np.sqrt(np.diag(covariance))
+            best = Ohmic(Estimate(r, errors[0]), Estimate(lost, errors[1]), float(band), rms)
+    assert best is not None
+    return best
+
+
+@dataclass(frozen=True)
+class Impedance:
+    """What a test signal shows.
+
+    Attributes
+    ----------
+    inductance : Estimate
+        [H].
+    delay : Estimate
+        From a sample of the current to the load of the duty that follows from it [s].
+    swing : float
+        Voltage per integral of the current, of a rotor that gives way [V/(A s)].
+    """
+
+    inductance: Estimate
+    delay: Estimate
+    swing: float
+
+
+def _response(omega: Floats, r: float, inductance: float, delay: float, swing: float) -> Complex:
+    """Current per voltage of samples; the voltage is held for a period after the delay [periods]."""
+    whole = int(np.floor(delay))
+    part = delay - whole
+    z1: Complex = np.exp(-1j * omega * PERIOD)
+    decay = r * PERIOD / inductance
+    late, both = np.exp(-(1.0 - part) * decay), np.exp(-decay)
+    winding: Complex = ((1.0 - late) * z1 + (late - both) * z1**2) / (r * (1.0 - both * z1)) * z1**whole
+    result: Complex = winding / (1.0 + winding * swing / (1j * omega)) if swing else winding
+    return result
+
+
+def impedance(
+    recordings: list[Recording],
+    names: tuple[str, str, str],
+    r: float,
+    band: tuple[float, float],
+    *,
+    swings: bool = False,
+    delay: float | None = None,
+) -> Impedance:
+    """Inductance from recordings of a swept sine; the signal itself is the instrument, so noise does not bias it.
+
+    Parameters
+    ----------
+    recordings : list of Recording
+        Every PWM period, with the decay behind the signal.
+    names : tuple of str
+        Columns of current, voltage and test signal.
+    r : float
+        Resistance [ohm].
+    band : tuple of float
+        Frequencies that are used [Hz].
+    swings : bool
+        Whether the current turns the rotor.
+    delay : float, optional
+        Known delay [s].
+    """
+    shown = [spectra(recording, names, band) for recording in recordings]
+    omega = shown[0][0]
+    i_d = sum(item[1] for item in shown)
+    u_d = sum(item[2] for item in shown)
+    known = None if delay is None else delay / PERIOD
+    size = float(np.abs(u_d).mean() / np.abs(i_d).mean() / omega.mean())
+
+    def residual(x: Floats) -> Floats:
+        inductance, late, swing = abs(float(x[0])) + 1e-9, known, float(x[1])
+        if known is None:
+            late = float(np.clip(x[1], 0.0, 3.0))
+            swing = float(x[2]) if swings else 0.0
+        elif not swings:
+            swing = 0.0
+        assert late is not None
+        error = i_d - _response(omega, r, inductance, late, swing) * u_d
+        return np.concatenate([error.real, error.imag])
+
+    start, scale = [size], [size]
+    if known is None:
+        start, scale = [*start, 0.5], [*scale, 1.0]
+    if swings:
+        start, scale = [*start, 0.0], [*scale, size * float(omega[0]) ** 2]
+    elif known is not None:
+        start, scale = [*start, 0.0], [*scale, 1.0]
+    x, covariance = fit_nonlinear(residual, np.array(start), np.array(scale))
+    errors = np.sqrt(np.abs(np.diag(covariance)))
+    found = Estimate(float(x[1]) * PERIOD, float(errors[1]) * PERIOD) if known is None else Estimate(delay or 0.0, 0.0)
+    swing = float(x[-1]) if swings else 0.0
+    return Impedance(Estimate(abs(float(x[0])), float(errors[0])), found, swing)
+
+
+def spectra(
+    recording: Recording, names: tuple[str, str, str], band: tuple[float, float]
+) -> tuple[Floats, Complex, Complex]:
+    """Frequencies [rad/s], and current and voltage in terms of the instrument; missing samples are bridged."""
+    columns = [_bridged(recording.columns[name]) for name in names]
+    size = columns[0].size
+    # what the signal leaves behind has decayed in the last samples: their mean is the direct part
+    i, u, d = (np.fft.rfft(column - column[-max(size // 16, 4) :].mean()) for column in columns)
+    frequency = np.fft.rfftfreq(size, recording.step)
+    inside = np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]))
+    inside = inside[: inside.size // SMOOTHED * SMOOTHED].reshape(-1, SMOOTHED)
+    weight = np.abs(d[inside] ** 2).sum(axis=1)
+    i_d = (i[inside] * d[inside].conj()).sum(axis=1) / np.sqrt(weight)
+    u_d = (u[inside] * d[inside].conj()).sum(axis=1) / np.sqrt(weight)
+    return 2.0 * np.pi * frequency[inside].mean(axis=1), i_d, u_d
+
+
+def _bridged(column: Floats) -> Floats:
+    """Samples with straight lines over those that are missing."""
+    usable = np.isfinite(column)
+    if usable.all():
+        return column
+    at = np.arange(column.size)
+    return np.interp(at, at[usable], column[usable])

@@ -1,0 +1,118 @@
+"""A virtual board to measure on, in simulated time: see `servo_msgs_py.measurement.access.BoardAccess`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.measurement.access import (
+    RECORDER_BYTES,
+    TRIGGER_TIMEOUT,
+    BoardAccess,
+    MeasurementError,
+    Recording,
+    element_of,
+    step_of,
+)
+
+from servo_twin.board import Board, BoardError
+
+__all__ = ["VirtualBoardAccess"]
+
+_OUT_OF_RANGE: Final = 0x97  # FreeMASTER status of a value that the board does not take
+_FAST, _SLOW = 0, 1
+_LOOK: Final = 0.002  # between two looks for the trigger [s]
+
+
+class VirtualBoardAccess(BoardAccess):
+    """Access to a board of this process. Its host never falls silent.
+
+    Parameters
+    ----------
+    board : Board
+        The board; time moves only by `wait` and `record`.
+    """
+
+    def __init__(self, board: Board) -> None:
+        self.board = board
+
+    @property
+    def catalogue(self) -> Catalogue:
+        """Variables of the board."""
+        return self.board.catalogue
+
+    def read_words(self, name: str) -> list[int]:
+        return self.board.read_raw(name)
+
+    def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
+        variable = self.catalogue[name]
+        if first < 0 or first + len(words) > variable.count:
+            raise ValueError(f"{name} has {variable.count} element(s), not {first} .. {first + len(words) - 1}")
+        data = b"".join(variable.raw_type.pack(word) for word in words)
+        try:
+            self.board.write_memory(self.board.address(name) + first * variable.element_size, data)
+        except BoardError as error:
+            if error.status != _OUT_OF_RANGE:
+                raise MeasurementError(f"{name}: {error}") from None
+            return False
+        return True
+
+    def wait(self, seconds: float) -> None:
+        self.board.run(seconds)
+
+    def capacity(self, names: Sequence[str]) -> int:
+        """As on a chip, so that a measurement is the same; `record` itself takes more."""
+        return RECORDER_BYTES // sum(element_of(self.catalogue, name)[0].element_size for name in names)
+
+    def record(
+        self,
+        names: Sequence[str],
+        samples: int,
+        every: int,
+        slow: bool,
+        start: Callable[[], None] | None = None,
+        *,
+        trigger: str | None = None,
+    ) -> Recording:
+        elements = [element_of(self.catalogue, name) for name in names]
+        sampled = list(elements)
+        if trigger is not None and trigger not in names:
+            sampled.append(element_of(self.catalogue, trigger))
+        loop = step_of(1, slow)
+        wait = 0.0 if trigger is None else TRIGGER_TIMEOUT
+        try:
+            self.board.sample(_SLOW if slow else _FAST, sampled, samples * every + round((wait + _LOOK) / loop) + 1)
+        except BoardError as error:
+            raise MeasurementError(str(error)) from None
+        try:
+            if start is not None:
+                start()
+            first = (
+                0
+                if trigger is None
+                else self._first_triggered(names.index(trigger) if trigger in names else len(elements))
+            )
+            while (missing := first + samples * every - len(self.board.sampled())) > 0:
+                self.board.run(missing * loop)
+            points = self.board.sampled()[first : first + samples * every : every]
+        finally:
+            self.board.end_sampling()
+        fields = points.dtype.names or ()
+        columns = {
+            name: points[field].astype(np.float64) * variable.lsb
+            for name, field, (variable, _) in zip(names, fields, elements, strict=False)
+        }
+        return Recording(step_of(every, slow), columns)
+
+    def _first_triggered(self, column: int) -> int:
+        """Run until the variable of a column is above zero; returns the number of that sample."""
+        begin = self.board.time_ns
+        while (self.board.time_ns - begin) * 1e-9 < TRIGGER_TIMEOUT:
+            self.board.run(_LOOK)
+            points = self.board.sampled()
+            above = points[(points.dtype.names or ())[column]] > 0
+            if above.any():
+                return int(np.argmax(above))
+        raise MeasurementError(f"nothing started within {TRIGGER_TIMEOUT:g} s: the recording was not triggered")

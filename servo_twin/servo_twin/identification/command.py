@@ -1,0 +1,168 @@
+"""``servo-sim identify``: motor, shaft and inverter of an axis, from a virtual board or from a recording."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import functools
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.measurement.access import MeasurementError
+from servo_msgs_py.measurement.log import MeasurementLog
+from servo_msgs_py.measurement.motor_values import Limits
+
+from servo_twin.board import Board
+from servo_twin.experiments.rig import positive
+from servo_twin.firmware_build import SERVO_TOML, servo_table
+from servo_twin.identification.files import draw, report_lines, write_estimates, write_plant, write_servo
+from servo_twin.identification.motors import random_motor
+from servo_twin.identification.session import Identified, identified, measure_virtual, tuned_table
+from servo_twin.identification.trials import Trials, summary
+from servo_twin.level import FAST_LEVEL, chosen_level
+from servo_twin.plant import PlantConfig
+from servo_twin.runner import Runner
+from servo_twin.simulation import SimulationError
+
+__all__ = ["add_parser"]
+
+_HELP: Final = """\
+Find out what motor is there: resistance, inductances, flux, pole pairs, inertia, friction, load, the voltage that dead
+time and switches take, delay, with 95 % intervals. The axis moves by itself, within the limits. Nothing has to be known
+but the voltage of the bus and the current that the motor bears.
+
+  servo-sim identify --axis 1 --voltage 24 --current 4          a virtual board, with the motor of --plant
+  servo-sim identify --motor 17                                 .. with a random motor
+  servo-sim identify --recording out/identify/measurement.npz   what servo-tool identify has recorded
+  servo-sim identify --trials 200 --level registers             random motors against the truth
+
+The folder gets measurement.npz, estimates.json, identify.png, and if all is determined plant.toml for the twin and
+servo.toml for the controller. Exit status 1, with the reason, if something is not."""
+
+_OUT: Final = Path("out/identify")
+
+
+def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.ArgumentParser) -> None:
+    """Add ``identify`` to the commands of ``servo-sim``; parameters as in `servo_twin.sweep.command.add_parser`."""
+    parser = verbs.add_parser(
+        "identify",
+        parents=[common, levelled],
+        help="find out what motor is there",
+        description=_HELP.replace("%", "%%"),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    defaults = {field.name: field.default for field in dataclasses.fields(Limits)}
+    parser.add_argument("--axis", type=int, choices=range(1, AXES + 1), default=1, help="default: %(default)s")
+    parser.add_argument("--voltage", type=float, default=24.0, help="of the bus [V] (default: %(default)s)")
+    parser.add_argument("--current", type=float, default=4.0, help="that the motor bears [A, peak] (default: %(default)s)")
+    for name, text in (
+        ("speed", "largest speed [rad/s]"),
+        ("turns", "turns to both sides within which the shaft stays"),
+        ("energy", "that the bus takes from a braking shaft [J]"),
+    ):
+        parser.add_argument(f"--{name}-max", type=float, default=defaults[name], help=f"{text} (default: %(default)s)")
+    parser.add_argument(
+        "--r-on",
+        type=float,
+        help="resistance of a switch [ohm], which counts to the winding otherwise (default: that of the plant file)",
+    )
+    parser.add_argument("--config", type=Path, metavar="FILE", help="servo.toml for the rest (default: the firmware's)")
+    parser.add_argument("--recording", type=Path, metavar="FILE", help="estimate from this measurement; nothing moves")
+    parser.add_argument("--no-refinement", action="store_true", help="only the closed-form estimates")
+    parser.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="default: %(default)s")
+    real = parser.add_argument_group("what is really there, on a virtual board")
+    real.add_argument("--motor", type=int, metavar="K", help="a random motor")
+    real.add_argument("--load", type=float, default=0.0, help="constant torque [N m]")
+    real.add_argument("--locked", action="store_true", help="the shaft is held fast")
+    parser.add_argument("--trials", type=positive, metavar="N", help="so many random motors against the truth")
+    Runner.add_options(parser)
+    parser.set_defaults(run=_run)
+
+
+def _limits(args: argparse.Namespace, plant: PlantConfig) -> Limits:
+    r_on = plant.axes[args.axis - 1].r_on if args.r_on is None else args.r_on
+    return Limits(args.voltage, args.current, args.speed_max, args.turns_max, args.energy_max, r_on)
+
+
+def _prepare(axis: int, load: float, locked: bool, board: Board) -> None:
+    board.set_load(axis, load)
+    if locked:
+        board.lock_shaft(axis)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _run(args: argparse.Namespace) -> int:
+    plant = PlantConfig.load(args.plant)
+    base = servo_table(args.config or SERVO_TOML)
+    if args.trials is not None:
+        return _trials(args, plant, base)
+    limits, axis = _limits(args, plant), args.axis - 1
+    if args.recording is not None:
+        try:
+            log, problem = MeasurementLog.load(args.recording), ""
+        except MeasurementError as error:
+            raise SimulationError(str(error)) from None
+        limits = Limits(**log.notes["limits"])
+    else:
+        real = plant if args.motor is None else random_motor(plant, axis, args.motor)
+        log, problem = measure_virtual(
+            real,
+            axis,
+            limits,
+            base,
+            level=chosen_level(args.level, default=FAST_LEVEL),
+            seed=args.seed,
+            prepare=functools.partial(_prepare, axis, args.load, args.locked),
+            report=_say,
+        )
+        log.save(args.out / "measurement.npz")
+    result = identified(log, plant, problem, refined=not args.no_refinement, report=_say)
+    return _write(args, result, plant, base, limits)
+
+
+def _write(
+    args: argparse.Namespace, result: Identified, plant: PlantConfig, base: Mapping[str, Any], limits: Limits
+) -> int:
+    args.out.mkdir(parents=True, exist_ok=True)
+    problems, lines = list(result.problems), []
+    if not problems:
+        table, found = tuned_table(base, result, limits)
+        lines = list(found)
+        if table is None:
+            problems += lines
+        else:
+            write_servo(args.out / "servo.toml", table)
+        write_plant(args.out / "plant.toml", result, plant)
+    else:
+        for name in ("plant.toml", "servo.toml"):
+            (args.out / name).unlink(missing_ok=True)  # of a run before
+    write_estimates(args.out / "estimates.json", result, lines)
+    if result.log.recordings:
+        draw(args.out / "identify.png", result)
+    if args.json:
+        print((args.out / "estimates.json").read_text(encoding="utf-8"), end="")
+    else:
+        print(f"{axis_name(result.log.axis)}, {result.log.notes.get('seconds', result.log.seconds):.1f} s of the board")
+        print("\n".join([*report_lines(result), *lines]))
+    for problem in problems:
+        print(f"servo-sim: {problem}", file=sys.stderr)
+    return 1 if problems else 0
+
+
+def _trials(args: argparse.Namespace, plant: PlantConfig, base: Mapping[str, Any]) -> int:
+    level = chosen_level(args.level, default=FAST_LEVEL)
+    work = Trials(plant, base, args.axis - 1, _limits(args, plant), level, args.seed)
+    found = sorted(Runner.of(args).run(work, range(args.trials), "identify, motors"))
+    args.out.mkdir(parents=True, exist_ok=True)
+    content = [{"motor": args.seed + number, **dataclasses.asdict(trial)} for number, trial in found]
+    text = json.dumps(content, indent=2, default=float) + "\n"
+    (args.out / "trials.json").write_text(text, encoding="utf-8")
+    print(text if args.json else "\n".join(summary(found)))
+    return 1 if any(trial.false_success for _, trial in found) else 0

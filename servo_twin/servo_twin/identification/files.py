@@ -1,0 +1,131 @@
+"""What identify writes: plant file for the twin, ``servo.toml`` for the controller, estimates as JSON, a picture."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.measurement.least_squares import mean_of
+from servo_msgs_py.measurement.motor_values import COVERAGE, UNITS
+
+from servo_twin.figure import new_figure
+from servo_twin.firmware_build import as_toml
+from servo_twin.identification.refine import plant_of
+from servo_twin.identification.session import Identified, rows_of
+from servo_twin.plant import PlantConfig
+
+__all__ = ["draw", "report_lines", "write_estimates", "write_plant", "write_servo"]
+
+_PLANT: Final = ("r_s", "l_d", "l_q", "psi_m", "pole_pairs", "inertia", "friction", "viscous", "r_on", "v_drop")
+"""Values of an axis in the plant file."""
+
+
+def report_lines(result: Identified) -> list[str]:
+    """Table of the estimates, and how well a simulation with them agrees."""
+    lines = ["                    value   95 % interval"]
+    for name, estimate, unit in rows_of(result.estimates):
+        low, high = estimate.interval
+        span = "" if estimate.sigma == 0.0 else f"{low:.4g} .. {high:.4g}"
+        lines.append(f"{name:13} {estimate.value:12.5g}   {span:26} {unit}".rstrip())
+    if result.refinement is not None:
+        lines.append("difference to the simulation (root mean square)   before    after")
+        for column, before in result.refinement.before.items():
+            lines.append(f"  {column:47} {before:8.3g} {result.refinement.after[column]:8.3g}")
+    return lines
+
+
+def write_plant(path: Path, result: Identified, plant: PlantConfig) -> None:
+    """A plant file that names what has been identified."""
+    values = {name: estimate.value for name, estimate in result.estimates.values.items()}
+    limits: Mapping[str, float] = result.log.notes["limits"]
+    own = plant_of(plant, result.log.axis, values, limits).axes[result.log.axis]
+    entries = {name: float(f"{getattr(own, name):.6g}") for name in _PLANT}
+    entries["pole_pairs"] = round(own.pole_pairs)
+    head = "# Identified by servo-sim identify. dead_time and r_on were given; r_s and v_drop are what they leave.\n"
+    path.write_text(head + as_toml({axis_name(result.log.axis): entries}), encoding="utf-8")
+
+
+def write_servo(path: Path, table: Mapping[str, Any]) -> None:
+    """``servo.toml`` for ``servo-tool tune`` and ``make tune``."""
+    path.write_text("# Made by servo-sim identify.\n" + as_toml(table), encoding="utf-8")
+
+
+def write_estimates(path: Path, result: Identified, lines: Sequence[str]) -> None:
+    """Everything as JSON."""
+    refinement = result.refinement
+    content = {
+        "axis": axis_name(result.log.axis),
+        "limits": result.log.notes["limits"],
+        "board_seconds": result.log.notes.get("seconds", result.log.seconds),
+        "estimates": {
+            name: {"value": one.value, "sigma": one.sigma, "interval": list(one.interval), "unit": UNITS[name]}
+            for name, one in result.estimates.values.items()
+        },
+        "undetermined": dict(result.estimates.undetermined),
+        "problems": list(result.problems),
+        "difference": None if refinement is None else {"before": refinement.before, "after": refinement.after},
+        "margins": list(lines),
+    }
+    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+def draw(path: Path, result: Identified) -> None:
+    """Picture: resistance, spectra, runs and torque over speed, each measured and simulated, and the estimates."""
+    figure = new_figure(13.0, 8.0, 110)
+    plots = figure.subplots(2, 3)
+    name, log = axis_name(result.log.axis), result.log
+    shown = None if result.refinement is None else result.refinement.simulated
+    sides = [("measured", log.recordings, "o", "tab:blue")]
+    if shown is not None:
+        sides.append(("simulated", shown, "x", "tab:orange"))
+    for label, recordings, mark, colour in sides:
+        chosen = list(zip(log.labels, recordings, strict=True))
+        levels = [one.columns for kind, one in chosen if kind == "level"]
+        current, voltage = ([mean_of(one[f"{name}.{key}"])[0] for one in levels] for key in ("i_d", "u_d"))
+        plots[0, 0].plot(current, voltage, mark, color=colour, label=label)
+        for point, style in (("d", "-"), ("q", "--")):
+            sweep = next((one for kind, one in chosen if kind == f"sweep_{point}"), None)
+            if sweep is not None:
+                plots[0, 1].plot(
+                    1e3 * sweep.time[:400], sweep.columns[f"{name}.i_{point}"][:400], style, color=colour, lw=0.8
+                )
+        begin = 0.0
+        for kind, one in chosen:
+            if kind == "speed":
+                time = begin + one.time
+                begin = float(time[-1])
+                plots[0, 2].plot(time, one.columns[f"{name}.speed"], color=colour, lw=1.0)
+                plots[1, 0].plot(time, one.columns[f"{name}.i_q"], color=colour, lw=0.8)
+        held = [one for kind, one in chosen if kind == "hold"]
+        speeds = [float(np.polyfit(one.time, np.nan_to_num(one.columns[f"{name}.position"]), 1)[0]) for one in held]
+        plots[1, 1].plot(speeds, [mean_of(one.columns[f"{name}.i_q"])[0] for one in held], mark, color=colour)
+    for plot, title, x, y in (
+        (plots[0, 0], "resistance and lost voltage", "i_d [A]", "u_d [V]"),
+        (plots[0, 1], "swept sine, d and q (dashed)", "time [ms]", "current [A]"),
+        (plots[0, 2], "runs", "time [s]", "speed [rad/s]"),
+        (plots[1, 0], "runs", "time [s]", "i_q [A]"),
+        (plots[1, 1], "friction", "speed [rad/s]", "i_q [A]"),
+    ):
+        plot.set(title=title, xlabel=x, ylabel=y)
+        plot.grid(alpha=0.3)
+    plots[0, 0].legend()
+    _bars(plots[1, 2], result)
+    figure.savefig(path)
+
+
+def _bars(plot: Any, result: Identified) -> None:
+    rows = [
+        (name, 100.0 * COVERAGE * one.sigma / abs(one.value))
+        for name, one, _ in rows_of(result.estimates)
+        if one.value and one.sigma and name not in ("offset_alpha", "offset_beta", "load")
+    ]
+    rows = [(name, part) for name, part in rows if math.isfinite(part)]
+    plot.barh([name for name, _ in rows], [part for _, part in rows], color="tab:blue")
+    plot.set(title="half the 95 % interval", xlabel="% of the value", xscale="log")
+    plot.invert_yaxis()
+    plot.grid(alpha=0.3)

@@ -1,0 +1,395 @@
+"""All values together, by simulation: what was done to the board is done to virtual boards until they answer the same.
+
+The plant is that of the twin, the firmware the same C with the same configuration blocks, written at the same times. The
+differences of currents, voltages and speeds are minimised over the values of the motor (output error).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.measurement.access import MeasurementError, Recording
+from servo_msgs_py.measurement.estimation import BAND, estimates_of
+from servo_msgs_py.measurement.least_squares import mean_of
+from servo_msgs_py.measurement.log import MeasurementLog, repeat
+from servo_msgs_py.measurement.motor_values import Estimate, MotorEstimates
+from servo_msgs_py.measurement.standstill import spectra
+
+from servo_twin.board import Board, BoardError
+from servo_twin.board_access import VirtualBoardAccess
+from servo_twin.level import Level
+from servo_twin.plant import PlantConfig, PlantError
+
+__all__ = ["MODEL_ERROR", "REFINED", "Refinement", "plant_of", "refine", "simulated"]
+
+Floats = NDArray[np.float64]
+
+REFINED: Final = ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous", "load", "dead_voltage")
+"""What is refined, in the order of the parameters."""
+
+MODEL_ERROR: Final[Mapping[str, float]] = {
+    "r_s": 0.002,
+    "l_d": 0.002,
+    "l_q": 0.002,
+    "psi_m": 0.002,
+    "inertia": 0.004,
+    "friction": 0.02,
+    "viscous": 0.02,
+    "dead_voltage": 0.003,
+}
+"""Relative standard uncertainty that the model leaves, whatever the noise (doc/identify.md)."""
+
+BATCH: Final = 4  # neighbouring samples whose residuals are not independent
+STEP: Final = 0.04
+"""Of a numerical derivative: encoder and converters make simulated signals rough, so a small one shows nothing else."""
+CORRECTIONS: Final = 3
+CURRENT_ERROR: Final = 1e-3
+"""Standard uncertainty of a mean current: a quarter of a step of the converter [A]."""
+
+ITERATIONS: Final = 4
+FARTHEST: Final = 8.0  # a residual counts for no more than about so many times the usual one
+
+_COMPARED: Final[Mapping[str, Sequence[str]]] = {
+    "level": ("u_d",),
+    "speed": ("i_q", "speed"),
+    "hold": ("i_q", "u_q"),
+}
+"""Columns that are compared, by the purpose of a recording; of swept sines the spectra are."""
+
+_AVERAGED: Final[Mapping[str, float]] = {"level": 1e3, "speed": 0.02, "hold": 1e3}
+"""Means over so many seconds count [s]: dead time makes a ripple of six periods per electrical turn, whose phase says
+nothing about the motor."""
+
+_DEPENDS: Final[Mapping[str, Sequence[str]]] = {
+    "level": ("r_s", "dead_voltage"),
+    "sweep d": ("r_s", "l_d"),
+    "sweep q": ("r_s", "l_q", "psi_m", "inertia"),
+    "speed": ("psi_m", "inertia", "friction", "viscous", "load"),
+    "hold": REFINED,
+}
+"""What a signal depends on; all else in a numerical derivative is roughness."""
+
+_LEAST: Final[Mapping[str, float]] = {"i_q": 1e-3, "u_d": 1e-3, "u_q": 3e-3, "speed": 0.01}
+"""Noise that is assumed at least [SI]."""
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """What came of it.
+
+    Attributes
+    ----------
+    estimates : MotorEstimates
+        With what was not refined as it was.
+    before, after : mapping
+        Root mean square of each signal's difference before and after [SI].
+    simulated : list of Recording
+        What a board with the refined values shows.
+    """
+
+    estimates: MotorEstimates
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+    simulated: list[Recording]
+
+
+def plant_of(plant: PlantConfig, axis: int, values: Mapping[str, float], limits: Mapping[str, float]) -> PlantConfig:
+    """A plant file's values with those of a motor.
+
+    The lost voltage of a leg is dead time and drop together: the dead time stays that of `plant`, the drop takes the rest.
+    """
+    own = plant.axes[axis]
+    changes: dict[str, Any] = {
+        name: values[name] for name in ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous") if name in values
+    }
+    if "pole_pairs" in values:
+        changes["pole_pairs"] = float(round(values["pole_pairs"]))
+    if "dead_voltage" in values:
+        dead = own.dead_time * plant.pwm_frequency * limits["voltage"]
+        changes["v_drop"] = max(values["dead_voltage"] - dead, 0.0)
+    changes["r_on"] = limits["r_on"]
+    for name in ("friction", "viscous"):
+        if name in changes:
+            changes[name] = max(changes[name], 0.0)
+    return plant.with_axis(axis, **changes)
+
+
+def simulated(
+    log: MeasurementLog, plant: PlantConfig, load: float, level: Level = "ideal", seed: int = 1
+) -> list[Recording]:
+    """What a virtual board with this plant shows, when all is done to it that was done to the real one.
+
+    Raises
+    ------
+    MeasurementError
+        If it cannot be done.
+    """
+    quiet = plant.with_axis(log.axis, i_noise=0.0, theta_start=0.0).with_bus(u_noise=0.0)
+    try:
+        with Board(quiet, seed=seed, level=level) as board:
+            board.set_load(log.axis, load)
+            board.run(float(log.notes.get("boot", 0.05)))
+            return repeat(log, VirtualBoardAccess(board))
+    except BoardError as error:
+        raise MeasurementError(f"the simulation has failed: {error}") from None
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What is compared of one recording.
+
+    Attributes
+    ----------
+    number : int
+        Of the recording.
+    label, column : str
+    usable : ndarray of bool
+        Samples that are there.
+    group : ndarray of int
+        Of the usable ones: those of one number are averaged.
+    """
+
+    number: int
+    label: str
+    column: str
+    usable: NDArray[np.bool_]
+    group: NDArray[np.int64]
+
+    def means(self, samples: Floats) -> Floats:
+        _, place, counts = np.unique(self.group, return_inverse=True, return_counts=True)
+        result: Floats = np.bincount(place, samples) / counts
+        return result
+
+
+class _Difference:
+    """Differences of two sets of recordings as one vector; weighted by their noise, and without missing samples."""
+
+    def __init__(self, log: MeasurementLog) -> None:
+        self._name = axis_name(log.axis)
+        self._log = log
+        self._parts: list[_Part] = []
+        first_run = True
+        for k, (label, recording) in enumerate(zip(log.labels, log.recordings, strict=True)):
+            if label == "speed" and first_run:
+                first_run = False  # the rotor search before it does not end at the same time
+                continue
+            for column in _COMPARED.get(label, ()):
+                usable = np.isfinite(recording.columns[f"{self._name}.{column}"])
+                every = max(round(_AVERAGED[label] / recording.step), 1)
+                if usable.any():
+                    self._parts.append(_Part(k, label, column, usable, np.arange(usable.size)[usable] // every))
+        self._sigma: dict[tuple[str, str], float] = {}
+
+    def _raw(self, shown: Sequence[Recording]) -> list[tuple[_Part, Floats]]:
+        result = []
+        for part in self._parts:
+            key = f"{self._name}.{part.column}"
+            there, here = (recordings[part.number].columns[key] for recordings in (self._log.recordings, shown))
+            result.append((part, part.means((here - there)[part.usable])))
+        return result
+
+    def _sweeps(self, shown: Sequence[Recording]) -> list[tuple[str, Floats]]:
+        """Spectra in terms of the test signal, all sweeps of one kind together."""
+        result = []
+        for point in "dq":
+            names = (f"{self._name}.i_{point}", f"{self._name}.u_{point}", f"{self._name}.test_signal")
+            numbers = [k for k, label in enumerate(self._log.labels) if label == f"sweep_{point}"]
+            there, here = (
+                [spectra(recordings[k], names, BAND[point]) for k in numbers] for recordings in (self._log.recordings, shown)
+            )
+            for quantity in (1, 2):
+                difference = sum(one[quantity] for one in here) - sum(one[quantity] for one in there)
+                difference = np.asarray(difference)
+                result.append((f"{point}{quantity}", np.concatenate([difference.real, difference.imag])))
+        return result
+
+    def weigh(self, shown: Sequence[Recording]) -> None:
+        """Noise of every signal: of what changes from one mean to the next, or of the one mean."""
+        noise: dict[tuple[str, str], list[float]] = {}
+        for part, values in self._raw(shown):
+            if values.size > 4:
+                sigma = _usual(np.diff(values)) / math.sqrt(2.0)
+            else:
+                _, sigma = mean_of(self._log.recordings[part.number].columns[f"{self._name}.{part.column}"])
+            noise.setdefault((part.label, part.column), []).append(sigma)
+        for key, sigmas in noise.items():
+            self._sigma[key] = max(float(np.median(sigmas)), _LEAST[key[1]])
+        for key_, values in self._sweeps(shown):
+            self._sigma["sweep", key_] = max(_usual(np.diff(values)) / math.sqrt(2.0), 1e-9)
+
+    def vector(self, shown: Sequence[Recording]) -> Floats:
+        plain = [values / self._sigma[part.label, part.column] for part, values in self._raw(shown)]
+        return np.concatenate(plain + [values / self._sigma["sweep", key] for key, values in self._sweeps(shown)])
+
+    def depends(self, names: Sequence[str]) -> NDArray[np.bool_]:
+        """Whether a residual of `vector` depends on a parameter, shape (residuals, parameters)."""
+        def row(label: str) -> list[bool]:
+            return [name in _DEPENDS[label] for name in names]
+
+        shown = self._log.recordings
+        rows = [row(part.label) for part, values in self._raw(shown) for _ in values]
+        rows += [row(f"sweep {key[0]}") for key, values in self._sweeps(shown) for _ in values]
+        return np.array(rows)
+
+    @property
+    def batches(self) -> NDArray[np.int64]:
+        """Which residuals of `vector` may depend on each other."""
+        sizes = [np.unique(part.group).size for part in self._parts]
+        rest = sum(np.asarray(values).size for _, values in self._sweeps(self._log.recordings))
+        together = [np.arange(size) // BATCH + 10_000 * n for n, size in enumerate(sizes)]
+        return np.concatenate([*together, 1_000_000 + np.arange(rest)])
+
+    def rms(self, shown: Sequence[Recording]) -> dict[str, float]:
+        """Root mean square of each signal's differences."""
+        found: dict[str, list[Floats]] = {}
+        for part, values in self._raw(shown):
+            found.setdefault(part.column, []).append(values)
+        for key, values in self._sweeps(shown):
+            found.setdefault(f"sweep {key}", []).append(values)
+        return {column: float(np.sqrt((np.concatenate(parts) ** 2).mean())) for column, parts in found.items()}
+
+
+def _usual(differences: Floats) -> float:
+    """Robust standard deviation."""
+    return 1.4826 * float(np.median(np.abs(differences)))
+
+
+def refine(
+    log: MeasurementLog, first: MotorEstimates, plant: PlantConfig, report: Callable[[str], None] = lambda text: None
+) -> Refinement:
+    """Values of the motor from all recordings together.
+
+    Parameters
+    ----------
+    log : MeasurementLog
+        Of a motor test.
+    first : MotorEstimates
+        Closed-form estimates.
+    plant : PlantConfig
+        For all that is not estimated: bus, sensors.
+    report : callable, optional
+        Gets a line for each iteration.
+
+    Raises
+    ------
+    MeasurementError
+        If it cannot be simulated.
+    """
+    limits: Mapping[str, float] = log.notes["limits"]
+    names = [name for name in REFINED if name in first.values]
+    start = {name: estimate.value for name, estimate in first.values.items()}
+    torque = 1.5 * start["pole_pairs"] * start["psi_m"] * limits["current"]
+    top = max((float(np.nanmax(np.abs(r.columns[f"{axis_name(log.axis)}.speed"]))) for r in log.labelled("speed")))
+    scale = {name: abs(start[name]) for name in names}
+    scale["friction"] = max(scale.get("friction", 0.0), 0.003 * torque)
+    scale["viscous"] = max(scale.get("viscous", 0.0), 0.5 * scale["friction"] / top)
+    scale["load"] = scale["friction"]
+    base = plant.with_bus(u_source=limits["voltage"])
+    start = _corrected(log, start, base, names)
+    difference = _Difference(log)
+    shown: dict[bytes, list[Recording]] = {}
+
+    depends = difference.depends(names)
+
+    def values_of(x: Floats) -> dict[str, float]:
+        return {**start, **{name: start[name] + x[k] * scale[name] for k, name in enumerate(names)}}
+
+    def show(x: Floats) -> list[Recording]:
+        key = x.tobytes()
+        if key not in shown:
+            values = values_of(x)
+            try:
+                found = simulated(log, plant_of(base, log.axis, values, limits), values.get("load", 0.0))
+            except PlantError as error:
+                raise MeasurementError(f"the estimates are no motor: {error}") from None
+            shown[key] = found
+        return shown[key]
+
+    def jacobian(x: Floats, *_: object) -> Floats:
+        middle = difference.vector(show(x))
+        columns = []
+        for k in range(x.size):
+            moved = x.copy()
+            moved[k] += STEP
+            columns.append((difference.vector(show(moved)) - middle) / STEP)
+        return np.where(depends, np.column_stack(columns), 0.0)
+
+    x = np.zeros(len(names))
+    before = difference.rms(show(x))
+    difference.weigh(show(x))
+    result = least_squares(
+        lambda y: difference.vector(show(y)),
+        x,
+        jac=jacobian,
+        max_nfev=ITERATIONS,
+        xtol=1e-4,
+        ftol=1e-4,
+        bounds=(-0.6, 1.5),
+    )
+    x = np.asarray(result.x, dtype=np.float64)
+    report(f"refined by simulation: {', '.join(f'{name} {values_of(x)[name]:.4g}' for name in names)}")
+    residual = difference.vector(show(x))
+    covariance = _covariance(np.asarray(result.jac), residual, difference.batches)
+    floor = _floor(start, top)
+    found = dict(first.values)
+    for k, name in enumerate(names):
+        value = start[name] + x[k] * scale[name]
+        sigma = math.sqrt(max(covariance[k, k], 0.0)) * scale[name]
+        found[name] = Estimate(value, math.hypot(sigma, MODEL_ERROR.get(name, 0.0) * value, floor.get(name, 0.0)))
+    after = difference.rms(show(x))
+    return Refinement(MotorEstimates(found, first.undetermined), before, after, show(x))
+
+
+def _floor(values: Mapping[str, float], top: float) -> dict[str, float]:
+    """Standard uncertainty of torques that the current measurement leaves: rounding of the converter, offsets."""
+    torque = CURRENT_ERROR * 1.5 * values["pole_pairs"] * values["psi_m"]
+    return {"friction": torque, "load": torque, "viscous": torque / top}
+
+
+def _corrected(
+    log: MeasurementLog, first: Mapping[str, float], plant: PlantConfig, names: Sequence[str]
+) -> dict[str, float]:
+    """Estimates without their bias: what the same estimators make of a simulation with them shows it."""
+    values = dict(first)
+    limits = log.notes["limits"]
+    for _ in range(CORRECTIONS):
+        shown = simulated(log, plant_of(plant, log.axis, values, limits), values.get("load", 0.0))
+        again = estimates_of(dataclasses.replace(log, recordings=_with_gaps(shown, log.recordings)))
+        for name in names:
+            if name not in again.values:
+                raise MeasurementError(f"{name} of a simulation cannot be estimated: {again.undetermined.get(name, '')}")
+            seen = again.values[name].value
+            if name in ("load", "viscous", "friction"):
+                values[name] += first[name] - seen
+            else:
+                values[name] *= min(max(first[name] / seen, 0.8), 1.25) if seen > 0.0 else 1.0
+        for name in ("viscous", "friction"):
+            values[name] = max(values.get(name, 0.0), 0.0)
+    return values
+
+
+def _with_gaps(shown: Sequence[Recording], like: Sequence[Recording]) -> list[Recording]:
+    """Recordings in which the same samples are missing."""
+    return [
+        Recording(one.step, {name: np.where(np.isfinite(there.columns[name]), one.columns[name], np.nan) for name in one.columns})
+        for one, there in zip(shown, like, strict=True)
+    ]
+
+
+def _covariance(jacobian: Floats, residual: Floats, batches: NDArray[np.int64]) -> Floats:
+    """Of the parameters, where residuals depend on each other within a batch (sandwich estimate)."""
+    limited = np.clip(residual, -FARTHEST, FARTHEST)
+    inverse = np.linalg.pinv(jacobian.T @ jacobian)
+    _, place = np.unique(batches, return_inverse=True)
+    scores = np.zeros((int(place.max()) + 1, jacobian.shape[1]))
+    np.add.at(scores, place, jacobian * limited[:, None])
+    result: Floats = inverse @ (scores.T @ scores) @ inverse
+    return result

@@ -1,0 +1,219 @@
+"""One axis from measurement to files: estimates, refinement, consistency, plant file, ``servo.toml``, picture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from servo_msgs_py.axis_config import AxisConfigError
+from servo_msgs_py.axis_config_transfer import BlockRefusedError
+from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.measurement.access import MeasurementError
+from servo_msgs_py.measurement.estimation import estimates_of
+from servo_msgs_py.measurement.log import MeasurementLog
+from servo_msgs_py.measurement.motor_config import fitted, tuned_axis
+from servo_msgs_py.measurement.motor_test import MotorTest
+from servo_msgs_py.measurement.motor_values import UNITS, Estimate, Limits, MotorEstimates
+from servo_msgs_py.tuning.errors import ConfigError
+
+from servo_twin.board import Board, SimulationError
+from servo_twin.board_access import VirtualBoardAccess
+from servo_twin.identification.refine import Refinement, refine
+from servo_twin.level import Level
+from servo_twin.plant import PlantConfig
+
+__all__ = ["BOOT", "Identified", "NEEDED", "identified", "measure_virtual", "tuned_table"]
+
+BOOT: Final = 0.05  # power-on to STOP [s]
+
+NEEDED: Final[Mapping[str, float]] = {
+    "r_s": 0.1,
+    "l_d": 0.1,
+    "l_q": 0.1,
+    "psi_m": 0.1,
+    "pole_pairs": 0.0,
+    "inertia": 0.15,
+    "friction": 0.5,
+}
+"""Half the width of the 95 % interval up to which a value counts as determined, over the value."""
+
+FRICTION_SMALL: Final = 0.005
+"""Of the torque of the current limit: so little friction need not be known any better."""
+
+EXPLAINED: Final[Mapping[str, tuple[float, float]]] = {
+    "i_d": (0.02, 0.02),
+    "i_q": (0.02, 0.05),
+    "u_d": (0.05, 0.03),
+    "u_q": (0.05, 0.03),
+    "speed": (1.0, 0.02),
+}
+"""Root mean square of a difference that still counts as explained: so much, and so much of the signal [SI]."""
+
+Report = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What a measurement gives.
+
+    Attributes
+    ----------
+    log : MeasurementLog
+    estimates : MotorEstimates
+        Refined if there is a refinement.
+    refinement : Refinement or None
+    problems : tuple of str
+        What is not determined or not explained; empty: success.
+    """
+
+    log: MeasurementLog
+    estimates: MotorEstimates
+    refinement: Refinement | None
+    problems: tuple[str, ...]
+
+
+def measure_virtual(
+    plant: PlantConfig,
+    axis: int,
+    limits: Limits,
+    base: Mapping[str, Any],
+    *,
+    level: Level,
+    seed: int,
+    prepare: Callable[[Board], None] | None = None,
+    report: Report = lambda text: None,
+) -> tuple[MeasurementLog, str]:
+    """Test the motor of a virtual board.
+
+    Parameters
+    ----------
+    prepare : callable, optional
+        What is done to the board before: a load, a locked shaft.
+
+    Returns
+    -------
+    log : MeasurementLog
+        As far as it goes.
+    problem : str
+        Why it does not go further; empty otherwise.
+    """
+    with Board(plant, seed=seed, level=level) as board:
+        if prepare is not None:
+            prepare(board)
+        board.run(BOOT)
+        test = MotorTest(VirtualBoardAccess(board), axis, limits, base, report)
+        test.log.notes["boot"] = BOOT
+        problem = ""
+        try:
+            test.run()
+        except (MeasurementError, BlockRefusedError, AxisConfigError, SimulationError) as error:
+            problem = str(error)
+        test.log.notes["seconds"] = board.time_ns * 1e-9
+    return test.log, problem
+
+
+def identified(
+    log: MeasurementLog, plant: PlantConfig, problem: str = "", *, refined: bool = True, report: Report = lambda text: None
+) -> Identified:
+    """Estimates from a measurement, and whether they can be believed.
+
+    Parameters
+    ----------
+    problem : str
+        Why the measurement has ended early.
+    refined : bool
+        Whether they are refined by simulation.
+    """
+    first = estimates_of(log)
+    problems = [problem] if problem else []
+    refinement = None
+    if refined and not problem and not first.undetermined:
+        try:
+            refinement = refine(log, first, plant, report)
+        except (MeasurementError, np.linalg.LinAlgError) as error:
+            problems.append(f"the refinement has failed: {error}")
+    estimates = refinement.estimates if refinement is not None else first
+    if not problem:
+        problems += [f"{name}: {reason}" for name, reason in first.undetermined.items()]
+    problems += _undetermined(estimates, log)
+    if refinement is not None:
+        problems += _unexplained(log, refinement)
+    return Identified(log, estimates, refinement, tuple(problems))
+
+
+def _undetermined(estimates: MotorEstimates, log: MeasurementLog) -> list[str]:
+    found = []
+    values = estimates.values
+    for name, part in NEEDED.items():
+        if name not in values:
+            if name not in estimates.undetermined:
+                found.append(f"{name}: the measurement has not come to it")
+            continue
+        estimate = values[name]
+        if name == "friction" and "psi_m" in values:
+            small = FRICTION_SMALL * 1.5 * values["pole_pairs"].value * values["psi_m"].value
+            if estimate.interval[1] < small * float(log.notes["limits"]["current"]):
+                continue
+        if not math.isfinite(estimate.value) or estimate.value <= 0.0 and name != "friction":
+            found.append(f"{name}: {estimate.value:.3g} {UNITS[name]} cannot be: the data do not determine it")
+        elif estimate.part > part > 0.0:
+            low, high = estimate.interval
+            found.append(
+                f"{name}: {low:.3g} .. {high:.3g} {UNITS[name]} is all that the data tell; measure with more current"
+                " or speed"
+            )
+    return found
+
+
+def _unexplained(log: MeasurementLog, refinement: Refinement) -> list[str]:
+    found = []
+    for column, (fixed, part) in EXPLAINED.items():
+        key = f"{axis_name(log.axis)}.{column}"
+        runs = [recording.columns[key] for recording in log.labelled("speed") if key in recording.columns]
+        rms = refinement.after.get(column)
+        if rms is None or not runs:
+            continue
+        size = float(np.nanstd(np.concatenate(runs)))
+        if rms > fixed + part * size:
+            found.append(
+                f"{column}: with the best values the simulation still differs by {rms:.3g}: something acts on this axis"
+                " that the model does not have"
+            )
+    return found
+
+
+def tuned_table(
+    base: Mapping[str, Any], result: Identified, limits: Limits
+) -> tuple[dict[str, Any] | None, Sequence[str]]:
+    """``servo.toml`` with the motor, bandwidths that it bears, and lines that show the margins; None: with the reason."""
+    values = {name: estimate.value for name, estimate in result.estimates.values.items()}
+    motor = {name: values[name] for name in ("l_d", "l_q", "psi_m", "pole_pairs", "inertia")}
+    # what the controller drives is winding and switches
+    motor |= {"r_s": values["r_s"] + limits.r_on, "friction": max(values["friction"], 0.0)}
+    motor["viscous"] = max(values.get("viscous", 0.0), 0.0)
+    motor = {name: float(f"{value:.5g}") for name, value in motor.items()}
+    try:
+        table = fitted(base, result.log.axis, limits, motor)
+        it = tuned_axis(table, result.log.axis)
+    except ConfigError as error:
+        return None, (f"no configuration works: {error}",)
+    lines = []
+    for name, margins in (
+        ("current d", it.current_loop("d").margins()),
+        ("current q", it.current_loop("q").margins()),
+        ("speed", it.shaft().speed_margins()),
+        ("position", it.shaft().position_margins()),
+    ):
+        crossover = "-" if margins.crossover is None else f"{margins.crossover:.4g} Hz"
+        phase = "-" if margins.phase is None else f"{margins.phase:.1f} deg"
+        gain = "-" if margins.gain is None else f"{margins.gain:.2f}"
+        lines.append(f"{name:10} crossover {crossover:>10}  phase margin {phase:>9}  gain margin {gain:>6}")
+    return table, lines
+
+
+def rows_of(estimates: MotorEstimates) -> list[tuple[str, Estimate, str]]:
+    """Name, estimate and unit, in the order of the contract."""
+    return [(name, estimates.values[name], unit) for name, unit in UNITS.items() if name in estimates.values]

@@ -1,0 +1,132 @@
+"""``servo-sim identify --trials``: random motors, each from unknown to identified, against the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from servo_msgs_py.measurement.motor_values import Limits
+
+from servo_twin.identification.motors import random_motor
+from servo_twin.identification.session import identified, measure_virtual, tuned_table
+from servo_twin.level import Level
+from servo_twin.plant import PlantConfig
+
+__all__ = ["AIMS", "Trial", "Trials", "summary"]
+
+AIMS: Final[Mapping[str, float]] = {
+    "r_s": 0.03,
+    "l_d": 0.03,
+    "l_q": 0.03,
+    "psi_m": 0.03,
+    "inertia": 0.05,
+    "friction": 0.10,
+}
+"""Relative errors that 95 % of the motors should stay within."""
+
+TIME_MAX: Final = 60.0  # board time per axis [s]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One motor.
+
+    Attributes
+    ----------
+    errors : mapping
+        Relative errors by name.
+    covered : mapping
+        Whether the 95 % interval holds the truth, by name.
+    seconds : float
+        Time of the board [s].
+    problems : tuple of str
+        Why it was not identified; empty: success.
+    tuned : str
+        Why no configuration works; empty: one does.
+    """
+
+    errors: Mapping[str, float]
+    covered: Mapping[str, bool]
+    seconds: float
+    problems: tuple[str, ...]
+    tuned: str
+
+    @property
+    def false_success(self) -> bool:
+        """Whether success was reported with a value that is far off."""
+        return not self.problems and any(abs(self.errors.get(name, 1.0)) > 3.0 * aim for name, aim in AIMS.items())
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Numbered random motors, to be run anywhere.
+
+    Attributes
+    ----------
+    plant : PlantConfig
+        For all that is not of the motor.
+    base : mapping
+        Parsed ``servo.toml``.
+    axis : int
+    limits : Limits
+    level : {"registers", "ideal"}
+        Of the boards that are measured.
+    seed : int
+    """
+
+    plant: PlantConfig
+    base: Mapping[str, Any]
+    axis: int
+    limits: Limits
+    level: Level
+    seed: int
+
+    def run(self, number: int) -> Trial:
+        seed = self.seed + number
+        plant = random_motor(self.plant, self.axis, seed)
+        truth = plant.axes[self.axis]
+        log, problem = measure_virtual(plant, self.axis, self.limits, self.base, level=self.level, seed=seed)
+        result = identified(log, self.plant, problem)
+        errors, covered = {}, {}
+        for name in (*AIMS, "viscous", "pole_pairs"):
+            if name in result.estimates.values:
+                estimate, true = result.estimates.values[name], float(getattr(truth, name))
+                errors[name] = estimate.value / true - 1.0
+                low, high = estimate.interval
+                covered[name] = low <= true <= high
+        tuned = ""
+        if not result.problems:
+            table, lines = tuned_table(self.base, result, self.limits)
+            tuned = "" if table is not None else lines[0]
+        return Trial(errors, covered, float(log.notes.get("seconds", 0.0)), result.problems, tuned)
+
+
+def summary(trials: Sequence[tuple[int, Trial]]) -> list[str]:
+    """Lines about all of them."""
+    done = [trial for _, trial in trials if not trial.problems]
+    lines = [f"{len(trials)} motors: {len(done)} identified, {len(trials) - len(done)} not, with a reason"]
+    lines.append("              within aim    |error| 50 %     95 %      max   interval covers")
+    for name in (*AIMS, "viscous"):
+        errors = np.array([abs(trial.errors[name]) for trial in done if name in trial.errors])
+        if not errors.size:
+            continue
+        covered = np.mean([trial.covered[name] for trial in done if name in trial.covered])
+        aim = AIMS.get(name)
+        within = "" if aim is None else f"{100 * np.mean(errors <= aim):.1f} % < {100 * aim:g} %"
+        half, most = np.percentile(errors, (50, 95))
+        lines.append(
+            f"{name:10} {within:>15}  {100 * half:12.2f} % {100 * most:7.2f} % {100 * errors.max():7.2f} % {100 * covered:10.1f} %"
+        )
+    seconds = np.array([trial.seconds for _, trial in trials])
+    lines.append(
+        f"time of the board: median {np.median(seconds):.1f} s, longest {seconds.max():.1f} s (at most {TIME_MAX:g} s)"
+    )
+    false = [number for number, trial in trials if trial.false_success]
+    lines.append(f"false success: {len(false)}" + (f" (motors {', '.join(map(str, false))})" if false else ""))
+    refused = [(number, trial.tuned) for number, trial in trials if trial.tuned]
+    lines.append(f"identified, but no configuration works: {len(refused)}")
+    lines += [f"  motor {number}: {reason}" for number, reason in refused]
+    lines += [f"not identified, motor {number}: {trial.problems[0]}" for number, trial in trials if trial.problems]
+    return lines

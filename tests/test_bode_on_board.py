@@ -1,0 +1,116 @@
+"""``servo-tool bode`` and a virtual board: over its serial line in simulated time, and over a pty."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from chain import Chain, wait_for
+from line_world import SimulatedLine
+from numpy.typing import NDArray
+from servo_bridge.freemaster.client import Client
+from servo_bridge.freemaster.line import Line
+from servo_bridge.tool_commands import Context
+from servo_bridge.wire.serial_port import LowLatency
+from servo_bridge.wire.session import connect
+from servo_msgs_py.catalogue import Catalogue
+from servo_twin.board import Board
+
+from servo_bridge import tool
+
+BAUD: Final = 115_200
+
+Tool = Callable[..., int]
+
+
+@pytest.fixture
+def board() -> Iterator[Board]:
+    with Board(level="ideal", baud=BAUD, seed=4) as board:
+        board.run(0.1)
+        yield board
+
+
+@pytest.fixture
+def bode(board: Board) -> Tool:
+    line = SimulatedLine(board)
+    session = connect(Client(Line(line, baud=BAUD, clock=line.clock)), Catalogue.load())
+
+    def run(*arguments: object) -> int:
+        args = tool._parser().parse_args(["bode", *map(str, arguments)])
+        return int(args.run(Context(args, Catalogue.load(), session, "line", BAUD, LowLatency(True, ""))))
+
+    return run
+
+
+def curves(path: Path, entity: str, timeline: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Index and values of a curve of a recording."""
+    import pyarrow as pa
+    from rerun.chunk import RrdReader
+
+    times, values = [], []
+    stream = RrdReader(str(path)).stream()
+    for chunk in stream.filter(content=entity, is_static=False, components="Scalars:scalars"):
+        if timeline in chunk.timeline_names:
+            batch = chunk.to_record_batch()
+            times.append(np.asarray(batch[timeline].cast(pa.int64())) * 1e-9)
+            values.append(batch["Scalars:scalars"].flatten().to_numpy(zero_copy_only=False))
+    return np.concatenate(times), np.concatenate(values)
+
+
+def test_a_loop_is_measured_and_written(
+    bode: Tool, board: Board, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rrd = tmp_path / "bode.rrd"
+    assert bode("axis1", "speed", "--enable", "--repeat", 3, "--out", tmp_path, "--rrd", rrd, "--json") == 0
+    output = capsys.readouterr()
+    assert "axis1 moves" in output.err
+    found: dict[str, Any] = json.loads(output.out)
+    assert found["measured"]["crossover"]["value"] == pytest.approx(found["predicted"]["crossover"], rel=0.05)
+    assert found["measured"]["phase margin"]["value"] == pytest.approx(found["predicted"]["phase margin"], abs=3.0)
+
+    with (tmp_path / "bode_axis1_speed.csv").open(encoding="utf-8") as file:
+        head, *rows = list(csv.reader(file))
+    table = np.array(rows, dtype=np.float64)
+    assert head[:3] == ["frequency [Hz]", "gain [dB]", "phase [degrees]"]
+    assert len(rows) == len(found["points"]) > 50
+    crossed = np.argmax(table[:, 1] < 0.0)
+    assert table[crossed, 0] == pytest.approx(found["measured"]["crossover"]["value"], rel=0.08)
+    assert (tmp_path / "bode_axis1_speed.png").read_bytes()[:4] == b"\x89PNG"
+
+    position, gain = curves(rrd, "/bode/axis1/speed/gain/predicted", "log_frequency")
+    assert position == pytest.approx(np.log10(table[:, 0]), abs=1e-6)
+    assert gain == pytest.approx(table[:, 6], abs=1e-4)
+    assert board.read("axis1.faults") == 0
+    assert board.read("cmd.enable") == [0, 0]
+    assert board.catalogue.label("substate_t", int(str(board.read("axis1.substate")))) in ("READY", "FREEWHEEL")
+
+
+def test_without_an_answer_the_status_is_1_and_the_reason_is_said(
+    bode: Tool, board: Board, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert bode("axis1", "speed") == 1
+    assert "axis1 is not enabled" in capsys.readouterr().err
+    assert bode("axis1", "speed", "--enable", "--from", 200, "--to", 400, "--repeat", 2) == 1
+    output = capsys.readouterr()
+    assert "crossover     not determined" in output.out
+    assert "the gain stays below 1" in output.out
+    assert board.read("axis1.faults") == 0
+
+
+@pytest.mark.realtime
+@pytest.mark.slow
+def test_a_board_on_a_pty_is_measured(tmp_path: Path) -> None:
+    chain = Chain(tmp_path)
+    try:
+        chain.board(level="ideal")
+        wait_for(lambda: (tmp_path / "board").exists(), 20.0, chain.logs)
+        found = json.loads(chain.tool("bode", "axis2", "speed", "--enable", "--repeat", "2", "--json"))
+        assert found["measured"]["crossover"]["value"] == pytest.approx(found["predicted"]["crossover"], rel=0.05)
+        assert found["measured"]["phase margin"]["value"] == pytest.approx(found["predicted"]["phase margin"], abs=3.0)
+    finally:
+        chain.end()

@@ -1,0 +1,76 @@
+"""Measurements' access to a board over its serial line, against the same board without one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+import pytest
+from line_world import SimulatedLine
+from servo_bridge.freemaster.client import Client
+from servo_bridge.freemaster.line import Line
+from servo_bridge.measurement_access import SessionAccess, measurement_access
+from servo_bridge.wire.session import connect
+from servo_msgs_py.axis_config_transfer import read_block
+from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.measurement.access import MeasurementError, recorded, send_configuration
+from servo_twin.board import Board
+from servo_twin.board_access import VirtualBoardAccess
+
+BAUD: Final = 115_200
+
+
+@pytest.fixture
+def board() -> Iterator[Board]:
+    with Board(level="ideal", baud=BAUD, seed=2) as board:
+        board.run(0.1)
+        yield board
+
+
+@pytest.fixture
+def access(board: Board) -> Iterator[SessionAccess]:
+    line = SimulatedLine(board)
+    session = connect(Client(Line(line, baud=BAUD, clock=line.clock)), Catalogue.load())
+    with measurement_access(session) as access:
+        yield access
+
+
+def test_values_and_blocks_are_those_of_the_board(board: Board, access: SessionAccess) -> None:
+    inside = VirtualBoardAccess(board)
+    access.write("param.i_q_limit", [1.0, 2.0])
+    access.write("param.i_q_limit", [1.5], 1)
+    assert access.read("param.i_q_limit") == inside.read("param.i_q_limit") == pytest.approx([1.0, 1.5], abs=3e-4)
+    with pytest.raises(ValueError, match="can only be read"):
+        access.write("axis1.i_q", [1.0])
+    block = read_block(access, 1)
+    changed = {**block, "position_gain": block["position_gain"] // 2}
+    send_configuration(access, {1: changed})
+    assert read_block(inside, 1) == changed
+    assert access.capacity(["tick", "axis1.i_q"]) == inside.capacity(["tick", "axis1.i_q"]) == 1280
+
+
+def test_an_enabled_axis_does_not_miss_its_host(board: Board, access: SessionAccess) -> None:
+    access.write("cmd.enable", [1.0, 1.0])
+    access.wait(3.0)
+    names = ("tick", "axis1.i_q")
+    recording = recorded(access, 0, names, access.capacity(names), 2, slow=True)
+    assert np.all(np.diff(recording.columns["tick"]) == 16.0)
+    assert recording.step == pytest.approx(1e-3)
+    assert board.read("axis1.state") == board.catalogue.enums["state_t"]["RUN"]
+    assert board.read("axis1.faults") == 0
+
+
+def test_a_recording_begins_at_its_trigger(access: SessionAccess) -> None:
+    def start() -> None:
+        access.write("cmd.enable", [1.0], 0)
+
+    names = ("tick", "axis1.event_state", "axis1.i_d")
+    recording = access.record(names, 400, 1, slow=False, start=start, trigger="axis1.event_state")
+    assert recording.columns["axis1.event_state"][0] == 64.0
+    assert np.diff(recording.columns["tick"]).tolist() == [1.0] * 399
+    with pytest.raises(MeasurementError, match="not triggered"):
+        access.record(names, 400, 1, slow=False, trigger="axis2.event_mode")
+    assert access.record(["tick"], 10, 1, slow=True).columns["tick"].size == 10
+    with pytest.raises(MeasurementError, match="axis3"):
+        access.record(["axis3.i_q"], 10, 1, slow=False)
