@@ -117,6 +117,7 @@ class Channel:
         return True
 
     def _judge(self, tick: int) -> None:
+        self._forget_what_is_over()
         sums = self._window.sums()
         found = self.unknowns.evidence(sums)
         misfit = self._misfit(sums, found)
@@ -140,7 +141,32 @@ class Channel:
                 since=self.finding.since if settled else finding.since,
             )
         self.finding = finding
-        self._forget(sums, found)
+        if found.since and len(sums.samples) - found.since >= _SETTLED:
+            self._window.forget_before(found.since)
+
+    def _forget_what_is_over(self) -> None:
+        """Keep only what has come since the change that is known has become another one, or none."""
+        if self.finding is None or len(self._window.ticks) < 2 * _ENOUGH:
+            return
+        sums = self._window.sums()
+        if self.finding.kind is Kind.SINGLE:
+            vector = self.unknowns.vector(self.unknowns.names.index(self.finding.changes[0]), self.finding.value)
+            gain = float(vector @ sums.b[0] - 0.5 * vector @ sums.a[0] @ vector)
+            later = self.unknowns.later(sums, vector, self._detect + _SEVERAL * max(gain, 0.0))
+        else:
+            later = len(sums.samples) - _SETTLED
+            if later <= 0 or not self._nothing_since(sums, later):
+                return
+        if later and len(sums.samples) - later >= _ENOUGH:
+            self._window.forget_before(later)
+
+    def _nothing_since(self, sums: Sums, block: int) -> bool:
+        """Whether the blocks from this one on look like those of a healthy pair."""
+        none = np.zeros(len(self.unknowns.names))
+        if self.unknowns.later(Sums(*(part[block:] for part in sums)), none, self._detect) is not None:
+            return False
+        limits = self._unexplained * np.maximum(sums.samples[block], 1.0)
+        return bool((self._window.left(sums, block, none) <= limits).all())
 
     def _misfit(self, sums: Sums, found: Evidence) -> bool:
         """Whether the residual is larger than changes of the plant explain."""
@@ -181,17 +207,6 @@ class Channel:
         if self._age > _PATIENCE:
             return Finding(Kind.ONE_OF, (single, names[found.rival]), *known)
         return None
-
-    def _forget(self, sums: Sums, found: Evidence) -> None:
-        """Keep only what has come since the change, and since it has become another one."""
-        block = found.since
-        if self.finding is not None and self.finding.kind is Kind.SINGLE:
-            vector = self.unknowns.vector(found.change, found.value)
-            later = self.unknowns.later(sums, vector, self._detect + _SEVERAL * found.ratio)
-            if later is not None and later > block:
-                block = later
-        if block and len(sums.samples) - block >= _SETTLED:
-            self._window.forget_before(block)
 
     def estimates(self) -> list[Estimate]:
         """Of everything together, since the last change or over the window."""

@@ -165,7 +165,7 @@ class AxisSignals:
             alias[TORQUE, 0] = f[1] - rate[2]
             phi[TORQUE, FLUX : LOAD + 1] = -k_t * f[3], plant.inertia * rate[4], plant.friction * f[5], f[6]
             share = min(seconds / (2.0 * _TIME), 1.0)
-        carries = abs(current) > _CARRIES * plant.i_full_scale
+        carries = min(abs(current), abs(twin[names["i_q_ref"]])) > _CARRIES * plant.i_full_scale
         if carries or abs(flux * speed) > _INDUCES:
             y[VOLTAGE_Q] = d["u_q"] - resistance * d["i_q_ref"] - flux * d["speed"]
             alias[VOLTAGE_Q, 1] = d["i_q_ref"] - d["i_q"]
