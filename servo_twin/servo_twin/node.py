@@ -140,6 +140,7 @@ class ServoTwin(Node):
         self._worst: Residual | None = None
         self._next_variables = 0
         self._diagnosed_ns = 0
+        self._missing = ""  # of the telemetry, for the diagnosis
         self._located = ""  # what has changed; empty: nothing
         self._statuses: list[DiagnosticStatus] = []
         self._said: dict[str, object] = {}
@@ -320,8 +321,10 @@ class ServoTwin(Node):
 
     def _diagnose(self, pair: Pair) -> None:
         with self._lock:
-            if not self._diagnosis.update(pair):
+            changed = self._diagnosis.update(pair)
+            if not (changed or self._diagnosis.missing != self._missing):
                 return
+            self._missing = self._diagnosis.missing
             findings = self._diagnosis.findings()
             self._located = located_text(findings, self._names(), pair.tick, pair.stamp_ns) if findings else ""
             self._statuses = self._diagnosis_statuses(pair)
