@@ -220,7 +220,8 @@ class Channel:
         unit = a * np.outer(scale, scale) + np.diag(1e-6 + (~seen).astype(float))
         inverse = np.linalg.inv(unit) * np.outer(scale, scale)
         value = inverse @ b
-        half = _INTERVAL * self.unknowns.spread * np.sqrt(np.diag(inverse))
+        noise = _INTERVAL * self.unknowns.spread * np.sqrt(np.diag(inverse))
+        half = np.hypot(noise, self.unknowns.margins)
         return [
             Estimate(name, float(v), float(h) if s else float("inf"))
             for name, v, h, s in zip(names, value, half, seen, strict=True)
