@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -35,9 +36,25 @@ def board() -> Iterator[Board]:
         yield board
 
 
+class InterruptedLine(SimulatedLine):
+    """A line during which somebody presses Ctrl-C."""
+
+    interrupt_at: int | None = None
+
+    def advance(self, until_ns: int) -> None:
+        super().advance(until_ns)
+        if self.interrupt_at is not None and self.board.time_ns >= self.interrupt_at:
+            self.interrupt_at = None
+            signal.raise_signal(signal.SIGINT)
+
+
 @pytest.fixture
-def bode(board: Board) -> Tool:
-    line = SimulatedLine(board)
+def line(board: Board) -> InterruptedLine:
+    return InterruptedLine(board)
+
+
+@pytest.fixture
+def bode(line: InterruptedLine) -> Tool:
     session = connect(Client(Line(line, baud=BAUD, clock=line.clock)), Catalogue.load())
 
     def run(*arguments: object) -> int:
@@ -49,7 +66,6 @@ def bode(board: Board) -> Tool:
 
 def curves(path: Path, entity: str, timeline: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Index and values of a curve of a recording."""
-    import pyarrow as pa
     from rerun.chunk import RrdReader
 
     times, values = [], []
@@ -57,7 +73,7 @@ def curves(path: Path, entity: str, timeline: str) -> tuple[NDArray[np.float64],
     for chunk in stream.filter(content=entity, is_static=False, components="Scalars:scalars"):
         if timeline in chunk.timeline_names:
             batch = chunk.to_record_batch()
-            times.append(np.asarray(batch[timeline].cast(pa.int64())) * 1e-9)
+            times.append(np.asarray(batch[timeline].cast("int64")) * 1e-9)
             values.append(batch["Scalars:scalars"].flatten().to_numpy(zero_copy_only=False))
     return np.concatenate(times), np.concatenate(values)
 
@@ -68,7 +84,7 @@ def test_a_loop_is_measured_and_written(
     rrd = tmp_path / "bode.rrd"
     assert bode("axis1", "speed", "--enable", "--repeat", 3, "--out", tmp_path, "--rrd", rrd, "--json") == 0
     output = capsys.readouterr()
-    assert "axis1 moves" in output.err
+    assert "axis1 turns to and fro" in output.err
     found: dict[str, Any] = json.loads(output.out)
     assert found["measured"]["crossover"]["value"] == pytest.approx(found["predicted"]["crossover"], rel=0.05)
     assert found["measured"]["phase margin"]["value"] == pytest.approx(found["predicted"]["phase margin"], abs=3.0)
@@ -87,7 +103,23 @@ def test_a_loop_is_measured_and_written(
     assert gain == pytest.approx(table[:, 6], abs=1e-4)
     assert board.read("axis1.faults") == 0
     assert board.read("cmd.enable") == [0, 0]
-    assert board.catalogue.label("substate_t", int(str(board.read("axis1.substate")))) in ("READY", "FREEWHEEL")
+    assert board.catalogue.label("substate_t", board.read_raw("axis1.substate")[0]) in ("READY", "FREEWHEEL")
+
+
+def test_an_interruption_stops_the_shaft_and_restores_what_was(
+    bode: Tool, board: Board, line: InterruptedLine, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board.write("cmd.enable", [1, 0])
+    board.run(4.0)
+    line.interrupt_at = board.time_ns + 2_000_000_000
+    with pytest.raises(KeyboardInterrupt):
+        bode("axis1", "position")
+    assert "Ctrl-C stops it" in capsys.readouterr().err
+    assert abs(board.truth(0).omega_m) < 1.0
+    assert max(abs(row[0]) for row in line.log.omega) > 20.0
+    assert board.read("axis1.test_point") == 0
+    assert board.read("param.command_timeout") == 0.5
+    assert board.catalogue.label("substate_t", board.read_raw("axis1.substate")[0]) == "SPIN"
 
 
 def test_without_an_answer_the_status_is_1_and_the_reason_is_said(

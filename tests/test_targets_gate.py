@@ -116,7 +116,7 @@ def test_casts_are_found_in_code_only(tmp_path: Path) -> None:
             r"period \d+ \(\d+\.\d\d ms\), m[12]: axis[12] duty \d+ \d+ \d+, recorded axis[12] duty \d+ \d+ \d+",
         ),
         (
-            "drive/watch.h",
+            "drive/monitors.h",
             " || hal_break_active(axis->hal, axis->index)",
             "",
             r"period \d+ \(\d+\.\d\d ms\), m[12]: left 1 inputs than were recorded",

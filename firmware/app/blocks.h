@@ -36,7 +36,7 @@ typedef struct {
     uint32_t applied_tick;
     uint16_t applied_count;
     frac16_t u_dc;
-    int16_t monitor[HAL_MONITORS];
+    int16_t monitor[HAL_ANALOG_OUTS];
     uint16_t late_loops;        /* since reset, modulo 65536 */
     uint16_t receiver_overruns; /* the same */
     uint16_t points_refused;    /* writes of them, the same */
@@ -79,7 +79,7 @@ typedef struct {
     int32_t following_error[HAL_AXES];  /* counts */
     frac32_t over_speed[HAL_AXES];
     fault_set_t faults_enabled[HAL_AXES];
-    uint16_t monitor[HAL_MONITORS];     /* monitor_t */
+    uint16_t monitor[HAL_ANALOG_OUTS];     /* monitor_t */
     uint16_t host_timeout; /* slow ticks */
     uint16_t command_timeout; /* slow ticks; 0: set-points do not expire */
     uint16_t brake;        /* 1: there is a resistor */

@@ -16,7 +16,7 @@ typedef struct {
 /* Parameters that belong to the board as a whole, as they were latched. */
 typedef struct {
     uint16_t host_timeout; /* slow ticks */
-    uint16_t monitor[HAL_MONITORS]; /* monitor_t */
+    uint16_t monitor[HAL_ANALOG_OUTS]; /* monitor_t */
     bool brake_fitted;
 } board_settings_t;
 

@@ -13,7 +13,7 @@
 #define SLOT_PROTECT 1U   /* pins, homing, winding, field */
 #define SLOT_ESTIMATE (SERVO_SLOW_PERIODS / 4U)
 #define SLOT_CHECK (SLOT_ESTIMATE + 1U)
-#define SLOT_WATCH (SERVO_SLOW_PERIODS / 2U)
+#define SLOT_MONITOR (SERVO_SLOW_PERIODS / 2U)
 #define SLOT_EXCITE (SERVO_SLOW_PERIODS - 2U) /* behind the monitors, which may ask for a test current */
 #define SLOT_SUPERVISE (SERVO_SLOW_PERIODS - 2U)
 #define SLOT_LATCH (SERVO_SLOW_PERIODS - 1U) /* for the slow tick that follows: trajectories, then commands */
@@ -47,7 +47,7 @@ void servo_init(servo_t *servo, hal_t *hal)
         servo->belief.torque_constant[i] = config->torque_constant;
         servo->belief.acceleration_current[i] = config->acceleration_forward;
     }
-    for (uint16_t i = 0; i < HAL_MONITORS; i++) {
+    for (uint16_t i = 0; i < HAL_ANALOG_OUTS; i++) {
         servo->monitor[i] = 0;
     }
     latch_board(&servo->parameter, &servo->settings);
@@ -132,7 +132,7 @@ static void supervise_host(servo_t *servo)
 }
 
 /* The bus that both axes share: its resistor, and what it lets them do. */
-static void watch_bus(servo_t *servo)
+static void supervise_bus(servo_t *servo)
 {
     brake_t *brake = &servo->brake;
     const bool was_on = brake->on;
@@ -197,7 +197,7 @@ static void publish_snapshot(servo_t *servo)
     snapshot->applied_tick = servo->applied_tick;
     snapshot->applied_count = servo->applied_count;
     snapshot->u_dc = servo->axis[MOTOR_1].u_dc;
-    for (uint16_t i = 0; i < HAL_MONITORS; i++) {
+    for (uint16_t i = 0; i < HAL_ANALOG_OUTS; i++) {
         snapshot->monitor[i] = servo->monitoring ? servo->monitor[i] : 0;
     }
     snapshot->late_loops = servo->late_loops;
@@ -270,11 +270,11 @@ static void run_axis_slot(axis_t *axis, uint32_t tick)
     case SLOT_CHECK:
         axis_check(axis);
         break;
-    case SLOT_WATCH:
-        axis_watch_currents(axis);
+    case SLOT_MONITOR:
+        axis_monitor_currents(axis);
         break;
-    case SLOT_WATCH + 1U:
-        axis_watch_encoder(axis);
+    case SLOT_MONITOR + 1U:
+        axis_monitor_encoder(axis);
         break;
     case SLOT_EXCITE:
         axis_excite(axis);
@@ -296,7 +296,7 @@ static void run_board_slot(servo_t *servo, uint16_t period)
     case SLOT_SUPERVISE:
         supervise_host(servo);
         supervise_loops(servo);
-        watch_bus(servo);
+        supervise_bus(servo);
         for (uint16_t i = 0; i < HAL_AXES; i++) {
             age_events(&servo->axis[i]);
         }
@@ -304,7 +304,7 @@ static void run_board_slot(servo_t *servo, uint16_t period)
         break;
     case SLOT_LATCH:
         latch_commands(servo);
-        servo->monitoring = monitor_wanted(&servo->settings);
+        servo->monitoring = analog_out_wanted(&servo->settings);
         break;
     default:
         break;
@@ -330,7 +330,7 @@ void servo_m2_isr(servo_t *servo)
     axis_fast(&servo->axis[MOTOR_2]);
     hal_duties_done(servo->hal, MOTOR_2);
     if (servo->monitoring) {
-        monitor_step(&servo->settings, servo->axis, servo->hal, servo->monitor);
+        analog_out_step(&servo->settings, servo->axis, servo->hal, servo->monitor);
     }
     recorder_sample(&servo->freemaster.recorder[SERVO_RECORDER_FAST]);
     if (servo->m2_awaited) {

@@ -6,11 +6,11 @@
 #ifndef SERVO_APP_SERVO_H
 #define SERVO_APP_SERVO_H
 
+#include "app/analog_out.h"
 #include "app/blocks.h"
 #include "app/configure.h"
 #include "app/journal.h"
 #include "app/latch.h"
-#include "app/monitor.h"
 #include "app/storage.h"
 #include "comm/freemaster.h"
 #include "drive/axis.h"
@@ -53,7 +53,7 @@ typedef struct servo {
     uint16_t lateness;   /* of the loops, forgotten with time */
     uint16_t late_loops;     /* late or left out since reset, modulo 65536 */
     uint16_t hal_late_loops; /* of the last slow tick */
-    int16_t monitor[HAL_MONITORS]; /* what the monitor outputs show */
+    int16_t monitor[HAL_ANALOG_OUTS]; /* what the monitor outputs show */
     bool monitoring;     /* a monitor output shows something */
     uint32_t applied_tick;
     uint16_t applied_count;

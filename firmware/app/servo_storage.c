@@ -43,7 +43,7 @@ static void default_parameters(servo_t *servo)
         parameter->following_error[i] = config->following_error;
         parameter->over_speed[i] = config->over_speed;
     }
-    for (uint16_t i = 0; i < HAL_MONITORS; i++) {
+    for (uint16_t i = 0; i < HAL_ANALOG_OUTS; i++) {
         parameter->monitor[i] = MONITOR_NONE;
     }
 }

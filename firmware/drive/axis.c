@@ -11,11 +11,11 @@
 #include "drive/homing.h"
 #include "drive/inputs.h"
 #include "drive/limits.h"
+#include "drive/monitors.h"
 #include "drive/motion.h"
 #include "drive/run_step.h"
 #include "drive/soft_limits.h"
 #include "drive/stop.h"
-#include "drive/watch.h"
 #include "drive/weakening.h"
 #include "drive/winding.h"
 
@@ -87,7 +87,7 @@ static void filter_bus(axis_t *axis)
 /* Findings whose cause is there now. */
 static finding_set_t present(const axis_t *axis)
 {
-    return watch_bus_now(axis) | (axis->diagnosis.heat.hot ? FOUND(FINDING_HOT) : 0U) |
+    return monitor_bus_now(axis) | (axis->diagnosis.heat.hot ? FOUND(FINDING_HOT) : 0U) |
            winding_model_findings(&axis->diagnosis.winding);
 }
 
@@ -100,15 +100,15 @@ static void enter_fault_if_requested(axis_t *axis)
     }
 }
 
-void axis_watch_currents(axis_t *axis) { watch_currents(axis); }
+void axis_monitor_currents(axis_t *axis) { monitor_currents(axis); }
 
-void axis_watch_encoder(axis_t *axis) { watch_encoder(axis); }
+void axis_monitor_encoder(axis_t *axis) { monitor_encoder(axis); }
 
 void axis_fast(axis_t *axis)
 {
     filter_bus(axis);
     axis->source->fast(axis);
-    if (watch_fault_possible(axis)) {
+    if (monitor_fault_possible(axis)) {
         enter_fault_if_requested(axis);
     }
     axis->loop = axis->fast;
@@ -172,7 +172,7 @@ void axis_slow(axis_t *axis)
     }
     choose_source(axis);
     if (axis->sensorless && !(axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN)) {
-        motion_listen(axis);
+        motion_accept_speed(axis);
     }
     if (axis->stop_faults != 0U && !stop_in_hand(axis)) {
         axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT); /* at rest: now the outputs go off */

@@ -24,8 +24,8 @@ void axis_estimate(axis_t *axis);
 void axis_check(axis_t *axis);
 
 /* Once per slow tick, but in other periods than axis_slow, one right after the other: is everything as it should be? */
-void axis_watch_currents(axis_t *axis);
-void axis_watch_encoder(axis_t *axis);
+void axis_monitor_currents(axis_t *axis);
+void axis_monitor_encoder(axis_t *axis);
 
 /* Once per slow tick, before the next one, which is `tick`: where is a trajectory then? */
 void axis_plan(axis_t *axis, uint32_t tick);

@@ -66,9 +66,10 @@ typedef struct {
 /* A set-point of the mode has just been written. */
 static inline bool axis_set_point_fresh(const axis_command_t *command)
 {
-    const uint16_t own =
-        (command->mode == CONTROL_MODE_TEST) ? (FRESH_SPEED | FRESH_I_Q) : (uint16_t)(FRESH_POSITION << command->mode);
-    return (command->fresh & own) != 0U;
+    if (command->mode == CONTROL_MODE_TEST) {
+        return (command->fresh & (FRESH_SPEED | FRESH_I_Q)) != 0U;
+    }
+    return (command->fresh & (FRESH_POSITION << command->mode)) != 0U;
 }
 
 typedef struct {
@@ -127,7 +128,7 @@ typedef struct {
     frac32_t speed_excitation; /* test signal in it */
     bool saturated;       /* the speed controller pushes with all it has */
     bool held_back;       /* bus or winding bear less current than the controller wants and the limits allow */
-    frac32_t resistance;  /* torque mode: what holds a load that drives the shaft past a limit */
+    frac32_t limit_hold_current; /* torque mode: what holds a load that drives the shaft past a limit */
     frac32_t entry_speed; /* at which this motion has begun */
     uint16_t stop_ticks;  /* slow ticks since the ramp of MOTION_STOP has ended */
 } motion_state_t;

@@ -27,7 +27,7 @@ static uint16_t filtered(axis_t *axis, uint16_t levels)
 }
 
 /* The hardware has opened the switches already: not a tick is lost. At rest it is no fault, and a closed input counts again. */
-static void watch_enable(axis_t *axis)
+static void check_enable(axis_t *axis)
 {
     if ((axis->config->pins.fitted & INPUT_ENABLE) == 0U || (axis->inputs_state.seen & INPUT_ENABLE) != 0U) {
         return;
@@ -49,7 +49,7 @@ static bool reached(const axis_t *axis, uint16_t fresh)
     return ahead || axis->inputs_state.clear > BOUNCE_TICKS;
 }
 
-static void watch_limits(axis_t *axis, uint16_t before)
+static void check_limits(axis_t *axis, uint16_t before)
 {
     const uint16_t fresh = axis->inputs & (uint16_t)~before & INPUT_LIMITS;
     const bool driven =
@@ -76,8 +76,8 @@ void inputs_step(axis_t *axis)
         axis->inputs = 0;
     } else {
         axis->inputs = filtered(axis, hal_inputs(axis->hal, axis->index) & fitted);
-        watch_enable(axis);
-        watch_limits(axis, before);
+        check_enable(axis);
+        check_limits(axis, before);
     }
     const bool held = !inputs_permit(axis) || (axis->inputs & INPUT_LIMITS) != 0U;
     axis->input_limits = held ? LIMIT_INPUT : 0U;

@@ -24,7 +24,7 @@ static void enter(axis_t *axis, motion_t motion, frac32_t speed)
     m->shaped_speed = speed;
     m->acceleration = 0;
     m->resting = false;
-    m->resistance = 0;
+    m->limit_hold_current = 0;
     m->stop_ticks = 0;
 }
 
@@ -465,7 +465,7 @@ void motion_start_turning(axis_t *axis, frac16_t i_q)
     enter(axis, MOTION_SPEED, axis->feedback.speed);
 }
 
-void motion_listen(axis_t *axis)
+void motion_accept_speed(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
     const axis_command_t *command = &axis->command;

@@ -11,7 +11,7 @@ void motion_start(axis_t *axis);
 void motion_start_turning(axis_t *axis, frac16_t i_q);
 
 /* Sensorless, every slow tick outside SPIN: take a speed set-point, flag what cannot be done. */
-void motion_listen(axis_t *axis);
+void motion_accept_speed(axis_t *axis);
 
 /* The set-points of mode TEST: zero where they are too old. */
 void motion_expire(axis_t *axis);

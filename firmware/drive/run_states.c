@@ -397,7 +397,7 @@ static void bound_current(axis_t *axis)
     axis->current_ref.q = f16_limit(axis->current_ref.q, room);
 }
 
-static finding_set_t watch_shaft(axis_t *axis)
+static finding_set_t monitor_shaft(axis_t *axis)
 {
     const bool full = axis->motion.saturated && !axis->motion.held_back; /* less is no test of a shaft */
     const bool opposed = (axis->feedback.speed < 0) != (axis->current_ref.q < 0);
@@ -470,7 +470,7 @@ static void spin_check(axis_t *axis)
     if (axis->motion.starved && (axis->features & FEATURE_STARVED) != 0U) {
         axis_raise(axis, FOUND(FINDING_HOST_SILENT));
     }
-    const finding_set_t findings = watch_shaft(axis);
+    const finding_set_t findings = monitor_shaft(axis);
     if (findings != 0U) {
         judge_shaft(axis, findings);
     }

@@ -137,14 +137,14 @@ frac16_t torque_control(axis_t *axis)
     motion_state_t *m = &axis->motion;
     const feedback_t *feedback = &axis->feedback;
     const speed_range_t range = soft_limits_speed(axis);
-    frac32_t above = (m->resistance < 0) ? m->resistance : 0;
-    frac32_t below = (m->resistance > 0) ? -m->resistance : 0;
+    frac32_t above = (m->limit_hold_current < 0) ? m->limit_hold_current : 0;
+    frac32_t below = (m->limit_hold_current > 0) ? -m->limit_hold_current : 0;
     const frac32_t max =
         room(axis, f32_sub(range.max, feedback->speed), f32_sub(range.max, feedback->mean_speed), &above);
     const frac32_t back =
         room(axis, f32_sub(feedback->speed, range.min), f32_sub(feedback->mean_speed, range.min), &below);
     const frac32_t min = f32_sub(0, back);
-    m->resistance = above - below;
+    m->limit_hold_current = above - below;
     const frac16_t wanted = f16_limit(m->i_q_target, axis->current_max.q);
     if (wanted != m->i_q_target) {
         (void)report_current(axis);

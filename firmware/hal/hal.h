@@ -95,8 +95,8 @@ void hal_holding_brake(hal_t *hal, uint16_t axis, bool release);
 void hal_brake(hal_t *hal, bool on);
 
 /* Two slow analogue outputs for an oscilloscope; 0 is 0 V, 65535 the full voltage. */
-#define HAL_MONITORS 2
-void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value);
+#define HAL_ANALOG_OUTS 2
+void hal_analog_out(hal_t *hal, uint16_t channel, uint16_t value);
 
 /* ---- encoder timers (DRM 2.4, F10) ---------------------------------------------------------------------------- */
 

@@ -216,7 +216,7 @@ void hal_enable_input(hal_t *hal, uint16_t axis, bool used) { hal->axis[axis].en
 
 void hal_holding_brake(hal_t *hal, uint16_t axis, bool release) { hal->axis[axis].holding_released = release; }
 
-void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
+void hal_analog_out(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
 
 void hal_duties_done(hal_t *hal, uint16_t axis) { hal->duties_done[axis]++; }
 

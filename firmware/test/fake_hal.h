@@ -58,7 +58,7 @@ typedef struct {
 struct hal {
     fake_axis_t axis[HAL_AXES];
     uint16_t bus_code;
-    uint16_t monitor[HAL_MONITORS];
+    uint16_t monitor[HAL_ANALOG_OUTS];
     bool brake;
     bool reset_by_watchdog;
     uint16_t late_loops;

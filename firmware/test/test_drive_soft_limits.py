@@ -113,7 +113,7 @@ def test_torque_ends_at_the_limit(bench: Bench) -> None:
     bench.slow(100)
     bench.turn(0, 0.0)
     bench.slow(500)
-    assert bench.axis(0).motion.resistance == 0, "given back"
+    assert bench.axis(0).motion.limit_hold_current == 0, "given back"
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -167,7 +167,7 @@ def test_torque_mode_begins_without_what_an_earlier_load_has_left(bench: Bench) 
     bench.slow(2)
     bench.write(0, mode=TORQUE, i_q=0)
     bench.slow(2)
-    assert bench.axis(0).motion.resistance == 0
+    assert bench.axis(0).motion.limit_hold_current == 0
 
 
 @pytest.mark.parametrize(("low", "high"), [(100, 5000), (-5000, -100), (100, -100), (-100, -200)])

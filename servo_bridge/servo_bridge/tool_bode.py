@@ -68,11 +68,11 @@ def bode(context: Context) -> int:
                 say=lambda sentence: print(f"servo-tool: {sentence}", file=sys.stderr, flush=True),
                 progress=progress.bar,
             )
+        print(json.dumps(as_dict(result), allow_nan=False) if args.json else text(result).rstrip("\n"))
         _write(result, args.out, args.rrd)
-    except (MeasurementError, ConfigError, ValueError) as error:
+    except (MeasurementError, ConfigError) as error:
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1
-    print(json.dumps(as_dict(result), allow_nan=False) if args.json else text(result), end="\n" if args.json else "")
     return 0 if result.figures.crossover is not None else 1
 
 

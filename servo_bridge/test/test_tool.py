@@ -87,7 +87,7 @@ def test_vars(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str])
     assert "rw" in speed
     assert "rad/s" in speed
     assert "-419 .. 419" in speed
-    assert len(lines) == 11
+    assert len(lines) == 16
 
 
 def test_vars_without_a_match(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
@@ -224,7 +224,7 @@ def test_set_refuses(
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["--raw", "cmd.mode", "1,9"], "cmd.mode[1]: 9 is outside 0 .. 3"),
+        (["--raw", "cmd.mode", "1,9"], "cmd.mode[1]: 9 is outside 0 .. 4"),
         (["--raw", "cmd.enable[1]", "2"], "cmd.enable[1]: 2 is outside 0 .. 1"),
         (["--raw", "param.monitor[0]", "99"], "param.monitor[0]: 99 is outside 0 .. 15"),
         (["--raw", "param.feedback[0]", "2"], "param.feedback[0]: 2 is outside 0 .. 1"),

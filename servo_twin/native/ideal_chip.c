@@ -36,7 +36,7 @@ void chip_init(hal_t *chip, const board_config_t *config, servo_t *servo)
     chip->left_out = 0;
     chip->stalled_ns = 0;
     chip->served_ns = 0;
-    for (int i = 0; i < HAL_MONITORS; i++) {
+    for (int i = 0; i < HAL_ANALOG_OUTS; i++) {
         chip->monitor[i] = 0;
     }
 }
@@ -304,7 +304,7 @@ void hal_holding_brake(hal_t *hal, uint16_t axis, bool release)
     plant_pins_power(&hal->plant.axis[axis].pins, release, seconds(hal));
 }
 
-void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
+void hal_analog_out(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
 
 void hal_duties_done(hal_t *hal, uint16_t axis)
 {

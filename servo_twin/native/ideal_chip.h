@@ -43,7 +43,7 @@ struct hal {
     int sampled;         /* axis whose low sides are at their centre then */
     uint32_t scans;      /* M2 interrupts so far */
     uint32_t breaks;     /* times an over-current latch has tripped */
-    uint16_t monitor[HAL_MONITORS];
+    uint16_t monitor[HAL_ANALOG_OUTS];
     uint16_t late;       /* hal_late_loops() */
     unsigned left_out;   /* loops in a row */
     uint64_t stalled_ns; /* until then the core does nothing */

@@ -10,6 +10,7 @@ from servo_twin.harm import BadContact, CurrentNoise, DryBearing, ShiftedDisc, W
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.simulation import enable
+from servo_twin.sweep.variant import Base
 
 LEVELS: list[Level] = ["ideal", "registers"]
 LOAD = 0.02  # [N m]: enough current for a resistance to show
@@ -215,3 +216,17 @@ def test_damages_that_cannot_be_say_so() -> None:
         ):
             with pytest.raises((ValueError, IndexError), match=text):
                 board.inject(harm)
+
+
+def test_a_sweep_varies_every_part_of_a_real_shaft() -> None:
+    values = {
+        "load_inertia": 1e-5, "shaft_stiffness": 30.0, "shaft_damping": 1e-4, "backlash": 0.01, "load_friction": 1e-3,
+        "cogging_torque": 1e-3, "cogging_periods": 24.0, "cogging_phase": 0.1, "i_saturation_d": 4.0,
+        "i_saturation_q": 3.0, "winding_warms": 1.0, "magnet_coefficient": -0.002, "magnet_time": 10.0,
+        "disc_eccentricity": 0.01, "disc_phase": 0.2, "load_torque": 0.01,
+    }  # fmt: skip
+    base = Base(PlantConfig.load(), {})
+    point = {f"plant.axis2.{name}": value for name, value in values.items()}
+    plant = base.variant({"plant.axis2.shaft_stiffness": 30.0, **point}).plant
+    assert {name: getattr(plant.axes[1], name) for name in values} == values
+    assert base.variant({"plant.axis1.pins.brake_torque": 0.1}).plant.axes[0].pins.brake_torque == 0.1

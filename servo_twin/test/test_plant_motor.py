@@ -27,12 +27,21 @@ def step(plant_c: Native, motor: Any, alpha: float, beta: float, duration: float
         left -= plant_c.lib.plant_motor_step(motor, (alpha, beta), left)
 
 
+def field_energy(inductance: float, i_s: float, current: float) -> float:
+    """Integral of the current over the flux, for one axis."""
+    if i_s == 0.0:
+        return 0.5 * inductance * current**2
+    x = 2.0 * math.sinh(math.asinh(1.5 * current / i_s) / 3.0)
+    return inductance * i_s**2 * (x**2 / 2.0 + x**4 / 12.0)
+
+
 def stator_frame_reference(
     axis: AxisPlant, voltage: NDArray[np.float64], step_s: float, load: float, substeps: int = 16
 ) -> NDArray[np.float64]:
     """State (i_d, i_q, omega_m, theta_m) after each voltage, by the flux equations of the stator frame (DRM E11-E15).
 
     d(psi)/dt = u - R i with psi = L(theta) i + psi_m (cos, sin); torque 3/2 p (psi_alpha i_beta - psi_beta i_alpha).
+    With saturation the flux x in an axis of the rotor needs the current x / L (1 + (x / (L i_s))^2 / 3).
     """
     p = axis.pole_pairs
 
@@ -40,6 +49,14 @@ def stator_frame_reference(
         c, s = math.cos(p * theta), math.sin(p * theta)
         mean, half = (axis.l_d + axis.l_q) / 2, (axis.l_d - axis.l_q) / 2
         c2, s2 = math.cos(2 * p * theta), math.sin(2 * p * theta)
+        if axis.i_saturation_d > 0.0:
+            turn = np.array([[c, s], [-s, c]])
+            scale = np.array([axis.l_d * axis.i_saturation_d, axis.l_q * axis.i_saturation_q])
+            flux = turn @ psi - [axis.psi_m, 0.0]
+            saturated: NDArray[np.float64] = turn.T @ (
+                flux / [axis.l_d, axis.l_q] * (1.0 + np.square(flux / scale) / 3.0)
+            )
+            return saturated
         inductance = np.array([[mean + half * c2, half * s2], [half * s2, mean - half * c2]])
         solution: NDArray[np.float64] = np.linalg.solve(inductance, psi - axis.psi_m * np.array([c, s]))
         return solution
@@ -67,8 +84,9 @@ def stator_frame_reference(
     return np.array(rows)
 
 
-def test_agrees_with_the_flux_equations_of_the_stator_frame(plant_c: Native) -> None:
-    plant = plain(viscous=2e-5, theta_start=0.4)
+@pytest.mark.parametrize("iron", [{}, {"i_saturation_d": 3.0, "i_saturation_q": 2.0}], ids=["linear", "saturated"])
+def test_agrees_with_the_flux_equations_of_the_stator_frame(plant_c: Native, iron: dict[str, Any]) -> None:
+    plant = plain(viscous=2e-5, theta_start=0.4, **iron)
     axis = plant.axes[0]
     # a voltage vector that accelerates the shaft and pulls the motor out of step: everything is excited
     times = np.arange(640) * STEP
@@ -84,12 +102,13 @@ def test_agrees_with_the_flux_equations_of_the_stator_frame(plant_c: Native) -> 
     assert np.abs(expected[:, 1]).max() > 3.0  # the comparison is about real currents and speeds
     assert np.abs(expected[:, 2]).max() > 30.0
     error = np.abs(np.array(rows) - expected).max(axis=0)
-    assert (error < [5e-8, 5e-8, 5e-8, 1e-10]).all()  # A, A, rad/s, rad
+    assert (error < np.array([5e-8, 5e-8, 5e-8, 1e-10]) * (40.0 if iron else 1.0)).all()  # A, A, rad/s, rad
 
 
-def test_energy_balance(plant_c: Native) -> None:
+@pytest.mark.parametrize("iron", [0.0, 1.5], ids=["linear", "saturated"])
+def test_energy_balance(plant_c: Native, iron: float) -> None:
     """Electrical energy in = heat + friction + kinetic + magnetic energy."""
-    axis = plain(friction=2e-3, viscous=1e-5).axes[0]
+    axis = plain(friction=2e-3, viscous=1e-5, i_saturation_d=iron, i_saturation_q=iron).axes[0]
     motor = make(plant_c, axis)
     supplied = heat = rubbed = 0.0
     for k in range(4000):
@@ -105,7 +124,7 @@ def test_energy_balance(plant_c: Native) -> None:
         speed = (before[2] + motor.omega) / 2
         rubbed += (axis.friction * abs(speed) + axis.viscous * speed**2) * STEP
     kinetic = 0.5 * axis.inertia * motor.omega**2
-    magnetic = 0.75 * (axis.l_d * motor.i_d**2 + axis.l_q * motor.i_q**2)
+    magnetic = 1.5 * (field_energy(axis.l_d, iron, motor.i_d) + field_energy(axis.l_q, iron, motor.i_q))
     assert supplied > 0.1
     assert heat + rubbed + kinetic + magnetic == pytest.approx(supplied, rel=1e-3)
 

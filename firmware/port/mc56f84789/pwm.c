@@ -57,7 +57,7 @@ void hal_break_clear(hal_t *hal, uint16_t axis)
     REG_WRITE(hal, module + PWM_FCTRL0, SET_PWM_FCTRL0);
 }
 
-void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value)
+void hal_analog_out(hal_t *hal, uint16_t channel, uint16_t value)
 {
     if (!hal->monitoring) {
         pwm_monitor_start(hal);

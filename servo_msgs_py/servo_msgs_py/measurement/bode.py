@@ -28,7 +28,7 @@ from servo_msgs_py.measurement.access import (
     refuse_faults,
     step_of,
 )
-from servo_msgs_py.measurement.frequency_response import Figures, Response, estimate, figures, joined
+from servo_msgs_py.measurement.frequency_response import Figures, Measured, Response, estimate, figures, joined
 from servo_msgs_py.measurement.prediction import Prediction, predict
 from servo_msgs_py.measurement.test_signal import (
     SweptSine,
@@ -47,17 +47,20 @@ _TURNS_MIN: Final = 4.0  # of the lowest frequency within a sweep of its own
 _STRETCH: Final = 1.3  # by which a sweep may begin lower, with fewer turns, before another one is spent on the rest
 _NYQUIST_PART: Final = 0.8
 _BELOW, _ABOVE = 5.0, 10.0  # default band around the predicted crossover
-_SLOW_PART: Final = 0.25  # of the current limit, that the default amplitude of a slow loop asks for
+_SLOW_PART: Final = 0.4  # of the current limit, that the default amplitude of a slow loop asks for
 _FAST_PART: Final = 0.15  # the same as amplitude of a current loop
 _BASE_PART: Final = 0.5  # of the current limit: i_d that holds the rotor while a current loop is measured
 _BASE_OVER: Final = 2.5  # and over the amplitude: no phase current passes zero, where the dead time is not linear
 _EXCURSION: Final = 0.7  # of the constant speed: the shaft shall not turn round
 _DEFAULT_EXCURSION: Final = 30.0  # without a constant speed [rad/s]
 _SPEED_PART: Final = {"speed": 0.15, "position": 0.1}  # of the speed limit: default speed
+_CHECKS: Final = 2  # recordings with half the amplitude
+_LINEAR, _LINEAR_DEGREES = 0.05, 3.0  # what they may change
 _RESOLUTIONS: Final = 20.0  # of the M/T method; below them its steps change the gain by percents
 _LIMIT_PART: Final = 0.98
 _SETTLE: Final = 0.3  # at the constant speed [s]
 _START: Final = 0.7  # for the recorder to be armed and started [s]
+_TIME_MAX: Final = 30.0  # longest param.command_timeout [s]
 _RAMP: Final = 0.3  # longest way to the constant speed in a trajectory [s]
 _REST_TIME: Final = 5.0
 _STILL_LOOKS: Final = 10
@@ -146,7 +149,15 @@ class Request:
 
 @dataclass(frozen=True)
 class Settings:
-    """What is measured; attributes as those of `Request`, without gaps."""
+    """What is measured.
+
+    Attributes
+    ----------
+    swing : float
+        Speed by which the test signal moves the shaft at most, as predicted [rad/s].
+    others
+        As those of `Request`, without gaps.
+    """
 
     axis: int
     loop: Loop
@@ -156,6 +167,7 @@ class Settings:
     speed: float
     way_max: float
     repeats: int
+    swing: float = 0.0
 
     @property
     def names(self) -> list[str]:
@@ -274,6 +286,8 @@ def _completed(access: BoardAccess, request: Request) -> tuple[Settings, Predict
         settings, prediction = replace(settings, speed=speed), replace(prediction, speed=speed)
     if request.amplitude is None:
         settings = replace(settings, amplitude=_default_amplitude(access, settings, prediction))
+    if loop.slow:
+        settings = replace(settings, swing=settings.amplitude * prediction.excursion(f_min, f_max)[0])
     return settings, prediction, bands
 
 
@@ -298,16 +312,24 @@ def _room(access: BoardAccess, axis: int) -> float:
 
 
 def _refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Band]) -> None:
-    """Refuse what the limits of the axis or the user forbid."""
+    """Refuse what the axis cannot do, or what its limits or the user forbid."""
     name, loop = axis_name(settings.axis), settings.loop
+    if access.catalogue.label("feedback_kind_t", int(access.read("param.feedback")[settings.axis])) != "ENCODER":
+        raise MeasurementError(f"{name} runs without its encoder (param.feedback); only loops with one are measured")
+    longest = max(map(_time_of, bands))
+    if longest > _TIME_MAX:
+        raise MeasurementError(
+            f"from {settings.f_min:.3g} Hz on a recording would take {longest:.3g} s, more than the {_TIME_MAX:g} s "
+            "that a set-point can hold; give a higher lowest frequency"
+        )
     speed_limit = access.read("param.speed_limit")[settings.axis]
     current_limit = access.read("param.i_q_limit")[settings.axis]
     if not settings.amplitude > 0.0:
         raise MeasurementError(f"the amplitude {settings.amplitude:g} {loop.unit} is not above 0")
-    swing = settings.amplitude if loop.name == "position" else 0.0
-    if abs(settings.speed) + swing > speed_limit:
+    fastest = abs(settings.speed) + settings.swing
+    if fastest > speed_limit:
         raise MeasurementError(
-            f"{abs(settings.speed) + swing:.4g} rad/s with the test signal are above the limit of {name}, "
+            f"{fastest:.4g} rad/s with the test signal are above the limit of {name}, "
             f"{speed_limit:.4g} rad/s (param.speed_limit); give a lower speed"
         )
     most = (0.5 if loop.slow else _BASE_PART / _BASE_OVER) * current_limit
@@ -330,9 +352,7 @@ def _way(settings: Settings, band: Band) -> float:
     """How far the shaft turns in one recording at most [rad]."""
     if not settings.loop.slow:
         return math.pi  # the rotor goes to where the current vector points
-    constant = abs(settings.speed) * _time_of(band)
-    swing = settings.amplitude / (2.0 * math.pi * band.f_min) if settings.loop.name == "position" else 0.0
-    return constant + swing
+    return abs(settings.speed) * _time_of(band) + settings.swing / (2.0 * math.pi * band.f_min)
 
 
 def _time_of(band: Band) -> float:
@@ -411,7 +431,7 @@ class _Axis:
 
     def expire(self, seconds: float) -> None:
         """Let the board end set-points of speed and current that are not written again within this time [s]."""
-        self.access.write("param.command_timeout", [min(seconds, 30.0)])
+        self.access.write("param.command_timeout", [seconds])
 
     def travel(self, speed: float, seconds: float) -> None:
         """Turn at a constant speed under position control for a time [s], then hold."""
@@ -468,6 +488,7 @@ def _prepared(access: BoardAccess, settings: Settings, enable: bool) -> Iterator
                 it.until(lambda: it.substate != "TEST" and not it.spins, _REST_TIME, "has not switched off")
             it.write("cmd.mode", mode)
             access.write("param.command_timeout", timeout)
+            access.wait(_LOOK)  # until all of it is in force
 
 
 # ---- the measurement -------------------------------------------------------------------------------------------------
@@ -504,35 +525,69 @@ def measure(
         If there is no prediction: no configuration gives what the board has.
     """
     settings, prediction, bands = _completed(access, request)
-    loop = settings.loop
     _refuse_settings(access, settings, bands)
     say(_motion_text(settings, bands))
-    total = len(bands) * settings.repeats
-    responses, notes = [], _notes(settings, prediction)
+    total = len(bands) * settings.repeats + _CHECKS
     with _prepared(access, settings, enable) as axis:
-        for number, band in enumerate(bands):
-            signal = SweptSine(loop.point, settings.amplitude, band.f_min, band.f_max, band.sweep_seconds)
+
+        def swept(band: Band, amplitude: float, repeats: int, done: int) -> Response:
+            signal = SweptSine(settings.loop.point, amplitude, band.f_min, band.f_max, band.sweep_seconds)
             prepare_test_signal(access, settings.axis, signal)
             taken = []
-            for repeat in range(settings.repeats):
-                progress(f"{band.f_min:.3g} .. {band.f_max:.3g} Hz", number * settings.repeats + repeat, total)
+            for repeat in range(repeats):
+                progress(f"{band.f_min:.3g} .. {band.f_max:.3g} Hz", done + repeat, total)
                 speed = -settings.speed if repeat % 2 else settings.speed
                 taken.append(_recorded(axis, settings, band, speed))
-            progress("done", (number + 1) * settings.repeats, total)
-            responses.append(_estimated(access, settings, band, taken))
-    response = joined(responses)
-    return Bode(settings, bands, response, figures(response), prediction, tuple(notes))
+            return _estimated(access, settings, band, taken)
+
+        response = joined(
+            [swept(band, settings.amplitude, settings.repeats, k * settings.repeats) for k, band in enumerate(bands)]
+        )
+        found, notes = figures(response), _notes(settings, prediction)
+        if found.crossover is not None:
+            crossover = found.crossover.value
+            (band, *_) = [band for band in bands if band.f_min <= crossover <= band.f_max] or bands
+            half = figures(swept(band, 0.5 * settings.amplitude, _CHECKS, total - _CHECKS))
+            found, note = _compared(found, half)
+            notes += note
+        progress("done", total, total)
+    return Bode(settings, bands, response, found, prediction, tuple(notes))
+
+
+def _compared(found: Figures, half: Figures) -> tuple[Figures, list[str]]:
+    """Figures whose uncertainty holds what half the amplitude changes.
+
+    Steps of a sensor and friction change the figures the more the smaller the test signal is: what half of it changes
+    is about what is still wrong with the whole.
+    """
+    if None in (found.crossover, found.phase_margin, half.crossover, half.phase_margin):
+        return found, ["half the amplitude determines nothing: this one is hardly enough; give a larger amplitude"]
+    assert found.crossover is not None
+    assert found.phase_margin is not None
+    assert half.crossover is not None
+    assert half.phase_margin is not None
+    crossover, margin = (
+        Measured(one.value, max(one.sigma, 0.5 * abs(other.value - one.value)))
+        for one, other in ((found.crossover, half.crossover), (found.phase_margin, half.phase_margin))
+    )
+    notes = []
+    if 2.0 * crossover.sigma > _LINEAR * crossover.value or 2.0 * margin.sigma > _LINEAR_DEGREES:
+        notes.append(
+            f"half the amplitude gives a crossover of {half.crossover.value:.4g} Hz and a phase margin of "
+            f"{half.phase_margin.value:.4g} degrees: friction or the steps of a sensor matter; give a larger amplitude"
+        )
+    return replace(found, crossover=crossover, phase_margin=margin), notes
 
 
 def _motion_text(settings: Settings, bands: Sequence[Band]) -> str:
     """What the shaft is going to do."""
     name, loop = axis_name(settings.axis), settings.loop
     way = max(_way(settings, band) for band in bands)
-    turn = f"turns to and fro at {abs(settings.speed):.4g} rad/s, " if settings.speed else ""
+    how = f" to and fro at {abs(settings.speed):.4g} rad/s" if settings.speed else ""
     if not loop.slow:
-        turn = "is held by a current in one direction, "
+        how = " to where a current holds it"
     return (
-        f"{name} moves: it {turn}up to {way:.3g} rad to each side, with a test signal of {settings.amplitude:.3g} "
+        f"{name} turns{how}, up to {way:.3g} rad to each side, with a test signal of {settings.amplitude:.3g} "
         f"{loop.unit} from {settings.f_min:.3g} to {settings.f_max:.3g} Hz; Ctrl-C stops it"
     )
 
@@ -543,11 +598,10 @@ def _notes(settings: Settings, prediction: Prediction) -> list[str]:
         return []
     if settings.speed == 0.0:
         return ["measured about standstill: friction and rare encoder edges change what is measured; give --speed"]
-    excursion = settings.amplitude * prediction.excursion(settings.f_min, settings.f_max)[0]
     board = prediction.it.board
     resolution = abs(settings.speed) / (board("timer_clock") * board.tick)
-    if settings.loop.name == "speed" and not prediction.observed and excursion < _RESOLUTIONS * resolution:
-        steps = f"the speed swings by {excursion:.3g} rad/s, the M/T method has steps of {resolution:.2g} rad/s"
+    if settings.loop.name == "speed" and not prediction.observed and settings.swing < _RESOLUTIONS * resolution:
+        steps = f"the speed swings by {settings.swing:.3g} rad/s, the M/T method has steps of {resolution:.2g} rad/s"
         return [f"{steps}: the gain may be off by some percent; give a larger amplitude or a lower speed"]
     return []
 

@@ -151,6 +151,7 @@ def draw(bode: Bode, path: Path) -> None:
     """
     try:
         from matplotlib.figure import Figure
+        from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
     except ImportError:
         raise MeasurementError("a picture needs matplotlib: pip install matplotlib") from None
     table, good = rows(bode), bode.response.good
@@ -175,6 +176,9 @@ def draw(bode: Bode, path: Path) -> None:
     coherence.set_ylim(0.0, 1.05)
     coherence.set_ylabel("coherence")
     coherence.set_xlabel("frequency [Hz]")
+    coherence.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    coherence.xaxis.set_major_formatter(FuncFormatter(lambda hertz, _: f"{hertz:g}"))
+    coherence.xaxis.set_minor_formatter(NullFormatter())
     coherence.grid(alpha=0.3, which="both")
     gain.set_title("\n".join(line.strip() for line in list(_lines(bode))[:3]), fontsize="small", loc="left")
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -348,8 +348,19 @@ def _resonances(f: _Float, gain: _Float, sigma: _Float) -> tuple[Resonance, ...]
     """Peaks and notches against a straight fall of 20 dB per decade, higher than both sides by more than by chance."""
     level = 20.0 / math.log(10.0) * (gain + np.log(f))
     deviation = 20.0 / math.log(10.0) * sigma
-    found = [Resonance(f[k], height) for sign in (1.0, -1.0) for k, height in _peaks(sign * level, deviation, sign)]
+    found = [
+        Resonance(_between(f, level, k), height)
+        for sign in (1.0, -1.0)
+        for k, height in _peaks(sign * level, deviation, sign)
+    ]
     return tuple(sorted(found, key=lambda r: r.frequency))
+
+
+def _between(f: _Float, level: _Float, k: int) -> float:
+    """Frequency of the extreme of the parabola through a point and its neighbours."""
+    fit = np.polyfit(np.log(f[k - 1 : k + 2] / f[k]), level[k - 1 : k + 2], 2)
+    place = -0.5 * float(fit[1] / fit[0]) if fit[0] != 0.0 else 0.0
+    return float(np.clip(f[k] * math.exp(place), f[k - 1], f[k + 1]))
 
 
 def _peaks(level: _Float, deviation: _Float, sign: float) -> list[tuple[int, float]]:

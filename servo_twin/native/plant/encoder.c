@@ -3,6 +3,9 @@
 #include <math.h>
 #include <stddef.h>
 
+#include "plant/inline.h"
+#include "plant/trig.h"
+
 #define COMPARE_UP UINT16_C(3999)
 #define COMPARE_DOWN UINT16_C(0xF061) /* -3999 */
 #define AGE_OVERFLOW UINT32_C(0x10000)
@@ -16,6 +19,7 @@ static int64_t edges_at(const plant_encoder_t *encoder, double theta)
 
 void plant_encoder_change(plant_encoder_t *encoder, const plant_axis_t *config)
 {
+    encoder->eccentric = config->disc_eccentricity > 0.0;
     encoder->eccentricity = config->disc_eccentricity;
     encoder->phase = config->disc_phase;
 }
@@ -81,28 +85,39 @@ static void latch_at(plant_encoder_t *encoder, uint64_t time_ns)
     encoder->latched = true;
 }
 
-/* How the disc moves with the shaft. */
-static plant_movement_t seen_from_disc(const plant_encoder_t *encoder, const plant_movement_t *movement)
+PLANT_RARE double plant_encoder_eccentric(const plant_encoder_t *encoder, double theta)
+{
+    double sine;
+    double cosine;
+    plant_sincos(theta + encoder->phase, &sine, &cosine);
+    return theta + encoder->eccentricity * sine;
+}
+
+/* How an eccentric disc moves with the shaft. */
+static PLANT_RARE plant_movement_t seen_from_disc(const plant_encoder_t *encoder, const plant_movement_t *movement)
 {
     plant_movement_t disc = *movement;
-    if (encoder->eccentricity > 0.0) {
-        double sine;
-        double cosine[2];
-        plant_sincos(movement->theta_0 + encoder->phase, &sine, &cosine[0]);
-        plant_sincos(movement->theta_1 + encoder->phase, &sine, &cosine[1]);
-        disc.theta_0 = plant_encoder_disc(encoder, movement->theta_0);
-        disc.theta_1 = plant_encoder_disc(encoder, movement->theta_1);
-        disc.omega_0 += encoder->eccentricity * cosine[0] * movement->omega_0;
-        disc.omega_1 += encoder->eccentricity * cosine[1] * movement->omega_1;
-    }
+    double sine;
+    double cosine[2];
+    plant_sincos(movement->theta_0 + encoder->phase, &sine, &cosine[0]);
+    plant_sincos(movement->theta_1 + encoder->phase, &sine, &cosine[1]);
+    disc.theta_0 = plant_encoder_eccentric(encoder, movement->theta_0);
+    disc.theta_1 = plant_encoder_eccentric(encoder, movement->theta_1);
+    disc.omega_0 += encoder->eccentricity * cosine[0] * movement->omega_0;
+    disc.omega_1 += encoder->eccentricity * cosine[1] * movement->omega_1;
     return disc;
 }
 
 static void latch(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns, int64_t number)
 {
     const double theta = (double)(number - encoder->slipped) / encoder->edges_per_rad;
-    const plant_movement_t disc = seen_from_disc(encoder, movement);
-    const double t = movement->start_ns + time_to(&disc, theta);
+    double t;
+    if (encoder->eccentric) {
+        const plant_movement_t disc = seen_from_disc(encoder, movement);
+        t = movement->start_ns + time_to(&disc, theta);
+    } else {
+        t = movement->start_ns + time_to(movement, theta);
+    }
     latch_at(encoder, reference_ns + (uint64_t)t);
 }
 
@@ -149,8 +164,8 @@ static inline void move_quickly(plant_encoder_t *encoder, const plant_movement_t
     encoder->edge += edges;
 }
 
-static inline void move_to(plant_encoder_t *encoder, int64_t target, const plant_movement_t *movement,
-                           uint64_t reference_ns)
+static PLANT_ONCE void move_to(plant_encoder_t *encoder, int64_t target, const plant_movement_t *movement,
+                               uint64_t reference_ns)
 {
     const int64_t edges = target - encoder->edge;
     if (edges == 0) {

@@ -17,7 +17,6 @@
 #include <stdint.h>
 
 #include "board.h"
-#include "plant/trig.h"
 
 #define PLANT_ENCODER_TICK_NS UINT64_C(1280) /* bus clock / 128 at 100 MHz: 781.25 kHz */
 
@@ -26,9 +25,9 @@ typedef enum { PLANT_LINE_A, PLANT_LINE_B, PLANT_ENCODER_LINES } plant_line_t;
 /* The disc may be off the shaft's centre, which then turns by theta + a sin(theta + phase), a < 1: edges keep their order. */
 typedef struct {
     double edges_per_rad; /* negative: A and B are swapped */
-    double eccentricity, phase; /* of the disc: a, phase [rad] */
     bool alive[PLANT_ENCODER_LINES]; /* lines that still switch */
     bool stuck[PLANT_ENCODER_LINES]; /* level of one that does not */
+    bool eccentric; /* the disc */
     int64_t edge;        /* edges passed since angle 0 */
     int64_t slipped;     /* of these by the disc alone */
     uint16_t count;      /* TMRx0 */
@@ -38,6 +37,7 @@ typedef struct {
     bool latched;        /* an edge waits for the interrupt's software */
     uint16_t captured_count;
     uint64_t captured_ns;
+    double eccentricity, phase; /* of the disc: a, phase [rad] */
 } plant_encoder_t;
 
 /* Movement of the shaft over one step; the speed in between is taken as linear. */
@@ -53,16 +53,11 @@ void plant_encoder_init(plant_encoder_t *encoder, const plant_axis_t *config);
 /* The disc is off its centre by another amount; its edges pass with the next movement. */
 void plant_encoder_change(plant_encoder_t *encoder, const plant_axis_t *config);
 
-/* Where the disc is with the shaft at `theta`. */
+/* Where the disc is with the shaft at `theta`. Any disc, and one that may be centred. */
+double plant_encoder_eccentric(const plant_encoder_t *encoder, double theta);
 static inline double plant_encoder_disc(const plant_encoder_t *encoder, double theta)
 {
-    if (encoder->eccentricity > 0.0) {
-        double sine;
-        double cosine;
-        plant_sincos(theta + encoder->phase, &sine, &cosine);
-        return theta + encoder->eccentricity * sine;
-    }
-    return theta;
+    return encoder->eccentric ? plant_encoder_eccentric(encoder, theta) : theta;
 }
 
 /* True if the shaft at `theta` is past an edge that has not been counted yet. */

@@ -2,6 +2,7 @@
 
 #include <math.h>
 
+#include "plant/inline.h"
 #include "plant/trig.h"
 
 #define NUM double
@@ -114,7 +115,7 @@ static iron_state_t iron_rate(const plant_motor_t *m, single_vector_t u, double 
 }
 
 /* Runge-Kutta 4 of the fluxes; `direction` 0: the shaft stands. */
-static void turn_iron(plant_motor_t *m, plant_vector_t u, double h, double direction)
+static PLANT_RARE void turn_iron(plant_motor_t *m, plant_vector_t u, double h, double direction)
 {
     const single_vector_t v = seen_from_rotor(m, u);
     const iron_state_t x = {saturation_flux(m->iron_d, m->i_d), saturation_flux(m->iron_q, m->i_q),
@@ -319,9 +320,16 @@ void plant_motor_lock(plant_motor_t *motor, bool locked)
     }
 }
 
+void plant_motor_part(plant_motor_t *motor, bool fine)
+{
+    motor->fine = fine;
+    motor->apart = fine || motor->obstructed;
+}
+
 void plant_motor_obstruct(plant_motor_t *motor, double below, double above)
 {
     motor->obstructed = isfinite(below) || isfinite(above);
+    plant_motor_part(motor, motor->fine);
     motor->low = motor->theta - below;
     motor->high = motor->theta + above;
 }

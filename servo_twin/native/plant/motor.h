@@ -40,9 +40,9 @@ typedef struct {
     bool locked;         /* shaft held fast */
     double low, high;    /* end stops, inelastic, mechanical [rad] */
     bool obstructed;     /* there are some */
-    bool apart;          /* takes steps of its own (shaft.h) */
+    bool fine;           /* takes steps of its own (shaft.h) */
+    bool apart;          /* one of these two: no plain case (pair.h) */
     bool saturates;
-    saturation_t iron_d, iron_q;
     /* state */
     double i_d, i_q;     /* [A] */
     double omega;        /* mechanical [rad/s] */
@@ -51,6 +51,7 @@ typedef struct {
     double sine, cosine; /* of the electrical angle */
     unsigned steps;      /* since these two were evaluated */
     double phase[3];     /* phase currents into the motor [A] */
+    saturation_t iron_d, iron_q;
 } plant_motor_t;
 
 /* Stator voltage in the stator frame, constant over a step [V]. */
@@ -75,6 +76,9 @@ double plant_motor_coast(plant_motor_t *motor, double dt);
 
 /* Set the currents from the phases [A]; their sum is 0. */
 void plant_motor_set_phases(plant_motor_t *motor, double i_a, double i_b);
+
+/* The motor takes steps of its own, or no longer. */
+void plant_motor_part(plant_motor_t *motor, bool fine);
 
 void plant_motor_lock(plant_motor_t *motor, bool locked);
 

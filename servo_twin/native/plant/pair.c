@@ -42,8 +42,7 @@ static bool plain_case(const plant_lane_t *lane, double *direction)
 {
     plant_motor_t *motor = lane->motor;
     *direction = 0.0;
-    if (!lane->inverter->on || lane->inverter->unplugged || lane->inverter->broken || motor->obstructed ||
-        motor->apart) {
+    if (!lane->inverter->on || lane->inverter->unplugged || lane->inverter->broken || motor->apart) {
         return false;
     }
     if (fabs(motor->omega) > PLANT_STANDING) {

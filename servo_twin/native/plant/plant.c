@@ -1,5 +1,7 @@
 #include "plant/plant.h"
 
+#include "plant/inline.h"
+
 static inline plant_lane_t lane_of(plant_drive_t *axis) { return (plant_lane_t){&axis->inverter, &axis->motor}; }
 
 static void pair_up(plant_t *plant)
@@ -70,13 +72,14 @@ static void change_axis(plant_drive_t *axis, const plant_axis_t *config, double 
     axis->motor.friction = plant_pins_friction(&axis->pins);
     const double part = step / PLANT_SHAFT_STEPS;
     shaft_change(&axis->shaft, config, axis->motor.theta, axis->motor.omega);
-    axis->motor.apart = axis->shaft.fine;
+    plant_motor_part(&axis->motor, axis->shaft.fine);
     axis->stop = end_stop_of(config, axis->shaft.fine ? part : step);
     set_load(axis, config->load_torque);
     plant_encoder_change(&axis->encoder, config);
     axis->codes_per_ampere = 2048.0 / config->i_full_scale;
     thermal_change(&axis->sink, config->sink_capacity, config->sink_resistance);
     thermal_change(&axis->winding, config->winding_capacity, config->winding_resistance);
+    axis->magnet_follows = thermal_magnet(step * PLANT_STEPS_PER_WARMTH, config->magnet_time);
     follow_heat(axis);
 }
 
@@ -115,7 +118,7 @@ static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, doubl
 }
 
 /* The same for all of a step in parts, each with the torque that shaft, cogging and end stops have in its middle. */
-static double fine_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, double step)
+static PLANT_RARE double fine_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, double step)
 {
     const double part = step / PLANT_SHAFT_STEPS;
     double charge = 0.0;
@@ -153,7 +156,7 @@ static void warm_up(plant_t *plant)
         const double loss =
             1.5 * axis->config.r_s * thermal_copper(&axis->winding) * (m->i_d * m->i_d + m->i_q * m->i_q);
         thermal_advance(&axis->winding, h, loss * h);
-        axis->t_magnet = thermal_magnet(axis->t_magnet, axis->winding.t, h, axis->config.magnet_time);
+        axis->t_magnet += axis->magnet_follows * (axis->winding.t - axis->t_magnet);
         warmer = follow_heat(axis) || warmer;
     }
     if (warmer) {
@@ -162,7 +165,7 @@ static void warm_up(plant_t *plant)
     supply_warm(&plant->bus, h);
 }
 
-void plant_step(plant_t *plant, uint64_t now_ns)
+PLANT_ONCE void plant_step(plant_t *plant, uint64_t now_ns)
 {
     plant_drive_t *drive = plant->axis;
     const plant_lane_t lane[2] = {lane_of(&drive[0]), lane_of(&drive[1])};

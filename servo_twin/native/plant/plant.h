@@ -26,15 +26,16 @@ typedef struct {
     plant_inverter_t inverter;
     plant_motor_t motor;
     end_stop_t stop;
-    shaft_t shaft;
     plant_encoder_t encoder;
     plant_random_t noise;
     double codes_per_ampere;
     plant_harm_t harm;
     thermal_t sink;        /* heatsink of the inverter */
     thermal_t winding; /* its resistance grows in its losses; in the motor if the configuration says so */
-    double t_magnet; /* [deg C] */
     plant_pins_t pins;
+    shaft_t shaft;
+    double t_magnet; /* [deg C] */
+    double magnet_follows; /* part of its way to the winding's temperature, in a step of the temperatures */
 } plant_drive_t;
 
 typedef struct {

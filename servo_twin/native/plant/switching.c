@@ -350,7 +350,7 @@ static void warm_up(switching_t *plant)
         axis->e_copper = b->e_copper;
         axis->e_switch = b->e_switch;
         bridge_set_winding(b, axis->r_s * thermal_copper(&axis->winding));
-        plant->t_magnet[i] = thermal_magnet(plant->t_magnet[i], axis->winding.t, h, plant->given[i].magnet_time);
+        plant->t_magnet[i] += thermal_magnet(h, plant->given[i].magnet_time) * (axis->winding.t - plant->t_magnet[i]);
         if (plant->given[i].magnet_coefficient != 0.0) {
             bridge_set_magnet(b, magnet(plant, i));
             b->moved = true;
@@ -778,7 +778,7 @@ static bridge_t *touch(switching_t *plant, int i)
     return bridge;
 }
 
-/* The disc turns by so many edges, one after another; whoever calls looks for the next rare event. */
+/* The disc turns by so many edges, one after another; the caller looks for the next rare event. */
 static void turn_disc(switching_t *plant, int i, int32_t edges)
 {
     switching_axis_t *axis = &plant->axis[i];

@@ -38,7 +38,7 @@
 #define SWITCHING_LINE 64u /* a plant is quicker at a multiple of it [bytes] */
 #define SWITCHING_EVENTS 128u /* a power of two */
 /* Edges of an encoder that are kept back at most: with so many an axis fills lines of the cache. */
-#define SWITCHING_KEPT 129u
+#define SWITCHING_KEPT 132u
 
 /* Gate signals of one leg: bit 0 the upper switch, bit 1 the lower one. */
 typedef enum {

@@ -13,10 +13,7 @@ void thermal_change(thermal_t *body, double capacity, double resistance)
     body->resistance = resistance;
 }
 
-double thermal_magnet(double t, double winding, double h, double time)
-{
-    return (time > 0.0) ? t + (winding - t) * plant_approach(h / time) : winding;
-}
+double thermal_magnet(double h, double time) { return (time > 0.0) ? plant_approach(h / time) : 1.0; }
 
 void thermal_advance(thermal_t *body, double h, double energy)
 {

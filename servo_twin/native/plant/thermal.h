@@ -22,8 +22,8 @@ void thermal_init(thermal_t *body, double capacity, double resistance, double am
 /* Another body at the same temperature. */
 void thermal_change(thermal_t *body, double capacity, double resistance);
 
-/* Temperature of a magnet that follows its winding, `h` seconds later; `time` 0: at once. */
-double thermal_magnet(double t, double winding, double h, double time);
+/* Part of its way that a magnet, which follows its winding, has gone after `h` seconds; `time` 0: all of it. */
+double thermal_magnet(double h, double time);
 
 /* `energy` has been burnt in the last `h` seconds, evenly [J]. */
 void thermal_advance(thermal_t *body, double h, double energy);

@@ -30,6 +30,7 @@ from servo_twin.experiments import (
     path_filter,
     pins,
     position,
+    real_shaft,
     rotor_search,
     soft_limits,
     speed_observer,
@@ -99,6 +100,7 @@ EXPERIMENTS: Final[Mapping[str, Experiment]] = {
         load_step,
         stall,
         winding,
+        real_shaft,
         fault_matrix,
         fault_campaign,
     )

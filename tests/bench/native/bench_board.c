@@ -256,7 +256,7 @@ void hal_holding_brake(hal_t *hal, uint16_t axis, bool release)
     (void)release;
 }
 
-void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
+void hal_analog_out(hal_t *hal, uint16_t channel, uint16_t value) { hal->monitor[channel] = value; }
 
 void hal_duties_done(hal_t *hal, uint16_t axis)
 {

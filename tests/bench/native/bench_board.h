@@ -40,7 +40,7 @@ struct hal {
     uint16_t serial; /* received byte behind a flag in bit 8 */
     uint16_t sent;
     uint16_t watchdog;
-    uint16_t monitor[HAL_MONITORS];
+    uint16_t monitor[HAL_ANALOG_OUTS];
     bool brake;
     bench_motor_t motor[HAL_AXES];
     uint32_t period;

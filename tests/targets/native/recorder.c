@@ -274,7 +274,7 @@ void __real_hal_brake(hal_t *hal, bool on);
 uint16_t __real_hal_inputs(hal_t *hal, uint16_t axis);
 void __real_hal_enable_input(hal_t *hal, uint16_t axis, bool used);
 void __real_hal_holding_brake(hal_t *hal, uint16_t axis, bool release);
-void __real_hal_monitor(hal_t *hal, uint16_t channel, uint16_t value);
+void __real_hal_analog_out(hal_t *hal, uint16_t channel, uint16_t value);
 bool __real_hal_flash_present(hal_t *hal);
 uint32_t __real_hal_flash_read(hal_t *hal, uint16_t word);
 void __real_hal_flash_erase(hal_t *hal, uint16_t sector);
@@ -526,10 +526,10 @@ void __wrap_hal_holding_brake(hal_t *hal, uint16_t axis, bool release)
     __real_hal_holding_brake(hal, axis, release);
 }
 
-void __wrap_hal_monitor(hal_t *hal, uint16_t channel, uint16_t value)
+void __wrap_hal_analog_out(hal_t *hal, uint16_t channel, uint16_t value)
 {
     out1(OUT_MONITOR, channel, value);
-    __real_hal_monitor(hal, channel, value);
+    __real_hal_analog_out(hal, channel, value);
 }
 
 void __wrap_hal_duties_done(hal_t *hal, uint16_t axis)

@@ -202,7 +202,7 @@ void hal_holding_brake(hal_t *hal, uint16_t axis, bool release)
     out_word(&hal->out, release ? 1U : 0U);
 }
 
-void hal_monitor(hal_t *hal, uint16_t channel, uint16_t value)
+void hal_analog_out(hal_t *hal, uint16_t channel, uint16_t value)
 {
     out_head(&hal->out, OUT_MONITOR, channel);
     out_word(&hal->out, value);

@@ -1,12 +1,12 @@
-#include "app/monitor.h"
+#include "app/analog_out.h"
 
 #define MIDDLE UINT16_C(0x8000)
 #define PER_AXIS (MONITOR_AXIS2_I_D - MONITOR_AXIS1_I_D) /* the quantities of both axes come in the same order */
 
-bool monitor_wanted(const board_settings_t *settings)
+bool analog_out_wanted(const board_settings_t *settings)
 {
     bool wanted = false;
-    for (uint16_t i = 0; i < HAL_MONITORS; i++) {
+    for (uint16_t i = 0; i < HAL_ANALOG_OUTS; i++) {
         wanted = wanted || settings->monitor[i] != MONITOR_NONE;
     }
     return wanted;
@@ -46,11 +46,11 @@ static int16_t value_of(const axis_t *axes, uint16_t which)
     return 0;
 }
 
-void monitor_step(const board_settings_t *settings, const axis_t *axes, hal_t *hal, int16_t *shown)
+void analog_out_step(const board_settings_t *settings, const axis_t *axes, hal_t *hal, int16_t *shown)
 {
-    for (uint16_t i = 0; i < HAL_MONITORS; i++) {
+    for (uint16_t i = 0; i < HAL_ANALOG_OUTS; i++) {
         const int16_t value = value_of(axes, settings->monitor[i]);
         shown[i] = value;
-        hal_monitor(hal, i, (uint16_t)((uint16_t)value + MIDDLE));
+        hal_analog_out(hal, i, (uint16_t)((uint16_t)value + MIDDLE));
     }
 }

@@ -1,10 +1,10 @@
-#include "drive/watch.h"
+#include "drive/monitors.h"
 
 #include "diagnosis/fault_isolate.h"
 #include "drive/axis_faults.h"
 #include "drive/test_mode.h"
 
-finding_set_t watch_bus_now(const axis_t *axis)
+finding_set_t monitor_bus_now(const axis_t *axis)
 {
     const bool settled = axis->sm.state != STATE_INIT;
     return bus_monitor_findings(&axis->diagnosis.bus, axis->u_dc, settled, hal_break_active(axis->hal, axis->index));
@@ -76,7 +76,7 @@ static void rotate_sense_pair(axis_t *axis)
 /* ---- the monitors --------------------------------------------------------------------------------------------------- */
 
 /* The pair AB, BC or CA. */
-static void watch_converters(axis_t *axis, evidence_t *evidence)
+static void monitor_converters(axis_t *axis, evidence_t *evidence)
 {
     const adc_pair_t codes = hal_adc_offsets(axis->hal, axis->index);
     const int32_t high[SENSE_PHASES] = {axis->sense.duty.a, axis->sense.duty.b, axis->sense.duty.c};
@@ -91,7 +91,7 @@ static void watch_converters(axis_t *axis, evidence_t *evidence)
     sensor_monitor_step(&axis->diagnosis.sensor, samples, axis->observation.switching, evidence);
 }
 
-void watch_currents(axis_t *axis)
+void monitor_currents(axis_t *axis)
 {
     diagnosis_t *d = &axis->diagnosis;
     observation_t *o = &axis->observation;
@@ -99,7 +99,7 @@ void watch_currents(axis_t *axis)
     d->evidence = (evidence_t){0};
     axis_observe(axis);
     observe_frame(axis);
-    watch_converters(axis, &d->evidence);
+    monitor_converters(axis, &d->evidence);
     if (axis->sm.state != STATE_RUN) {
         rotate_sense_pair(axis);
     }
@@ -108,7 +108,7 @@ void watch_currents(axis_t *axis)
     heat_monitor_step(&d->heat, &axis->config->heat, o, &d->evidence);
     d->evidence.confirmed |= winding_model_findings(&d->winding);
     const bool possible = bus_monitor_fault_possible(&d->bus, axis->u_dc) || hal_break_active(axis->hal, axis->index);
-    const finding_set_t now = d->evidence.confirmed | (possible ? watch_bus_now(axis) : 0U);
+    const finding_set_t now = d->evidence.confirmed | (possible ? monitor_bus_now(axis) : 0U);
     axis->latch.pending = (now != 0U) ? fault_names(now) : 0U;
     if (axis->sm.state != STATE_FAULT) {
         observe_currents(axis, before);
@@ -118,7 +118,7 @@ void watch_currents(axis_t *axis)
 }
 
 /* By what the encoder showed in the tick before. */
-void watch_encoder(axis_t *axis)
+void monitor_encoder(axis_t *axis)
 {
     const axis_config_t *config = axis->config;
     diagnosis_t *d = &axis->diagnosis;

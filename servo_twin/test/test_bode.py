@@ -1,0 +1,219 @@
+"""Loops of a virtual board, measured on the running axis in simulated time, against what the tuning code predicts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import pytest
+from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.axis_config_transfer import read_block
+from servo_msgs_py.measurement.access import MeasurementError, send_configuration
+from servo_msgs_py.measurement.bode import LOOPS, Bode, Request, measure
+from servo_msgs_py.measurement.bode_report import as_dict, draw, text
+from servo_twin.board import Board
+from servo_twin.board_access import VirtualBoardAccess
+from servo_twin.level import Level
+from servo_twin.lockstep.blocks import blocks_of_file
+from servo_twin.plant import PlantConfig
+from servo_twin.simulation import enable
+
+CONFIG: Final = Path(__file__).resolve().parents[2] / "firmware" / "config" / "servo.toml"
+
+GAIN: Final = 0.02
+"""Distance of the crossover from its prediction; 0.05 is aimed at."""
+
+PHASE: Final = 1.5
+"""Of the phase margin [degrees]; 3 is aimed at."""
+
+
+@pytest.fixture(params=["ideal", "registers"])
+def level(request: pytest.FixtureRequest) -> Level:
+    return "ideal" if request.param == "ideal" else "registers"
+
+
+@pytest.fixture
+def access() -> Iterator[VirtualBoardAccess]:
+    """A board with its outputs off."""
+    with Board(level="ideal", seed=3) as board:
+        board.run(0.1)
+        yield VirtualBoardAccess(board)
+
+
+def refuse_difference(bode: Bode) -> None:
+    """Fails when prediction and measurement differ."""
+    found, expected = bode.figures, bode.prediction.margins
+    assert found.crossover is not None
+    assert found.phase_margin is not None
+    assert found.crossover.value == pytest.approx(expected.crossover, rel=GAIN)
+    assert found.phase_margin.value == pytest.approx(expected.phase, abs=PHASE)
+    assert found.crossover.sigma < 0.01 * found.crossover.value
+    if found.gain_margin is not None:
+        assert found.gain_margin.value == pytest.approx(expected.gain, rel=0.06)
+
+
+def kept(access: VirtualBoardAccess) -> tuple[object, ...]:
+    """What a measurement leaves as it was."""
+    names = ("param.command_timeout", "param.i_q_limit", "param.speed_limit", "cmd.enable", "axis1.mode", "axis2.mode")
+    return tuple(tuple(access.read(name)) for name in names)
+
+
+@pytest.mark.parametrize("loop", LOOPS)
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_loop_is_as_predicted(loop: str, axis: int, level: Level) -> None:
+    with Board(level=level, seed=3) as board:
+        board.run(0.1)
+        access = VirtualBoardAccess(board)
+        before = kept(access)
+        bode = measure(access, Request(axis, loop), enable=True)
+        refuse_difference(bode)
+        assert bode.notes == ()
+        assert kept(access) == before
+        assert access.read(f"axis{axis + 1}.faults") == [0.0]
+        assert access.read(f"axis{axis + 1}.test_point") == [0.0]
+        assert access.read("late_loops") == [0.0]
+
+
+def test_other_gains_and_the_speed_observer_are_predicted_too(access: VirtualBoardAccess) -> None:
+    source = CONFIG.read_text(encoding="utf-8").replace("speed_bandwidth   = 75.0", "speed_bandwidth   = 40.0")
+    blocks = blocks_of_file(source, access.catalogue)
+    block = read_block(access, 0)
+    send_configuration(access, {0: AxisConfigTable.load().block(blocks[0])})
+    half = measure(access, Request(0, "speed"), enable=True)
+    refuse_difference(half)
+    assert half.figures.crossover is not None
+    assert half.figures.crossover.value < 50.0
+    send_configuration(access, {0: block})
+    observer = next(flag.mask for flag in access.catalogue.flags["features"] if flag.name == "SPEED_OBSERVER")
+    words = access.read("param.features")
+    access.write("param.features", [words[0] + observer, words[1]])
+    observed = measure(access, Request(0, "position"), enable=True)
+    assert observed.prediction.observed
+    refuse_difference(observed)
+
+
+def test_an_enabled_axis_is_left_in_its_mode_at_rest() -> None:
+    with Board(level="ideal", seed=3) as board:
+        enable(board)
+        access = VirtualBoardAccess(board)
+        board.write("param.command_timeout", 0.25)
+        access.write("cmd.mode", [access.catalogue.enums["control_mode_t"]["SPEED"]], 0)
+        access.wait(0.2)
+        before = kept(access)
+        place = access.read("axis2.position")
+        refuse_difference(measure(access, Request(0, "speed", speed=60.0, repeats=3)))
+        access.wait(0.2)
+        assert kept(access) == before
+        assert abs(access.read("axis1.speed")[0]) < 1.0
+        assert access.read("axis2.position") == pytest.approx(place, abs=0.01)
+
+
+def test_an_interruption_brings_the_shaft_to_rest() -> None:
+    with Board(level="ideal", seed=3) as board:
+        enable(board)
+        access = VirtualBoardAccess(board)
+        before = kept(access)
+
+        def progress(_: str, done: int, __: int) -> None:
+            if done:
+                access.write("cmd.mode", [1.0], 0)
+                access.write("cmd.speed", [100.0], 0)
+                access.wait(0.2)
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            measure(access, Request(0, "position"), progress=progress)
+        assert abs(access.read("axis1.speed")[0]) < 1.0
+        assert kept(access) == before
+
+
+def test_what_the_limits_forbid_moves_nothing(access: VirtualBoardAccess) -> None:
+    place = access.read("axis1.position")
+    for request, why in (
+        (Request(0, "speed", speed=1000.0), "above the limit of axis1"),
+        (Request(0, "position", amplitude=400.0), "above the limit of axis1"),
+        (Request(0, "speed", amplitude=3.0), "too much for the limit of axis1"),
+        (Request(0, "current", amplitude=2.0), "too much for the limit of axis1"),
+        (Request(0, "current", speed=10.0), "without a speed"),
+        (Request(0, "speed", speed=50.0, way_max=5.0), "give a lower speed"),
+        (Request(0, "position", f_min=0.05), "give a higher lowest frequency"),
+        (Request(0, "speed", f_min=300.0, f_max=200.0), "the band 300 .. 200 Hz"),
+    ):
+        with pytest.raises(MeasurementError, match=why):
+            measure(access, request, enable=True)
+    access.write("param.feedback", [1.0], 0)
+    with pytest.raises(MeasurementError, match="without its encoder"):
+        measure(access, Request(0, "speed"), enable=True)
+    access.write("param.feedback", [0.0], 0)
+    with pytest.raises(MeasurementError, match="axis1 is not enabled"):
+        measure(access, Request(0, "speed"))
+    assert access.read("axis1.position") == place
+    assert access.read("cmd.enable") == [0.0, 0.0]
+
+
+def test_a_range_is_kept(access: VirtualBoardAccess) -> None:
+    access.write("cmd.enable", [1.0], 0)
+    access.wait(4.0)
+    theta = [access.board.truth(0).theta_m]
+    bode = measure(
+        access,
+        Request(0, "speed", way_max=40.0, repeats=4),
+        progress=lambda *_: theta.append(access.board.truth(0).theta_m),
+    )
+    assert 5.0 < bode.settings.speed < 40.0
+    assert max(abs(angle - theta[0]) for angle in theta) < 40.0
+    assert bode.figures.crossover is not None
+
+
+def test_a_fault_and_an_axis_in_another_state_are_named(access: VirtualBoardAccess) -> None:
+    access.write("cmd.enable", [1.0], 0)
+    access.wait(4.0)
+    with pytest.raises(MeasurementError, match="disable the axis first"):
+        measure(access, Request(0, "current"), enable=True)
+    access.write("cmd.mode", [1.0], 0)
+    access.write("param.command_timeout", [0.0])
+    access.write("cmd.speed", [50.0], 0)
+    access.wait(0.3)
+    with pytest.raises(MeasurementError, match="axis1 is in motion"):
+        measure(access, Request(0, "speed"))
+    access.board.connect_encoder(0, False)
+    access.wait(0.5)
+    with pytest.raises(MeasurementError, match="axis1 has a fault"):
+        measure(access, Request(0, "speed"))
+
+
+def test_too_small_a_signal_is_noted_or_not_determined(access: VirtualBoardAccess, tmp_path: Path) -> None:
+    bode = measure(access, Request(0, "speed", amplitude=0.02, speed=100.0, repeats=2), enable=True)
+    assert "the M/T method has steps" in bode.notes[0]
+    assert "note: " in text(bode)
+    tiny = measure(access, Request(0, "speed", amplitude=0.0005, speed=100.0, repeats=2), enable=True)
+    assert tiny.figures.crossover is None
+    assert "not determined" in text(tiny)
+    assert as_dict(tiny)["measured"]["crossover"] is None
+    with pytest.raises(MeasurementError, match="not_a_format"):
+        draw(bode, tmp_path / "bode.not_a_format")
+
+
+def test_the_resonance_of_a_shaft_that_twists_is_found(level: Level) -> None:
+    """Two masses: the load rests at 150 Hz, both swing against each other at 190 Hz."""
+    rotor, load, frequency, damping = 5e-6, 3e-6, 150.0, 0.05
+    stiffness = (2.0 * math.pi * frequency) ** 2 * load
+    both = frequency * math.sqrt(1.0 + load / rotor)
+    plant = PlantConfig.load().with_axis(
+        0,
+        inertia=rotor,
+        load_inertia=load,
+        shaft_stiffness=stiffness,
+        shaft_damping=2.0 * damping * math.sqrt(stiffness * load),
+    )
+    with Board(plant, level=level, seed=3) as board:
+        board.run(0.1)
+        bode = measure(VirtualBoardAccess(board), Request(0, "speed", amplitude=0.5), enable=True)
+    low, high = bode.figures.resonances
+    assert low.frequency == pytest.approx(frequency, rel=0.05)
+    assert high.frequency == pytest.approx(both, rel=0.05)
+    assert low.height < -6.0
+    assert high.height > 6.0
+    assert "antiresonance" in text(bode)

@@ -1,0 +1,46 @@
+"""Each part of the plant shows in the drive as its equation says, and its figure notices when the part is not there."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+from servo_twin.board import Board
+from servo_twin.experiments import real_shaft
+from servo_twin.experiments.real_shaft import EFFECTS
+from servo_twin.plant import PlantConfig
+
+
+@pytest.mark.usefixtures("level")
+def test_agrees() -> None:
+    outcome = real_shaft.run(PlantConfig.load(), seed=5)
+    assert [(row.name, row.measured, str(row.bound)) for row in outcome.rows if not row.agrees] == []
+    assert len(outcome.rows) == len(outcome.panels) * 2 == 14
+
+
+UNSEEN = {
+    "lost motion of the load": {"backlash": 0.0},
+    "ripple of the true speed, once per turn": {"disc_eccentricity": 0.0},
+    "current that answers the cogging": {"cogging_torque": 0.0},
+    "L_q at the saturation's current": {"i_saturation_q": 0.0},
+    "R of a warm winding": {"winding_warms": 0.0},
+    "psi_m of a warm magnet": {"magnet_coefficient": 0.0},
+}
+
+
+@pytest.mark.parametrize("name", UNSEEN)
+def test_a_part_that_is_not_there_is_noticed(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """The equation still expects it."""
+    effect = next(effect for effect in EFFECTS if effect.name == name)
+
+    def measure(board: Board, axis: int) -> real_shaft.Seen:
+        believed = board.plant
+        for value, without in UNSEEN[name].items():
+            board.set_plant(f"axis{axis + 1}.{value}", without)
+        board.plant = believed
+        return effect.measure(board, axis)
+
+    monkeypatch.setattr(real_shaft, "EFFECTS", (dataclasses.replace(effect, measure=measure),))
+    monkeypatch.setenv("SERVO_TWIN_LEVEL", "ideal")
+    outcome = real_shaft.run(PlantConfig.load(), seed=5)
+    assert [row.agrees for row in outcome.rows] == [False, False]
