@@ -116,7 +116,7 @@ class DiagnosisMonitor:
         """Take a pair; returns whether findings or estimates may have changed."""
         if pair.difference or pair.fault:
             self.interrupt()
-            return False
+            return self._leave_to_the_board(pair)
         self.watch.update(pair)
         needed = ("u_dc", *(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in NEEDED))
         missing = [name for name in needed if name not in pair.real]
@@ -137,6 +137,14 @@ class DiagnosisMonitor:
             rows = Rows(y, np.ones((1, 1)), np.array([self.thresholds.bus_noise**-2]), np.ones(1))
             changed |= self.bus.add(pair.tick, seconds, rows)
         return changed
+
+    def _leave_to_the_board(self, pair: Pair) -> bool:
+        """Forget what was found of axes with a fault: the board has named the cause. Returns whether there was any."""
+        faulty = [self.axes[axis] for axis in range(AXES) if pair.real.get(f"{axis_name(axis)}.faults", 0.0)]
+        known = any(channel.finding is not None for channel in faulty)
+        for channel in faulty:
+            channel.clear()
+        return known
 
     def findings(self) -> list[Located]:
         """What has changed; empty if nothing has."""
