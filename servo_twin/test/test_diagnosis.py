@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from servo_twin.diagnosis.channel import Channel, Finding, Kind
@@ -192,12 +194,13 @@ def test_a_load_at_rest_shows_in_the_means(loads: tuple[float, float]) -> None:
         for _ in range(200):
             for one in pair.sample():
                 watch.update(one)
-        assert watch.complaint is None
+        before = watch.complaint
         for axis, load in enumerate(loads):
             pair.board.set_load(axis, load)
         for _ in range(200):
             for one in pair.sample():
                 watch.update(one)
+    assert before is None
     assert watch.complaint is not None
     assert watch.complaint[0] == (0 if loads[0] else 1)
     assert "i_q differs by" in watch.complaint[1]
@@ -207,13 +210,13 @@ def test_a_load_at_rest_shows_in_the_means(loads: tuple[float, float]) -> None:
 # ---- what is learned -------------------------------------------------------------------------------------------------
 
 
-def test_thresholds_are_learned_and_read_again(tmp_path: pytest.TempPathFactory) -> None:
+def test_thresholds_are_learned_and_read_again(tmp_path: Path) -> None:
     runs = HealthyRuns(PLANT, 1, 120.0, "ideal")
     learner = runs.run(0)
     for number in range(1, 3):
         learner.join(runs.run(number))
     learned = learner.thresholds()
-    path = tmp_path / "thresholds.toml"  # type: ignore[operator]
+    path = tmp_path / "thresholds.toml"
     path.write_text(learned.text())
     read = Thresholds.load(path)
     assert read.detect == pytest.approx(learned.detect, rel=1e-5)

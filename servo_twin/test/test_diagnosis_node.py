@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import rclpy
@@ -28,11 +29,15 @@ PLANT = PlantConfig.load()
 class DiagnosisRig(Rig):
     """The same, listening to the diagnosis."""
 
-    def __init__(self, **parameters: object) -> None:
+    def __init__(self, **parameters: Any) -> None:
         super().__init__(**parameters)
         self._listen(TOPIC, DiagnosticArray, topics.latched_qos())
         self._draw = random.Random(4)
         self.board.up()
+
+    def __enter__(self) -> DiagnosisRig:
+        super().__enter__()
+        return self
 
     def moves(self, condition: Callable[[], bool], times: int = 40) -> bool:
         """Move to and fro until a condition holds; False if it does not after so many moves."""
