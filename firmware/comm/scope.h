@@ -7,7 +7,7 @@
 #include "comm/payload.h"
 #include "comm/tsa.h"
 
-#define SCOPE_SLOTS 24
+#define SCOPE_SLOTS 28
 
 typedef struct {
     tsa_place_t slot[SCOPE_SLOTS]; /* size 0: not set, gives no bytes */

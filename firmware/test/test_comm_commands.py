@@ -69,13 +69,13 @@ def slot(index: int, offset: int, size: int) -> bytes:
     return bytes([2, len(operand)]) + operand
 
 
-def test_scope_of_24_slots_in_one_answer(servo: Board) -> None:
-    assert servo.ask(SET_SCOPE, b"\x00" + slots(24)) == OK
-    for i in range(24):
+def test_scope_of_28_slots_in_one_answer(servo: Board) -> None:
+    assert servo.ask(SET_SCOPE, b"\x00" + slots(28)) == OK
+    for i in range(28):
         assert servo.ask(SET_SCOPE, b"\x00" + slot(i, 0x100 + 8 * i, 8)) == OK
     servo.events()
     memory = servo.memory()
-    assert servo.ask(READ_SCOPE, b"\x00") == Answer(0, memory[0x100 : 0x100 + 192])
+    assert servo.ask(READ_SCOPE, b"\x00") == Answer(0, memory[0x100 : 0x100 + 224])
     assert servo.events() == [("hold", 0, 0), ("release", 0, 0)], "all slots under one hold: of one moment"
 
 
@@ -100,7 +100,7 @@ def test_slots_never_set_give_no_bytes(servo: Board) -> None:
     [
         (b"", 0x00),
         (b"\x01", 0x00),  # a single left-over byte is ignored
-        (slots(25), 0x86),
+        (slots(29), 0x86),
         (b"\x01\x00", 0x86),
         (b"\x01\x03\x01\xff\xff", 0x00),  # bytes behind the count are ignored
         (slot(2, 0x20, 2), 0x85),

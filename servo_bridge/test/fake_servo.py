@@ -36,7 +36,7 @@ class FakeServo(FakeTarget):
         clock: Callable[[], int] = time.monotonic_ns,
         **options: object,
     ) -> None:
-        super().__init__(mtu=254, scope_limit=24, config={"NM": b"servo\0"}, **options)  # type: ignore[arg-type]
+        super().__init__(mtu=254, scope_limit=28, config={"NM": b"servo\0"}, **options)  # type: ignore[arg-type]
         self.catalogue = catalogue
         self.clock = clock
         self.start_ns = clock()

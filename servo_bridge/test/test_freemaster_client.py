@@ -133,14 +133,14 @@ def test_the_largest_write_fits_and_no_larger_one_is_tried(mtu: int) -> None:
     assert target.requests == []
 
 
-def test_24_scope_slots_take_one_frame() -> None:
-    target = FakeTarget(mtu=254, scope_limit=24, safety=False)
+def test_28_scope_slots_take_one_frame() -> None:
+    target = FakeTarget(mtu=254, scope_limit=28, safety=False)
     client = connected(target)
-    for k in range(24):
+    for k in range(28):
         target.set_int(0x1000 + 4 * k, k, 4)
-    request = client.set_scope([ScopeSlot(0x1000 + 4 * k, 4) for k in range(24)])
+    request = client.set_scope([ScopeSlot(0x1000 + 4 * k, 4) for k in range(28)])
     assert [command for command, _ in target.requests] == [0x26]
-    assert client.exchange(request).data == b"".join(k.to_bytes(4, "little") for k in range(24))
+    assert client.exchange(request).data == b"".join(k.to_bytes(4, "little") for k in range(28))
 
 
 def test_a_small_buffer_takes_the_scope_in_pieces() -> None:

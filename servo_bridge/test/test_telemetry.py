@@ -97,7 +97,7 @@ def test_the_default_telemetry_fits_the_scope_of_the_firmware() -> None:
     from servo_bridge.parameters import PARAMETERS
 
     names = telemetry_variables(CATALOGUE, PARAMETERS["telemetry"].default)
-    assert len(names) <= 24
+    assert len(names) <= 28
     assert sum(CATALOGUE[name].size for name in names) <= 80  # more than 100 samples per second at 115200 baud
 
 

@@ -39,9 +39,10 @@ from std_srvs.srv import Trigger
 from servo_msgs_py import topics
 from servo_twin.board import Board
 from servo_twin.diagnosis.monitor import SUPPLY, DiagnosisMonitor
-from servo_twin.diagnosis.report import NOTHING_CHANGED, estimate_text, finding_text, located_text
+from servo_twin.diagnosis.report import NOTHING_CHANGED, estimate_numbers, estimate_text, finding_text, located_text
 from servo_twin.diagnosis.thresholds import Thresholds as Learned
 from servo_twin.diagnosis.thresholds import ThresholdsError
+from servo_twin.level import chosen_level
 from servo_twin.lockstep.blocks import blocks_of_file
 from servo_twin.lockstep.bursts import BurstAnswer
 from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
@@ -51,6 +52,7 @@ from servo_twin.plant import PlantConfig, PlantError
 
 __all__ = ["PARAMETERS", "ServoTwin", "main"]
 
+_DIAGNOSIS_NS: Final = 250_000_000  # between two messages of new estimates, for their curves [ns]
 _SLOW: Final = 0.5  # backlog that is worth a warning [s]
 
 PARAMETERS: Final = {
@@ -98,9 +100,11 @@ class ServoTwin(Node):
     """
 
     finished = False  # goes on until it is told to end
+    NAMESPACE = "twin"
+    PARAMETERS = PARAMETERS
 
     def __init__(self, **node_arguments: Any) -> None:
-        super().__init__("servo_twin", namespace="twin", **node_arguments)
+        super().__init__("servo_twin", namespace=self.NAMESPACE, **node_arguments)
         with setting_up(self):
             self._set_up()
 
@@ -108,7 +112,7 @@ class ServoTwin(Node):
         self.failure = ""
         self._log = Node.get_logger(self)
         claim_name(self)
-        self._values = declare(self, PARAMETERS)
+        self._values = declare(self, self.PARAMETERS)
         self._board_namespace = topics.within(self.get_namespace().rpartition("/")[0], self._values["board_namespace"])
         self._catalogue = Catalogue.load()
         self._plant, learned = self._files()
@@ -135,6 +139,8 @@ class ServoTwin(Node):
         self._synchronisation = 0
         self._worst: Residual | None = None
         self._next_variables = 0
+        self._diagnosed_ns = 0
+        self._missing = ""  # of the telemetry, for the diagnosis
         self._located = ""  # what has changed; empty: nothing
         self._statuses: list[DiagnosticStatus] = []
         self._said: dict[str, object] = {}
@@ -154,7 +160,7 @@ class ServoTwin(Node):
         except (PlantError, OSError) as error:
             raise ParameterError(f"parameter plant: {error}") from None
         try:
-            return plant, Learned.load(self._values["thresholds"] or None)
+            return plant, Learned.load(self._values.get("thresholds") or None, chosen_level())
         except (ThresholdsError, OSError) as error:
             raise ParameterError(f"parameter thresholds: {error}") from None
 
@@ -315,11 +321,16 @@ class ServoTwin(Node):
 
     def _diagnose(self, pair: Pair) -> None:
         with self._lock:
-            if not self._diagnosis.update(pair):
+            changed = self._diagnosis.update(pair)
+            if not (changed or self._diagnosis.missing != self._missing):
                 return
+            self._missing = self._diagnosis.missing
             findings = self._diagnosis.findings()
             self._located = located_text(findings, self._names(), pair.tick, pair.stamp_ns) if findings else ""
             self._statuses = self._diagnosis_statuses(pair)
+            if not 0 <= pair.stamp_ns - self._diagnosed_ns < _DIAGNOSIS_NS:
+                self._diagnosed_ns = pair.stamp_ns
+                self._publish_diagnosis()
             plant = self._diagnosis.adapted(pair.tick) if self._values["adapt"] else None
             if plant is None:
                 return
@@ -342,11 +353,11 @@ class ServoTwin(Node):
             finding = findings.get(axis)
             text = self._nothing() if finding is None else finding_text(finding, pair.tick, pair.stamp_ns)
             prefix = "" if axis is None else f"{axis_name(axis)}."
-            mine = {
-                key.removeprefix(prefix): estimate_text(one)
-                for key, one in estimates.items()
-                if (key == SUPPLY) == (axis is None) and key.startswith(prefix)
-            }
+            mine: dict[str, object] = {}
+            for key, one in estimates.items():
+                if (key == SUPPLY) == (axis is None) and key.startswith(prefix):
+                    mine[one.name] = estimate_text(one)
+                    mine |= {f"{one.name}.{part}": f"{number:.6g}" for part, number in estimate_numbers(one).items()}
             level = DiagnosticStatus.OK if finding is None else DiagnosticStatus.WARN
             statuses.append(self._status(f"diagnosis {name}", level, text, mine))
         return statuses

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import sys
+
 from servo_msgs_py.ros_program import run_with_ros
 
 __all__ = ["twin", "viewer"]
 
 
 def twin() -> int:
-    """``servo_twin``."""
+    """``servo_twin``, and ``servo_twin calibrate``."""
+    if sys.argv[1:2] == ["calibrate"]:
+        del sys.argv[1]
+        return run_with_ros("servo_twin calibrate", "servo_twin.calibrate_node")
     return run_with_ros("servo_twin", "servo_twin.node")
 
 

@@ -12,13 +12,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from numpy.typing import NDArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import applied_from_message, from_stamp, snapshot_table
 from servo_msgs_py.joints import joint_names
 from servo_msgs_py.node_shell import ParameterError, Spec, declare, run, setting_up
@@ -140,6 +140,7 @@ class ServoViewer(Node):
         self.create_subscription(String, f"{board}/{topics.STATE}", self._on_board_state, latched)
         self.create_subscription(Bool, f"{twin}/{topics.HEALTHY}", self._on_healthy, latched)
         self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, 50)
+        self.create_subscription(DiagnosticArray, f"{twin}/{topics.DIAGNOSIS}", self._on_diagnosis, latched)
 
     # ---- what comes in
     def _on_snapshot(
@@ -200,6 +201,19 @@ class ServoViewer(Node):
         stamp = from_stamp(message.header.stamp)
         for status in message.status:
             self._viewer.diagnosis(stamp, status.name, status.level[0], status.message)
+
+    def _on_diagnosis(self, message: DiagnosticArray) -> None:
+        found: list[str] = []
+        estimates: dict[str, dict[str, float]] = {}
+        for axis, status in enumerate(message.status):  # the joints in their order, then the bus
+            place = axis_name(axis) if axis < AXES else "bus"
+            if status.level != DiagnosticStatus.OK:
+                found.append(f"{place}: {status.message}")
+            for entry in status.values:
+                name, dot, curve = entry.key.partition(".")
+                if dot:
+                    estimates.setdefault(f"{place}/{name}", {})[curve] = float(entry.value)
+        self._viewer.changes(from_stamp(message.header.stamp), found, estimates)
 
     def _every_second(self) -> None:
         self.failure = self.failure or self._viewer.failure

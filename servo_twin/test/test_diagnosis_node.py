@@ -4,26 +4,40 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import pytest
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from test_twin_node import Rig
+from rclpy.parameter import Parameter
+from servo_twin.calibrate_node import Calibration
+from servo_twin.diagnosis.pair import BoardPair, Motion
+from servo_twin.diagnosis.thresholds import Thresholds
+from servo_twin.plant import PlantConfig
+from test_twin_node import DOMAIN, Rig
+from twin_rig import COLUMNS
 
 from servo_msgs_py import topics
 
 pytestmark = pytest.mark.realtime
 
 TOPIC = "/twin/diagnosis"
+PLANT = PlantConfig.load()
 
 
 class DiagnosisRig(Rig):
     """The same, listening to the diagnosis."""
 
-    def __init__(self, **parameters: object) -> None:
+    def __init__(self, **parameters: Any) -> None:
         super().__init__(**parameters)
         self._listen(TOPIC, DiagnosticArray, topics.latched_qos())
         self._draw = random.Random(4)
         self.board.up()
+
+    def __enter__(self) -> DiagnosisRig:
+        super().__enter__()
+        return self
 
     def moves(self, condition: Callable[[], bool], times: int = 40) -> bool:
         """Move to and fro until a condition holds; False if it does not after so many moves."""
@@ -63,10 +77,43 @@ def test_a_changed_friction_is_named(capfd: pytest.CaptureFixture[str]) -> None:
 def test_the_twin_takes_over_what_has_changed() -> None:
     with DiagnosisRig(adapt=True) as rig:
         assert rig.moves(lambda: bool(rig.last("/twin/healthy")))
-        before = rig.node._twin.synchronisations  # noqa: SLF001
+        before = rig.node._twin.synchronisations
         rig.board.board.set_plant("axis1.inertia", 1.5 * rig.board.board.plant.axes[0].inertia)
-        assert rig.moves(lambda: rig.node._plant.axes[0].inertia > 1.1e-5)  # noqa: SLF001
+        assert rig.moves(lambda: rig.node._plant.axes[0].inertia > 1.1e-5)
         assert rig.moves(lambda: bool(rig.last("/twin/healthy")))
         assert rig.said("axis1") == "nothing has changed"
-        assert rig.node._plant.axes[0].inertia == pytest.approx(1.2e-5, rel=0.03)  # noqa: SLF001
-        assert rig.node._twin.synchronisations == before  # noqa: SLF001
+        assert rig.node._plant.axes[0].inertia == pytest.approx(1.2e-5, rel=0.03)
+        assert rig.node._twin.synchronisations == before
+
+
+def test_calibrate_writes_a_file_that_the_twin_takes(tmp_path: Path) -> None:
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=DOMAIN)
+    out = tmp_path / "learned.toml"
+    values = {"out": str(out), "duration": 250.0}
+    try:
+        node = Calibration(context=context, parameter_overrides=[Parameter(k, value=v) for k, v in values.items()])
+        try:
+            with BoardPair(PLANT, PLANT, seed=21, level="ideal") as pair:
+                pair.enable()
+                for one in Motion(pair, 21).run(260.0):
+                    node._diagnose(one)
+                    if node.finished:
+                        break
+            assert (node.finished, node.failure) == (True, "")
+        finally:
+            node.shutdown()
+    finally:
+        rclpy.shutdown(context=context)
+    learned = Thresholds.load(out)
+    assert learned.run_hours == pytest.approx(250.0 / 3600.0, rel=0.01)
+    assert learned.axes[0].torque == pytest.approx(Thresholds.load(level="ideal").axes[0].torque, rel=0.1)
+
+
+def test_telemetry_without_voltages_is_said_to_lack_them() -> None:
+    with DiagnosisRig() as rig:
+        keep = [k for k, name in enumerate(COLUMNS) if not name.endswith((".u_d", ".u_q"))]
+        rig._rows.clear()
+        samples = rig.samples
+        rig.samples = lambda columns, table: samples([columns[k] for k in keep], table[:, keep])  # type: ignore[method-assign]
+        assert rig.moves(rig.found("axis1", "no diagnosis: the telemetry has no axis1.u_d, axis1.u_q"), 5)

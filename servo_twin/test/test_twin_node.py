@@ -464,6 +464,8 @@ def test_the_yaml_lists_every_parameter_with_its_default() -> None:
         default = parameter.default
         if isinstance(default, list):
             assert value == f"[{', '.join(default)}]"
+        elif isinstance(default, bool):
+            assert value == str(default).lower(), name
         else:
             assert type(default)(value.strip('"')) == default, name
 

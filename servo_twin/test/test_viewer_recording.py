@@ -282,6 +282,26 @@ def test_diagnostics_are_told_when_they_change_and_faults_only_once(record: Reco
     ]
 
 
+def test_changes_are_states_and_estimates_are_curves(record: Record, file: Path) -> None:
+    def feed(viewer: Viewer) -> None:
+        viewer.board(COLUMNS, move(samples=500))
+        for k in range(8):
+            found = [f"axis2: friction {2.0 + 0.01 * k:.2f} times"] if k >= 4 else []
+            numbers = {"value": 1.0 + 0.1 * k, "low": 0.9, "high": 2.0}
+            viewer.changes(START_NS + k * 250_000_000, found, {"axis2/friction": numbers, "bus/supply": numbers})
+
+    record(feed)
+    states = read_texts(file, scene.state_entity("diagnosis"), "StateChange:state")
+    assert [state for _, state in states] == ["NOTHING CHANGED", "CHANGED"]
+    assert states[1][0] == pytest.approx(1.0)
+    texts = [text for _, text in read_texts(file, "/log/diagnosis")]
+    assert texts == ["diagnosis: nothing has changed", "diagnosis: axis2: friction 2.04 times"]
+    for place, name in (("axis2", "friction"), ("bus", "supply")):
+        times, values = read_scalars(file, scene.estimate_entity(place, name, "value"))
+        assert times == pytest.approx(0.25 * np.arange(8))
+        assert values == pytest.approx(1.0 + 0.1 * np.arange(8))
+
+
 def test_a_reset_of_the_board_is_told_and_breaks_the_curves(record: Record, file: Path) -> None:
     def feed(viewer: Viewer) -> None:
         viewer.board(COLUMNS, move(first=160_000, samples=10, start_ns=START_NS - 10_000_000_000))

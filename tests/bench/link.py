@@ -41,7 +41,7 @@ class Lossy:
     """A target that does not answer some requests for its scope."""
 
     def __init__(self) -> None:
-        self.target = FakeTarget(mtu=254, scope_limit=24, safety=False)
+        self.target = FakeTarget(mtu=254, scope_limit=28, safety=False)
         self.count = 0
 
     def feed(self, data: bytes) -> bytes:

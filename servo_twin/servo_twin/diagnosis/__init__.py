@@ -1,1 +1,1 @@
-"""What has changed: estimates of the plant from the difference of board and twin, and which change explains it. Pure."""
+"""What has changed: estimates from the difference of board and twin, and which change explains it. Pure."""

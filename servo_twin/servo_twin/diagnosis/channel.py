@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from servo_twin.diagnosis.hypotheses import Evidence, Unknowns
-from servo_twin.diagnosis.window import Sums, Window
+from servo_twin.diagnosis.window import Rows, Sums, Window
 
 __all__ = ["Channel", "Estimate", "Finding", "Kind"]
 
@@ -20,6 +20,7 @@ _SEPARATE_PART: Final = 0.1  # and by which part of itself
 _PATIENCE: Final = 30  # blocks after which changes that cannot be told apart are named together
 _SEVERAL: Final = 0.02  # part of what the first change explains that its own nonlinearity may leave to others
 _LEFT: Final = 0.1  # part of the residual that a single change may leave, whatever the noise
+_ENOUGH: Final = 5  # blocks from which a mean square is one
 _SETTLED: Final = 10  # blocks after which the time of a change is final
 
 _Array = NDArray[np.float64]
@@ -83,8 +84,10 @@ class Channel:
         What may change.
     detect : float
         Logarithm of the likelihood ratio from which a change is one.
-    unexplained : float
+    unexplained : ndarray, shape (equations,)
         Mean square over its variance from which something is left to explain.
+    prior : ndarray, shape (nuisances,)
+        See `Window`.
 
     Attributes
     ----------
@@ -92,11 +95,11 @@ class Channel:
         None: nothing has changed.
     """
 
-    def __init__(self, unknowns: Unknowns, detect: float, unexplained: float) -> None:
+    def __init__(self, unknowns: Unknowns, detect: float, unexplained: _Array, prior: _Array) -> None:
         self.unknowns = unknowns
         self._detect = detect
         self._unexplained = unexplained
-        self._window = Window(len(unknowns.names))
+        self._window = Window(len(unknowns.names), len(unexplained), prior)
         self._age = 0  # blocks since the first sign of a change
         self.finding: Finding | None = None
 
@@ -106,21 +109,26 @@ class Channel:
         self._age = 0
         self.finding = None
 
-    def add(self, tick: int, seconds: float, y: _Array, phi: _Array, weight: _Array) -> bool:
+    def add(self, tick: int, seconds: float, rows: Rows) -> bool:
         """Add a sample; returns whether there is something new to say. Arguments as of `Window.add`."""
-        if not self._window.add(tick, seconds, y, phi, weight):
+        if not self._window.add(tick, seconds, rows):
             return False
         self._judge(tick)
         return True
 
     def _judge(self, tick: int) -> None:
+        self._forget_what_is_over()
         sums = self._window.sums()
         found = self.unknowns.evidence(sums)
-        left = self._left(sums, found)
+        misfit = self._misfit(sums, found)
+        enough = len(sums.samples) - found.block >= _ENOUGH
+        left = misfit and enough
         if found.ratio <= self._detect and not left:
             self._calm(sums)
             return
         self._age += 1
+        if misfit and not enough:
+            return
         finding = self._finding(found, left, tick)
         if finding is None:
             return
@@ -133,12 +141,41 @@ class Channel:
                 since=self.finding.since if settled else finding.since,
             )
         self.finding = finding
-        self._forget(sums, found)
+        if found.since and len(sums.samples) - found.since >= _SETTLED:
+            self._window.forget_before(found.since)
 
-    def _left(self, sums: Sums, found: Evidence) -> bool:
+    def _forget_what_is_over(self) -> None:
+        """Keep only what has come since the change that is known has become another one, or none."""
+        if self.finding is None or len(self._window.ticks) < 2 * _ENOUGH:
+            return
+        sums = self._window.sums()
+        if self.finding.kind is Kind.SINGLE:
+            vector = self.unknowns.vector(self.unknowns.names.index(self.finding.changes[0]), self.finding.value)
+            gain = float(vector @ sums.b[0] - 0.5 * vector @ sums.a[0] @ vector)
+            later = self.unknowns.later(sums, vector, self._detect + _SEVERAL * max(gain, 0.0))
+        else:
+            later = len(sums.samples) - _SETTLED
+            if later <= 0 or not self._nothing_since(sums, later):
+                return
+        if later and len(sums.samples) - later >= _ENOUGH:
+            self._window.forget_before(later)
+
+    def _nothing_since(self, sums: Sums, block: int) -> bool:
+        """Whether the blocks from this one on look like those of a healthy pair."""
+        none = np.zeros(len(self.unknowns.names))
+        if self.unknowns.later(Sums(*(part[block:] for part in sums)), none, self._detect) is not None:
+            return False
+        limits = self._unexplained * np.maximum(sums.samples[block], 1.0)
+        return bool((self._window.left(sums, block, none) <= limits).all())
+
+    def _misfit(self, sums: Sums, found: Evidence) -> bool:
         """Whether the residual is larger than changes of the plant explain."""
-        enough = len(sums.count) - found.block >= 3
-        return enough and found.left > self._unexplained and (found.ratio <= self._detect or found.part_left > _LEFT)
+        samples = np.maximum(sums.samples[found.block], 1.0)
+        beyond = self._window.left(sums, found.block, found.joint) > self._unexplained * samples
+        if found.ratio <= self._detect:
+            return bool(beyond.any())
+        part = self._window.left(sums, found.block, found.vector) > _LEFT * sums.energy[found.block]
+        return bool((beyond & part).any())
 
     def _calm(self, sums: Sums) -> None:
         """No sign of a change in the window: whether the last finding is over."""
@@ -149,14 +186,14 @@ class Channel:
             change = self.unknowns.names.index(self.finding.changes[0])
             if not self.unknowns.rejects(sums, self.unknowns.vector(change, self.finding.value), self._detect):
                 return
-        elif len(sums.count) < _SETTLED:
+        elif len(sums.samples) < _SETTLED:
             return
         self._age = 0
         self.finding = None
 
     def _finding(self, found: Evidence, left: bool, tick: int) -> Finding | None:
         names = self.unknowns.names
-        since = self._window.ticks[found.block]
+        since = self._window.ticks[found.since]
         half = float(np.hypot(_INTERVAL * found.deviation, self.unknowns.margins[found.change]))
         single = names[found.change]
         known = (found.value, found.value - half, found.value + half, since, tick)
@@ -171,17 +208,6 @@ class Channel:
             return Finding(Kind.ONE_OF, (single, names[found.rival]), *known)
         return None
 
-    def _forget(self, sums: Sums, found: Evidence) -> None:
-        """Keep only what has come since the change, and since it has become another one."""
-        block = found.block
-        if self.finding is not None and self.finding.kind is Kind.SINGLE:
-            vector = self.unknowns.vector(found.change, found.value)
-            later = self.unknowns.later(sums, vector, self._detect + _SEVERAL * found.ratio)
-            if later is not None and later > block:
-                block = later
-        if block and len(sums.count) - block >= _SETTLED:
-            self._window.forget_before(block)
-
     def estimates(self) -> list[Estimate]:
         """Of everything together, since the last change or over the window."""
         names = self.unknowns.names
@@ -194,7 +220,8 @@ class Channel:
         unit = a * np.outer(scale, scale) + np.diag(1e-6 + (~seen).astype(float))
         inverse = np.linalg.inv(unit) * np.outer(scale, scale)
         value = inverse @ b
-        half = _INTERVAL * self.unknowns.spread * np.sqrt(np.diag(inverse))
+        noise = _INTERVAL * self.unknowns.spread * np.sqrt(np.diag(inverse))
+        half = np.hypot(noise, self.unknowns.margins)
         return [
             Estimate(name, float(v), float(h) if s else float("inf"))
             for name, v, h, s in zip(names, value, half, seen, strict=True)

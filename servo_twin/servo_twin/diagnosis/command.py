@@ -1,4 +1,4 @@
-"""``servo-sim diagnose``: how well the twin finds what has changed, over many virtual pairs."""
+"""``servo-sim diagnose`` and ``calibrate``: how well the twin finds what has changed, over many virtual pairs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from servo_twin.diagnosis.monitor import PLANT_VALUES
 from servo_twin.diagnosis.thresholds import Thresholds
-from servo_twin.diagnosis.trials import NOTHING, Answer, Change, Trials, confusion
+from servo_twin.diagnosis.trials import NOTHING, Answer, Change, HealthyRuns, Trials, confusion
 from servo_twin.experiments.rig import positive
 from servo_twin.level import FAST_LEVEL, chosen_level
 from servo_twin.plant import PlantConfig
@@ -28,7 +28,7 @@ _DEFAULT: Final = tuple(
 
 
 def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.ArgumentParser) -> None:
-    """Add the command to ``servo-sim``.
+    """Add the commands to ``servo-sim``.
 
     Parameters
     ----------
@@ -56,6 +56,18 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     parser.add_argument("--thresholds", type=Path, metavar="FILE", help="of `servo_twin calibrate` (default: packaged)")
     Runner.add_options(parser)
     parser.set_defaults(run=_run)
+    learner = verbs.add_parser(
+        "calibrate",
+        parents=[common, levelled],
+        help="what does a healthy pair show? Thresholds of the diagnosis from virtual pairs",
+    )
+    learner.add_argument("--runs", type=positive, default=10, metavar="N", help="default: %(default)s")
+    learner.add_argument("--time", type=float, default=120.0, metavar="S", help="of each run (default: %(default)s)")
+    learner.add_argument(
+        "--out", type=Path, default=Path("thresholds.toml"), metavar="FILE", help="default: %(default)s"
+    )
+    Runner.add_options(learner)
+    learner.set_defaults(run=_calibrate)
 
 
 def _changes(texts: Sequence[str] | None) -> tuple[Change, ...]:
@@ -67,14 +79,15 @@ def _changes(texts: Sequence[str] | None) -> tuple[Change, ...]:
 def _run(args: argparse.Namespace) -> int:
     if not 0.0 <= args.loss <= 0.9 or not args.time > 0.0:
         raise ValueError("--loss is a part from 0 to 0.9, --time is above 0")
+    level = chosen_level(args.level, default=FAST_LEVEL)
     trials = Trials(
         PlantConfig.load(args.plant),
-        Thresholds.load(args.thresholds),
+        Thresholds.load(args.thresholds, level),
         _changes(args.change),
         args.seed,
         args.time,
         args.loss,
-        chosen_level(args.level, default=FAST_LEVEL),
+        level,
     )
     answers = run_in_order(Runner.of(args), trials, range(args.trials), "diagnose")
     if args.json:
@@ -85,9 +98,26 @@ def _run(args: argparse.Namespace) -> int:
     return 0 if right else 1
 
 
+def _calibrate(args: argparse.Namespace) -> int:
+    level = chosen_level(args.level, default=FAST_LEVEL)
+    runs = HealthyRuns(PlantConfig.load(args.plant), args.seed, args.time, level)
+    first, *others = run_in_order(Runner.of(args), runs, range(args.runs), "calibrate")
+    for other in others:
+        first.join(other)
+    learned = first.thresholds()
+    args.out.write_text(learned.text(), encoding="utf-8")
+    print(
+        f"{args.out}: a change is one from a log likelihood ratio of {learned.detect:.1f}, "
+        f"once in {learned.false_alarm_hours:g} h of motion by the tail of {learned.run_hours:.2f} h"
+    )
+    return 0
+
+
 def summary(answers: Sequence[Answer]) -> str:
     """Table of confusion, times and errors, and the false alarms."""
-    lines = [f"{'changed':12}{'trials':>7}{'right':>7}{'delay [s]: median, 95 %, most':>32}{'interval holds':>16}  else"]
+    lines = [
+        f"{'changed':12}{'trials':>7}{'right':>7}{'delay [s]: median, 95 %, most':>32}{'interval holds':>16}  else"
+    ]
     for name, said in confusion(answers).items():
         mine = [answer for answer in answers if answer.truth.rpartition(" ")[2] == name and not answer.problem]
         right = [answer for answer in mine if answer.said == answer.truth]

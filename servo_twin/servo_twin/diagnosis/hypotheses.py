@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from servo_twin.diagnosis.window import Sums
 
 __all__ = ["Evidence", "Unknowns"]
+
+_TRANSIENT: Final = 3  # blocks after a change in which the loops may still settle: what they show does not count later
 
 _Array = NDArray[np.float64]
 
@@ -20,8 +23,8 @@ class Evidence:
 
     Attributes
     ----------
-    block : int
-        Since which block.
+    since, block : int
+        Since which block, and from which on it was judged.
     change : int
         Index into `CHANGES` of the change that explains most.
     value, deviation : float
@@ -36,12 +39,11 @@ class Evidence:
         The change that explains most of what is left.
     second_ratio : float
         How much that is.
-    left : float
-        Mean square over its variance of what both together leave.
-    part_left : float
-        Part of the energy that the first change leaves.
+    vector, joint : ndarray, shape (unknowns,)
+        All unknowns at that change, and at both.
     """
 
+    since: int
     block: int
     change: int
     value: float
@@ -51,8 +53,8 @@ class Evidence:
     rival_ratio: float
     second: int
     second_ratio: float
-    left: float
-    part_left: float
+    vector: _Array
+    joint: _Array
 
 
 @dataclass(frozen=True)
@@ -102,11 +104,17 @@ class Unknowns:
         values, ratios = self._ratios(np.einsum("nii->ni", sums.a), sums.b)
         ratios = ratios[: max(len(ratios) - 1, 1)]  # the last block alone is no evidence
         block, change = (int(k) for k in np.unravel_index(int(np.argmax(ratios)), ratios.shape))
+        since = block
+        if len(sums.samples) - block > 2 * _TRANSIENT:
+            block += _TRANSIENT
+            change = int(np.argmax(ratios[block]))
         a, b = sums.a[block], sums.b[block]
+        if not a[change, change] > 0.0:
+            none = np.zeros(len(self.names))
+            return Evidence(since, block, change, 0.0, float("inf"), 0.0, change, 0.0, change, 0.0, none, none)
         value = float(values[block, change])
         vector = self.vector(change, value)
         left = b - a @ vector
-        gain = 0.5 * float(vector @ (b + left))
         diagonal = np.diag(a)
         reduced = diagonal - a[change] ** 2 / a[change, change]
         reduced = np.where(reduced > 1e-6 * diagonal, reduced, 0.0)
@@ -115,9 +123,11 @@ class Unknowns:
         second = int(np.argmax(second_ratios))
         rivals = np.where(np.arange(len(self.names)) == change, -1.0, ratios[block])
         rival = int(np.argmax(rivals))
-        energy = float(sums.energy[block])
-        both = gain + 0.5 * float(seconds[second]) ** 2 * float(reduced[second])
+        joint = vector.copy()  # of both changes together
+        joint[second] += seconds[second]
+        joint[change] -= seconds[second] * a[change, second] / a[change, change]
         return Evidence(
+            since,
             block,
             change,
             value,
@@ -127,8 +137,8 @@ class Unknowns:
             float(max(rivals[rival], 0.0)),
             second,
             float(second_ratios[second]),
-            (energy - 2.0 * both) / max(float(sums.count[block]), 1.0),
-            (energy - 2.0 * gain) / max(energy, 1e-300),
+            vector,
+            joint,
         )
 
     def later(self, sums: Sums, vector: _Array, detect: float) -> int | None:

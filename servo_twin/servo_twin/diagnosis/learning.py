@@ -40,7 +40,8 @@ _MEAN_SPAN: Final = 10.0  # of which one maximum of the running means is taken [
 _DETECT_MIN: Final = 10.0
 _FEW: Final = 100  # samples of a bin from which its own noise is used
 _LEAST: Final = 20  # spans from which a tail is worth something
-_INFLATION: Final = 1.5  # of the largest mean square of the residual that was seen
+_ENOUGH: Final = 5  # blocks from which a mean square is one
+_INFLATION: Final = 2.0  # of the largest mean square of the residual that was seen
 
 _Array = NDArray[np.float64]
 
@@ -59,17 +60,20 @@ class Learner:
         self._bus = BusSignal(plant.bus.u_source)
         self._equations: list[list[tuple[int, AxisEquations]]] = [[] for _ in range(AXES)]
         self._means = SignalMeans()
-        self._mean_maxima: list[_Array] = [np.zeros((AXES, len(WATCHED)))]
+        self._mean_maxima: list[_Array] = []
         self._mean_begin: int | None = None
         self._voltages: list[float] = []
-        self._ticks: list[int] = []
+        self._seconds = 0.0
+        self._tick: int | None = None
 
     def add(self, pair: Pair) -> None:
         """Take a pair."""
         if pair.difference or pair.fault:
             self.interrupt()
             return
-        self._ticks.append(pair.tick)
+        if self._tick is not None:
+            self._seconds += (pair.tick - self._tick) * PERIOD_NS * 1e-9
+        self._tick = pair.tick
         self._add_means(pair)
         for axis, signals in enumerate(self._signals):
             equations = None if pair.stopping[axis] else signals.update(pair.tick, pair.real, pair.twin)
@@ -83,9 +87,7 @@ class Learner:
         means = self._means.update(pair)
         if means is None:
             return
-        if self._mean_begin is None:
-            self._mean_begin = pair.tick
-        if pair.tick - self._mean_begin > _MEAN_SPAN / (PERIOD_NS * 1e-9):
+        if self._mean_begin is None or pair.tick - self._mean_begin > _MEAN_SPAN / (PERIOD_NS * 1e-9):
             self._mean_begin = pair.tick
             self._mean_maxima.append(np.zeros_like(means))
         np.maximum(self._mean_maxima[-1], np.abs(means), out=self._mean_maxima[-1])
@@ -93,10 +95,18 @@ class Learner:
     def interrupt(self) -> None:
         """The next pair does not follow on the last one."""
         self._means.interrupt()
-        self._mean_begin = None
+        self._mean_begin = self._tick = None
         for signals in self._signals:
             signals.interrupt()
         self._bus.interrupt()
+
+    def join(self, other: Learner) -> None:
+        """Take what another one has learned, from another run."""
+        for mine, theirs in zip(self._equations, other._equations, strict=True):
+            mine += theirs
+        self._voltages += other._voltages
+        self._mean_maxima += other._mean_maxima
+        self._seconds += other._seconds
 
     def thresholds(self, hours: float = FALSE_ALARM_HOURS) -> Thresholds:
         """What follows from the run.
@@ -111,33 +121,34 @@ class Learner:
         ThresholdsError
             If an axis has not moved enough.
         """
-        axes, maxima, squares = [], [], []
+        axes: list[AxisNoise] = []
+        maxima: list[float] = []
         for axis, entries in enumerate(self._equations):
             if len(entries) < 2 * _FEW:
-                raise ThresholdsError(f"{axis_name(axis)} has hardly moved: move both axes to and fro while calibrating")
+                raise ThresholdsError(
+                    f"{axis_name(axis)} has hardly moved: move both axes to and fro while calibrating"
+                )
             noise = _noise([equations for _, equations in entries])
             spans, spread = _spans(entries, noise)
             of_means = np.array([one[axis] for one in self._mean_maxima])
             limits = tuple(_tail(of_means[:, k], hours * 3600.0 / _MEAN_SPAN) for k in range(len(WATCHED)))
-            axes.append(replace(noise, spread=spread, means=limits))
-            found = _maxima(spans, np.array(spread))
-            maxima += found[0]
-            squares += found[1]
+            ratios, squares = _maxima(spans, np.array(spread))
+            maxima += ratios
+            unexplained = tuple((_INFLATION * squares).tolist())
+            axes.append(replace(noise, spread=spread, unexplained=unexplained, means=limits))
         if len(maxima) < _LEAST:
             raise ThresholdsError(
                 f"{len(maxima) * _SPAN * BLOCK:.0f} s of motion are not enough, {_LEAST * _SPAN * BLOCK:.0f} s are"
             )
         span_hours = _SPAN * BLOCK / 3600.0
-        run = (self._ticks[-1] - self._ticks[0]) * PERIOD_NS * 1e-9 / 3600.0
         voltages = np.array(self._voltages)
         return Thresholds(
             axes=tuple(axes),
             bus_noise=float(voltages.std()),
             bus_baseline=float(voltages.mean()),
             detect=max(_tail(np.array(maxima), hours / span_hours * AXES), _DETECT_MIN),
-            unexplained=_INFLATION * max(squares),
             false_alarm_hours=hours,
-            run_hours=run,
+            run_hours=self._seconds / 3600.0,
         )
 
 
@@ -146,12 +157,12 @@ def _noise(entries: Sequence[AxisEquations]) -> AxisNoise:
     y, phi, z = (np.array(part) for part in zip(*((e.y, e.phi, e.alias) for e in entries), strict=True))
     share = np.array([e.share for e in entries])
     bins = np.array([bin_of(e.current, e.speed) for e in entries])
-    alias = [float(y[:, k] @ z[:, k] / (z[:, k] @ z[:, k])) if z[:, k].any() else 0.0 for k in range(len(EQUATIONS))]
-    left = y - z * alias
+    alias = [_slope(y, z[:, :, k]) for k in (0, 1)]
+    left = y - z @ np.array(alias)
     baseline = np.zeros(len(CHANGES))
     for _ in range(3):
         rest = left - phi @ baseline
-        torque = float(rest[share > 0.0, TORQUE].std())
+        torque = _root_mean_square(rest[share > 0.0, TORQUE])
         voltages = {k: _by_bin(rest[:, k], bins) for k in (VOLTAGE_Q, VOLTAGE_D)}
         weight = np.stack([share / torque**2, *(voltages[k][bins] ** -2 for k in (VOLTAGE_Q, VOLTAGE_D))], axis=1)
         information = np.einsum("nei,ne,nej->ij", phi, weight, phi)
@@ -163,51 +174,63 @@ def _noise(entries: Sequence[AxisEquations]) -> AxisNoise:
         voltage_d=tuple(voltages[VOLTAGE_D].tolist()),
         baseline=tuple(baseline.tolist()),
         spread=(1.0,) * len(CHANGES),
+        unexplained=(1.0,) * len(EQUATIONS),
         means=(1.0,) * len(WATCHED),
     )
 
 
+def _slope(y: _Array, z: _Array) -> float:
+    """What `y` is in proportion to `z`; `z` is zero in the equations that it has no part in."""
+    square = float(np.vdot(z, z))
+    return float(np.vdot(y, z)) / square if square > 0.0 else 0.0
+
+
+def _root_mean_square(values: _Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def _by_bin(rest: _Array, bins: NDArray[np.int64]) -> _Array:
-    """Standard deviation in every bin; where there are few samples, that of all."""
-    whole = float(rest[rest != 0.0].std())
+    """Root mean square in every bin; where there are few samples, that of all."""
+    whole = _root_mean_square(rest[rest != 0.0])
     parts = [rest[(bins == k) & (rest != 0.0)] for k in range(BINS)]
-    return np.array([float(part.std()) if len(part) >= _FEW else whole for part in parts])
+    return np.array([_root_mean_square(part) if len(part) >= _FEW else whole for part in parts])
 
 
 def _spans(entries: Sequence[tuple[int, AxisEquations]], noise: AxisNoise) -> tuple[list[Window], tuple[float, ...]]:
     """Windows of `_SPAN` blocks one after the other, and the spread of their estimates."""
     spans: list[Window] = []
-    window = Window(len(CHANGES))
+    window = Window(len(CHANGES), len(EQUATIONS), noise.prior)
     before: int | None = None
     for tick, equations in entries:
         seconds = 0.0 if before is None else min(max(tick - before, 0) * PERIOD_NS * 1e-9, 0.05)
         before = tick
-        full = window.add(tick, seconds, noise.residual(equations), equations.phi, noise.weight(equations))
+        full = window.add(tick, seconds, noise.rows(equations))
         if full and len(window.ticks) == _SPAN:
             spans.append(window)
-            window = Window(len(CHANGES))
+            window = Window(len(CHANGES), len(EQUATIONS), noise.prior)
     if len(spans) < 2:
         return spans, (1.0,) * len(CHANGES)
     units: list[_Array] = []  # estimates of tenths of a span over their deviations for white noise
     for span in spans:
         sums = span.sums()
-        a = -np.diff(sums.a[::10], axis=0)
-        b = -np.diff(sums.b[::10], axis=0)
+        a, b = (-np.diff(part[::10].sum(axis=1), axis=0) for part in (sums.parts_a, sums.parts_b))
+        a, b = a[:, : len(CHANGES), : len(CHANGES)], b[:, : len(CHANGES)]
         diagonal = np.einsum("nii->ni", a)
         units.append(b / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)))
     spread = np.concatenate(units).std(axis=0)
     return spans, tuple(float(max(x, 1.0)) for x in spread)
 
 
-def _maxima(spans: Sequence[Window], spread: _Array) -> tuple[list[float], list[float]]:
-    """Per span the strongest likelihood ratio and the largest mean square, of every beginning in it."""
+def _maxima(spans: Sequence[Window], spread: _Array) -> tuple[list[float], _Array]:
+    """Per span the strongest likelihood ratio; per equation the largest mean square of every beginning in any."""
     unknowns = Unknowns(CHANGES, np.array(MARGINS), spread)
     ratios: list[float] = []
-    squares: list[float] = []
+    squares = np.ones(len(EQUATIONS))
     for span in spans:
         sums = span.sums()
         ratios.append(unknowns.strongest(sums))
-        squares.append(float((sums.energy / sums.count)[:-3].max()))
+        enough = slice(None, max(len(sums.samples) - _ENOUGH, 1))
+        squares = np.maximum(squares, (sums.energy[enough] / np.maximum(sums.samples[enough], 1.0)).max(axis=0))
     return ratios, squares
 
 

@@ -15,6 +15,7 @@ from servo_twin.diagnosis.hypotheses import Unknowns
 from servo_twin.diagnosis.signal_watch import SignalWatch
 from servo_twin.diagnosis.signals import CHANGES, NEEDED, AxisSignals, BusSignal
 from servo_twin.diagnosis.thresholds import Thresholds
+from servo_twin.diagnosis.window import Rows
 from servo_twin.lockstep.twin import Pair
 from servo_twin.plant import PlantConfig
 
@@ -80,12 +81,16 @@ class DiagnosisMonitor:
         self.thresholds = thresholds
         self.missing = ""
         self.axes = [
-            Channel(Unknowns(CHANGES, np.array(MARGINS), np.array(noise.spread)), thresholds.detect, thresholds.unexplained)
+            Channel(
+                Unknowns(CHANGES, np.array(MARGINS), np.array(noise.spread)),
+                thresholds.detect,
+                np.array(noise.unexplained),
+                noise.prior,
+            )
             for noise in thresholds.axes
         ]
-        self.bus = Channel(
-            Unknowns((SUPPLY,), np.array([_BUS_MARGIN]), np.ones(1)), thresholds.detect, float("inf")
-        )
+        bus = Unknowns((SUPPLY,), np.array([_BUS_MARGIN]), np.ones(1))
+        self.bus = Channel(bus, thresholds.detect, np.array([np.inf]), np.empty(0))
         self.watch = SignalWatch([noise.means for noise in thresholds.axes])
         self.believe(plant)
 
@@ -111,7 +116,7 @@ class DiagnosisMonitor:
         """Take a pair; returns whether findings or estimates may have changed."""
         if pair.difference or pair.fault:
             self.interrupt()
-            return False
+            return self._leave_to_the_board(pair)
         self.watch.update(pair)
         needed = ("u_dc", *(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in NEEDED))
         missing = [name for name in needed if name not in pair.real]
@@ -125,16 +130,21 @@ class DiagnosisMonitor:
             equations = None if pair.stopping[axis] else signals.update(pair.tick, pair.real, pair.twin)
             if equations is None:
                 continue
-            noise = self.thresholds.axes[axis]
-            changed |= self.axes[axis].add(
-                pair.tick, seconds, noise.residual(equations), equations.phi, noise.weight(equations)
-            )
+            changed |= self.axes[axis].add(pair.tick, seconds, self.thresholds.axes[axis].rows(equations))
         voltage = self._bus_signal.update(pair.tick, pair.real, pair.twin)
         if voltage is not None:
             y = np.array([voltage - self.thresholds.bus_baseline])
-            weight = np.array([self.thresholds.bus_noise**-2])
-            changed |= self.bus.add(pair.tick, seconds, y, np.ones((1, 1)), weight)
+            rows = Rows(y, np.ones((1, 1)), np.array([self.thresholds.bus_noise**-2]), np.ones(1))
+            changed |= self.bus.add(pair.tick, seconds, rows)
         return changed
+
+    def _leave_to_the_board(self, pair: Pair) -> bool:
+        """Forget what was found of axes with a fault: the board has named the cause. Returns whether there was any."""
+        faulty = [self.axes[axis] for axis in range(AXES) if pair.real.get(f"{axis_name(axis)}.faults", 0.0)]
+        known = any(channel.finding is not None for channel in faulty)
+        for channel in faulty:
+            channel.clear()
+        return known
 
     def findings(self) -> list[Located]:
         """What has changed; empty if nothing has."""
@@ -144,7 +154,9 @@ class DiagnosisMonitor:
     def estimates(self) -> dict[str, Estimate]:
         """Every estimate by its name, such as ``axis1.inertia`` or ``supply``."""
         named = {
-            f"{axis_name(axis)}.{one.name}": one for axis, channel in enumerate(self.axes) for one in channel.estimates()
+            f"{axis_name(axis)}.{one.name}": one
+            for axis, channel in enumerate(self.axes)
+            for one in channel.estimates()
         }
         return named | {SUPPLY: self.bus.estimates()[0]}
 

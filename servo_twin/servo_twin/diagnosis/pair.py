@@ -82,7 +82,9 @@ class BoardPair:
         self._loss = loss
         self.board = Board(plant, seed=2 * seed + 1, level=level, catalogue=catalogue)
         self.real = Replica(self.board)
-        self.twin = Twin(lambda: Board(twin_plant, seed=2 * seed + 2, level=level, catalogue=catalogue), None, catalogue)
+        self.twin = Twin(
+            lambda: Board(twin_plant, seed=2 * seed + 2, level=level, catalogue=catalogue), None, catalogue
+        )
         self._written: list[tuple[str, tuple[int, ...], int]] = []
 
     def __enter__(self) -> BoardPair:

@@ -12,7 +12,7 @@ from servo_msgs_py.units import PERIOD_NS
 from servo_twin.diagnosis.channel import Estimate, Finding, Kind
 from servo_twin.diagnosis.monitor import SUPPLY, Located
 
-__all__ = ["NOTHING_CHANGED", "estimate_text", "finding_text", "located_text"]
+__all__ = ["NOTHING_CHANGED", "estimate_numbers", "estimate_text", "finding_text", "located_text"]
 
 NOTHING_CHANGED: Final = "nothing has changed"
 
@@ -32,15 +32,15 @@ _ABSOLUTE: Final = {"load": (1e3, "mN m"), "encoder_angle": (180.0 / math.pi, "d
 def _size(name: str, value: float, low: float, high: float) -> str:
     if name in _ABSOLUTE:
         scale, unit = _ABSOLUTE[name]
-        value, low, high = (_rounded(scale * x, scale * (high - low)) for x in (value, low, high))
-        return f"{value} {unit} ({low}..{high})"
-    value, low, high = (_rounded(max(1.0 + x, 0.0), high - low, sign=False) for x in (value, low, high))
-    return f"{value} times ({low}..{high})"
+        middle, least, most = (_rounded(scale * x, scale * (high - low)) for x in (value, low, high))
+        return f"{middle} {unit} ({least}..{most})"
+    middle, least, most = (_rounded(max(1.0 + x, 0.0), high - low, sign=False) for x in (value, low, high))
+    return f"{middle} times ({least}..{most})"
 
 
 def _rounded(value: float, width: float, *, sign: bool = True) -> str:
     """With the digits that an interval of this width leaves."""
-    digits = min(max(1 - math.floor(math.log10(max(width, 1e-9))), 0), 4)
+    digits = min(max(-math.floor(math.log10(max(width, 1e-9))), 0), 4)
     return f"{value:+.{digits}f}" if sign else f"{value:.{digits}f}"
 
 
@@ -83,3 +83,11 @@ def estimate_text(estimate: Estimate) -> str:
         return "not excited yet"
     value, half = estimate.value, estimate.half_width
     return _size(estimate.name, value, value - half, value + half)
+
+
+def estimate_numbers(estimate: Estimate) -> dict[str, float]:
+    """Value, low and high: a factor, or [N m], or [rad]; empty where nothing has shown it yet."""
+    if not math.isfinite(estimate.half_width):
+        return {}
+    value = estimate.value + (0.0 if estimate.name in _ABSOLUTE else 1.0)
+    return {"value": value, "low": value - estimate.half_width, "high": value + estimate.half_width}

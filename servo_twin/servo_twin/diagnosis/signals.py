@@ -11,13 +11,13 @@ the encoder's angle, however large they are. What both boards do alike (dead tim
 
 Samples are 8 ms apart and alias what the loops do to noise in between. Two differences of the same sample know the
 alias: that of the sampled speed against the shaft's position for the torque, that of the current against its set-point
-for the voltage. `AxisNoise.alias` times these is subtracted.
+for the voltage. Their coefficients are the gains of the loops, `AxisNoise.alias` with the gains of the healthy run, and
+nuisances of the estimation where the loops have other ones.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -50,6 +50,8 @@ _INDUCES: Final = 1.0
 _DEAD_TIME: Final = 0.1
 """Part of a difference of the buses that counts as noise of a voltage: dead time and drops take 3 %, with a sign that
 stays the same over some samples."""
+_SMALL_CURRENT: Final = 1.5
+"""Volts of noise per ampere by which two small currents differ: dead time and drops change their sign there."""
 _SECOND: Final = PERIOD_NS * 1e-9
 _RETURNED_ALIKE: Final = 0.02  # energy by which boards may differ: 0.2 V in 4.7 mF at 24 V [J]
 _RETURNED_MAX: Final = 1.0  # [J]
@@ -66,14 +68,15 @@ class AxisEquations(NamedTuple):
         Left sides, per equation [N m], [V], [V].
     phi : ndarray, shape (3, 6)
         Right sides, per equation and unknown.
-    alias : ndarray, shape (3,)
-        What the alias is proportional to [rad/s], [A], 0.
+    alias : ndarray, shape (3, 2)
+        What the alias is proportional to, of the torque [rad/s] and of the voltage [A].
     share : float
         Part of an independent sample that the torque equation is.
     current, speed : float
         Magnitudes at the sample [A], [rad/s].
-    bus : float
-        By how much the voltage equations may be off because the buses differ, and the dead time with them [V].
+    error : float
+        By how much the voltage equations may be off because the dead time of the boards differs: with the bus, and with
+        a small current [V].
     """
 
     y: _Array
@@ -82,7 +85,7 @@ class AxisEquations(NamedTuple):
     share: float
     current: float
     speed: float
-    bus: float
+    error: float
 
 
 class _Filter:
@@ -153,26 +156,28 @@ class AxisSignals:
         filtered = self._filter.update(inputs, seconds)
         k_t, flux = plant.torque_constant, plant.pole_pairs * plant.psi_m
         resistance = plant.r_s + plant.r_on
-        y, alias = np.zeros(len(EQUATIONS)), np.zeros(len(EQUATIONS))
+        y, alias = np.zeros(len(EQUATIONS)), np.zeros((len(EQUATIONS), 2))
         phi = np.zeros((len(EQUATIONS), len(CHANGES)))
         share = 0.0
         if filtered is not None:
             f, rate = filtered
             y[TORQUE] = k_t * f[0] - plant.inertia * rate[1] - plant.viscous * f[1]
-            alias[TORQUE] = f[1] - rate[2]
+            alias[TORQUE, 0] = f[1] - rate[2]
             phi[TORQUE, FLUX : LOAD + 1] = -k_t * f[3], plant.inertia * rate[4], plant.friction * f[5], f[6]
             share = min(seconds / (2.0 * _TIME), 1.0)
-        carries = abs(current) > _CARRIES * plant.i_full_scale
+        carries = min(abs(current), abs(twin[names["i_q_ref"]])) > _CARRIES * plant.i_full_scale
         if carries or abs(flux * speed) > _INDUCES:
             y[VOLTAGE_Q] = d["u_q"] - resistance * d["i_q_ref"] - flux * d["speed"]
-            alias[VOLTAGE_Q] = d["i_q_ref"] - d["i_q"]
+            alias[VOLTAGE_Q, 1] = d["i_q_ref"] - d["i_q"]
             phi[VOLTAGE_Q, RESISTANCE] = plant.r_s * current if carries else 0.0
             phi[VOLTAGE_Q, FLUX] = flux * speed
         cross = speed * current - twin[names["speed"]] * twin[names["i_q_ref"]]
         y[VOLTAGE_D] = d["u_d"] + plant.pole_pairs * plant.l_q * cross
         phi[VOLTAGE_D, ANGLE] = flux * speed
-        bus = _DEAD_TIME * abs(real["u_dc"] - twin["u_dc"])
-        return AxisEquations(y, phi, alias, share, abs(current), abs(speed), bus)
+        error = _DEAD_TIME * abs(real["u_dc"] - twin["u_dc"])
+        if not carries:
+            error += _SMALL_CURRENT * abs(d["i_q_ref"])
+        return AxisEquations(y, phi, alias, share, abs(current), abs(speed), error)
 
 
 class BusSignal:

@@ -1,7 +1,7 @@
 """What a healthy pair shows: noise and model error of every signal, and the thresholds that follow. Pure.
 
-`servo_twin calibrate` learns them from a healthy run and writes a file (``thresholds.toml``); the packaged one was
-learned from a virtual pair.
+`servo_twin calibrate` learns them from a healthy board and writes a file; ``servo-sim calibrate`` has made the packaged
+ones from virtual pairs, ``thresholds.toml`` at register level and ``thresholds_ideal.toml`` at the level ideal.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.diagnosis.signal_watch import WATCHED
-from servo_twin.diagnosis.signals import CHANGES, EQUATIONS, AxisEquations
+from servo_twin.diagnosis.signals import CHANGES, EQUATIONS, VOLTAGE_Q, AxisEquations
+from servo_twin.diagnosis.window import Rows
+from servo_twin.level import DEFAULT_LEVEL, Level
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -27,7 +29,10 @@ else:
 
 __all__ = ["AxisNoise", "Thresholds", "ThresholdsError"]
 
-DEFAULT_FILE: Final = Path(__file__).with_name("thresholds.toml")
+_PACKAGED: Final[Mapping[Level, Path]] = {
+    "registers": Path(__file__).with_name("thresholds.toml"),
+    "ideal": Path(__file__).with_name("thresholds_ideal.toml"),
+}
 
 CURRENTS: Final = (0.1, 0.3, 0.6)
 SPEEDS: Final = (30.0, 60.0, 100.0, 150.0)
@@ -46,7 +51,7 @@ class AxisNoise:
     Attributes
     ----------
     alias : tuple of float
-        Coefficient of the alias, per equation [N m s/rad], [V/A], 0.
+        Its coefficients, of the torque [N m s/rad] and of the voltage [V/A].
     torque : float
         Standard deviation of the torque equation [N m].
     voltage_q, voltage_d : tuple of float
@@ -55,6 +60,8 @@ class AxisNoise:
         What the unknowns come to: the error of the twin's model.
     spread : tuple of float
         Standard deviation of an estimate over that of white noise, per unknown.
+    unexplained : tuple of float
+        Largest mean square of the residual over its variance, per equation, after all known changes.
     means : tuple of float
         Largest running mean of every signal of `servo_twin.diagnosis.signal_watch.WATCHED`.
     """
@@ -65,22 +72,23 @@ class AxisNoise:
     voltage_d: tuple[float, ...]
     baseline: tuple[float, ...]
     spread: tuple[float, ...]
+    unexplained: tuple[float, ...]
     means: tuple[float, ...]
 
-    def weight(self, equations: AxisEquations) -> NDArray[np.float64]:
-        """Independent samples per variance, per equation."""
-        place = bin_of(equations.current, equations.speed)
-        return np.array(
-            [
-                equations.share / self.torque**2,
-                1.0 / (self.voltage_q[place] ** 2 + equations.bus**2),
-                1.0 / (self.voltage_d[place] ** 2 + equations.bus**2),
-            ]
-        )
+    @property
+    def prior(self) -> NDArray[np.float64]:
+        """What is known of the coefficients of the alias: they are right to once their own size."""
+        size = np.maximum(np.abs(np.array(self.alias)), 1e-9)
+        return np.asarray(1.0 / size**2)
 
-    def residual(self, equations: AxisEquations) -> NDArray[np.float64]:
-        """Left sides without alias and without the error of the model."""
-        return equations.y - np.asarray(self.alias) * equations.alias - equations.phi @ np.asarray(self.baseline)
+    def rows(self, equations: AxisEquations) -> Rows:
+        """Equations without alias and without the error of the model, with their weights; the alias is a nuisance."""
+        place = bin_of(equations.current, equations.speed)
+        voltages = np.array([self.voltage_q[place], self.voltage_d[place]])
+        samples = np.array([equations.share, float(equations.phi[VOLTAGE_Q].any()), 1.0])
+        variance = np.array([self.torque**2, *(voltages**2 + equations.error**2)])
+        y = equations.y - equations.alias @ np.array(self.alias) - equations.phi @ np.array(self.baseline)
+        return Rows(y, np.concatenate([equations.phi, equations.alias], axis=1), samples / variance, samples)
 
 
 def bin_of(current: float, speed: float) -> int:
@@ -91,11 +99,12 @@ def bin_of(current: float, speed: float) -> int:
 BINS: Final = (len(CURRENTS) + 1) * (len(SPEEDS) + 1)
 
 _LENGTHS: Final = {
-    "alias": len(EQUATIONS),
+    "alias": 2,
     "voltage_q": BINS,
     "voltage_d": BINS,
     "baseline": len(CHANGES),
     "spread": len(CHANGES),
+    "unexplained": len(EQUATIONS),
     "means": len(WATCHED),
 }
 
@@ -111,8 +120,6 @@ class Thresholds:
         Of the bus voltage in a block of motion: relative standard deviation and mean.
     detect : float
         Logarithm of the likelihood ratio from which a change is one.
-    unexplained : float
-        Largest mean square of the residual over its variance, after all known changes.
     false_alarm_hours : float
         Mean time between two false alarms that `detect` stands for, by the tail of the run [h of motion].
     run_hours : float
@@ -123,13 +130,12 @@ class Thresholds:
     bus_noise: float
     bus_baseline: float
     detect: float
-    unexplained: float
     false_alarm_hours: float
     run_hours: float
 
     @classmethod
-    def load(cls, path: Path | str | None = None) -> Thresholds:
-        """Read a file; the packaged one by default.
+    def load(cls, path: Path | str | None = None, level: Level = DEFAULT_LEVEL) -> Thresholds:
+        """Read a file; by default the packaged one of a virtual pair at this level.
 
         Raises
         ------
@@ -138,11 +144,14 @@ class Thresholds:
         OSError
             If it cannot be read.
         """
-        return _packaged() if not path else _load(Path(path))
+        return _packaged(level) if not path else _load(Path(path))
 
     def text(self) -> str:
         """As the text of a file."""
-        lines = ["# Learned by `servo_twin calibrate` from a healthy run; units in servo_twin/diagnosis/thresholds.py.", ""]
+        lines = [
+            "# From a healthy run, by `servo_twin calibrate` or `servo-sim calibrate`; units: diagnosis/thresholds.py",
+            "",
+        ]
         lines += _lines({k: v for k, v in asdict(self).items() if k != "axes"})
         for number, axis in enumerate(self.axes):
             lines += ["", f"[{axis_name(number)}]", *_lines(asdict(axis))]
@@ -160,8 +169,8 @@ def _lines(entries: Mapping[str, Any]) -> list[str]:
 
 
 @cache
-def _packaged() -> Thresholds:
-    return _load(DEFAULT_FILE)
+def _packaged(level: Level) -> Thresholds:
+    return _load(_PACKAGED[level])
 
 
 def _load(path: Path) -> Thresholds:
@@ -173,7 +182,9 @@ def _load(path: Path) -> Thresholds:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, TypeError) as error:
         raise ThresholdsError(f"{path}: {error}") from None
     except KeyError as error:
-        raise ThresholdsError(f"{path}: {error.args[0]} is missing; write it anew with `servo_twin calibrate`") from None
+        raise ThresholdsError(
+            f"{path}: {error.args[0]} is missing; write it anew with `servo_twin calibrate`"
+        ) from None
     except ThresholdsError as error:
         raise ThresholdsError(f"{path}: {error}") from None
 

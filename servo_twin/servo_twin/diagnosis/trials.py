@@ -13,13 +13,14 @@ from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import SimulationError
 from servo_twin.diagnosis.channel import Kind
+from servo_twin.diagnosis.learning import Learner
 from servo_twin.diagnosis.monitor import PLANT_VALUES, SUPPLY, DiagnosisMonitor, Located
 from servo_twin.diagnosis.pair import BoardPair, Motion
 from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 
-__all__ = ["NOTHING", "Answer", "Change", "Trials", "confusion"]
+__all__ = ["NOTHING", "Answer", "Change", "HealthyRuns", "Trials", "confusion"]
 
 NOTHING: Final = "nothing"
 
@@ -111,7 +112,7 @@ def _said(findings: Sequence[Located]) -> str:
     axis, finding = findings[0].axis, findings[0].finding
     if finding.kind is Kind.SINGLE:
         return finding.changes[0] if axis is None else f"{axis_name(axis)} {finding.changes[0]}"
-    return finding.kind.value
+    return str(finding.kind.value)
 
 
 @dataclass(frozen=True)
@@ -195,6 +196,37 @@ def _follow(
                 if now != NOTHING:
                     all_said.append(f"{pair.time:.1f} s: {now}")
     return since, tuple(all_said), said
+
+
+@dataclass(frozen=True)
+class HealthyRuns:
+    """Runs of virtual pairs in which nothing changes, to learn from.
+
+    Attributes
+    ----------
+    plant : PlantConfig
+        Of both boards.
+    seed : int
+    seconds : float
+        Of each run [s].
+    level : {"registers", "ideal"}
+    """
+
+    plant: PlantConfig
+    seed: int
+    seconds: float
+    level: Level
+
+    def run(self, number: int) -> Learner:
+        """One run."""
+        seed = self.seed * 1_000_003 + number
+        learner = Learner(self.plant)
+        with BoardPair(self.plant, self.plant, seed=seed, level=self.level) as pair:
+            pair.enable()
+            for one in Motion(pair, seed).run(self.seconds):
+                learner.add(one)
+        learner.interrupt()
+        return learner
 
 
 def confusion(answers: Sequence[Answer]) -> dict[str, Counter[str]]:

@@ -15,7 +15,9 @@ __all__ = ["COMPARED", "HealthMonitor", "Residual", "Thresholds", "residual"]
 COMPARED: Final = tuple(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in ("position", "speed", "i_q"))
 """Variables whose difference is a residual; those of position and speed are compared in joint units."""
 
-_BEFORE: Final = 0.005  # for which a residual that is large has been so before, at most, if it was not at the last sample [s]
+_BEFORE: Final = (
+    0.005  # for which a residual that is large has been so before, at most, if it was not at the last sample [s]
+)
 _FORGIVEN: Final = 0.25  # time in which the residual was large that is made up for by so much in which it is small
 
 
@@ -144,9 +146,7 @@ class HealthMonitor:
         self._small_since = self._tick = None
         self._large, self._was_large, self._differs = 0.0, False, False
 
-    def update(
-        self, residual: Residual, stopping: Sequence[bool] = (False,) * AXES, complaint: str = ""
-    ) -> bool:
+    def update(self, residual: Residual, stopping: Sequence[bool] = (False,) * AXES, complaint: str = "") -> bool:
         """Take a residual; returns `healthy`.
 
         Parameters

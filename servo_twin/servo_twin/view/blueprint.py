@@ -43,6 +43,16 @@ def blueprint() -> Any:
             plot(f"{name}: {extra.title} [{extra.unit}]", origin, [f"+ {origin}/{extra.name}/**"])
             for extra in scene.EXTRAS
         ]
+        origin = f"/plot/{name}/estimate"
+        load = f"{origin}/load/**"
+        residuals += [
+            plot(
+                f"{name}: estimates [of the twin's]",
+                origin,
+                [f"+ {origin}/**", f"- {load}", f"- {origin}/encoder_angle/**"],
+            ),
+            plot(f"{name}: load [N m]", origin, [f"+ {load}"]),
+        ]
         columns.append(rrb.Vertical(*plots, rrb.Tabs(*residuals, active_tab=0), name=name))
     shafts = rrb.Spatial3DView(
         name="shafts",

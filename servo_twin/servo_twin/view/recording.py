@@ -119,7 +119,7 @@ class Recording:
                 colors=[scene.COLOURS[source]], radii=rr.Radius.ui_points(radius), draw_order=order
             )
             log(scene.path_entity(source), style)
-        for name in ("link", "twin", "path"):
+        for name in ("link", "twin", "diagnosis", "path"):
             log(scene.state_entity(name), self._states())
 
     def _states(self) -> Any:

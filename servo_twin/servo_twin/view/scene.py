@@ -17,6 +17,8 @@ __all__ = [
     "BURST",
     "BURST_RESIDUAL",
     "COLOURS",
+    "ESTIMATE",
+    "ESTIMATES",
     "EXTRAS",
     "PATH_STATES",
     "QUANTITIES",
@@ -30,6 +32,7 @@ __all__ = [
     "Quantity",
     "axes",
     "burst_entity",
+    "estimate_entity",
     "path_entity",
     "position_state",
     "residual_entity",
@@ -69,10 +72,12 @@ STATE_COLOURS: Final[dict[str, Colour]] = {
     "CONNECTED": (50, 160, 80),
     "FOLLOWS": (50, 160, 80),
     "APART": (200, 130, 40),
+    "NOTHING CHANGED": (50, 160, 80),
+    "CHANGED": (200, 130, 40),
     "NO PATH": (95, 105, 120),
     "ON PATH": (50, 160, 80),
 }
-"""States of the axes and of what their positions are worth, of the link, of the twin and of the path."""
+"""States of the axes and of what their positions are worth, of the link, the twin, the diagnosis and the path."""
 
 PATH_STATES: Final = ("NO PATH", "ON PATH")
 """States of the path: whether the axes follow one."""
@@ -119,6 +124,11 @@ RESIDUALS: Final = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
 """Fields of the residual, board minus twin, and their units."""
 
 
+ESTIMATE: Final = "estimate"
+ESTIMATES: Final = ("value", "low", "high")
+"""Curves of an estimate: itself, and its 95 % interval."""
+
+
 def axes() -> Iterator[tuple[int, str]]:
     """Index and name of every axis."""
     return ((axis, axis_name(axis)) for axis in range(AXES))
@@ -134,13 +144,18 @@ def residual_entity(axis: int, field: str) -> str:
     return f"/{PLOT}/{axis_name(axis)}/residual/{field}"
 
 
+def estimate_entity(place: str, name: str, curve: str) -> str:
+    """Where an estimate of the diagnosis lies: ``/plot/axis1/estimate/inertia/low``; of the supply in ``/plot/bus``."""
+    return f"/{PLOT}/{place}/estimate/{name}/{curve}"
+
+
 def position_state(axis: str) -> str:
     """Name of the state that says what the position of an axis is worth."""
     return f"{axis}/position"
 
 
 def state_entity(name: str) -> str:
-    """Where a state lies: of an axis, of the ``link``, of the ``twin`` or of the ``path``."""
+    """Where a state lies: of an axis, the ``link``, the ``twin``, the ``diagnosis`` or the ``path``."""
     return f"/state/{name}"
 
 

@@ -91,7 +91,7 @@ class Viewer:
         self._held: list[_Job] = []
         self._time = BoardTime(start_ns)
         self._joints: Sequence[Joint] = DEFAULT_JOINTS
-        self._curves = {source: Curves() for source in (scene.BOARD, scene.TWIN, scene.RESIDUAL)}
+        self._curves = {source: Curves() for source in (scene.BOARD, scene.TWIN, scene.RESIDUAL, scene.ESTIMATE)}
         self._bursts = {source: Curves() for source in (scene.BOARD, scene.TWIN, scene.RESIDUAL)}
         self._hands = [{source: Hand() for source in (scene.BOARD, scene.TWIN)} for _ in range(AXES)]
         self._span = PathSpan(catalogue)
@@ -99,6 +99,7 @@ class Viewer:
         self._labels: list[str] = [""] * AXES
         self._faults = [0] * AXES
         self._states: dict[str, str] = {}
+        self._found = ""  # by the diagnosis, without its numbers
         self._diagnoses: dict[str, tuple[int, str]] = {}
         self._complaints: set[str] = set()
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
@@ -152,6 +153,20 @@ class Viewer:
     def diagnosis(self, stamp_ns: int, name: str, level: int, message: str) -> None:
         """Status of one subsystem; `level` as in diagnostic_msgs."""
         self._post(lambda: self._diagnosis(stamp_ns, name, level, message))
+
+    def changes(self, stamp_ns: int, found: Sequence[str], estimates: Mapping[str, Mapping[str, float]]) -> None:
+        """What has changed on the board, in words, and all estimates.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            ROS time [ns].
+        found : sequence of str
+            One sentence per place where something has changed.
+        estimates : mapping
+            Numbers by the names of `scene.ESTIMATES`, by entity below ``/plot``: place and name, as ``axis1/inertia``.
+        """
+        self._post(lambda: self._changes(stamp_ns, found, estimates))
 
     def close(self, timeout: float = 4.0) -> bool:
         """Write what waits and close the recording; returns False when that is not over in time [s]."""
@@ -359,6 +374,25 @@ class Viewer:
         self._diagnoses[name] = now
         if now != before and not self._known(message):
             self._say("diagnostics", self._time.of_stamp(stamp_ns), _LEVELS[min(level, 3)], f"{name}: {message}")
+
+    def _changes(self, stamp_ns: int, found: Sequence[str], estimates: Mapping[str, Mapping[str, float]]) -> None:
+        moment = self._time.of_stamp(stamp_ns)
+        if moment < self._time.first - _TOLERANCE:
+            return
+        text = "; ".join(found)
+        state = "CHANGED" if found else "NOTHING CHANGED"
+        # Numbers in a text change all the time; it is the same change.
+        if self._states.get("diagnosis") != state or self._found != _NUMBER.sub("#", text):
+            self._states["diagnosis"], self._found = state, _NUMBER.sub("#", text)
+            self._recording.state("diagnosis", moment, state)
+            self._say("diagnosis", moment, "WARN" if found else "INFO", text or "nothing has changed")
+        points = {
+            scene.estimate_entity(place, name, curve): np.array([numbers[curve]])
+            for (place, _, name), numbers in ((key.partition("/"), numbers) for key, numbers in estimates.items())
+            for curve in scene.ESTIMATES
+        }
+        if points:
+            self._curves[scene.ESTIMATE].add(np.array([moment]), points)
 
     def _known(self, message: str) -> bool:
         """Whether a text tells only of faults that the telemetry has told of, to the tick."""
