@@ -53,7 +53,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         "identify",
         parents=[common, levelled],
         help="find out what motor is there",
-        description=_HELP.replace("%", "%%"),
+        description=_HELP,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     defaults = {field.name: field.default for field in dataclasses.fields(Limits)}
