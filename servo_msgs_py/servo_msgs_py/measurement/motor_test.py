@@ -173,6 +173,7 @@ class MotorTest:
                 f"the bus has {volts:.3g} V, and {self.limits.voltage:g} V were named: correct --voltage, or the supply"
             )
         refuse_faults(self.access, self.axis)
+        self._stand(2.0)  # a cogging rotor swings when the board has just been switched on
         if abs(self._read("speed")) > 0.5:
             raise MeasurementError("the shaft turns before the test begins: take the load off, or balance it")
 

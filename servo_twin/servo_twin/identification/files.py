@@ -46,6 +46,9 @@ def write_plant(path: Path, result: Identified, plant: PlantConfig) -> None:
     own = plant_of(plant, result.log.axis, values, limits).axes[result.log.axis]
     entries = {name: float(f"{getattr(own, name):.6g}") for name in _PLANT}
     entries["pole_pairs"] = round(own.pole_pairs)
+    load = result.estimates.values.get("load")
+    if load is not None and not load.interval[0] <= 0.0 <= load.interval[1]:
+        entries["load_torque"] = float(f"{load.value:.6g}")
     head = "# Identified by servo-sim identify. dead_time and r_on were given; r_s and v_drop are what they leave.\n"
     path.write_text(head + as_toml({axis_name(result.log.axis): entries}), encoding="utf-8")
 
