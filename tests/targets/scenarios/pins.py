@@ -47,8 +47,8 @@ def pins(rig: Rig) -> None:
     _fit(rig)
     rig.set("cmd.mode", TEST)  # refused: there is a brake
     rig.set("cmd.enable", 1)
-    rig.until("READY, and STOP again", lambda: rig.places() == ["STOP", "STOP"])
-    rig.run(0.02)
+    rig.run(0.002)
+    rig.until("STOP again", lambda: rig.places() == ["STOP", "STOP"])
     rig.set("cmd.mode", POSITION)
     rig.inject(CutWire(1, "enable"))
     rig.run(0.002)
