@@ -30,21 +30,26 @@ Tool = Callable[..., int]
 
 
 @pytest.fixture
-def board() -> Iterator[Board]:
-    with Board(level="ideal", baud=BAUD, seed=4) as board:
+def baud() -> int:
+    return BAUD
+
+
+@pytest.fixture
+def board(baud: int) -> Iterator[Board]:
+    with Board(level="ideal", baud=baud, seed=4) as board:
         board.run(0.1)
         yield board
 
 
 class InterruptedLine(SimulatedLine):
-    """A line during which somebody presses Ctrl-C."""
+    """A line during which somebody presses Ctrl-C when axis 1 turns faster than a speed [rad/s]."""
 
-    interrupt_at: int | None = None
+    interrupt_above: float | None = None
 
     def advance(self, until_ns: int) -> None:
         super().advance(until_ns)
-        if self.interrupt_at is not None and self.board.time_ns >= self.interrupt_at:
-            self.interrupt_at = None
+        if self.interrupt_above is not None and abs(self.log.omega[-1][0]) > self.interrupt_above:
+            self.interrupt_above = None
             signal.raise_signal(signal.SIGINT)
 
 
@@ -54,12 +59,12 @@ def line(board: Board) -> InterruptedLine:
 
 
 @pytest.fixture
-def bode(line: InterruptedLine) -> Tool:
-    session = connect(Client(Line(line, baud=BAUD, clock=line.clock)), Catalogue.load())
+def bode(line: InterruptedLine, baud: int) -> Tool:
+    session = connect(Client(Line(line, baud=baud, clock=line.clock)), Catalogue.load())
 
     def run(*arguments: object) -> int:
         args = tool._parser().parse_args(["bode", *map(str, arguments)])
-        return int(args.run(Context(args, Catalogue.load(), session, "line", BAUD, LowLatency(True, ""))))
+        return int(args.run(Context(args, Catalogue.load(), session, "line", baud, LowLatency(True, ""))))
 
     return run
 
@@ -111,7 +116,7 @@ def test_an_interruption_stops_the_shaft_and_restores_what_was(
 ) -> None:
     board.write("cmd.enable", [1, 0])
     board.run(4.0)
-    line.interrupt_at = board.time_ns + 2_000_000_000
+    line.interrupt_above = 25.0
     with pytest.raises(KeyboardInterrupt):
         bode("axis1", "position")
     assert "Ctrl-C stops it" in capsys.readouterr().err
@@ -131,7 +136,28 @@ def test_without_an_answer_the_status_is_1_and_the_reason_is_said(
     output = capsys.readouterr()
     assert "crossover     not determined" in output.out
     assert "the gain stays below 1" in output.out
+    assert bode("axis1", "position", "--enable", "--amplitude", 280, "--from", 300, "--to", 700) == 1
+    assert "the board cannot make the test signal" in capsys.readouterr().err
+    assert bode("axis1", "speed", "--enable", "--amplitude", 0.1, "--speed", 100, "--repeat", 2) == 1
+    assert "not confirmed: " in capsys.readouterr().out
     assert board.read("axis1.faults") == 0
+
+
+@pytest.mark.parametrize("baud", [115_200, 38_400])
+@pytest.mark.parametrize("loop", ["speed", "position"])
+def test_the_shaft_stays_within_its_range_however_slow_the_line_is(
+    bode: Tool, board: Board, line: InterruptedLine, loop: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    board.write("cmd.enable", [1, 0])
+    board.run(4.0)
+    board.write("param.command_timeout", 0.25)
+    start = board.truth(0).theta_m
+    status = bode("axis1", loop, "--range", 60, "--repeat", 3)
+    output = capsys.readouterr()
+    assert status == 0, output.err
+    assert board.read("param.command_timeout") == 0.25
+    way = max(abs(theta[0] - start) for theta in line.log.theta)
+    assert 20.0 < way < float(output.err.split("up to ")[1].split(" rad")[0])
 
 
 @pytest.mark.realtime

@@ -1,4 +1,4 @@
-"""A board at a serial line to measure on: see `servo_msgs_py.measurement.access.BoardAccess`."""
+"""A board at a serial line to measure on: see `servo_msgs_py.measurement.access.AttendedAccess`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.measurement.access import (
     TRIGGER_TIMEOUT,
-    BoardAccess,
+    AttendedAccess,
     MeasurementError,
     Recording,
     element_of,
@@ -30,10 +30,11 @@ __all__ = ["SessionAccess", "measurement_access"]
 
 _FAST, _SLOW = 0, 1
 _LEAD: Final = 0.2  # longer than it takes to notice that a recording is over, and to stop it [s]
+_ATTEND: Final = 0.1  # between two calls of who attends a recording that has not been started [s]
 _PAUSE: Final = 0.02  # between two looks whether a keep-alive is due [s]
 
 
-class SessionAccess(BoardAccess):
+class SessionAccess(AttendedAccess):
     """Access to the board of a session; see `measurement_access`.
 
     Parameters
@@ -91,6 +92,7 @@ class SessionAccess(BoardAccess):
         start: Callable[[], None] | None = None,
         *,
         trigger: str | None = None,
+        meanwhile: Callable[[bool], None] | None = None,
     ) -> Recording:
         condition = None if trigger is None else f"{trigger} >= 1"
         step = step_of(every, slow)
@@ -105,7 +107,7 @@ class SessionAccess(BoardAccess):
         )
         recording = BurstRecording(request, self.catalogue, clock=self._clock)
         try:
-            burst = self._recorded(recording, start, samples * step)
+            burst = self._recorded(recording, start, samples * step, meanwhile or (lambda _: None))
         except (RecorderError, UnknownVariableError, ValueError) as error:
             raise MeasurementError(f"recording {', '.join(names)}: {error}") from error
         finally:
@@ -113,11 +115,21 @@ class SessionAccess(BoardAccess):
         columns = {name: np.asarray(v, np.float64) for name, v in zip(names, burst.values, strict=True)}
         return Recording(step, columns)
 
-    def _recorded(self, recording: BurstRecording, start: Callable[[], None] | None, seconds: float) -> Burst:
+    def _recorded(
+        self,
+        recording: BurstRecording,
+        start: Callable[[], None] | None,
+        seconds: float,
+        meanwhile: Callable[[bool], None],
+    ) -> Burst:
         while recording.phase in (Phase.SET_UP, Phase.READY):
             recording.step(self._session)
+            meanwhile(False)
         # Nothing triggers before the memory was full once; without a trigger the last samples before the stop are kept.
-        self.wait(_LEAD if recording.request.trigger is None else seconds + _LEAD)
+        ready = self._clock() + (_LEAD if recording.request.trigger is None else seconds + _LEAD)
+        while (left := ready - self._clock()) > 0.0:
+            self.wait(min(left, _ATTEND))
+            meanwhile(False)
         if start is not None:
             start()
         due = self._clock() + TRIGGER_TIMEOUT + seconds
@@ -125,6 +137,7 @@ class SessionAccess(BoardAccess):
             if recording.phase is Phase.WAITING and self._clock() > due:
                 raise RecorderError(f"nothing started within {TRIGGER_TIMEOUT:g} s: the recording was not triggered")
             self._meanwhile()
+            meanwhile(recording.phase is Phase.READING)
             self.wait(recording.pause)
         return burst
 

@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from servo_msgs_py.catalogue import AXES, axis_name
-from servo_msgs_py.measurement.access import BoardAccess, MeasurementError
+from servo_msgs_py.measurement.access import AttendedAccess, MeasurementError
 from servo_msgs_py.measurement.bode import LOOPS, Bode, Request, measure
 from servo_msgs_py.measurement.bode_report import COLUMNS, as_dict, draw, rows, text
-from servo_msgs_py.tuning.errors import ConfigError
 
 from servo_bridge.bode_recording import write_recording
 from servo_bridge.measurement_access import measurement_access
@@ -54,7 +53,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
 
 
 def bode(context: Context) -> int:
-    """Measure, write the files, print the figures; 1 when the data do not determine the crossover."""
+    """Measure, write the files, print the figures; 1 when the data do not determine the crossover for certain."""
     args = context.args
     request = Request(
         _AXES.index(args.axis), args.loop, args.amplitude, args.f_min, args.f_max, args.speed, args.range, args.repeat
@@ -70,14 +69,14 @@ def bode(context: Context) -> int:
             )
         print(json.dumps(as_dict(result), allow_nan=False) if args.json else text(result).rstrip("\n"))
         _write(result, args.out, args.rrd)
-    except (MeasurementError, ConfigError) as error:
+    except (MeasurementError, ValueError) as error:  # the board or the catalogue refuses a number or a block
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1
-    return 0 if result.figures.crossover is not None else 1
+    return 0 if result.confirmed else 1
 
 
 @contextmanager
-def _interruptible(context: Context) -> Iterator[BoardAccess]:
+def _interruptible(context: Context) -> Iterator[AttendedAccess]:
     """The board; Ctrl-C ends a wait, never an exchange, so that the way back to rest has a line that works."""
     pressed = False
 

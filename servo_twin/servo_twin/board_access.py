@@ -1,4 +1,4 @@
-"""A virtual board to measure on, in simulated time: see `servo_msgs_py.measurement.access.BoardAccess`."""
+"""A virtual board to measure on, in simulated time: see `servo_msgs_py.measurement.access.AttendedAccess`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.measurement.access import (
     RECORDER_BYTES,
     TRIGGER_TIMEOUT,
-    BoardAccess,
+    AttendedAccess,
     MeasurementError,
     Recording,
     element_of,
@@ -24,9 +24,11 @@ __all__ = ["VirtualBoardAccess"]
 _OUT_OF_RANGE: Final = 0x97  # FreeMASTER status of a value that the board does not take
 _FAST, _SLOW = 0, 1
 _LOOK: Final = 0.002  # between two looks for the trigger [s]
+_START_TIME: Final = 5.0  # that what is called to start a recording may take [s]
+_ATTEND: Final = 0.05  # between two calls of who attends a recording, as on a serial line [s]
 
 
-class VirtualBoardAccess(BoardAccess):
+class VirtualBoardAccess(AttendedAccess):
     """Access to a board of this process. Its host never falls silent.
 
     Parameters
@@ -75,30 +77,38 @@ class VirtualBoardAccess(BoardAccess):
         start: Callable[[], None] | None = None,
         *,
         trigger: str | None = None,
+        meanwhile: Callable[[bool], None] | None = None,
     ) -> Recording:
         elements = [element_of(self.catalogue, name) for name in names]
         sampled = list(elements)
         if trigger is not None and trigger not in names:
             sampled.append(element_of(self.catalogue, trigger))
         loop = step_of(1, slow)
-        wait = 0.0 if trigger is None else TRIGGER_TIMEOUT
+        wait = 0.0 if trigger is None else _START_TIME + TRIGGER_TIMEOUT
+        room = samples * every + round((wait + _LOOK) / loop) + 1
         try:
-            self.board.sample(_SLOW if slow else _FAST, sampled, samples * every + round((wait + _LOOK) / loop) + 1)
+            self.board.sample(_SLOW if slow else _FAST, sampled, room)
         except BoardError as error:
             raise MeasurementError(str(error)) from None
         try:
             if start is not None:
                 start()
+            if trigger is not None and len(self.board.sampled()) + samples * every > room:
+                raise MeasurementError(f"the start of the recording took longer than {_START_TIME:g} s")
             first = (
                 0
                 if trigger is None
                 else self._first_triggered(names.index(trigger) if trigger in names else len(elements))
             )
             while (missing := first + samples * every - len(self.board.sampled())) > 0:
-                self.board.run(missing * loop)
+                self.board.run(min(missing * loop, _ATTEND))
+                if meanwhile is not None:
+                    meanwhile(False)
             points = self.board.sampled()[first : first + samples * every : every]
         finally:
             self.board.end_sampling()
+        if meanwhile is not None:
+            meanwhile(True)
         fields = points.dtype.names or ()
         columns = {
             name: points[field].astype(np.float64) * variable.lsb

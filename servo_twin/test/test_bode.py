@@ -15,6 +15,7 @@ from servo_msgs_py.measurement.bode import LOOPS, Bode, Request, measure
 from servo_msgs_py.measurement.bode_report import as_dict, draw, text
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
+from servo_twin.experiments.pins import fit
 from servo_twin.level import Level
 from servo_twin.lockstep.blocks import blocks_of_file
 from servo_twin.plant import PlantConfig
@@ -129,6 +130,49 @@ def test_an_interruption_brings_the_shaft_to_rest() -> None:
         assert kept(access) == before
 
 
+def mode_of(access: VirtualBoardAccess, axis: int) -> str:
+    return access.catalogue.label("control_mode_t", int(access.read(f"axis{axis + 1}.mode")[0]))
+
+
+def set_mode(access: VirtualBoardAccess, axis: int, mode: str) -> None:
+    access.write("cmd.mode", [access.catalogue.enums["control_mode_t"][mode]], axis)
+
+
+def test_a_load_on_an_axis_in_mode_torque_does_not_fall(access: VirtualBoardAccess) -> None:
+    """Its set-point has expired: it holds its position, and would begin anew with no current."""
+    enable(access.board)
+    access.write("param.command_timeout", [0.5])
+    set_mode(access, 0, "TORQUE")
+    access.write("cmd.i_q", [0.0], 0)
+    access.wait(1.0)
+    access.board.set_load(0, 0.02)
+    access.wait(1.0)
+    said: list[str] = []
+    measure(access, Request(0, "speed", repeats=2), say=said.append)
+    start = access.board.truth(0).theta_m
+    access.wait(0.5)
+    assert access.board.truth(0).theta_m == pytest.approx(start, abs=0.05)
+    assert mode_of(access, 0) == "POSITION"
+    assert "axis1 holds its position in mode POSITION" in said[-1]
+
+
+def test_the_other_axis_is_stopped_as_before_when_its_set_points_end(access: VirtualBoardAccess) -> None:
+    """It has 0.5 s for the next one while the first axis is measured, too."""
+    enable(access.board)
+    access.write("param.command_timeout", [0.5])
+    set_mode(access, 1, "SPEED")
+    places: list[float] = []
+
+    def progress(_: str, done: int, __: int) -> None:
+        if done == 0:
+            access.write("cmd.speed", [20.0], 1)
+        places.append(access.board.truth(1).theta_m)
+
+    measure(access, Request(0, "speed", repeats=2), progress=progress)
+    assert 5.0 < places[1] - places[0] < 20.0 * 0.6
+    assert places[-1] == pytest.approx(places[1], abs=0.1)
+
+
 def test_what_the_limits_forbid_moves_nothing(access: VirtualBoardAccess) -> None:
     place = access.read("axis1.position")
     for request, why in (
@@ -140,6 +184,7 @@ def test_what_the_limits_forbid_moves_nothing(access: VirtualBoardAccess) -> Non
         (Request(0, "speed", speed=50.0, way_max=5.0), "give a lower speed"),
         (Request(0, "position", f_min=0.05), "give a higher lowest frequency"),
         (Request(0, "speed", f_min=300.0, f_max=200.0), "the band 300 .. 200 Hz"),
+        (Request(0, "position", amplitude=280.0, f_min=300.0, f_max=700.0), "cmd.test_amplitude: 0.53"),
     ):
         with pytest.raises(MeasurementError, match=why):
             measure(access, request, enable=True)
@@ -151,6 +196,62 @@ def test_what_the_limits_forbid_moves_nothing(access: VirtualBoardAccess) -> Non
         measure(access, Request(0, "speed"))
     assert access.read("axis1.position") == place
     assert access.read("cmd.enable") == [0.0, 0.0]
+
+
+def test_a_current_loop_of_an_axis_with_a_holding_brake_is_refused(access: VirtualBoardAccess) -> None:
+    fit(access.board, "brake")
+    with pytest.raises(MeasurementError, match="axis1 has a holding brake"):
+        measure(access, Request(0, "current"), enable=True)
+    assert access.read("cmd.enable") == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("loop", ["current", "current_d"])
+def test_a_voltage_at_its_limit_is_refused(access: VirtualBoardAccess, loop: str) -> None:
+    access.board.set_plant("axis1.r_s", 8.0)
+    with pytest.raises(MeasurementError, match="the voltage of axis1 reaches 1"):
+        measure(access, Request(0, loop, repeats=2), enable=True)
+    assert access.read("cmd.enable") == [0.0, 0.0]
+
+
+class SlowHost(VirtualBoardAccess):
+    """A host whose waits take longer than they should."""
+
+    factor = 1.0
+
+    def wait(self, seconds: float) -> None:
+        super().wait(self.factor * seconds)
+
+
+def test_a_shaft_that_does_not_keep_its_speed_is_refused(access: VirtualBoardAccess) -> None:
+    enable(access.board)
+    slow = SlowHost(access.board)
+    slow.factor = 4.0  # the trajectory ends before the sweep does
+    with pytest.raises(MeasurementError, match=r"axis1 turned at .* instead of 31"):
+        measure(slow, Request(0, "position", repeats=2))
+    access.write("param.command_timeout", [0.2])
+    slow.factor = 10.0
+    with pytest.raises(MeasurementError, match=r"axis1 is held back\. EXPIRED: "):
+        measure(slow, Request(0, "speed", repeats=2))
+    access.wait(0.2)
+    assert abs(access.read("axis1.speed")[0]) < 1.0
+
+
+def test_an_uncertainty_is_only_given_where_half_the_amplitude_confirms_it() -> None:
+    """At 0.10 A the steps of the M/T method hide a fifth of the crossover."""
+    with Board(level="registers", seed=3) as board:
+        board.run(0.1)
+        access = VirtualBoardAccess(board)
+        small = measure(access, Request(0, "speed", amplitude=0.10, speed=60.0), enable=True)
+        assert small.figures.crossover is not None
+        assert not small.confirmed
+        assert "+-" not in text(small)
+        assert "not confirmed" in text(small)
+        assert as_dict(small)["measured"]["crossover"]["sigma"] is None
+        assert not as_dict(small)["confirmed"]
+        larger = measure(access, Request(0, "speed", amplitude=0.5, speed=60.0), enable=True)
+        assert larger.confirmed
+        assert "+-" in text(larger)
+        refuse_difference(larger)
 
 
 def test_a_range_is_kept(access: VirtualBoardAccess) -> None:

@@ -20,6 +20,7 @@ from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 __all__ = [
     "RECORDER_BYTES",
     "TRIGGER_TIMEOUT",
+    "AttendedAccess",
     "BoardAccess",
     "MeasurementError",
     "Recording",
@@ -143,6 +144,31 @@ class BoardAccess(BlockMemory, Protocol):
         """
 
 
+class AttendedAccess(BoardAccess, Protocol):
+    """Access to a board on which something can be done while it records."""
+
+    def record(
+        self,
+        names: Sequence[str],
+        samples: int,
+        every: int,
+        slow: bool,
+        start: Callable[[], None] | None = None,
+        *,
+        trigger: str | None = None,
+        meanwhile: Callable[[bool], None] | None = None,
+    ) -> Recording:
+        """As `BoardAccess.record`.
+
+        Parameters
+        ----------
+        meanwhile : callable, optional
+            Called again and again, on a serial line some ten times a second, from before `start` until the samples
+            have been read. Its argument says whether the memory is full: then nothing depends on the axis any more,
+            while a serial line may take seconds to read the samples.
+        """
+
+
 def step_of(every: int, slow: bool) -> float:
     """Time between two samples of `BoardAccess.record` [s]."""
     return every * PERIOD_NS * (SLOW_PERIODS if slow else 1) * 1e-9
@@ -208,7 +234,7 @@ def refuse_faults(access: BoardAccess, axis: int) -> None:
 
 
 def recorded(
-    access: BoardAccess,
+    access: AttendedAccess,
     axis: int,
     names: Sequence[str],
     samples: int,
@@ -217,10 +243,11 @@ def recorded(
     start: Callable[[], None] | None = None,
     *,
     trigger: str | None = None,
+    meanwhile: Callable[[bool], None] | None = None,
 ) -> Recording:
-    """As `BoardAccess.record`; a fault of the axis meanwhile is the error."""
+    """As `AttendedAccess.record`; a fault of the axis meanwhile is the error."""
     try:
-        recording = access.record(names, samples, every, slow, start, trigger=trigger)
+        recording = access.record(names, samples, every, slow, start, trigger=trigger, meanwhile=meanwhile)
     except MeasurementError:
         refuse_faults(access, axis)
         raise

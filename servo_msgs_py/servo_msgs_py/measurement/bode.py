@@ -19,8 +19,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.measurement.access import (
+    AttendedAccess,
     BoardAccess,
     MeasurementError,
     Recording,
@@ -35,9 +37,11 @@ from servo_msgs_py.measurement.test_signal import (
     end_test_signal,
     full_scale,
     prepare_test_signal,
+    refuse_test_signal,
     start_test_signal,
 )
 from servo_msgs_py.timed_points import TimedPoint, encode_points
+from servo_msgs_py.tuning.configuration import Board as BoardValues
 from servo_msgs_py.units import PERIOD_NS
 
 __all__ = ["LOOPS", "Band", "Bode", "Loop", "Request", "Settings", "bands_of", "measure"]
@@ -58,15 +62,21 @@ _CHECKS: Final = 2  # recordings with half the amplitude
 _LINEAR, _LINEAR_DEGREES = 0.05, 3.0  # what they may change
 _RESOLUTIONS: Final = 20.0  # of the M/T method; below them its steps change the gain by percents
 _LIMIT_PART: Final = 0.98
+_VOLTAGE: Final = ("u_d", "u_q")
 _SETTLE: Final = 0.3  # at the constant speed [s]
-_START: Final = 0.7  # for the recorder to be armed and started [s]
-_TIME_MAX: Final = 30.0  # longest param.command_timeout [s]
+_LINE: Final = 0.5  # for the exchanges at a serial line by which a motion begins and ends [s]
+_TIME_MAX: Final = 30.0  # longest motion [s]
+_RENEW: Final = 0.05  # between two writes of a set-point [s]
+_SPEED_TOLERANCE: Final = 0.1  # of the constant speed
 _RAMP: Final = 0.3  # longest way to the constant speed in a trajectory [s]
 _REST_TIME: Final = 5.0
 _STILL_LOOKS: Final = 10
 _SEARCH_TIME: Final = 8.0
 _LOOK: Final = 0.02
 _REST_SPEED: Final = 1.0  # [rad/s]
+_TICKS_TIME: Final = (1 << 32) * PERIOD_NS * 1e-9  # after which the time of the board begins anew [s]
+_OTHER_MOTION: Final = ("EXPIRED", "STARVED", "POSITION", "NOT_HOMED", "INPUT")
+"""Limits in which a shaft does not turn as it is asked to."""
 
 
 @dataclass(frozen=True)
@@ -155,6 +165,8 @@ class Settings:
     ----------
     swing : float
         Speed by which the test signal moves the shaft at most, as predicted [rad/s].
+    deceleration : float
+        By which the shaft comes to rest afterwards [rad/s^2].
     others
         As those of `Request`, without gaps.
     """
@@ -168,6 +180,7 @@ class Settings:
     way_max: float
     repeats: int
     swing: float = 0.0
+    deceleration: float = math.inf
 
     @property
     def names(self) -> list[str]:
@@ -235,6 +248,12 @@ class Bode:
     prediction: Prediction
     notes: tuple[str, ...]
 
+    @property
+    def confirmed(self) -> bool:
+        """Whether the data determine the crossover, and half the amplitude does not contradict."""
+        crossover = self.figures.crossover
+        return crossover is not None and math.isfinite(crossover.sigma)
+
 
 # ---- what to measure -------------------------------------------------------------------------------------------------
 
@@ -278,11 +297,22 @@ def _completed(access: BoardAccess, request: Request) -> tuple[Settings, Predict
     f_max = min(f_max, _NYQUIST_PART * prediction.nyquist)
     way_max = min(request.way_max, _room(access, axis))
     speed = 0.0 if request.speed is None else request.speed
-    settings = Settings(axis, loop, request.amplitude or 0.0, f_min, f_max, speed, way_max, request.repeats)
+    deceleration = access.read("param.acceleration_limit")[axis]
+    settings = Settings(
+        axis,
+        loop,
+        request.amplitude or 0.0,
+        f_min,
+        f_max,
+        speed,
+        way_max,
+        request.repeats,
+        deceleration=deceleration,
+    )
     bands = bands_of(f_min, f_max, access.capacity(settings.names), loop.slow)
     if request.speed is None and loop.slow:
         wanted = _SPEED_PART[loop.name] * access.read("param.speed_limit")[axis]
-        speed = min(wanted, 0.8 * way_max / max(map(_time_of, bands)))
+        speed = min(wanted, _speed_within(0.8 * way_max, max(map(_time_of, bands)), deceleration))
         settings, prediction = replace(settings, speed=speed), replace(prediction, speed=speed)
     if request.amplitude is None:
         settings = replace(settings, amplitude=_default_amplitude(access, settings, prediction))
@@ -299,6 +329,14 @@ def _default_amplitude(access: BoardAccess, settings: Settings, prediction: Pred
     speed_gain, current_gain = prediction.excursion(settings.f_min, settings.f_max)
     room = _EXCURSION * abs(settings.speed) if settings.speed else _DEFAULT_EXCURSION
     return min(room / speed_gain, _SLOW_PART * current / current_gain)
+
+
+def _speed_within(way: float, seconds: float, deceleration: float) -> float:
+    """Speed at which a shaft turns for a time and comes to rest within a way [rad/s]."""
+    if math.isinf(way):
+        return math.inf
+    turning = deceleration * seconds
+    return math.sqrt(turning**2 + 2.0 * deceleration * way) - turning
 
 
 def _room(access: BoardAccess, axis: int) -> float:
@@ -319,8 +357,8 @@ def _refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Ba
     longest = max(map(_time_of, bands))
     if longest > _TIME_MAX:
         raise MeasurementError(
-            f"from {settings.f_min:.3g} Hz on a recording would take {longest:.3g} s, more than the {_TIME_MAX:g} s "
-            "that a set-point can hold; give a higher lowest frequency"
+            f"from {settings.f_min:.3g} Hz on a recording would take {longest:.3g} s, more than {_TIME_MAX:g} s; "
+            "give a higher lowest frequency"
         )
     speed_limit = access.read("param.speed_limit")[settings.axis]
     current_limit = access.read("param.i_q_limit")[settings.axis]
@@ -340,6 +378,10 @@ def _refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Ba
         )
     if settings.speed and not loop.slow:
         raise MeasurementError("a current loop is measured without a speed; leave it away")
+    for band in bands:
+        refuse_test_signal(access, _signal(settings, band, settings.amplitude))
+    if not loop.slow:
+        _refuse_brake(access, settings.axis)
     way = max(_way(settings, band) for band in bands)
     if way > settings.way_max:
         raise MeasurementError(
@@ -348,16 +390,37 @@ def _refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Ba
         )
 
 
+def _refuse_brake(access: BoardAccess, axis: int) -> None:
+    """Mode TEST looks for no rotor: behind a holding brake there may be a load that its current does not hold."""
+    brake = next(flag.mask for flag in access.catalogue.flags["inputs"] if flag.name == "BRAKE_OPEN")
+    if read_block(access, axis)["pins.fitted"] & brake:
+        raise MeasurementError(
+            f"{axis_name(axis)} has a holding brake (pins.fitted), and mode TEST, in which a current loop is measured, "
+            "does not hold a load; take the load off and the brake out of the configuration"
+        )
+
+
+def _signal(settings: Settings, band: Band, amplitude: float) -> SweptSine:
+    """Test signal of a band."""
+    return SweptSine(settings.loop.point, amplitude, band.f_min, band.f_max, band.sweep_seconds)
+
+
 def _way(settings: Settings, band: Band) -> float:
     """How far the shaft turns in one recording at most [rad]."""
     if not settings.loop.slow:
         return math.pi  # the rotor goes to where the current vector points
+    stop = (abs(settings.speed) + settings.swing) ** 2 / (2.0 * settings.deceleration)
+    return _way_turning(settings, band) + stop
+
+
+def _way_turning(settings: Settings, band: Band) -> float:
+    """The same until the shaft is stopped [rad]."""
     return abs(settings.speed) * _time_of(band) + settings.swing / (2.0 * math.pi * band.f_min)
 
 
 def _time_of(band: Band) -> float:
-    """For which the shaft turns in one recording, which a trigger may only end when the memory was full [s]."""
-    return _SETTLE + _START + 2.0 * band.seconds
+    """For which the shaft turns in one recording [s]."""
+    return _SETTLE + _LINE + band.seconds
 
 
 # ---- motion ----------------------------------------------------------------------------------------------------------
@@ -366,9 +429,9 @@ def _time_of(band: Band) -> float:
 class _Axis:
     """The axis under test: motions in which it is measured, and the way back from them."""
 
-    def __init__(self, access: BoardAccess, axis: int) -> None:
+    def __init__(self, access: AttendedAccess, axis: int) -> None:
         self.access, self.axis, self.name = access, axis, axis_name(axis)
-        self._modes = access.catalogue.enums["control_mode_t"]
+        self.modes = access.catalogue.enums["control_mode_t"]
 
     def value(self, variable: str) -> float:
         return self.access.read(f"{self.name}.{variable}")[0]
@@ -392,7 +455,7 @@ class _Axis:
         self.access.write(variable, [value], self.axis)
 
     def mode(self, mode: str) -> None:
-        self.write("cmd.mode", self._modes[mode])
+        self.write("cmd.mode", self.modes[mode])
 
     def until(self, condition: Callable[[], bool], seconds: float, what: str) -> None:
         """Wait for a condition; a `MeasurementError` if it does not come."""
@@ -420,18 +483,34 @@ class _Axis:
         """Wait until a rotor that is held by a current swings no more; `again` is called to keep the current up."""
         count = self.access.catalogue[f"{self.name}.position"].lsb
         for _ in range(math.ceil(_REST_TIME / (_STILL_LOOKS * _LOOK))):
-            again()
             places = []
             for _ in range(_STILL_LOOKS):
+                again()
                 self.access.wait(_LOOK)
                 places.append(self.value("position"))
             if max(places) - min(places) < 1.5 * count:
                 return
         raise MeasurementError(f"{self.name} still swings after {_REST_TIME:g} s; keep the shaft from being driven")
 
-    def expire(self, seconds: float) -> None:
-        """Let the board end set-points of speed and current that are not written again within this time [s]."""
-        self.access.write("param.command_timeout", [seconds])
+    def settle(self, again: Callable[[], None]) -> None:
+        """Let the shaft reach its constant speed; `again` is called to keep the set-point up."""
+        for _ in range(math.ceil(_SETTLE / _RENEW)):
+            again()
+            self.access.wait(_RENEW)
+            self.refuse_limits()
+
+    def place(self) -> tuple[float, float]:
+        """Position and board time [rad, s]."""
+        return self.value("position"), self.access.read("tick")[0] * PERIOD_NS * 1e-9
+
+    def refuse_limits(self) -> None:
+        """Refuse limits in which the axis does something else than it is asked for."""
+        word = int(self.value("limits"))
+        for flag in self.access.catalogue.active("limits", word):
+            if flag.name in _OTHER_MOTION:
+                raise MeasurementError(
+                    f"{self.name} is held back. {flag.name}: {flag.cause}. {flag.remedy}".rstrip(". ")
+                )
 
     def travel(self, speed: float, seconds: float) -> None:
         """Turn at a constant speed under position control for a time [s], then hold."""
@@ -455,11 +534,15 @@ class _Axis:
 
 
 @contextmanager
-def _prepared(access: BoardAccess, settings: Settings, enable: bool) -> Iterator[_Axis]:
-    """The axis in SPIN and at rest, or in TEST; afterwards at rest, in mode, state and with parameters from before."""
+def _prepared(access: AttendedAccess, settings: Settings, enable: bool, say: Callable[[str], None]) -> Iterator[_Axis]:
+    """The axis in SPIN and at rest, or in TEST; afterwards at rest, in mode and state from before.
+
+    An axis in mode TORQUE holds its position after its set-point has expired. It is left in mode POSITION: mode TORQUE
+    would begin anew with no current, and a load would fall.
+    """
     it, tested = _Axis(access, settings.axis), not settings.loop.slow
     refuse_faults(access, settings.axis)
-    mode, timeout = it.value("mode"), access.read("param.command_timeout")
+    mode = it.value("mode")
     spun = it.spins
     if spun and tested:
         raise MeasurementError(f"{it.name} is enabled; a current loop is measured in mode TEST: disable the axis first")
@@ -486,8 +569,10 @@ def _prepared(access: BoardAccess, settings: Settings, enable: bool) -> Iterator
                 it.write("cmd.i_q", 0.0)
                 it.write("cmd.enable", 0.0)
                 it.until(lambda: it.substate != "TEST" and not it.spins, _REST_TIME, "has not switched off")
-            it.write("cmd.mode", mode)
-            access.write("param.command_timeout", timeout)
+            if mode == it.modes["TORQUE"] and it.spins:
+                say(f"{it.name} holds its position in mode POSITION; it was in mode TORQUE, without a set-point")
+            else:
+                it.write("cmd.mode", mode)
             access.wait(_LOOK)  # until all of it is in force
 
 
@@ -495,7 +580,7 @@ def _prepared(access: BoardAccess, settings: Settings, enable: bool) -> Iterator
 
 
 def measure(
-    access: BoardAccess,
+    access: AttendedAccess,
     request: Request,
     *,
     enable: bool = False,
@@ -528,15 +613,20 @@ def measure(
     _refuse_settings(access, settings, bands)
     say(_motion_text(settings, bands))
     total = len(bands) * settings.repeats + _CHECKS
-    with _prepared(access, settings, enable) as axis:
+    with _prepared(access, settings, enable, say) as axis:
+        home = axis.value("position")
 
         def swept(band: Band, amplitude: float, repeats: int, done: int) -> Response:
-            signal = SweptSine(settings.loop.point, amplitude, band.f_min, band.f_max, band.sweep_seconds)
-            prepare_test_signal(access, settings.axis, signal)
+            prepare_test_signal(access, settings.axis, _signal(settings, band, amplitude))
             taken = []
+            if not settings.loop.slow:
+                progress("voltage", done, total)
+                recording = _recorded(axis, settings, band, 0.0, _VOLTAGE)
+                _refuse_voltage(access, settings.axis, prediction.it.board, recording)
             for repeat in range(repeats):
                 progress(f"{band.f_min:.3g} .. {band.f_max:.3g} Hz", done + repeat, total)
-                speed = -settings.speed if repeat % 2 else settings.speed
+                # Back to where it was: the ways of the recordings do not add up.
+                speed = -settings.speed if axis.value("position") > home else settings.speed
                 taken.append(_recorded(axis, settings, band, speed))
             return _estimated(access, settings, band, taken)
 
@@ -555,28 +645,43 @@ def measure(
 
 
 def _compared(found: Figures, half: Figures) -> tuple[Figures, list[str]]:
-    """Figures whose uncertainty holds what half the amplitude changes.
+    """Figures whose uncertainty holds what half the amplitude changes; without one where that is too much.
 
     Steps of a sensor and friction change the figures the more the smaller the test signal is: what half of it changes
-    is about what is still wrong with the whole.
+    is about what is still wrong with the whole, as long as it is little.
     """
-    if None in (found.crossover, found.phase_margin, half.crossover, half.phase_margin):
-        return found, ["half the amplitude determines nothing: this one is hardly enough; give a larger amplitude"]
-    assert found.crossover is not None
-    assert found.phase_margin is not None
+    pairs = ((found.crossover, half.crossover), (found.phase_margin, half.phase_margin))
+    compared = [_with_difference(one, other) for one, other in pairs if one is not None and other is not None]
+    if len(compared) < len(pairs):
+        return _unconfirmed(found), ["half the amplitude determines nothing: give a larger amplitude"]
+    crossover, margin = compared
     assert half.crossover is not None
     assert half.phase_margin is not None
-    crossover, margin = (
-        Measured(one.value, max(one.sigma, 0.5 * abs(other.value - one.value)))
-        for one, other in ((found.crossover, half.crossover), (found.phase_margin, half.phase_margin))
-    )
-    notes = []
     if 2.0 * crossover.sigma > _LINEAR * crossover.value or 2.0 * margin.sigma > _LINEAR_DEGREES:
-        notes.append(
+        note = (
             f"half the amplitude gives a crossover of {half.crossover.value:.4g} Hz and a phase margin of "
             f"{half.phase_margin.value:.4g} degrees: friction or the steps of a sensor matter; give a larger amplitude"
         )
-    return replace(found, crossover=crossover, phase_margin=margin), notes
+        return _unconfirmed(found), [note]
+    return replace(found, crossover=crossover, phase_margin=margin), []
+
+
+def _with_difference(one: Measured, other: Measured) -> Measured:
+    return Measured(one.value, max(one.sigma, 0.5 * abs(other.value - one.value)))
+
+
+def _unconfirmed(found: Figures) -> Figures:
+    """The same values, with an uncertainty that nobody knows."""
+
+    def unknown(figure: Measured | None) -> Measured | None:
+        return None if figure is None else Measured(figure.value, math.inf)
+
+    return replace(
+        found,
+        crossover=unknown(found.crossover),
+        phase_margin=unknown(found.phase_margin),
+        gain_margin=unknown(found.gain_margin),
+    )
 
 
 def _motion_text(settings: Settings, bands: Sequence[Band]) -> str:
@@ -606,38 +711,82 @@ def _notes(settings: Settings, prediction: Prediction) -> list[str]:
     return []
 
 
-def _recorded(axis: _Axis, settings: Settings, band: Band, speed: float) -> Recording:
-    """One recording of one sweep, in motion or at rest."""
-    access, loop, again = axis.access, settings.loop, None
-    axis.expire(_time_of(band))
-    if not loop.slow:
-        again = ("cmd.i_q", _BASE_PART * access.read("param.i_q_limit")[axis.axis])
-    elif loop.name == "speed":
-        axis.mode("SPEED")
-        again = ("cmd.speed", speed)
-    elif speed:
-        axis.travel(speed, _time_of(band))
-    else:
-        axis.hold()
+def _recorded(
+    axis: _Axis, settings: Settings, band: Band, speed: float, columns: Sequence[str] | None = None
+) -> Recording:
+    """One recording of one sweep, in motion or at rest; the shaft turns until the memory of the recorder is full.
 
-    def set_point() -> None:
-        if again is not None:
-            axis.write(*again)
+    Parameters
+    ----------
+    columns : sequence of str, optional
+        Variables of the axis instead of those of the loop.
+    """
+    access, loop = axis.access, settings.loop
+    set_point = ("cmd.speed", speed)
+    if not loop.slow:
+        set_point = ("cmd.i_q", _BASE_PART * access.read("param.i_q_limit")[axis.axis])
+    renewed = not loop.slow
+    begun: tuple[float, float] | None = None
+
+    def renew() -> None:
+        if renewed:
+            axis.write(*set_point)
 
     def start() -> None:
-        set_point()  # its time begins anew
+        nonlocal renewed, begun
+        if loop.name == "speed":
+            axis.mode("SPEED")
+            renewed = True
+            axis.settle(renew)
+        elif speed:
+            axis.travel(speed, _time_of(band))
+            axis.settle(renew)
+        begun = axis.place()
+        renew()
         start_test_signal(access, axis.axis, loop.point)
 
-    set_point()
-    if loop.slow:
-        access.wait(_SETTLE)
-    else:
-        axis.stand_still(set_point)
-    trigger = f"{axis.name}.test_point"
-    recording = recorded(access, axis.axis, settings.names, band.samples, band.every, loop.slow, start, trigger=trigger)
+    def meanwhile(full: bool) -> None:
+        nonlocal renewed, begun
+        if begun is not None:
+            axis.refuse_limits()
+        renew()
+        if not loop.slow or begun is None:
+            return
+        here = axis.place()
+        if full:
+            renewed = False
+            _refuse_motion(axis.name, begun, here, speed)
+            begun = None
+            axis.hold()
+        elif abs(here[0] - begun[0]) > _way_turning(settings, band):
+            raise MeasurementError(f"{axis.name} has turned farther than it should while it was recorded")
+
     if loop.slow:
         axis.hold()
-    return recording
+    else:
+        axis.stand_still(renew)
+    names = settings.names if columns is None else [f"{axis.name}.{column}" for column in columns]
+    return recorded(
+        access,
+        axis.axis,
+        names,
+        band.samples,
+        band.every,
+        loop.slow,
+        start,
+        trigger=f"{axis.name}.test_point",
+        meanwhile=meanwhile,
+    )
+
+
+def _refuse_motion(name: str, begun: tuple[float, float], ended: tuple[float, float], speed: float) -> None:
+    """Refuse a recording in which the shaft has not turned as it should; places from `_Axis.place`."""
+    turned = (ended[0] - begun[0]) / ((ended[1] - begun[1]) % _TICKS_TIME)
+    if speed and abs(turned - speed) > _SPEED_TOLERANCE * abs(speed) + _REST_SPEED:
+        raise MeasurementError(
+            f"{name} turned at {turned:.3g} rad/s instead of {speed:.3g} rad/s while it was recorded; give a speed "
+            "that it keeps under its load, or a higher lowest frequency"
+        )
 
 
 def _estimated(access: BoardAccess, settings: Settings, band: Band, taken: Sequence[Recording]) -> Response:
@@ -648,6 +797,21 @@ def _estimated(access: BoardAccess, settings: Settings, band: Band, taken: Seque
     instrument, error, output = (np.array(rows) for rows in zip(*signals, strict=True))
     _refuse_saturation(access, settings, error)
     return estimate(band.step, instrument, error, output, band.f_min, band.f_max)
+
+
+def _refuse_voltage(access: BoardAccess, axis: int, board: BoardValues, recording: Recording) -> None:
+    """A voltage at its limit makes another loop of a current loop."""
+    d, q = (recording.columns[f"{axis_name(axis)}.{column}"] for column in _VOLTAGE)
+    word = int(access.read("param.features")[axis])
+    limit = board.voltage_max
+    if any(flag.name == "BUS_COMPENSATION" for flag in access.catalogue.active("features", word)):
+        limit *= access.read("u_dc")[0] / board("nominal_voltage")
+    most = float(np.hypot(d, q).max())
+    if most >= _LIMIT_PART * limit:
+        raise MeasurementError(
+            f"the voltage of {axis_name(axis)} reaches {most:.3g} V with the test signal, the bus gives {limit:.3g} V; "
+            "give a smaller amplitude, lower param.i_q_limit, or look at the supply"
+        )
 
 
 def _refuse_saturation(access: BoardAccess, settings: Settings, error: NDArray[np.float64]) -> None:

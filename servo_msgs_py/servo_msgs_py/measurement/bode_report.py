@@ -86,7 +86,7 @@ def _lines(bode: Bode) -> Iterator[str]:
     for name, unit, measured, predicted in _comparison(bode):
         found = "not determined"
         if measured is not None:
-            found = f"{measured.value:.4g} +- {_CONFIDENCE * measured.sigma:.2g} {unit}"
+            found = f"{measured.value:.4g}{_uncertainty(measured)} {unit}"
         expected = "none" if predicted is None else f"{predicted:.4g} {unit}"
         difference = _difference(unit, measured, predicted)
         yield f"  {name:13} {found.rstrip():26}  predicted {expected.rstrip():15}{difference}".rstrip()
@@ -94,9 +94,16 @@ def _lines(bode: Bode) -> Iterator[str]:
         kind = "resonance" if resonance.height > 0.0 else "antiresonance"
         yield f"  {kind:13} {resonance.frequency:.4g} Hz, {resonance.height:+.1f} dB"
     good = int(bode.response.good.sum())
-    yield f"  {good} of {bode.response.good.size} points have a sufficient coherence; +- is for 95 %"
+    points = f"{good} of {bode.response.good.size} points have a sufficient coherence"
+    yield f"  {points}; +- is for 95 %" if bode.confirmed else f"  {points}"
+    if bode.figures.crossover is not None and not bode.confirmed:
+        yield "  not confirmed: the figures depend on the amplitude, their uncertainty is not known"
     yield from (f"  not determined: {why}" for why in bode.figures.undetermined)
     yield from (f"  note: {note}" for note in bode.notes)
+
+
+def _uncertainty(measured: Measured) -> str:
+    return f" +- {_CONFIDENCE * measured.sigma:.2g}" if np.isfinite(measured.sigma) else ""
 
 
 def _difference(unit: str, measured: Measured | None, predicted: float | None) -> str:
@@ -124,14 +131,17 @@ def as_dict(bode: Bode) -> dict[str, Any]:
             "gain margin": predicted.gain,
         },
         "resonances": [{"frequency": r.frequency, "height": r.height} for r in bode.figures.resonances],
+        "confirmed": bode.confirmed,
         "not determined": list(bode.figures.undetermined),
         "notes": list(bode.notes),
         "points": [dict(zip(COLUMNS, _finite(row), strict=True)) for row in rows(bode).tolist()],
     }
 
 
-def _plain(measured: Measured | None) -> dict[str, float] | None:
-    return None if measured is None else {"value": measured.value, "sigma": measured.sigma}
+def _plain(measured: Measured | None) -> dict[str, float | None] | None:
+    if measured is None:
+        return None
+    return {"value": measured.value, "sigma": measured.sigma if np.isfinite(measured.sigma) else None}
 
 
 def _finite(row: list[float]) -> list[float | None]:

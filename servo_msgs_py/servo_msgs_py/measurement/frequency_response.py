@@ -89,7 +89,7 @@ class Measured:
     Attributes
     ----------
     value, sigma : float
-        With its standard deviation.
+        With its standard deviation; infinite where that is not known.
     """
 
     value: float

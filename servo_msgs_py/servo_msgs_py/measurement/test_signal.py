@@ -6,9 +6,17 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from servo_msgs_py.measurement.access import BoardAccess, step_of
+from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, step_of
 
-__all__ = ["FAST_POINTS", "SweptSine", "end_test_signal", "full_scale", "prepare_test_signal", "start_test_signal"]
+__all__ = [
+    "FAST_POINTS",
+    "SweptSine",
+    "end_test_signal",
+    "full_scale",
+    "prepare_test_signal",
+    "refuse_test_signal",
+    "start_test_signal",
+]
 
 FAST_POINTS: Final = ("I_D", "I_Q")
 """Points of the fast loop, which call once per PWM period; the others call once per slow tick."""
@@ -79,18 +87,38 @@ def full_scale(access: BoardAccess, point: str) -> float:
     return scale
 
 
+def _numbers(access: BoardAccess, signal: SweptSine) -> dict[str, float]:
+    """What is written for a test signal, by variable."""
+    return {
+        "cmd.test_amplitude": signal.amplitude / full_scale(access, signal.point),
+        "cmd.test_step": signal.step,
+        "cmd.test_growth": signal.growth,
+        "cmd.test_calls": signal.calls,
+    }
+
+
+def refuse_test_signal(access: BoardAccess, signal: SweptSine) -> None:
+    """Raise a `MeasurementError` if the board cannot make a test signal; names the number that it cannot."""
+    for name, value in _numbers(access, signal).items():
+        try:
+            access.catalogue[name].to_raw(value)
+        except ValueError as error:
+            text = f"{signal.amplitude:.3g}, {signal.f_min:.3g} .. {signal.f_max:.3g} Hz in {signal.seconds:.3g} s"
+            raise MeasurementError(
+                f"the board cannot make the test signal ({text}): {error}; give another amplitude or band"
+            ) from None
+
+
 def prepare_test_signal(access: BoardAccess, axis: int, signal: SweptSine) -> None:
     """Write a test signal without starting it.
 
     Raises
     ------
     ValueError
-        If the board cannot make it; names the number that it cannot.
+        If the board cannot make it; names the number that it cannot. See `refuse_test_signal`.
     """
-    access.write("cmd.test_amplitude", [signal.amplitude / full_scale(access, signal.point)], axis)
-    access.write("cmd.test_step", [signal.step], axis)
-    access.write("cmd.test_growth", [signal.growth], axis)
-    access.write("cmd.test_calls", [signal.calls], axis)
+    for name, value in _numbers(access, signal).items():
+        access.write(name, [value], axis)
 
 
 def start_test_signal(access: BoardAccess, axis: int, point: str) -> None:
