@@ -25,7 +25,7 @@ def interruptible_access(session: Session) -> Iterator[SessionAccess]:
     Raises
     ------
     KeyboardInterrupt
-        From a wait, or at the end of the block if none came after it.
+        From a wait.
     """
     presses = raised = 0
 
@@ -43,4 +43,3 @@ def interruptible_access(session: Session) -> Iterator[SessionAccess]:
 
     with interrupts(press), measurement_access(session, check) as access:
         yield access
-        check()

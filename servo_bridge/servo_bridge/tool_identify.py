@@ -100,7 +100,7 @@ def _measured(context: Context, limits: Limits) -> tuple[MeasurementLog, str, bo
             problem += f"; {test.restoring_text}"
         test.log.notes["problem"] = problem
         with contextlib.suppress(FreemasterError):
-            test.log.notes["seconds"] = (access.read("tick")[0] - begin) * PERIOD_NS * 1e-9
+            test.log.notes["seconds"] = ((access.read("tick")[0] - begin) % 2**32) * PERIOD_NS * 1e-9
     return test.log, problem, interrupted
 
 

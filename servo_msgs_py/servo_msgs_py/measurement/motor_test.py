@@ -239,7 +239,8 @@ class MotorTest:
             self._over_speed = value("param.over_speed")
             speed = min(speed, self._over_speed / SPEED_RATIO)
         here, room = self._position(), 2.0 * math.pi * self.limits.turns
-        self._low, self._high = here - room, here + room
+        self._low = max(here - room, catalogue["param.position_min"].minimum)
+        self._high = min(here + room, catalogue["param.position_max"].maximum)
         if features & flags["POSITION_LIMITS"]:
             self._low = max(self._low, value("param.position_min"))
             self._high = min(self._high, value("param.position_max"))
@@ -290,8 +291,7 @@ class MotorTest:
         # with less current along the flux: does the iron saturate?
         self._write("cmd.i_q", VECTOR_LOW * current)
         self.access.wait(0.1)
-        for _ in range(SWEEPS):
-            self._sweep("sweep_d_low", "d", SWEEP_LOW * current)
+        self._sweep("sweep_d_low", "d", SWEEP_LOW * current)
         self.log.notes["bias"] = {"l_d": VECTOR * current, "l_d_low": VECTOR_LOW * current}
 
     def _first_inductance(self, r: float) -> None:
