@@ -68,6 +68,7 @@ _LINE: Final = 0.5  # for the exchanges at a serial line by which a motion begin
 _TIME_MAX: Final = 30.0  # longest motion [s]
 _RENEW: Final = 0.05  # between two writes of a set-point [s]
 _SPEED_TOLERANCE: Final = 0.1  # of the constant speed
+_AHEAD: Final = 0.25  # of their time, that points are sent, on a slow line too [s]
 _RAMP: Final = 0.3  # longest way to the constant speed in a trajectory [s]
 _REST_TIME: Final = 5.0
 _STILL_LOOKS: Final = 10
@@ -518,7 +519,7 @@ class _Axis:
         ramp = max(0.01, min(1.5 * abs(speed) / acceleration, _RAMP))
         place = self.value("position_ref")
         tick = int(self.access.read("tick")[0])
-        path = ((0.1, 0.0, 0.0), (ramp, 0.5 * ramp * speed, speed), (seconds, seconds * speed, speed))
+        path = ((_AHEAD, 0.0, 0.0), (ramp, 0.5 * ramp * speed, speed), (seconds, seconds * speed, speed))
         points = []
         for duration, way, velocity in (*path, (ramp, 0.5 * ramp * speed, 0.0)):
             tick += round(duration * 1e9 / PERIOD_NS)
@@ -530,7 +531,7 @@ class _Axis:
             self.access.wait(_LOOK)
             reason = self.access.catalogue.label("point_refusal_t", int(self.access.read("point_refusal")[0]))
             raise MeasurementError(f"{self.name} refuses to turn at {speed:g} rad/s: {reason}; give a lower speed")
-        self.access.wait(0.1 + ramp)
+        self.access.wait(_AHEAD + ramp)
 
 
 @contextmanager
