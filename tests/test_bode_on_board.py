@@ -167,7 +167,7 @@ def test_a_board_on_a_pty_is_measured(tmp_path: Path) -> None:
     try:
         chain.board(level="ideal")
         wait_for(lambda: (tmp_path / "board").exists(), 20.0, chain.logs)
-        found = json.loads(chain.tool("bode", "axis2", "speed", "--enable", "--repeat", "2", "--json"))
+        found = json.loads(chain.tool("bode", "axis2", "speed", "--enable", "--repeat", "2", "--json", timeout=60.0))
         assert found["measured"]["crossover"]["value"] == pytest.approx(found["predicted"]["crossover"], rel=0.05)
         assert found["measured"]["phase margin"]["value"] == pytest.approx(found["predicted"]["phase margin"], abs=3.0)
     finally:
