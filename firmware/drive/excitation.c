@@ -1,6 +1,7 @@
 #include "drive/excitation.h"
 
 #include "drive/current_drive.h"
+#include "drive/inputs.h"
 
 static bool fast(uint16_t point) { return point == TEST_POINT_I_D || point == TEST_POINT_I_Q; }
 
@@ -10,12 +11,28 @@ static bool homing(const axis_t *axis)
     return axis->motion.motion == MOTION_HOME || axis->motion.motion == MOTION_PRESS;
 }
 
+/* The axis comes to rest by itself. */
+static bool stopping(const axis_t *axis)
+{
+    return axis->motion.motion == MOTION_STOP || axis->motion.starved || homing(axis);
+}
+
 static bool possible(const axis_t *axis, uint16_t point)
 {
-    if (axis->sm.state != STATE_RUN || !axis->requested || axis->command.quick_stop) {
+    const bool wanted = axis->requested && !axis->command.quick_stop && !axis->motion.expired;
+    if (axis->sm.state != STATE_RUN || !wanted || (axis->inputs & INPUT_LIMITS) != 0U) {
         return false;
     }
-    return (axis->substate == SUBSTATE_SPIN) ? !homing(axis) : (axis->substate == SUBSTATE_TEST && fast(point));
+    return (axis->substate == SUBSTATE_SPIN) ? !stopping(axis) : (axis->substate == SUBSTATE_TEST && fast(point));
+}
+
+/* Set-point and signal together are no longer vector than the limit of i_q: set-points change once per slow tick. */
+static frac16_t room(const axis_t *axis)
+{
+    const frac16_t max = axis->current_max.q;
+    const frac16_t other =
+        f16_limit((axis->excitation.point == TEST_POINT_I_D) ? axis->current_ref.q : axis->current_ref.d, max);
+    return f16_sqrt(f32_mul16(max, max) - f32_mul16(other, other));
 }
 
 static void end(axis_t *axis)
@@ -47,6 +64,7 @@ void excitation_step(axis_t *axis)
         end(axis);
         return;
     }
+    excitation->limit = room(axis);
     if (fast(excitation->point)) {
         axis->fast = LOOP_EXCITED;
         return;
@@ -63,10 +81,9 @@ void excitation_drive(axis_t *axis, frac16_t theta_e)
 {
     excitation_t *excitation = &axis->excitation;
     const dq_t set_point = axis->current_ref;
-    const frac16_t limit = axis->current_max.vector;
     frac16_t *excited = (excitation->point == TEST_POINT_I_D) ? &axis->current_ref.d : &axis->current_ref.q;
     excitation->value = swept_sine_step(&excitation->sine);
-    *excited = f16_limit((int32_t)*excited + excitation->value, limit);
+    *excited = f16_limit((int32_t)*excited + excitation->value, excitation->limit);
     if (axis->estimate.runs) {
         drive_observed(axis, theta_e);
     } else {

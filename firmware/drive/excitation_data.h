@@ -9,6 +9,7 @@ typedef struct {
     uint16_t point; /* test_point_t that the signal is added to; NONE: there is no signal */
     swept_sine_t sine;
     frac16_t value; /* of this call, of the full scale of the point */
+    frac16_t limit; /* of the current that the signal is on */
 } excitation_t;
 
 #endif

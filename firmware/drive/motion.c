@@ -126,12 +126,12 @@ static void expire(motion_state_t *m)
     m->i_q_target = 0;
 }
 
-void motion_expire(axis_t *axis)
+void motion_expire_speed(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
     if (expired(axis)) {
-        m->expired = m->expired || m->i_q_target != 0;
-        expire(m);
+        m->expired = m->expired || m->speed_target != 0 || m->i_q_target != 0;
+        m->speed_target = 0;
     }
     if (m->expired) {
         axis_report(axis, LIMIT_EXPIRED);
@@ -512,6 +512,13 @@ static void follow_gain(axis_t *axis)
     }
 }
 
+/* With a test signal on it; limits hold for the sum. */
+static frac32_t excited_speed(axis_t *axis)
+{
+    const frac32_t speed = f32_add(axis->motion.speed_ref, axis->motion.speed_excitation);
+    return confined_speed(axis, limited_speed(axis, speed));
+}
+
 void motion_step(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
@@ -538,7 +545,9 @@ void motion_step(axis_t *axis)
             end_stop(axis);
         }
     }
-    m->speed_ref = f32_add(m->speed_ref, m->speed_excitation);
+    if (m->speed_excitation != 0) {
+        m->speed_ref = excited_speed(axis);
+    }
     axis->current_ref.q = speed_control(axis);
 }
 

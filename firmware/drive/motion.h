@@ -13,8 +13,8 @@ void motion_start_turning(axis_t *axis, frac16_t i_q);
 /* Sensorless, every slow tick outside SPIN: take a speed set-point, flag what cannot be done. */
 void motion_accept_speed(axis_t *axis);
 
-/* The set-points of mode TEST: zero where they are too old. */
-void motion_expire(axis_t *axis);
+/* Mode TEST: a speed set-point that is too old is zero. */
+void motion_expire_speed(axis_t *axis);
 
 /* Sensorless: the speed set-point, within its limits; 0 while nothing is to turn, or slower than the observer sees. */
 frac32_t motion_wanted_speed(const axis_t *axis);

@@ -213,10 +213,11 @@ static void ready_slow(axis_t *axis)
     if (!axis->requested) {
         return;
     }
-    if (test_mode_wanted(axis)) {
-        holding_brake_ask(axis, true);
-        if (holding_brake_open(axis)) {
+    if (axis->command.mode == CONTROL_MODE_TEST && !axis->sensorless) {
+        if (test_mode_wanted(axis)) {
             ready_test(axis);
+        } else {
+            axis->requested = false;
         }
         return;
     }
@@ -433,6 +434,9 @@ static void spin_slow(axis_t *axis)
     if (axis->test_current.d != 0 || axis->test_current.q != 0) {
         axis->current_ref.d = f16_add(axis->current_ref.d, axis->test_current.d);
         axis->current_ref.q = f16_add(axis->current_ref.q, axis->test_current.q);
+        if (axis->excitation.point == TEST_POINT_TORQUE) {
+            axis->current_ref.q = f16_limit(axis->current_ref.q, axis->excitation.limit);
+        }
     }
     if (axis->sensorless) {
         axis->current_ref.d = f16_add(axis->current_ref.d, startup_fade(axis));
@@ -532,6 +536,18 @@ static void test_estimate(axis_t *axis)
     choose_dead_time(axis, axis->features);
 }
 
+/* The vector does not know what the shaft does. */
+static void test_check(axis_t *axis)
+{
+    const shaft_observation_t seen = {
+        .features = (uint16_t)(axis->features & FEATURE_OVER_SPEED),
+        .speed = axis->feedback.speed,
+        .speed_limit = axis->limits.speed,
+        .over_speed_max = axis->over_speed,
+    };
+    axis_raise(axis, shaft_monitor_step(&axis->diagnosis.shaft, &axis->config->shaft, &seen));
+}
+
 /* ---- FREEWHEEL: outputs off until the rotor is still; or shorted windings, which become the same ------------------- */
 
 static void freewheel_fast(axis_t *axis)
@@ -571,7 +587,7 @@ const axis_function_t run_table[7][6] = {
     [SUBSTATE_FREEWHEEL] = {freewheel_fast, freewheel_slow, freewheel_fast, track_offsets, idle, freewheel_fast},
     [SUBSTATE_STARTUP] = {startup_fast, startup_slow_state, startup_fast, startup_estimate, startup_check,
                           startup_fast},
-    [SUBSTATE_TEST] = {test_mode_fast, test_slow, test_mode_fast, test_estimate, idle, test_mode_excited_fast},
+    [SUBSTATE_TEST] = {test_mode_fast, test_slow, test_mode_fast, test_estimate, test_check, test_mode_excited_fast},
 };
 
 void run_state_enter(axis_t *axis)

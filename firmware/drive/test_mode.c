@@ -2,6 +2,7 @@
 
 #include "drive/current_drive.h"
 #include "drive/excitation.h"
+#include "drive/holding_brake.h"
 #include "drive/limits.h"
 #include "drive/motion.h"
 #include "drive/soft_limits.h"
@@ -10,7 +11,8 @@
 
 bool test_mode_wanted(const axis_t *axis)
 {
-    return axis->requested && !axis->command.quick_stop && axis->command.mode == CONTROL_MODE_TEST && !axis->sensorless;
+    const bool able = !axis->sensorless && !holding_brake_fitted(axis);
+    return axis->requested && !axis->command.quick_stop && axis->command.mode == CONTROL_MODE_TEST && able;
 }
 
 void test_mode_start(axis_t *axis)
@@ -19,6 +21,7 @@ void test_mode_start(axis_t *axis)
     axis->motion.speed_target = 0;
     axis->motion.i_q_target = 0;
     axis->motion.expired = false;
+    axis->diagnosis.shaft = (shaft_monitor_t){0};
     limits_renew(axis);
 }
 
@@ -41,7 +44,7 @@ frac16_t test_mode_angle(const axis_t *axis)
     return (frac16_t)(uint16_t)((axis->startup.angle - (uint32_t)axis->startup.step) >> 16);
 }
 
-/* A set-point takes effect by being written, and expires as in torque mode. */
+/* A set-point takes effect by being written. One that expires leaves the vector where it is: it may hold a load. */
 static void take_set_points(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
@@ -56,7 +59,7 @@ static void take_set_points(axis_t *axis)
         m->expired = false;
         limits_renew(axis);
     }
-    motion_expire(axis);
+    motion_expire_speed(axis);
 }
 
 /* Speed of the vector within the limits; none that turns the shaft out of its range. */

@@ -4,7 +4,8 @@
 
 #include "drive/axis_data.h"
 
-/* The axis is asked to run in control mode TEST, and has the encoder that tells what becomes of it. */
+/* The axis is asked to run in control mode TEST, and can: with an encoder, which tells what becomes of it, and without a
+ * holding brake, whose load a vector at a wrong angle does not hold. */
 bool test_mode_wanted(const axis_t *axis);
 
 /* No current, angle 0. */

@@ -7,11 +7,14 @@ from core_library import Core
 from servo_bench import (
     BRAKE_OPEN_INPUT,
     FAULT,
+    FAULT_OVER_SPEED,
     FREEWHEEL,
     LIMIT_CURRENT,
     LIMIT_EXPIRED,
+    LIMIT_POSITION,
     LIMIT_SPEED,
     POSITION,
+    POSITION_LIMITS,
     READY,
     SPEED,
     SPIN,
@@ -21,10 +24,13 @@ from servo_bench import (
     Bench,
     amps,
     bus_code,
+    rad_s,
     speed,
 )
 
 NONE, I_D, I_Q, AT_TORQUE, AT_SPEED = range(5)
+FEATURE_OVER_SPEED = 1 << 9
+LIMIT_MIN_INPUT = 1 << 1
 TURN = 2**32
 
 
@@ -92,15 +98,25 @@ def test_limits_hold(testing: Bench) -> None:
     assert testing.view(0).limits & (LIMIT_CURRENT | LIMIT_SPEED) == LIMIT_CURRENT | LIMIT_SPEED
 
 
-def test_set_points_expire(testing: Bench) -> None:
+def test_a_vector_whose_set_points_expire_stops_turning_and_holds(testing: Bench) -> None:
     testing.set_parameter("command_timeout", 0.05)
-    testing.write(0, i_q=amps(1.0))
+    testing.write(0, i_q=amps(1.0), speed=speed(10.0))
     testing.slow(60)
-    assert current(testing) == pytest.approx(1.0, abs=0.001)
+    assert testing.axis(0).startup.step != 0
     testing.slow(200)
-    assert current(testing) == 0.0
+    assert current(testing) == pytest.approx(1.0, abs=0.001)
+    assert testing.axis(0).startup.step == 0
     assert testing.view(0).limits & LIMIT_EXPIRED
     assert testing.view(0).substate == TEST
+
+
+def test_a_shaft_that_is_too_fast_is_a_fault(testing: Bench) -> None:
+    testing.set_parameter("over_speed", 50.0)
+    testing.switch_on(0, FEATURE_OVER_SPEED)
+    testing.slow(2)
+    testing.turn(0, 60.0)
+    testing.until(lambda: testing.view(0).state == FAULT, 60)
+    assert testing.view(0).faults == FAULT_OVER_SPEED
 
 
 @pytest.mark.parametrize("command", [{"enable": 0}, {"quick_stop": 1}, {"mode": POSITION}, {"mode": SPEED}])
@@ -144,16 +160,16 @@ def test_an_axis_without_an_encoder_does_not_test(core: Core) -> None:
     assert bench.view(0).substate == READY
 
 
-def test_the_brake_opens_first(core: Core) -> None:
+def test_an_axis_with_a_holding_brake_does_not_test(core: Core) -> None:
+    """A vector at a wrong angle would not hold what the brake has held."""
     bench = Bench(core)
     bench.fit(BRAKE_OPEN_INPUT, open_ticks=50, close_ticks=20)
     bench.to_stop()
     bench.write(0, mode=4, enable=1)
-    bench.to_substate(0, READY)
-    bench.slow(30)
-    assert bench.view(0).substate == READY
-    bench.to_substate(0, TEST, 40)
-    assert bench.view(0).inputs & BRAKE_OPEN_INPUT
+    bench.slow(100)
+    assert bench.view(0).state == STOP
+    assert not bench.view(0).inputs & BRAKE_OPEN_INPUT
+    assert not bench.axis(0).requested
 
 
 # ---- test signals -------------------------------------------------------------------------------------------------
@@ -201,6 +217,51 @@ def test_a_signal_on_the_speed_shows_in_the_set_point(bench: Bench) -> None:
         assert bench.view(0).speed_ref == bench.axis(0).excitation.value * 65536
     bench.slow(20)
     assert (point(bench), bench.view(0).speed_ref) == (NONE, 0)
+
+
+def test_a_signal_on_the_speed_keeps_speed_and_soft_limits(bench: Bench) -> None:
+    bench.set_parameter("speed_limit", 20.0)
+    bench.write(0, mode=SPEED, speed=0)
+    bench.slow(4)
+    start_signal(bench, AT_SPEED, amplitude=0.2, step=0.002, calls=5000)
+    bench.slow(2)
+    peaks = []
+    for _ in range(400):
+        bench.slow()
+        peaks.append(rad_s(bench.view(0).speed_ref))
+    assert max(peaks) == pytest.approx(20.0, abs=0.01)
+    assert min(peaks) == pytest.approx(-20.0, abs=0.01)
+    bench.set_parameter("position_max", -0.5)  # behind the shaft: not one step farther
+    bench.switch_on(0, POSITION_LIMITS)
+    bench.slow(4)
+    peaks.clear()
+    for _ in range(600):
+        bench.slow()
+        peaks.append(rad_s(bench.view(0).speed_ref))
+    assert max(peaks) <= 0.0
+    assert bench.view(0).limits & LIMIT_POSITION or rad_s(bench.view(0).speed_ref) < 0.0
+
+
+def test_a_signal_ends_with_its_set_point(bench: Bench) -> None:
+    bench.set_parameter("command_timeout", 0.05)
+    bench.write(0, mode=SPEED, speed=speed(5.0))
+    bench.follow(10)
+    start_signal(bench, AT_TORQUE, calls=100_000)
+    bench.follow(20)
+    assert point(bench) == AT_TORQUE
+    bench.follow(100)
+    assert bench.view(0).limits & LIMIT_EXPIRED
+    assert point(bench) == NONE
+
+
+def test_at_a_limit_switch_no_signal_begins(bench: Bench) -> None:
+    bench.fit(LIMIT_MIN_INPUT)
+    bench.hal.axis[0].inputs = LIMIT_MIN_INPUT
+    bench.slow(5)
+    bench.write(0, mode=TORQUE, i_q=0)
+    start_signal(bench, AT_TORQUE)
+    bench.slow(3)
+    assert point(bench) == NONE
 
 
 def test_slow_points_need_a_controlled_speed(testing: Bench) -> None:

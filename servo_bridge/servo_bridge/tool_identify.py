@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import subprocess
 import sys
 from dataclasses import fields
@@ -21,7 +22,8 @@ from servo_msgs_py.measurement.motor_values import UNITS, Limits
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.units import PERIOD_NS
 
-from servo_bridge.measurement_access import measurement_access
+from servo_bridge.freemaster.errors import FreemasterError
+from servo_bridge.interruptible import interruptible_access
 from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.tuning.plan import file_of, read_blocks
 
@@ -37,6 +39,7 @@ __all__ = ["add_arguments", "identify"]
 
 _OUT: Final = Path("out/identify")
 _RECORDING: Final = "measurement.npz"
+_INTERRUPTED: Final = 130
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
@@ -63,32 +66,42 @@ def identify(context: Context) -> int:
     args = context.args
     try:
         limits = Limits(args.voltage, args.current, args.speed_max, args.turns_max, args.energy_max, args.r_on)
-        log, problem = _measured(context, limits)
+        log, problem, interrupted = _measured(context, limits)
     except (MeasurementError, ConfigError, ValueError) as error:
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1
-    log.notes["problem"] = problem
     path = args.out / _RECORDING
     log.save(path)
     print(f"wrote {path}", file=sys.stderr)
+    if interrupted or not log.recordings:
+        print(f"servo-tool: {problem}", file=sys.stderr)
+        return _INTERRUPTED if interrupted else 1
     if _twin_installed():
         return _evaluated(args, path)
     return _shown(log, problem)
 
 
-def _measured(context: Context, limits: Limits) -> tuple[MeasurementLog, str]:
-    """The measurement as far as it goes, and why it does not go further."""
+def _measured(context: Context, limits: Limits) -> tuple[MeasurementLog, str, bool]:
+    """The measurement as far as it goes, why it does not go further, and whether that was Ctrl-C."""
     base = _base(context)
-    with measurement_access(context.session) as access:
+    problem, interrupted = "", False
+    with interruptible_access(context.session) as access:
         test = MotorTest(access, context.args.axis - 1, limits, base, lambda text: print(text, file=sys.stderr))
         begin = access.read("tick")[0]
         try:
             test.run()
-            problem = ""
+        except KeyboardInterrupt:
+            problem, interrupted = "ended by Ctrl-C", True
+        except FreemasterError as error:
+            problem = f"the line has failed: {error}"
         except (MeasurementError, BlockRefusedError, AxisConfigError) as error:
             problem = str(error)
-        test.log.notes["seconds"] = (access.read("tick")[0] - begin) * PERIOD_NS * 1e-9
-    return test.log, problem
+        if test.restoring_text and test.restoring_text not in problem:
+            problem += f"; {test.restoring_text}"
+        test.log.notes["problem"] = problem
+        with contextlib.suppress(FreemasterError):
+            test.log.notes["seconds"] = ((access.read("tick")[0] - begin) % 2**32) * PERIOD_NS * 1e-9
+    return test.log, problem, interrupted
 
 
 def _base(context: Context) -> dict[str, Any]:

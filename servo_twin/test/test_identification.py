@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.measurement.access import MeasurementError
+from servo_msgs_py.measurement.access import MeasurementError, Recording, step_of
 from servo_msgs_py.measurement.log import MeasurementLog
 from servo_msgs_py.measurement.motor_test import MotorTest
 from servo_msgs_py.measurement.motor_values import Limits
@@ -17,6 +21,7 @@ from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.cli import main
 from servo_twin.firmware_build import servo_table
+from servo_twin.identification.files import write_estimates
 from servo_twin.identification.motors import random_motor
 from servo_twin.identification.session import identified, measure_virtual
 from servo_twin.identification.trials import AIMS, Trial, summary
@@ -121,17 +126,225 @@ def test_what_cannot_be_measured_is_named(reason: str, voltage: float, what: str
     assert "psi_m" not in result.estimates.values
 
 
-def test_a_board_is_left_as_it_was_found() -> None:
-    names = ["config.checksum", "param.features", "param.i_q_limit", "param.faults_enabled", "param.command_timeout"]
+class _Watched(VirtualBoardAccess):
+    """A board whose shaft is watched, and with which something may happen at a wait.
+
+    Parameters
+    ----------
+    meanwhile : callable
+        Called with this access before each wait.
+    slow : float
+        Time that an exchange takes, as on a serial line [s].
+    """
+
+    def __init__(self, board: Board, meanwhile: Callable[[_Watched], None] = lambda _: None, slow: float = 0.0) -> None:
+        super().__init__(board)
+        self._meanwhile, self._slow = meanwhile, slow
+        self._begin = board.truth(0).theta_m
+        self.way = self.speed = 0.0  # largest [rad], [rad/s]
+        self.waits = 0
+
+    def _advance(self, seconds: float) -> None:
+        for _ in range(parts := max(math.ceil(seconds / 0.01), 1)):
+            self.board.run(seconds / parts)
+            truth = self.board.truth(0)
+            self.way = max(self.way, abs(truth.theta_m - self._begin))
+            self.speed = max(self.speed, abs(truth.omega_m))
+
+    def read_words(self, name: str) -> list[int]:
+        if self._slow:
+            self._advance(self._slow)
+        return super().read_words(name)
+
+    def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
+        if self._slow:
+            self._advance(self._slow)
+        return super().write_words(name, words, first)
+
+    def wait(self, seconds: float) -> None:
+        self.waits += 1
+        self._meanwhile(self)
+        self._advance(seconds)
+
+    def record(
+        self, names: Sequence[str], samples: int, every: int, slow: bool, *args: Any, **options: Any
+    ) -> Recording:
+        if self._slow:
+            self._advance(0.2 + (samples * step_of(every, slow) if options.get("trigger") else 0.0))
+        recording = super().record(names, samples, every, slow, *args, **options)
+        if self._slow:
+            self._advance(0.7)  # samples are read
+        return recording
+
+
+def _state(board: Board) -> dict[str, list[int]]:
+    names = ["config.checksum", "cmd.mode", "cmd.i_q", "cmd.speed"]
+    names += [name for name in board.catalogue.variables if name.startswith("param.")]
+    return {name: board.read_raw(name) for name in names}
+
+
+def _protected(board: Board) -> None:
+    """What a careful user has set."""
+    flags = {flag.name: flag.mask for flag in board.catalogue.flags["features"]}
+    board.run(0.05)
+    for name, value in (("speed_limit", 60.0), ("over_speed", 100.0), ("position_max", 24.0), ("position_min", -24.0)):
+        board.write(f"param.{name}", [value] * 2)
+    board.write_raw("param.features", [0xF | flags["POSITION_LIMITS"] | flags["OVER_SPEED"]] * 2)
+    board.write_raw("cmd.mode", [board.catalogue.enums["control_mode_t"]["SPEED"]] * 2)
+    board.run(0.05)
+
+
+def test_what_protects_the_axis_holds_and_all_is_left_as_it_was() -> None:
     with Board(PlantConfig.load(), seed=1, level="ideal") as board:
-        board.lock_shaft(0)
+        _protected(board)
+        before = _state(board)
+        access = _Watched(board)
+        log = MotorTest(access, 0, LIMITS, servo_table()).run()
         board.run(0.05)
-        before = [board.read_raw(name) for name in names]
-        with pytest.raises(MeasurementError, match="held"):
-            MotorTest(VirtualBoardAccess(board), 0, LIMITS, servo_table()).run()
-        board.run(0.05)
-        assert [board.read_raw(name) for name in names] == before
+        assert _state(board) == before
+        assert access.way < 24.0
+        assert 30.0 < access.speed < 60.0
+        assert log.labelled("hold")
         assert board.read("axis1.state") == board.catalogue.enums["state_t"]["STOP"]
+
+
+@pytest.mark.parametrize("turns", [3.0, 20.0])
+def test_turns_are_kept_to_over_a_slow_line(turns: float) -> None:
+    with Board(PlantConfig.load(), seed=1, level="ideal") as board:
+        board.run(0.05)
+        access = _Watched(board, slow=0.005)
+        MotorTest(access, 0, dataclasses.replace(LIMITS, turns=turns), servo_table()).run()
+        assert 0.5 * turns < access.way / (2.0 * math.pi) < turns
+
+
+def test_a_low_speed_is_enough_and_kept_to() -> None:
+    with Board(PlantConfig.load(), seed=1, level="ideal") as board:
+        board.run(0.05)
+        access = _Watched(board, slow=0.005)
+        MotorTest(access, 0, dataclasses.replace(LIMITS, speed=30.0), servo_table()).run()
+        assert access.speed < 31.0
+
+
+@pytest.mark.parametrize("at", [(60,), (60, 62, 63), (160, 162)])
+def test_ctrl_c_leaves_the_board_as_it_was_found(at: tuple[int, ...]) -> None:
+    def press(access: _Watched) -> None:
+        if access.waits in at:
+            raise KeyboardInterrupt
+
+    with Board(PlantConfig.load(), seed=1, level="ideal") as board:
+        _protected(board)
+        before = _state(board)
+        test = MotorTest(_Watched(board, press), 0, LIMITS, servo_table())
+        with pytest.raises(KeyboardInterrupt):
+            test.run()
+        board.run(0.05)
+        assert not test.unrestored
+        assert _state(board) == before
+        assert board.read("axis1.state") == board.catalogue.enums["state_t"]["STOP"]
+
+
+def test_a_line_that_fails_for_a_while_does_not_end_the_restoration() -> None:
+    class Lost(_Watched):
+        left = 3
+
+        def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
+            if self.waits > 100 and name in ("cmd.enable", "param.features", "cmd.speed") and self.left > 0:
+                self.left -= 1
+                raise OSError("no answer")
+            return super().write_words(name, words, first)
+
+    with Board(PlantConfig.load(), seed=1, level="ideal") as board:
+        _protected(board)
+        before = _state(board)
+        with pytest.raises(OSError, match="no answer"):
+            MotorTest(Lost(board), 0, LIMITS, servo_table()).run()
+        board.run(0.05)
+        assert _state(board) == before
+
+
+@pytest.mark.parametrize("seconds", [10.0, math.inf])
+def test_a_shaft_that_does_not_come_to_rest_is_waited_for_and_told(seconds: float) -> None:
+    """A load that turns the shaft once the outputs are off."""
+
+    class Loaded(_Watched):
+        since = math.inf
+
+        def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
+            if name == "cmd.enable" and words == [0]:
+                self.since = min(self.since, self.board.time_ns * 1e-9)
+            return super().write_words(name, words, first)
+
+        def wait(self, seconds_: float) -> None:
+            lasts = self.since <= self.board.time_ns * 1e-9 < self.since + seconds
+            self.board.set_load(0, 0.004 if lasts else 0.0)
+            super().wait(seconds_)
+
+    with Board(PlantConfig.load().with_axis(0, viscous=1e-4), seed=1, level="ideal") as board:
+        _protected(board)
+        before, said = _state(board), list[str]()
+        test = MotorTest(Loaded(board), 0, LIMITS, servo_table(), said.append)
+        with pytest.raises(MeasurementError):
+            test.run()
+        board.run(0.05)
+        after = _state(board)
+        different = {name for name, words in before.items() if after[name] != words}
+        assert different == (set() if math.isfinite(seconds) else {"config.checksum"})
+        assert any("NOT RESTORED: configuration" in text for text in said) == math.isinf(seconds)
+        assert ("Do not enable it" in test.restoring_text) == math.isinf(seconds)
+
+
+@pytest.mark.parametrize(("axis", "reason"), [(0, "axis1 is enabled"), (1, "axis2 is enabled")])
+def test_nothing_is_done_while_an_axis_is_enabled(axis: int, reason: str) -> None:
+    class Silent(_Watched):
+        def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
+            raise AssertionError(f"{name} is written")
+
+    with Board(PlantConfig.load(), seed=1, level="ideal") as board:
+        board.run(0.05)
+        board.write("cmd.enable", [axis == 0, axis == 1])
+        board.run(4.0)
+        with pytest.raises(MeasurementError, match=reason):
+            MotorTest(Silent(board), 0, LIMITS, servo_table()).run()
+        assert board.read(f"axis{axis + 1}.state") == board.catalogue.enums["state_t"]["RUN"]
+
+
+@pytest.mark.parametrize(
+    ("limits", "reason"),
+    [
+        (dataclasses.replace(LIMITS, turns=2.0), "raise --turns-max"),
+        (dataclasses.replace(LIMITS, speed=0.01), "raise --speed-max"),
+    ],
+)
+def test_what_leaves_too_little_room_is_refused_before_anything_moves(limits: Limits, reason: str) -> None:
+    with Board(PlantConfig.load(), seed=1, level="ideal") as board:
+        board.run(0.05)
+        before, access = _state(board), _Watched(board)
+        with pytest.raises(MeasurementError, match=reason):
+            MotorTest(access, 0, limits, servo_table()).run()
+        assert _state(board) == before
+        assert access.way < 0.01
+
+
+def test_iron_that_saturates_is_no_success(tmp_path: Path) -> None:
+    plant = PlantConfig.load().with_axis(0, i_saturation_d=5.0, i_saturation_q=5.0)
+    log, problem = measure_virtual(plant, 0, LIMITS, servo_table(), level="ideal", seed=1)
+    result = identified(log, PlantConfig.load(), problem, refined=False)
+    assert any("the iron saturates" in text for text in result.problems)
+    write_estimates(tmp_path / "estimates.json", result, [])
+    content = json.loads((tmp_path / "estimates.json").read_text())
+    assert content["bias"]["l_d"] == pytest.approx(2.8)
+
+
+@pytest.mark.parametrize("part", [0, 30, 5_000, 50_000, None])
+def test_a_cut_off_or_foreign_recording_is_named(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], part: int | None
+) -> None:
+    content = (folder / "measurement.npz").read_bytes()
+    (tmp_path / "part.npz").write_bytes(b"# no recording\n" if part is None else content[:part])
+    assert main(["identify", "--recording", str(tmp_path / "part.npz"), "--out", str(tmp_path)]) == 1
+    said = capsys.readouterr().err
+    assert "or a part of one" in said
+    assert "pickle" not in said
 
 
 def test_random_motors_are_the_same_for_a_seed() -> None:

@@ -76,15 +76,14 @@ def test_a_signal_is_in_the_current(board: Board, point: str) -> None:
     assert np.std(other[160:]) < 0.1
 
 
-def test_a_signal_stays_within_the_current_limit(board: Board) -> None:
+@pytest.mark.parametrize("point", ["I_D", "I_Q"])
+def test_vector_and_signal_stay_within_the_current_limit(board: Board, point: str) -> None:
     board.write("param.i_q_limit", [2.0, 2.0])
-    board.write("cmd.i_q", [2.0, 2.0])
+    board.write("cmd.i_q", [1.2, 1.2])
     board.run(0.6)
-    vector = max(2.0, 4.0)  # the configuration's own limit bounds every vector
-    signal(board, "I_D", 0.5, 100.0 / 16000.0, 3200)
-    (i_d,) = sampled(board, "axis1.i_d", seconds=0.1)
-    assert 0.8 * vector < i_d.max() < 1.1 * vector
-    assert i_d.min() > -1.1 * vector
+    signal(board, point, 0.5, 100.0 / 16000.0, 3200)
+    i_d, i_q = sampled(board, "axis1.i_d", "axis1.i_q", seconds=0.1)
+    assert 1.8 < np.hypot(i_d, i_q).max() < 2.3
 
 
 def test_a_signal_on_the_speed_turns_the_shaft(board: Board) -> None:

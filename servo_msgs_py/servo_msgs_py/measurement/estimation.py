@@ -23,6 +23,7 @@ __all__ = [
     "estimates_of",
     "flux_of",
     "follows",
+    "inductance_at_less",
     "inductances_of",
     "resistance_of",
     "running_of",
@@ -68,6 +69,12 @@ def inductances_of(log: MeasurementLog, r: float) -> dict[str, Estimate]:
     delay = of_d.delay.value
     of_q = impedance(log.labelled("sweep_q"), _columns(log, "q"), r, BAND["q"], swings=True, delay=delay)
     return {"l_d": of_d.inductance, "l_q": of_q.inductance, "delay": of_d.delay}
+
+
+def inductance_at_less(log: MeasurementLog, r: float) -> Estimate | None:
+    """``l_d`` with less current along the flux, to be compared; None where that was not measured."""
+    made = log.labelled("sweep_d_low")
+    return impedance(made, _columns(log, "d"), r, BAND["d"]).inductance if made else None
 
 
 def turning_of(log: MeasurementLog, r: float) -> dict[str, Estimate]:

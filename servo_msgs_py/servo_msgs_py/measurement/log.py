@@ -7,6 +7,8 @@ column per variable. A missing sample is NaN.
 from __future__ import annotations
 
 import json
+import zipfile
+import zlib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +22,8 @@ from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Reco
 __all__ = ["Call", "LoggedAccess", "MeasurementLog", "repeat"]
 
 FORMAT: Final = 1
+
+_NO_LOG: Final = (KeyError, ValueError, IndexError, TypeError, AttributeError, EOFError, zipfile.BadZipFile, zlib.error)
 
 
 @dataclass(frozen=True)
@@ -121,9 +125,12 @@ class MeasurementLog:
                     table = np.asarray(archive[f"r{k}"], dtype=np.float64)
                     columns = {name: table[:, column] for column, name in enumerate(head["names"])}
                     recordings.append(Recording(float(head["step"]), columns))
-        except (KeyError, ValueError, IndexError, TypeError, AttributeError) as error:
-            raise MeasurementError(f"{path} is no measurement of identify: {error}") from None
-        return cls(int(text["axis"]), [_of_json(call) for call in text["calls"]], recordings, dict(text["notes"]))
+                calls, notes = [_of_json(call) for call in text["calls"]], dict(text["notes"])
+                return cls(int(text["axis"]), calls, recordings, notes)
+        except _NO_LOG:
+            raise MeasurementError(
+                f"{path} is no measurement of identify, or a part of one: name its measurement.npz, or measure again"
+            ) from None
 
 
 def _seconds(call: Call) -> float:

@@ -27,6 +27,11 @@ SALIENT_USE: Final = 0.5
 ACCELERATION_USE: Final = 0.5
 """Part of the current limit for the ramp of the speed."""
 
+PATH_OMEGA_MAX: Final = 0.2
+"""omega_n Ts of the path filter, whose format ends at 0.25."""
+
+TICK: Final = 0.5e-3  # [s]
+
 SPEED_BANDWIDTHS: Final = (75.0, 60.0, 45.0, 30.0, 20.0, 12.0, 8.0, 5.0)
 """Tried in this order until the loops are stable and the tool has no warning about them [Hz]."""
 
@@ -88,6 +93,11 @@ def configured(
         "over_speed": SPEED_RATIO * speed,
     }
     defaults = table.get("defaults", {})
+    # the path filter asks for accelerations up to omega_n v / e (E40): the slower the axis, the less of the current
+    use_max = PATH_OMEGA_MAX / TICK * speed * inertia / (math.e * push)
+    control = {**defaults.get("control", {}), **own.get("control", {})}
+    if control.get("path_current_use", math.inf) > use_max:
+        own["control"] = {**own.get("control", {}), "path_current_use": _rounded(use_max)}
     search = {**defaults.get("rotor_search", {}), **own.get("rotor_search", {})}
     saliency = motor["l_q"] - motor["l_d"]
     # beyond psi / (L_q - L_d) a rotor does not lie along a vector any more, but across it

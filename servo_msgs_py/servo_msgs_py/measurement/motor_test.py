@@ -9,7 +9,6 @@ speeds under control: friction, load, inertia, and flux again. Sub-states, limit
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -19,8 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from servo_msgs_py.axis_config import AxisConfigTable
-from servo_msgs_py.axis_config_transfer import BlockRefusedError, read_block
-from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Recording, refuse_faults, send_configuration
 from servo_msgs_py.measurement.estimation import (
     BAND,
@@ -32,15 +30,17 @@ from servo_msgs_py.measurement.estimation import (
     turning_of,
 )
 from servo_msgs_py.measurement.log import LoggedAccess, MeasurementLog
-from servo_msgs_py.measurement.motor_config import configured, fitted, tuned_axis
+from servo_msgs_py.measurement.motor_config import SPEED_RATIO, configured, fitted, tuned_axis
 from servo_msgs_py.measurement.motor_values import Estimate, Limits
+from servo_msgs_py.measurement.restoring import AxisState
 from servo_msgs_py.measurement.spinning import balance
 from servo_msgs_py.measurement.standstill import PERIOD, impedance
 from servo_msgs_py.tuning.configuration import Scales
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.formats import GAIN
+from servo_msgs_py.units import PERIOD_NS
 
-__all__ = ["PULSES", "TURN", "MotorTest"]
+__all__ = ["PROTECTION", "PULSES", "TURN", "MotorTest"]
 
 TICK: Final = 0.5e-3  # [s]
 SAMPLES: Final = 1280
@@ -53,18 +53,33 @@ VECTOR: Final = 0.7  # part of the current limit that holds the rotor while it i
 SWEEP: Final[Mapping[str, float]] = {"d": 0.28, "q": 0.2}
 """Amplitudes, parts of the current limit: the currents of all phases keep their signs."""
 SWEEPS: Final = 3
+VECTOR_LOW: Final = 0.35  # part of the current limit at which the inductance is compared
+SWEEP_LOW: Final = 0.2  # amplitude of the test signal there
 VOLTAGE_USE: Final = 0.6  # part of the voltage that the resistance may take; the rest turns the rotor
 TURN: Final = "turn"
 PULSES: Final = "pulses"
 """Stages that a simulation of the measurement may leave out: they begin and end at rest."""
+PROTECTION: Final = "protection"
+"""Limits around the place of the shaft, and what brings the board back: of the board that was measured only."""
 ROUNDS: Final = 7
 LOOP: Final = 400.0  # Hz, of the current loop once the inductance is known
 TURN_SLOW: Final = 2.0 * math.pi * 2.0  # electrical [rad/s]
 TURN_FAST: Final = tuple(2.0 * math.pi * turns for turns in (12.0, 6.0, 3.0))
 """Tried in this order until the rotor follows."""
 TURN_RAMP: Final = 120.0  # electrical [rad/s^2]
+TURN_SETTLE: Final = 0.1  # [s]
+TURNS_MIN: Final = 3.0  # to both sides: the vector turns a rotor of one pole pair so far
+LATENCY: Final = 0.05
+"""For the exchanges of a serial line, in which a shaft turns on [s]."""
 REST_MAX: Final = 6.0  # until a shaft without current stands [s]
+REST_SPEED: Final = 0.5  # of a shaft that stands [rad/s]
 PULSE: Final = 0.5  # part of the current limit
+PULSE_SPEED: Final = 0.5  # that the board permits meanwhile, part of the largest
+PULSE_MAX: Final = 1.5  # [s]
+MOVED: Final = 0.03  # by a shaft that is not held [rad]
+BRAKED: Final = 0.15  # time constant with which torque brakes the shaft after a pulse [s]
+MARK: Final = 0.1
+"""Length of a test signal without amplitude, which marks the beginning of a recording [s]."""
 SPEEDS: Final = (0.3, 0.6, 1.0)
 SEARCHED: Final = 0.5
 """Time between the rotor search and the first run [s]: where the test is simulated, the search may take longer."""
@@ -73,7 +88,12 @@ ALONG_VOLTAGE: Final = 0.3  # part of the voltage that it may take
 ALONG_FREQUENCY: Final = 0.4  # [Hz]
 ALONG_TIME: Final = 0.8  # [s]
 HOLD_SAMPLES: Final = 640  # of every second slow tick, from the beginning of that current
+ROOM_USE: Final = 0.9  # of the way to the limits
+OVERSHOOT: Final = 1.18  # speed over its set-point after a reversal
+STOPPED: Final = 0.1  # after the set-point has reached 0 [s]
 SETTLE: Final = 0.3  # s, at a new speed
+SETTLE_HOLD: Final = 0.15  # where only the second half of the recording counts [s]
+APPROACH_MAX: Final = 1.2  # time in which a speed is reached [s]
 NOMINAL: Final[Mapping[str, float]] = {
     "r_s": 0.5,
     "l_d": 0.4e-3,
@@ -85,6 +105,8 @@ NOMINAL: Final[Mapping[str, float]] = {
     "viscous": 0.0,
 }
 """What the controller is told before anything is known; only the current controllers work with it, with other gains."""
+POSSIBLE: Final[Sequence[Mapping[str, float]]] = ({"inertia": 1e-6}, {"inertia": 1e-5}, {"inertia": 1e-3})
+"""Motors for which there has to be a configuration before anything moves."""
 
 BLIND: Final = ("PHASE_LOST", "ENCODER_LOST", "ANGLE_MISMATCH", "STALLED", "CURRENT_SENSE")
 """Faults whose monitors need to know the motor; the tests at standstill look for what these stand for themselves."""
@@ -123,29 +145,30 @@ class MotorTest:
         self.name = axis_name(axis)
         self.log.notes["limits"] = dataclasses.asdict(limits)
         self.values: dict[str, Estimate] = {}
+        self.unrestored: list[str] = []
+        self._low = self._high = 0.0  # where the shaft stays between [rad]
+        self._over_speed = math.inf  # of the board's protection [rad/s]
+        self._kept = 0  # features that protect and that the user has switched on
         self._current = limits.current  # largest, less where the resistance takes too much voltage [A]
-        self._turns_at = 0.0  # electrical speed of the vector [rad/s]
 
     # ---- what a caller runs ------------------------------------------------------------------------------------------
 
     def run(self) -> MeasurementLog:
         """Make all tests; the board is left as it was found, outputs off.
 
+        What could not be brought back is in `unrestored`, whatever else happens, and is reported.
+
         Raises
         ------
         MeasurementError, BlockRefusedError
             If a test cannot be made; the reason names what to do.
         """
-        block = read_block(self.access, self.axis)
-        saved = {
-            name: self.access.read_words(name)[self.axis]
-            for name in ("param.features", "param.i_q_limit", "param.faults_enabled", "param.acceleration_limit")
-        }
-        timeout = self.access.read_words("param.command_timeout")
         self._check()
-        self.access.write("param.command_timeout", [0.0])
-        monitors = saved["param.faults_enabled"]
+        found = AxisState(self.access, self.axis)
+        self._keep_protection(found)
         try:
+            self.access.write("param.command_timeout", [0.0])
+            monitors = found.word("param.faults_enabled")
             # they judge voltages by a resistance and current controllers that are not known yet
             self._write_raw("param.faults_enabled", monitors & ~self._faults(*BLIND))
             self._standstill()
@@ -155,27 +178,86 @@ class MotorTest:
             self._write_raw("param.faults_enabled", monitors & ~self._faults("PHASE_LOST", "CURRENT_SENSE"))
             self._spin()
         finally:
-            self.access.stage = ""
-            with contextlib.suppress(MeasurementError, BlockRefusedError):  # what has gone wrong before is the reason
-                self._off()
-                send_configuration(self.access, {self.axis: block})
-            for name, raw in saved.items():
-                self.access.write_words(name, [raw], self.axis)
-            self.access.write_words("param.command_timeout", timeout)
+            self.access.stage = PROTECTION
+            self.unrestored = found.restore(self._off, self._stand)
+            for what in self.unrestored:
+                self.report(f"NOT RESTORED: {what}")
+        if self.unrestored:
+            raise MeasurementError(self.restoring_text)
         return self.log
+
+    @property
+    def restoring_text(self) -> str:
+        """What to do about `unrestored`; empty if there is nothing."""
+        if not self.unrestored:
+            return ""
+        return (
+            f"{self.name} is not as it was before: {'; '.join(self.unrestored)}. Do not enable it: bring the shaft to"
+            " rest and restart the board, which then takes the configuration that it has stored"
+        )
 
     # ---- steps -------------------------------------------------------------------------------------------------------
 
     def _check(self) -> None:
+        """Refuse what cannot be tested; nothing is written."""
+        states = self.access.catalogue.enums["state_t"]
+        for axis in range(AXES):
+            if self.access.read(f"{axis_name(axis)}.state")[0] != states["RUN"]:
+                continue
+            reason = (
+                "its configuration can only be changed with outputs off"
+                if axis == self.axis
+                else "the set-points of both axes would not expire during the test"
+            )
+            raise MeasurementError(f"{axis_name(axis)} is enabled: disable it first, {reason}")
+        refuse_faults(self.access, self.axis)
+        state = int(self._read("state"))
+        if state != states["STOP"]:
+            label = self.access.catalogue.label("state_t", state)
+            raise MeasurementError(f"{self.name} is in {label}, not in STOP: wait, or clear its faults")
         volts = self.access.read("u_dc")[0]
         if abs(volts / self.limits.voltage - 1.0) > 0.2:
             raise MeasurementError(
                 f"the bus has {volts:.3g} V, and {self.limits.voltage:g} V were named: correct --voltage, or the supply"
             )
-        refuse_faults(self.access, self.axis)
-        self._stand(2.0)  # a cogging rotor swings when the board has just been switched on
-        if abs(self._read("speed")) > 0.5:
+        # a cogging rotor swings when the board has just been switched on; a load takes its time to turn the shaft
+        if not (self._stands(2.0) and self._stays()):
             raise MeasurementError("the shaft turns before the test begins: take the load off, or balance it")
+
+    def _keep_protection(self, found: AxisState) -> None:
+        """Stay within what protects the axis already; a `MeasurementError` if that leaves too little room."""
+        catalogue = self.access.catalogue
+        flags = {flag.name: flag.mask for flag in catalogue.flags["features"]}
+        features = found.word("param.features")
+
+        def value(name: str) -> float:
+            return float(catalogue[name].scale(found.word(name)))
+
+        self._kept = features & flags["OVER_SPEED"]
+        speed = min(self.limits.speed, value("param.speed_limit"))
+        if self._kept:
+            self._over_speed = value("param.over_speed")
+            speed = min(speed, self._over_speed / SPEED_RATIO)
+        here, room = self._position(), 2.0 * math.pi * self.limits.turns
+        self._low = max(here - room, catalogue["param.position_min"].minimum)
+        self._high = min(here + room, catalogue["param.position_max"].maximum)
+        if features & flags["POSITION_LIMITS"]:
+            self._low = max(self._low, value("param.position_min"))
+            self._high = min(self._high, value("param.position_max"))
+        turns = min(here - self._low, self._high - here) / (2.0 * math.pi)
+        if turns < TURNS_MIN * (1.0 - 1e-6):
+            raise MeasurementError(
+                f"{max(turns, 0.0):.3g} turns to both sides are too few, {TURNS_MIN:g} are needed: raise --turns-max,"
+                " or widen param.position_min and param.position_max"
+            )
+        self.limits = dataclasses.replace(self.limits, speed=speed, turns=turns)
+        for motor in POSSIBLE:
+            try:
+                self._fitted({**NOMINAL, **motor})
+            except MeasurementError as error:
+                raise MeasurementError(
+                    f"{speed:.3g} rad/s is too slow for the test: raise --speed-max and param.speed_limit ({error})"
+                ) from None
 
     def _standstill(self) -> None:
         current = self._current
@@ -206,6 +288,11 @@ class MotorTest:
             for _ in range(SWEEPS):
                 self._sweep(f"sweep_{point}", point, SWEEP[point] * current)
         self.values.update(inductances_of(self.log, found.resistance.value))
+        # with less current along the flux: does the iron saturate?
+        self._write("cmd.i_q", VECTOR_LOW * current)
+        self.access.wait(0.1)
+        self._sweep("sweep_d_low", "d", SWEEP_LOW * current)
+        self.log.notes["bias"] = {"l_d": VECTOR * current, "l_d_low": VECTOR_LOW * current}
 
     def _first_inductance(self, r: float) -> None:
         """Current controllers made for the inductance of the d axis."""
@@ -241,19 +328,17 @@ class MotorTest:
         names = ("position", "test_angle", "u_d", "u_q", "i_d", "i_q")
         self._write("param.acceleration_limit", TURN_RAMP / NOMINAL["pole_pairs"])
         for way in (1.0, -1.0):
-            self._turn_at(way * TURN_SLOW)
-            self._slow("turn_slow", names, 450, 4)
+            self._turned("turn_slow", names, 450, 4, way * TURN_SLOW)
         r = self.values["r_s"].value + self.limits.r_on
         self.values.update(turning_of(self.log, r))
+        pairs = self.values["pole_pairs"].value
+        room = 2.0 * math.pi * self.limits.turns * pairs
         for electrical in TURN_FAST:
-            made = []
-            for way in (1.0, -1.0):
-                self._turn_at(way * electrical)
-                made.append(self._slow("turn_fast", names, 250, 2))
-            if all(follows(one, self.name, self.values["pole_pairs"].value) for one in made):
+            if electrical**2 / TURN_RAMP + electrical * (TURN_SETTLE + 500 * TICK + LATENCY) > room:
+                continue
+            made = [self._turned("turn_fast", names, 250, 2, way * electrical) for way in (1.0, -1.0)]
+            if all(follows(one, self.name, pairs) for one in made):
                 break
-        self._turn_at(0.0)
-        self.access.wait(0.3)
         self.values.update(flux_of(self.log, self.values["l_d"].value, self.values["pole_pairs"].value))
         self.access.stage = ""
         self._write("cmd.i_q", 0.0)
@@ -275,6 +360,7 @@ class MotorTest:
         self._send(self._fitted(motor))
         self._features()
         self._mode("TORQUE")
+        self._write("param.speed_limit", PULSE_SPEED * self._speed_max())
         self._write("cmd.i_q", 0.0)
         self._enable("SPIN", 8.0)
         inertia, coulomb = self._pulses(motor)
@@ -285,7 +371,8 @@ class MotorTest:
         table = self._fitted(motor)
         self._send(table)
         self._features()
-        self._write("param.acceleration_limit", table[self.name]["limits"]["acceleration"])
+        for name in ("speed", "acceleration"):
+            self._write(f"param.{name}_limit", table[self.name]["limits"][name])
         self._mode("SPEED")
         self._write("cmd.speed", 0.0)
         self._enable("SPIN", 8.0)
@@ -298,38 +385,41 @@ class MotorTest:
         part, way_max = PULSE, 0.25 * self.limits.turns * 2.0 * math.pi
         target = 0.25 * self._speed_max()
         for _ in range(3):
-            start = self._position()
+            start, begin = self._position(), self.access.read("tick")[0]
             self._write("cmd.i_q", part * self.limits.current)
-            time = 0.0
-            while time < 1.5:
+            seconds = reached = moved = 0.0
+            while seconds < PULSE_MAX and moved < way_max and (reached < target or moved < MOVED):
                 self.access.wait(0.002)
-                time += 0.002
+                reached = abs(self._read("speed"))
+                seconds = ((self.access.read("tick")[0] - begin) % 2**32) * PERIOD_NS * 1e-9
                 moved = abs(self._position() - start)
-                if abs(self._read("speed")) > target or moved > way_max:
-                    break
             self._write("cmd.i_q", 0.0)
             refuse_faults(self.access, self.axis)
-            if moved > 0.03:
+            if moved >= MOVED:
                 break
             part *= 1.4
         else:
             raise MeasurementError("the shaft does not move with full torque: it is held, or the load is too large")
-        self._stand(2.0)
-        seconds = max(time, 0.01)
+        current = part * self.limits.current
+        braking = current * seconds / (max(reached, 1.0) * BRAKED)
+        self._brake(braking, current)
+        seconds = max(seconds, 0.01)
         every = max(math.ceil(4.5 * seconds / TICK / self.access.capacity(self._columns_of(self._SPIN))), 1)
+        samples = max(int(2.2 * seconds / TICK / every), 12)
         recordings = []
         for way in (-1.0, 1.0):
 
             def pulse(way: float = way) -> None:
-                self._write("cmd.i_q", way * part * self.limits.current)
-                self.access.wait(seconds)
-                self._write("cmd.i_q", -way * part * self.limits.current)
-                self.access.wait(0.7 * seconds)
+                self._start_signal("d")
+                for part_of_time, torque in ((1.0, way), (0.7, -way)):
+                    self._write("cmd.i_q", torque * current)
+                    self.access.wait(part_of_time * seconds)
                 self._write("cmd.i_q", 0.0)
+                self.access.wait(max(samples * every * TICK - 1.7 * seconds, 0.0))
+                self._brake(braking, current)
 
-            samples = max(int(2.2 * seconds / TICK / every), 12)
-            recordings.append(self._slow("pulse", self._SPIN, samples, every, pulse))
-            self._stand(2.0)
+            self._signal(0.0, 0.0, 0.0, round(MARK / PERIOD))
+            recordings.append(self._slow("pulse", self._SPIN, samples, every, pulse, trigger="test_point"))
         found, coulomb = balance(
             recordings, self.name, (round(motor["pole_pairs"]), motor["psi_m"], motor["l_d"], motor["l_q"]), None
         )
@@ -337,34 +427,61 @@ class MotorTest:
             raise MeasurementError("torque pulses give no inertia: the shaft is held, or something else turns it")
         return found.value, coulomb.value
 
+    def _brake(self, gain: float, most: float) -> None:
+        """Bring the shaft to rest by torque.
+
+        Parameters
+        ----------
+        gain : float
+            Current over speed [A s/rad].
+        most : float
+            Largest current [A].
+        """
+        for _ in range(400):
+            speed = self._read("speed")
+            if abs(speed) < 2.0 * REST_SPEED:
+                break
+            self._write("cmd.i_q", -math.copysign(min(gain * abs(speed), most), speed))
+            self.access.wait(0.005)
+        self._write("cmd.i_q", 0.0)
+        self._stand()
+
     def _speeds(self, limits: Mapping[str, float], inertia: float) -> None:
         acceleration = limits["acceleration"]
-        most = min(limits["speed"], self._speed_max())
+        most = min(limits["speed"], self._speed_max(), self.limits.speed / OVERSHOOT)
         # a reversal returns the energy of the shaft to the bus
         most = min(most, math.sqrt(2.0 * self.limits.energy / inertia))
-        # a run from standstill to one side stays within the turns
-        room = 2.0 * math.pi * self.limits.turns
-        while most * (PLAIN + ALONG_TIME + SETTLE) + most**2 / (2.0 * acceleration) > room:
-            most *= 0.8
+        most = min(most, APPROACH_MAX * acceleration)
+        # each recording begins and ends at rest, and those to both sides take turns
+        here = self._position()
+        room = ROOM_USE * min(self._high - here, here - self._low)
+        longest = max(SETTLE + PLAIN, SETTLE_HOLD + ALONG_TIME) + LATENCY
+        while most * longest + most**2 / acceleration > room:
+            most *= 0.95
         r = self.values["r_s"].value + self.limits.r_on
         along = min(ALONG * self.limits.current, ALONG_VOLTAGE * self.limits.voltage / math.sqrt(3.0) / r)
         before = 0.0
         for part in SPEEDS:
-            for way in (1.0, -1.0):
-                speed = way * part * most
+            speeds = [way * part * most for way in (1.0, -1.0)]
+            for speed in speeds:
                 seconds = abs(speed - before) / acceleration + SETTLE
                 every = math.ceil(seconds / TICK / self.access.capacity(self._columns_of(self._SPIN)))
-                samples = int(seconds / TICK / every)
-                self._slow("speed", self._SPIN, samples, every, partial(self._write, "cmd.speed", speed))
-                self._slow("plain", self._PLAIN, round(PLAIN / TICK), 1)
+                change = partial(self._write, "cmd.speed", speed)
+                times = abs(before) / acceleration + SETTLE_HOLD, abs(speed) / acceleration + STOPPED
+                self._moving("speed", self._SPIN, int(seconds / TICK / every), every, before, times, change)
+                before = speed
+            for speed in speeds:
+                ramp = abs(speed) / acceleration
+                self._moving("plain", self._PLAIN, round(PLAIN / TICK), 1, speed, (ramp + SETTLE, ramp + STOPPED))
+            for speed in speeds:
                 # a current along the flux: the phase currents hardly come near zero, where dead time takes a voltage
                 # that is not known well; a slow sine does not step
+                ramp = abs(speed) / acceleration
+                times = ramp + SETTLE_HOLD, ramp + STOPPED
                 self._signal(along, ALONG_FREQUENCY * PERIOD, 0.0, round(ALONG_TIME / PERIOD))
-                self._slow("hold", self._HELD, HOLD_SAMPLES, 2, partial(self._start_signal, "d"), trigger="test_point")
-                self.access.wait(max(ALONG_TIME - 2.0 * HOLD_SAMPLES * TICK, 0.0) + TICK)
-                before = speed
-        self._write("cmd.speed", 0.0)
-        self.access.wait(abs(before) / acceleration + 0.1)
+                begin = partial(self._start_signal, "d")
+                self._moving("hold", self._HELD, HOLD_SAMPLES, 2, speed, times, begin, mark=False)
+                self.access.wait(max(ALONG_TIME - 2.0 * HOLD_SAMPLES * TICK - times[1], 0.0) + TICK)
 
     # ---- parts of them -----------------------------------------------------------------------------------------------
 
@@ -475,9 +592,17 @@ class MotorTest:
             raise MeasurementError(f"the controller cannot be tuned for the test: {error}") from None
 
     def _features(self) -> None:
-        """Only what keeps voltages what they are asked to be: no compensation of what is measured."""
+        """Only what keeps voltages what they are asked to be, no compensation of what is measured; and protection."""
         flags = {flag.name: flag.mask for flag in self.access.catalogue.flags["features"]}
-        self._write_raw("param.features", flags["BUS_COMPENSATION"] | flags["ANTI_WINDUP"] | flags["ENHANCED_MT"])
+        plain = flags["BUS_COMPENSATION"] | flags["ANTI_WINDUP"] | flags["ENHANCED_MT"]
+        self._write_raw("param.features", plain)
+        stage, self.access.stage = self.access.stage, PROTECTION
+        self._write("param.position_min", self._low)
+        self._write("param.position_max", self._high)
+        if self._kept:
+            self._write("param.over_speed", min(self._over_speed, SPEED_RATIO * self.limits.speed))
+        self._write_raw("param.features", plain | flags["POSITION_LIMITS"] | self._kept)
+        self.access.stage = stage
 
     def _faults(self, *names: str) -> int:
         return sum(flag.mask for flag in self.access.catalogue.flags["faults"] if flag.name in names)
@@ -509,7 +634,7 @@ class MotorTest:
         fault = self.access.catalogue.enums["state_t"]["FAULT"]
         for _ in range(round(REST_MAX / 0.02)):
             self.access.wait(0.02)
-            if self._read("state") in (stop, fault) and abs(self._read("speed")) < 0.5:
+            if self._read("state") in (stop, fault) and abs(self._read("speed")) < REST_SPEED:
                 self.access.wait(0.1)
                 return
         raise MeasurementError(
@@ -517,17 +642,66 @@ class MotorTest:
             " load off, or balance it"
         )
 
-    def _stand(self, seconds: float) -> None:
+    def _stands(self, seconds: float) -> bool:
+        """Wait for rest; False if it does not come within so many seconds."""
         for _ in range(round(seconds / 0.02)):
-            if abs(self._read("speed")) < 0.5:
-                return
+            if abs(self._read("speed")) < REST_SPEED:
+                return True
             self.access.wait(0.02)
+        return abs(self._read("speed")) < REST_SPEED
 
-    def _turn_at(self, electrical: float) -> None:
-        """Electrical speed of the vector [rad/s]; returns when it is reached."""
-        self._write("cmd.speed", electrical / NOMINAL["pole_pairs"])
-        self.access.wait(abs(electrical - self._turns_at) / TURN_RAMP + 0.1)
-        self._turns_at = electrical
+    def _stays(self) -> bool:
+        """Whether a shaft that stands goes on to do so."""
+        begin = self._position()
+        self.access.wait(0.2)
+        return abs(self._position() - begin) < MOVED and abs(self._read("speed")) < REST_SPEED
+
+    def _stand(self) -> None:
+        if not self._stands(REST_MAX):
+            raise MeasurementError(f"{self.name} is not at rest after {REST_MAX:g} s: something turns the shaft")
+
+    def _turned(self, label: str, names: Sequence[str], samples: int, every: int, electrical: float) -> Recording:
+        """A recording while the vector turns with an electrical speed [rad/s]."""
+        times = abs(electrical) / TURN_RAMP + TURN_SETTLE, abs(electrical) / TURN_RAMP + STOPPED
+        return self._moving(label, names, samples, every, electrical / NOMINAL["pole_pairs"], times)
+
+    def _moving(
+        self,
+        label: str,
+        names: Sequence[str],
+        samples: int,
+        every: int,
+        speed: float,
+        times: tuple[float, float],
+        begin: Callable[[], None] = lambda: None,
+        *,
+        mark: bool = True,
+    ) -> Recording:
+        """A recording that begins when a speed [rad/s] is reached; the shaft stops before samples are read.
+
+        Parameters
+        ----------
+        times : tuple of float
+            For reaching the speed, and for stopping [s].
+        begin : callable
+            What is done at the first sample.
+        mark : bool
+            Whether a test signal without amplitude marks the first sample; otherwise `begin` starts one.
+        """
+
+        def start() -> None:
+            self._write("cmd.speed", speed)
+            self.access.wait(times[0])
+            if mark:
+                self._start_signal("d")
+            begin()
+            self.access.wait((samples * every + 4) * TICK)
+            self._write("cmd.speed", 0.0)
+            self.access.wait(times[1])
+
+        if mark:
+            self._signal(0.0, 0.0, 0.0, round(MARK / PERIOD))
+        return self._slow(label, names, samples, every, start, trigger="test_point")
 
     def _position(self) -> float:
         return self._read("position")

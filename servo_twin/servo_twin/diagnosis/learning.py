@@ -37,7 +37,7 @@ FALSE_ALARM_HOURS: Final = 48.0
 
 _SPAN: Final = 100  # blocks of which one maximum is taken for the tail, and one estimate for the spread
 _MEAN_SPAN: Final = 10.0  # of which one maximum of the running means is taken [s]
-_DETECT_MIN: Final = 10.0
+_DETECT_MIN: Final = 12.0
 _FEW: Final = 100  # samples of a bin from which its own noise is used
 _LEAST: Final = 20  # spans from which a tail is worth something
 _ENOUGH: Final = 5  # blocks from which a mean square is one

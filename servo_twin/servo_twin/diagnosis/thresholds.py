@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.diagnosis.signal_watch import WATCHED
-from servo_twin.diagnosis.signals import CHANGES, EQUATIONS, VOLTAGE_Q, AxisEquations
+from servo_twin.diagnosis.signals import CHANGES, EQUATIONS, RESISTANCE, VOLTAGE_Q, AxisEquations
 from servo_twin.diagnosis.window import Rows
 from servo_twin.level import DEFAULT_LEVEL, Level
 
@@ -38,6 +38,11 @@ CURRENTS: Final = (0.1, 0.3, 0.6)
 SPEEDS: Final = (30.0, 60.0, 100.0, 150.0)
 """Limits of the bins of the noise of a voltage [A], [rad/s]: dead time and switch drops are compensated badly at a
 current near zero, and the ripple that is left of them grows with the speed."""
+
+
+_RIPPLE: Final = 0.3
+"""Part of an independent sample that a voltage is at a small current: the ripple of the dead time, six times per
+electrical turn, is aliased to beats of some samples."""
 
 
 class ThresholdsError(ValueError):
@@ -85,7 +90,8 @@ class AxisNoise:
         """Equations without alias and without the error of the model, with their weights; the alias is a nuisance."""
         place = bin_of(equations.current, equations.speed)
         voltages = np.array([self.voltage_q[place], self.voltage_d[place]])
-        samples = np.array([equations.share, float(equations.phi[VOLTAGE_Q].any()), 1.0])
+        part = 1.0 if equations.phi[VOLTAGE_Q, RESISTANCE] else _RIPPLE
+        samples = np.array([equations.share, part * float(equations.phi[VOLTAGE_Q].any()), part])
         variance = np.array([self.torque**2, *(voltages**2 + equations.error**2)])
         y = equations.y - equations.alias @ np.array(self.alias) - equations.phi @ np.array(self.baseline)
         return Rows(y, np.concatenate([equations.phi, equations.alias], axis=1), samples / variance, samples)

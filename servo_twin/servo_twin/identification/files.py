@@ -32,6 +32,9 @@ def report_lines(result: Identified) -> list[str]:
         low, high = estimate.interval
         span = "" if estimate.sigma == 0.0 else f"{low:.4g} .. {high:.4g}"
         lines.append(f"{name:13} {estimate.value:12.5g}   {span:26} {unit}".rstrip())
+    bias = result.log.notes.get("bias")
+    if bias is not None and "l_d" in result.estimates.values:
+        lines.append(f"l_d holds at {bias['l_d']:.2g} A along the flux, l_q without current across it")
     if result.refinement is not None:
         lines.append("difference to the simulation (root mean square)   before    after")
         for column, before in result.refinement.before.items():
@@ -69,6 +72,7 @@ def write_estimates(path: Path, result: Identified, lines: Sequence[str]) -> Non
             name: {"value": one.value, "sigma": one.sigma, "interval": list(one.interval), "unit": UNITS[name]}
             for name, one in result.estimates.values.items()
         },
+        "bias": result.log.notes.get("bias"),
         "undetermined": dict(result.estimates.undetermined),
         "problems": list(result.problems),
         "difference": None if refinement is None else {"before": refinement.before, "after": refinement.after},

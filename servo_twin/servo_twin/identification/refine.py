@@ -20,7 +20,7 @@ from servo_msgs_py.measurement.access import MeasurementError, Recording
 from servo_msgs_py.measurement.estimation import BAND, estimates_of
 from servo_msgs_py.measurement.least_squares import mean_of
 from servo_msgs_py.measurement.log import MeasurementLog, repeat
-from servo_msgs_py.measurement.motor_test import PULSES, TURN
+from servo_msgs_py.measurement.motor_test import PROTECTION, PULSES, TURN
 from servo_msgs_py.measurement.motor_values import Estimate, MotorEstimates
 from servo_msgs_py.measurement.standstill import spectra
 
@@ -159,7 +159,7 @@ def simulated(
         with Board(plant, seed=seed, level=level) as board:
             board.set_load(log.axis, load)
             board.run(float(log.notes.get("boot", 0.05)))
-            return repeat(log, VirtualBoardAccess(board), (TURN, PULSES))
+            return repeat(log, VirtualBoardAccess(board), (TURN, PULSES, PROTECTION))
     except BoardError as error:
         raise MeasurementError(f"the simulation has failed: {error}") from None
 

@@ -12,7 +12,7 @@ from servo_msgs_py.axis_config import AxisConfigError
 from servo_msgs_py.axis_config_transfer import BlockRefusedError
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.measurement.access import MeasurementError
-from servo_msgs_py.measurement.estimation import estimates_of
+from servo_msgs_py.measurement.estimation import estimates_of, inductance_at_less
 from servo_msgs_py.measurement.log import MeasurementLog
 from servo_msgs_py.measurement.motor_config import fitted, tuned_axis
 from servo_msgs_py.measurement.motor_test import MotorTest
@@ -42,6 +42,9 @@ NEEDED: Final[Mapping[str, float]] = {
 
 FRICTION_SMALL: Final = 0.005
 """Of the torque of the current limit: so little friction need not be known any better."""
+
+SATURATED: Final = 0.03
+"""Relative difference of the inductances at full and at half the current from which on the iron saturates."""
 
 EXPLAINED: Final[Mapping[str, tuple[float, float]]] = {
     "i_d": (0.02, 0.02),
@@ -111,6 +114,8 @@ def measure_virtual(
             test.run()
         except (MeasurementError, BlockRefusedError, AxisConfigError, SimulationError) as error:
             problem = str(error)
+        if test.restoring_text and test.restoring_text not in problem:
+            problem += f"; {test.restoring_text}"
         test.log.notes["seconds"] = board.time_ns * 1e-9
     return test.log, problem
 
@@ -147,6 +152,8 @@ def identified(
     if not problem:
         problems += [f"{name}: {reason}" for name, reason in first.undetermined.items()]
     problems += _undetermined(estimates, log)
+    if not problem:
+        problems += _saturated(first, log)
     if refinement is not None:
         problems += _unexplained(log, refinement)
     return Identified(log, estimates, refinement, tuple(problems))
@@ -174,6 +181,22 @@ def _undetermined(estimates: MotorEstimates, log: MeasurementLog) -> list[str]:
                 " or speed"
             )
     return found
+
+
+def _saturated(first: MotorEstimates, log: MeasurementLog) -> list[str]:
+    """Whether an inductance depends on the current."""
+    if "l_d" not in first.values or "r_s" not in first.values or "bias" not in log.notes:
+        return []
+    low = inductance_at_less(log, first["r_s"] + float(log.notes["limits"]["r_on"]))
+    there = first.values["l_d"]
+    if low is None or abs(low.value / there.value - 1.0) < SATURATED + math.hypot(low.part, there.part):
+        return []
+    less, more = (log.notes["bias"][name] for name in ("l_d_low", "l_d"))
+    text = (
+        f"l_d: {low.value:.4g} H at {less:.2g} A and {there.value:.4g} H at {more:.2g} A along the flux: the iron"
+        " saturates, which the model does not have; the values hold near these currents only"
+    )
+    return [text]
 
 
 def _unexplained(log: MeasurementLog, refinement: Refinement) -> list[str]:

@@ -7,9 +7,8 @@ from typing import Final
 from servo_msgs_py.catalogue import Catalogue
 
 from targets.rig import Rig
-from targets.scenarios.parts import SPEED, TORQUE, features, ready, spin, stop
+from targets.scenarios.parts import SPEED, TEST, TORQUE, features, ready, spin, stop
 
-_TEST: Final = Catalogue.load().enums["control_mode_t"]["TEST"]
 _POINT: Final = Catalogue.load().enums["test_point_t"]
 
 
@@ -22,7 +21,7 @@ def _signal(rig: Rig, first: str, second: str, step: float, growth: float, calls
 
 
 def _to_test(rig: Rig) -> None:
-    rig.set_raw("cmd.mode", _TEST, _TEST)
+    rig.set_raw("cmd.mode", TEST, TEST)
     rig.set("cmd.enable", 1)
     rig.until("TEST", lambda: rig.places() == ["TEST", "TEST"])
 

@@ -14,6 +14,7 @@ POSITION: Final = 0
 SPEED: Final = 1
 TORQUE: Final = 2
 TRAJECTORY: Final = 3
+TEST: Final = 4
 
 COAST: Final = 0
 SHORT: Final = 1

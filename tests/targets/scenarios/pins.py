@@ -10,7 +10,7 @@ from servo_twin.harm import CutWire
 from servo_twin.plant import PlantConfig
 
 from targets.rig import Rig
-from targets.scenarios.parts import HOLD, POSITION, SPEED, plant, ready
+from targets.scenarios.parts import HOLD, POSITION, SPEED, TEST, plant, ready
 from targets.scenarios.tuning import Blocks
 
 _EVERYTHING = 31
@@ -45,6 +45,11 @@ def pins(rig: Rig) -> None:
     """A search under load, a switch reached in motion, stops that end in the brake, an enable input that opens."""
     ready(rig)
     _fit(rig)
+    rig.set("cmd.mode", TEST)  # refused: there is a brake
+    rig.set("cmd.enable", 1)
+    rig.run(0.002)
+    rig.until("STOP again", lambda: rig.places() == ["STOP", "STOP"])
+    rig.set("cmd.mode", POSITION)
     rig.inject(CutWire(1, "enable"))
     rig.run(0.002)
     rig.load(0, 0.02)

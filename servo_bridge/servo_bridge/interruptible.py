@@ -1,0 +1,45 @@
+"""A board to measure on, where Ctrl-C ends a wait, never an exchange, so that the way back has a line that works."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from servo_bridge.measurement_access import SessionAccess, measurement_access
+from servo_bridge.tool_record import interrupts
+from servo_bridge.wire.session import Session
+
+__all__ = ["interruptible_access"]
+
+
+@contextmanager
+def interruptible_access(session: Session) -> Iterator[SessionAccess]:
+    """Access to the board of a session; the first Ctrl-C raises `KeyboardInterrupt`, later ones wait for the end.
+
+    Parameters
+    ----------
+    session : Session
+        The board.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        From a wait.
+    """
+    presses = raised = 0
+
+    def press() -> None:
+        nonlocal presses
+        presses += 1
+        if raised:
+            print("servo-tool: the axis is being brought to rest, wait", file=sys.stderr, flush=True)
+
+    def check() -> None:
+        nonlocal raised
+        if presses and not raised:
+            raised = 1
+            raise KeyboardInterrupt
+
+    with interrupts(press), measurement_access(session, check) as access:
+        yield access
