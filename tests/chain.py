@@ -225,10 +225,10 @@ class Chain:
         values: dict[str, Any] = json.loads(self.tool("get", "--json", *names))
         return values
 
-    def tool(self, *arguments: str) -> str:
+    def tool(self, *arguments: str, timeout: float = 20.0) -> str:
         """Run a command of ``servo-tool`` past the bridge, which must not be running."""
         command = [sys.executable, "-m", TOOL, "--port", str(self.port), "--baud", str(self.baud), *arguments]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=20.0, env=self.environment)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, env=self.environment)
         assert done.returncode == 0, done.stderr
         return done.stdout
 

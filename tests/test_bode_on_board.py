@@ -150,12 +150,12 @@ def test_the_shaft_stays_within_its_range_however_slow_the_line_is(
 ) -> None:
     board.write("cmd.enable", [1, 0])
     board.run(4.0)
-    board.write("param.command_timeout", 0.25)
+    board.write("param.command_timeout", 2.0)
     start = board.truth(0).theta_m
     status = bode("axis1", loop, "--range", 60, "--repeat", 3)
     output = capsys.readouterr()
     assert status == 0, output.err
-    assert board.read("param.command_timeout") == 0.25
+    assert board.read("param.command_timeout") == 2.0
     way = max(abs(theta[0] - start) for theta in line.log.theta)
     assert 20.0 < way < float(output.err.split("up to ")[1].split(" rad")[0])
 
@@ -167,7 +167,7 @@ def test_a_board_on_a_pty_is_measured(tmp_path: Path) -> None:
     try:
         chain.board(level="ideal")
         wait_for(lambda: (tmp_path / "board").exists(), 20.0, chain.logs)
-        found = json.loads(chain.tool("bode", "axis2", "speed", "--enable", "--repeat", "2", "--json"))
+        found = json.loads(chain.tool("bode", "axis2", "speed", "--enable", "--repeat", "2", "--json", timeout=60.0))
         assert found["measured"]["crossover"]["value"] == pytest.approx(found["predicted"]["crossover"], rel=0.05)
         assert found["measured"]["phase margin"]["value"] == pytest.approx(found["predicted"]["phase margin"], abs=3.0)
     finally:

@@ -30,7 +30,7 @@ __all__ = ["SessionAccess", "measurement_access"]
 
 _FAST, _SLOW = 0, 1
 _LEAD: Final = 0.2  # longer than it takes to notice that a recording is over, and to stop it [s]
-_ATTEND: Final = 0.1  # between two calls of who attends a recording that has not been started [s]
+_ATTEND: Final = 0.08  # between two calls of who attends a recording [s]
 _PAUSE: Final = 0.02  # between two looks whether a keep-alive is due [s]
 
 
@@ -127,17 +127,19 @@ class SessionAccess(AttendedAccess):
             meanwhile(False)
         # Nothing triggers before the memory was full once; without a trigger the last samples before the stop are kept.
         ready = self._clock() + (_LEAD if recording.request.trigger is None else seconds + _LEAD)
-        while (left := ready - self._clock()) > 0.0:
-            self.wait(min(left, _ATTEND))
+        while self._clock() < ready:
+            self.wait(_ATTEND)
             meanwhile(False)
         if start is not None:
             start()
-        due = self._clock() + TRIGGER_TIMEOUT + seconds
+        due, full, attended = self._clock() + TRIGGER_TIMEOUT + seconds, False, self._clock()
         while (burst := recording.step(self._session)) is None:
             if recording.phase is Phase.WAITING and self._clock() > due:
                 raise RecorderError(f"nothing started within {TRIGGER_TIMEOUT:g} s: the recording was not triggered")
             self._meanwhile()
-            meanwhile(recording.phase is Phase.READING)
+            if (recording.phase is Phase.READING) != full or self._clock() >= attended + _ATTEND:
+                full, attended = recording.phase is Phase.READING, self._clock()
+                meanwhile(full)
             self.wait(recording.pause)
         return burst
 

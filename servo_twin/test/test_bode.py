@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
 import pytest
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
-from servo_msgs_py.measurement.access import MeasurementError, send_configuration
+from servo_msgs_py.measurement.access import MeasurementError, Recording, send_configuration
 from servo_msgs_py.measurement.bode import LOOPS, Bode, Request, measure
 from servo_msgs_py.measurement.bode_report import as_dict, draw, text
+from servo_msgs_py.measurement.test_signal import end_test_signal
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.experiments.pins import fit
@@ -234,6 +235,39 @@ def test_a_shaft_that_does_not_keep_its_speed_is_refused(access: VirtualBoardAcc
         measure(slow, Request(0, "speed", repeats=2))
     access.wait(0.2)
     assert abs(access.read("axis1.speed")[0]) < 1.0
+
+
+class EndedSignal(VirtualBoardAccess):
+    """A board that ends a test signal half-way."""
+
+    def record(
+        self,
+        names: Sequence[str],
+        samples: int,
+        every: int,
+        slow: bool,
+        start: Callable[[], None] | None = None,
+        *,
+        trigger: str | None = None,
+        meanwhile: Callable[[bool], None] | None = None,
+    ) -> Recording:
+        calls = 0
+
+        def ending(full: bool) -> None:
+            nonlocal calls
+            calls += 1
+            if calls == 5:
+                end_test_signal(self, 0)
+            if meanwhile is not None:
+                meanwhile(full)
+
+        return super().record(names, samples, every, slow, start, trigger=trigger, meanwhile=ending)
+
+
+def test_a_test_signal_that_ends_early_is_refused(access: VirtualBoardAccess) -> None:
+    with pytest.raises(MeasurementError, match="ended the test signal of axis1 before its time"):
+        measure(EndedSignal(access.board), Request(0, "speed", repeats=2), enable=True)
+    assert access.read("cmd.enable") == [0.0, 0.0]
 
 
 def test_an_uncertainty_is_only_given_where_half_the_amplitude_confirms_it() -> None:

@@ -61,6 +61,7 @@ _SPEED_PART: Final = {"speed": 0.15, "position": 0.1}  # of the speed limit: def
 _CHECKS: Final = 2  # recordings with half the amplitude
 _LINEAR, _LINEAR_DEGREES = 0.05, 3.0  # what they may change
 _RESOLUTIONS: Final = 20.0  # of the M/T method; below them its steps change the gain by percents
+_SIGNAL_PART: Final = 0.9  # of a sweep, that a recording has to hold
 _LIMIT_PART: Final = 0.98
 _VOLTAGE: Final = ("u_d", "u_q")
 _SETTLE: Final = 0.3  # at the constant speed [s]
@@ -68,6 +69,7 @@ _LINE: Final = 0.5  # for the exchanges at a serial line by which a motion begin
 _TIME_MAX: Final = 30.0  # longest motion [s]
 _RENEW: Final = 0.05  # between two writes of a set-point [s]
 _SPEED_TOLERANCE: Final = 0.1  # of the constant speed
+_AHEAD: Final = 0.25  # of their time, that points are sent, on a slow line too [s]
 _RAMP: Final = 0.3  # longest way to the constant speed in a trajectory [s]
 _REST_TIME: Final = 5.0
 _STILL_LOOKS: Final = 10
@@ -518,7 +520,7 @@ class _Axis:
         ramp = max(0.01, min(1.5 * abs(speed) / acceleration, _RAMP))
         place = self.value("position_ref")
         tick = int(self.access.read("tick")[0])
-        path = ((0.1, 0.0, 0.0), (ramp, 0.5 * ramp * speed, speed), (seconds, seconds * speed, speed))
+        path = ((_AHEAD, 0.0, 0.0), (ramp, 0.5 * ramp * speed, speed), (seconds, seconds * speed, speed))
         points = []
         for duration, way, velocity in (*path, (ramp, 0.5 * ramp * speed, 0.0)):
             tick += round(duration * 1e9 / PERIOD_NS)
@@ -530,7 +532,7 @@ class _Axis:
             self.access.wait(_LOOK)
             reason = self.access.catalogue.label("point_refusal_t", int(self.access.read("point_refusal")[0]))
             raise MeasurementError(f"{self.name} refuses to turn at {speed:g} rad/s: {reason}; give a lower speed")
-        self.access.wait(0.1 + ramp)
+        self.access.wait(_AHEAD + ramp)
 
 
 @contextmanager
@@ -795,8 +797,20 @@ def _estimated(access: BoardAccess, settings: Settings, band: Band, taken: Seque
     scale = full_scale(access, loop.point)
     signals = [loop.signals(settings.axis, recording, scale) for recording in taken]
     instrument, error, output = (np.array(rows) for rows in zip(*signals, strict=True))
+    _refuse_short_signal(settings, instrument)
     _refuse_saturation(access, settings, error)
     return estimate(band.step, instrument, error, output, band.f_min, band.f_max)
+
+
+def _refuse_short_signal(settings: Settings, signals: NDArray[np.float64]) -> None:
+    """Refuse recordings in which the board has ended the test signal before its time."""
+    for signal in signals:
+        (active,) = np.nonzero(signal)
+        if active.size and active[-1] < _SIGNAL_PART * _SWEEP_PART * signal.size:
+            raise MeasurementError(
+                f"the board has ended the test signal of {axis_name(settings.axis)} before its time: a switch, a "
+                "set-point that expired, or another program; look at axisN.limits and axisN.inputs, and try again"
+            )
 
 
 def _refuse_voltage(access: BoardAccess, axis: int, board: BoardValues, recording: Recording) -> None:
