@@ -7,20 +7,17 @@ import csv
 import json
 import math
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from servo_msgs_py.catalogue import AXES, axis_name
-from servo_msgs_py.measurement.access import AttendedAccess, MeasurementError
+from servo_msgs_py.measurement.access import MeasurementError
 from servo_msgs_py.measurement.bode import LOOPS, Bode, Request, measure
 from servo_msgs_py.measurement.bode_report import COLUMNS, as_dict, draw, rows, text
 
 from servo_bridge.bode_recording import write_recording
-from servo_bridge.measurement_access import measurement_access
+from servo_bridge.interruptible import interruptible_access
 from servo_bridge.tool_progress import ProgressLine
-from servo_bridge.tool_record import interrupts
 
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
@@ -59,7 +56,7 @@ def bode(context: Context) -> int:
         _AXES.index(args.axis), args.loop, args.amplitude, args.f_min, args.f_max, args.speed, args.range, args.repeat
     )
     try:
-        with _interruptible(context) as access, ProgressLine() as progress:
+        with interruptible_access(context.session) as access, ProgressLine() as progress:
             result = measure(
                 access,
                 request,
@@ -73,26 +70,6 @@ def bode(context: Context) -> int:
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1
     return 0 if result.confirmed else 1
-
-
-@contextmanager
-def _interruptible(context: Context) -> Iterator[AttendedAccess]:
-    """The board; Ctrl-C ends a wait, never an exchange, so that the way back to rest has a line that works."""
-    pressed = False
-
-    def press() -> None:
-        nonlocal pressed
-        pressed = True
-
-    def check() -> None:
-        nonlocal pressed
-        if pressed:
-            pressed = False  # what brings the axis to rest has to wait, too
-            raise KeyboardInterrupt
-
-    with interrupts(press), measurement_access(context.session, check) as access:
-        yield access
-        check()
 
 
 def _write(result: Bode, folder: Path | None, recording: Path | None) -> None:
