@@ -92,7 +92,8 @@ ROOM_USE: Final = 0.9  # of the way to the limits
 OVERSHOOT: Final = 1.18  # speed over its set-point after a reversal
 STOPPED: Final = 0.1  # after the set-point has reached 0 [s]
 SETTLE: Final = 0.3  # s, at a new speed
-SETTLE_HOLD: Final = 0.15  # where only the second half of the recording counts [s]
+SETTLE_BEFORE: Final = 0.15  # before the speed is changed [s]
+SETTLE_HOLD: Final = 0.45  # before a current along the flux: what is left of a change acts as flux [s]
 APPROACH_MAX: Final = 1.2  # time in which a speed is reached [s]
 NOMINAL: Final[Mapping[str, float]] = {
     "r_s": 0.5,
@@ -467,7 +468,7 @@ class MotorTest:
                 seconds = abs(speed - before) / acceleration + SETTLE
                 every = math.ceil(seconds / TICK / self.access.capacity(self._columns_of(self._SPIN)))
                 change = partial(self._write, "cmd.speed", speed)
-                times = abs(before) / acceleration + SETTLE_HOLD, abs(speed) / acceleration + STOPPED
+                times = abs(before) / acceleration + SETTLE_BEFORE, abs(speed) / acceleration + STOPPED
                 self._moving("speed", self._SPIN, int(seconds / TICK / every), every, before, times, change)
                 before = speed
             for speed in speeds:
