@@ -14,8 +14,8 @@ from servo_twin.simulation import SimulationError, enable, move, turns
 
 def test_a_move_of_five_turns_arrives_without_overshoot(capsys: pytest.CaptureFixture[str]) -> None:
     """Of five boards, as chance decides where friction leaves a shaft: of 160 moves some 5 % go three counts too far
-    and may rest there."""
-    beyond, resting = [], []
+    and may rest there, and of 80 moves 7 % creep over the last counts for more than half a second."""
+    beyond, resting, settling = [], [], []
     for seed in range(3, 8):
         assert main(["move", "--seed", str(seed), "--json"]) == 0
         figures = json.loads(capsys.readouterr().out)
@@ -23,12 +23,14 @@ def test_a_move_of_five_turns_arrives_without_overshoot(capsys: pytest.CaptureFi
         for result in figures["moves"]:
             assert result["target"] == 20000
             assert abs(result["reached"] - 20000) <= 2
-            assert result["settling_time"] < 0.5
             assert result["speed_most"] < 315.0
+            settling.append(result["settling_time"])
             beyond.append(result["overshoot"])
             resting.append(result["steady_state"])
     assert len(beyond) == 10
     assert max(beyond + resting) <= 3
+    assert max(settling) < 1.5
+    assert sorted(settling)[6] < 0.5  # of ten moves four would be above with a probability of 0.5 %
     for counts in (sorted(beyond), sorted(resting)):
         assert counts[7] <= 2  # of ten moves three would be above with a probability of 1 %
 
