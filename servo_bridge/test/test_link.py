@@ -142,7 +142,7 @@ def test_a_refusal_of_the_board_does_not_break_the_link(connected: Watcher, fake
 @pytest.mark.parametrize(
     ("name", "raw", "first", "text"),
     [
-        ("cmd.mode", [0, 9], 0, r"cmd.mode\[1\]: 9 is outside 0 .. 3"),
+        ("cmd.mode", [0, 9], 0, r"cmd.mode\[1\]: 9 is outside 0 .. 4"),
         ("param.host_timeout", [60001], 0, "param.host_timeout: 30.0005 is outside 0.05 .. 30 s"),
         ("param.i_q_limit", [0], 1, r"param.i_q_limit\[1\]: 0 is outside 0.1 .. 4 A"),
         ("cmd.position", [2**30 + 1], 1, r"cmd.position\[1\]: 1.68663e\+06 rad is more than"),
