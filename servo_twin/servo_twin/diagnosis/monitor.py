@@ -36,6 +36,8 @@ PLANT_VALUES: Final[Mapping[str, str]] = {
 MARGINS: Final = (0.02, 0.01, 0.02, 0.02, 5e-5, 0.01)
 """Per change of an axis, see `Unknowns.margins`."""
 
+_SPEED_MAX: Final = 260.0
+"""Beyond the speeds of calibration nothing is judged: voltages come to their limit, which no equation has [rad/s]."""
 _BUS_MARGIN: Final = 0.02  # the resistance of the supply is not known well
 _SURE: Final = 1.5  # for which something has been found before the twin takes it over [s]
 _LEAST: Final = 0.05  # part of a value that is left at least
@@ -127,6 +129,9 @@ class DiagnosisMonitor:
         seconds = 0.0 if before is None else min((pair.tick - before) * PERIOD_NS * 1e-9, _GAP)
         changed = False
         for axis, signals in enumerate(self._signals):
+            if abs(pair.real[f"{axis_name(axis)}.speed"]) > _SPEED_MAX:
+                signals.interrupt()
+                continue
             equations = None if pair.stopping[axis] else signals.update(pair.tick, pair.real, pair.twin)
             if equations is None:
                 continue
