@@ -42,7 +42,7 @@ def board(baud: int) -> Iterator[Board]:
 
 
 class InterruptedLine(SimulatedLine):
-    """A line during which somebody presses Ctrl-C when axis 1 turns faster than a speed [rad/s]."""
+    """A line on which Ctrl-C is pressed when axis 1 turns faster than a speed [rad/s]."""
 
     interrupt_above: float | None = None
 

@@ -14,7 +14,7 @@ from servo_bridge.measurement_access import SessionAccess, measurement_access
 from servo_bridge.wire.session import connect
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.measurement.access import MeasurementError, recorded, send_configuration
+from servo_msgs_py.measurement.access import MeasurementError, faults_refused, send_configuration
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
 
@@ -54,7 +54,8 @@ def test_an_enabled_axis_does_not_miss_its_host(board: Board, access: SessionAcc
     access.write("cmd.enable", [1.0, 1.0])
     access.wait(3.0)
     names = ("tick", "axis1.i_q")
-    recording = recorded(access, 0, names, access.capacity(names), 2, slow=True)
+    with faults_refused(access, 0):
+        recording = access.record(names, access.capacity(names), 2, slow=True)
     assert np.all(np.diff(recording.columns["tick"]) == 16.0)
     assert recording.step == pytest.approx(1e-3)
     assert board.read("axis1.state") == board.catalogue.enums["state_t"]["RUN"]

@@ -1,4 +1,4 @@
-"""A board at a serial line to measure on: see `servo_msgs_py.measurement.access.AttendedAccess`."""
+"""A board at a serial line to measure on: see `servo_msgs_py.measurement.access.BoardAccess`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.measurement.access import (
     TRIGGER_TIMEOUT,
-    AttendedAccess,
+    BoardAccess,
     MeasurementError,
     Recording,
     element_of,
@@ -34,7 +34,7 @@ _ATTEND: Final = 0.08  # between two calls of who attends a recording [s]
 _PAUSE: Final = 0.02  # between two looks whether a keep-alive is due [s]
 
 
-class SessionAccess(AttendedAccess):
+class SessionAccess(BoardAccess):
     """Access to the board of a session; see `measurement_access`.
 
     Parameters

@@ -1,4 +1,4 @@
-"""A virtual board to measure on, in simulated time: see `servo_msgs_py.measurement.access.AttendedAccess`."""
+"""A virtual board to measure on, in simulated time: see `servo_msgs_py.measurement.access.BoardAccess`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.measurement.access import (
     RECORDER_BYTES,
     TRIGGER_TIMEOUT,
-    AttendedAccess,
+    BoardAccess,
     MeasurementError,
     Recording,
     element_of,
@@ -28,7 +28,7 @@ _START_TIME: Final = 5.0  # that what is called to start a recording may take [s
 _ATTEND: Final = 0.05  # between two calls of who attends a recording, as on a serial line [s]
 
 
-class VirtualBoardAccess(AttendedAccess):
+class VirtualBoardAccess(BoardAccess):
     """Access to a board of this process. Its host never falls silent.
 
     Parameters

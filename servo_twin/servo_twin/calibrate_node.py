@@ -78,7 +78,7 @@ class Calibration(ServoTwin):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run until enough is learned, Ctrl-C or SIGTERM; returns the exit status."""
-    purpose = "Learns from a healthy board, while somebody moves it, from when on the twin calls a difference a change."
+    purpose = "Learns from a healthy board in motion above which difference the twin reports a change."
 
     def make(_: Any) -> Calibration:
         return Calibration()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import BlockRefusedError, read_block
-from servo_msgs_py.measurement.access import MeasurementError, recorded, refuse_faults, send_configuration
+from servo_msgs_py.measurement.access import MeasurementError, faults_refused, refuse_faults, send_configuration
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 from servo_twin.board import Board
 from servo_twin.board_access import VirtualBoardAccess
@@ -64,8 +64,8 @@ def test_a_fault_is_named_with_its_remedy(access: VirtualBoardAccess) -> None:
     refuse_faults(access, 0)
     access.board.connect_encoder(0, False)
     access.write("cmd.enable", [1.0], 0)
-    with pytest.raises(MeasurementError, match=r"axis1 has a fault\. \w+: .+\. .+"):
-        recorded(access, 0, ["tick"], 1000, 8, slow=True)
+    with pytest.raises(MeasurementError, match=r"axis1 has a fault\. \w+: .+\. .+"), faults_refused(access, 0):
+        access.record(["tick"], 1000, 8, slow=True)
     refuse_faults(access, 1)
 
 

@@ -6,7 +6,8 @@ The same measurement runs on a virtual board in simulated time and on a board at
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -20,12 +21,11 @@ from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 __all__ = [
     "RECORDER_BYTES",
     "TRIGGER_TIMEOUT",
-    "AttendedAccess",
     "BoardAccess",
     "MeasurementError",
     "Recording",
     "element_of",
-    "recorded",
+    "faults_refused",
     "refuse_faults",
     "send_configuration",
     "step_of",
@@ -117,6 +117,7 @@ class BoardAccess(BlockMemory, Protocol):
         start: Callable[[], None] | None = None,
         *,
         trigger: str | None = None,
+        meanwhile: Callable[[bool], None] | None = None,
     ) -> Recording:
         """Record some variables.
 
@@ -136,36 +137,15 @@ class BoardAccess(BlockMemory, Protocol):
             Variable: the first sample is the one at which it is above zero; on a serial line it takes as long as the
             recording until `start` is called, because the memory has to be full once. By default the recording begins
             before `start` is called, on a serial line by up to 0.3 s.
+        meanwhile : callable, optional
+            Called again and again, on a serial line some ten times a second, from before `start` until the samples
+            have been read. Its argument says whether the memory is full: then nothing depends on the axis any more,
+            while a serial line may take seconds to read the samples.
 
         Raises
         ------
         MeasurementError
             If it cannot be recorded, or the trigger does not come within `TRIGGER_TIMEOUT`.
-        """
-
-
-class AttendedAccess(BoardAccess, Protocol):
-    """Access to a board on which something can be done while it records."""
-
-    def record(
-        self,
-        names: Sequence[str],
-        samples: int,
-        every: int,
-        slow: bool,
-        start: Callable[[], None] | None = None,
-        *,
-        trigger: str | None = None,
-        meanwhile: Callable[[bool], None] | None = None,
-    ) -> Recording:
-        """As `BoardAccess.record`.
-
-        Parameters
-        ----------
-        meanwhile : callable, optional
-            Called again and again, on a serial line some ten times a second, from before `start` until the samples
-            have been read. Its argument says whether the memory is full: then nothing depends on the axis any more,
-            while a serial line may take seconds to read the samples.
         """
 
 
@@ -233,23 +213,12 @@ def refuse_faults(access: BoardAccess, axis: int) -> None:
         raise MeasurementError(f"{axis_name(axis)} has a fault. {text}")
 
 
-def recorded(
-    access: AttendedAccess,
-    axis: int,
-    names: Sequence[str],
-    samples: int,
-    every: int,
-    slow: bool,
-    start: Callable[[], None] | None = None,
-    *,
-    trigger: str | None = None,
-    meanwhile: Callable[[bool], None] | None = None,
-) -> Recording:
-    """As `AttendedAccess.record`; a fault of the axis meanwhile is the error."""
+@contextmanager
+def faults_refused(access: BoardAccess, axis: int) -> Iterator[None]:
+    """A fault of the axis at the end of the block, or behind an error in it, is the error: see `refuse_faults`."""
     try:
-        recording = access.record(names, samples, every, slow, start, trigger=trigger, meanwhile=meanwhile)
+        yield
     except MeasurementError:
         refuse_faults(access, axis)
         raise
     refuse_faults(access, axis)
-    return recording

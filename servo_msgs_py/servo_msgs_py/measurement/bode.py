@@ -22,11 +22,10 @@ from numpy.typing import NDArray
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.measurement.access import (
-    AttendedAccess,
     BoardAccess,
     MeasurementError,
     Recording,
-    recorded,
+    faults_refused,
     refuse_faults,
     step_of,
 )
@@ -431,7 +430,7 @@ def _time_of(band: Band) -> float:
 class _Axis:
     """The axis under test: motions in which it is measured, and the way back from them."""
 
-    def __init__(self, access: AttendedAccess, axis: int) -> None:
+    def __init__(self, access: BoardAccess, axis: int) -> None:
         self.access, self.axis, self.name = access, axis, axis_name(axis)
         self.modes = access.catalogue.enums["control_mode_t"]
 
@@ -536,7 +535,7 @@ class _Axis:
 
 
 @contextmanager
-def _prepared(access: AttendedAccess, settings: Settings, enable: bool, say: Callable[[str], None]) -> Iterator[_Axis]:
+def _prepared(access: BoardAccess, settings: Settings, enable: bool, say: Callable[[str], None]) -> Iterator[_Axis]:
     """The axis in SPIN and at rest, or in TEST; afterwards at rest, in mode and state from before.
 
     An axis in mode TORQUE holds its position after its set-point has expired. It is left in mode POSITION: mode TORQUE
@@ -582,7 +581,7 @@ def _prepared(access: AttendedAccess, settings: Settings, enable: bool, say: Cal
 
 
 def measure(
-    access: AttendedAccess,
+    access: BoardAccess,
     request: Request,
     *,
     enable: bool = False,
@@ -673,7 +672,7 @@ def _with_difference(one: Measured, other: Measured) -> Measured:
 
 
 def _unconfirmed(found: Figures) -> Figures:
-    """The same values, with an uncertainty that nobody knows."""
+    """The same values, with an unknown uncertainty."""
 
     def unknown(figure: Measured | None) -> Measured | None:
         return None if figure is None else Measured(figure.value, math.inf)
@@ -768,17 +767,9 @@ def _recorded(
     else:
         axis.stand_still(renew)
     names = settings.names if columns is None else [f"{axis.name}.{column}" for column in columns]
-    return recorded(
-        access,
-        axis.axis,
-        names,
-        band.samples,
-        band.every,
-        loop.slow,
-        start,
-        trigger=f"{axis.name}.test_point",
-        meanwhile=meanwhile,
-    )
+    trigger = f"{axis.name}.test_point"
+    with faults_refused(access, axis.axis):
+        return access.record(names, band.samples, band.every, loop.slow, start, trigger=trigger, meanwhile=meanwhile)
 
 
 def _refuse_motion(name: str, begun: tuple[float, float], ended: tuple[float, float], speed: float) -> None:

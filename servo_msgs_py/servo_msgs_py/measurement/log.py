@@ -208,8 +208,9 @@ class LoggedAccess(BoardAccess):
         start: Callable[[], None] | None = None,
         *,
         trigger: str | None = None,
+        meanwhile: Callable[[bool], None] | None = None,
     ) -> Recording:
-        return self.labelled("", names, samples, every, slow, start, trigger=trigger)
+        return self.labelled("", names, samples, every, slow, start, trigger=trigger, meanwhile=meanwhile)
 
     def labelled(
         self,
@@ -221,8 +222,9 @@ class LoggedAccess(BoardAccess):
         start: Callable[[], None] | None = None,
         *,
         trigger: str | None = None,
+        meanwhile: Callable[[bool], None] | None = None,
     ) -> Recording:
-        """As `record`, with a purpose."""
+        """As `record`, with a purpose; what `meanwhile` does is not written down."""
         outer = self._calls
         inner: list[Call] = []
 
@@ -234,7 +236,7 @@ class LoggedAccess(BoardAccess):
             finally:
                 self._calls = outer
 
-        recording = self._access.record(names, samples, every, slow, logged_start, trigger=trigger)
+        recording = self._access.record(names, samples, every, slow, logged_start, trigger=trigger, meanwhile=meanwhile)
         outer.append(Call("record", (list(names), samples, every, slow, trigger), tuple(inner), label, self.stage))
         self.log.recordings.append(recording)
         return recording

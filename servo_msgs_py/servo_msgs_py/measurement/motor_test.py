@@ -35,6 +35,7 @@ from servo_msgs_py.measurement.motor_values import Estimate, Limits
 from servo_msgs_py.measurement.restoring import AxisState
 from servo_msgs_py.measurement.spinning import balance
 from servo_msgs_py.measurement.standstill import PERIOD, impedance
+from servo_msgs_py.measurement.test_signal import full_scale, start_test_signal
 from servo_msgs_py.tuning.configuration import Scales
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.formats import GAIN
@@ -502,16 +503,13 @@ class MotorTest:
 
     def _signal(self, amplitude: float, first: float, growth: float, calls: int) -> None:
         """Describe a test signal: amplitude [A], frequency [turns per PWM period] and its growth, length."""
-        full = self.access.catalogue[f"{self.name}.i_d"].full_scale
-        assert full is not None
-        self._write("cmd.test_amplitude", min(amplitude / full, 0.5))
+        self._write("cmd.test_amplitude", min(amplitude / full_scale(self.access, "I_D"), 0.5))
         self._write("cmd.test_step", first)
         self._write("cmd.test_growth", growth)
         self._write("cmd.test_calls", float(calls))
 
     def _start_signal(self, point: str) -> None:
-        points = self.access.catalogue.enums["test_point_t"]
-        self._write("cmd.test_point", float(points[f"I_{point.upper()}"]))
+        start_test_signal(self.access, self.axis, f"I_{point.upper()}")
 
     def _sweep(self, label: str, point: str, amplitude: float) -> Recording:
         first, last = 150.0 * PERIOD, 3000.0 * PERIOD

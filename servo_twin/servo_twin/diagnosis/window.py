@@ -72,7 +72,7 @@ class Window:
         Unknowns.
     equations : int
     prior : ndarray, shape (nuisances,)
-        What is known of the nuisances besides, which are unknowns that nobody asks for: one over their variance.
+        What is known of the nuisances besides, unknowns of no interest: one over their variance.
 
     Attributes
     ----------

@@ -156,7 +156,7 @@ class HealthMonitor:
         stopping : sequence of bool
             Axes that stop by themselves: their positions are not judged, their speeds are.
         complaint : str
-            What somebody else has found who has looked for longer: no grace. Empty: nothing.
+            What the diagnosis has found over a longer time: no grace. Empty: nothing.
         """
         seconds = 0.0 if self._tick is None else _seconds(residual.tick - self._tick)
         self._tick = residual.tick

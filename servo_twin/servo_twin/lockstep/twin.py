@@ -330,7 +330,7 @@ class Twin:
             return False
         if self._queue[-1].tick - sample.tick <= _ticks(self.settings.patience):
             return True
-        self.resync(f"{missing} command{'s' if missing > 1 else ''} took effect that nobody reported")
+        self.resync(f"{missing} command{'s' if missing > 1 else ''} took effect without a report")
         return False
 
     def _take(self, sample: Sample) -> Pair | None:
