@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from servo_twin.diagnosis.channel import Channel, Finding, Kind
 from servo_twin.diagnosis.hypotheses import Unknowns
 from servo_twin.diagnosis.monitor import PLANT_VALUES, DiagnosisMonitor
@@ -104,14 +106,20 @@ def test_a_slipped_encoder_is_an_angle() -> None:
     assert abs(found.finding.value) == pytest.approx(np.deg2rad(18.0), rel=0.1)
 
 
+def rows(samples: Sequence[tuple[float, NDArray[np.float64]]]) -> Rows:
+    """One equation of weight 1 per sample."""
+    y = np.array([[left] for left, _ in samples])
+    return Rows(y, np.array([phi for _, phi in samples]), np.ones_like(y), np.ones_like(y))
+
+
 def test_what_no_equation_has_is_unknown() -> None:
     """Noise three times as large as that of a healthy pair."""
     unknowns = Unknowns(("one", "two"), np.array([0.01, 0.01]), np.ones(2))
-    channel = Channel(unknowns, 10.0, np.array([2.0]), np.empty(0))
+    channel = Channel(unknowns, 10.0, np.array([2.0]), np.empty(0), rows)
     draw = np.random.default_rng(1)
     for tick in range(0, 400_000, 136):
         phi = draw.normal(size=(1, 2))
-        channel.add(tick, 0.0085, Rows(draw.normal(size=1) * 3.0, phi, np.ones(1), np.ones(1)))
+        channel.add(tick, 0.0085, (draw.normal() * 3.0, phi))
     assert channel.finding is not None
     assert channel.finding.kind is Kind.UNKNOWN
 
@@ -119,10 +127,10 @@ def test_what_no_equation_has_is_unknown() -> None:
 def test_what_the_motion_does_not_tell_apart_is_said_to_be_one_of_two() -> None:
     """Friction and load are the same while the shaft turns one way only."""
     unknowns = Unknowns(("friction", "load"), np.array([0.01, 0.01]), np.ones(2))
-    channel = Channel(unknowns, 10.0, np.array([5.0]), np.empty(0))
+    channel = Channel(unknowns, 10.0, np.array([5.0]), np.empty(0), rows)
     draw = np.random.default_rng(2)
     for tick in range(0, 1_000_000, 136):
-        channel.add(tick, 0.0085, Rows(draw.normal(size=1) + 1.0, np.ones((1, 2)), np.ones(1), np.ones(1)))
+        channel.add(tick, 0.0085, (draw.normal() + 1.0, np.ones((1, 2))))
     assert channel.finding is not None
     assert (channel.finding.kind, set(channel.finding.changes)) == (Kind.ONE_OF, {"friction", "load"})
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Final
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ _ENOUGH: Final = 5  # blocks from which a mean square is one
 _SETTLED: Final = 10  # blocks after which the time of a change is final
 
 _Array = NDArray[np.float64]
+_Sample = TypeVar("_Sample")
 
 
 class Kind(Enum):
@@ -75,7 +77,7 @@ class Estimate:
     half_width: float
 
 
-class Channel:
+class Channel(Generic[_Sample]):
     """One set of equations: those of an axis, or that of the bus.
 
     Parameters
@@ -86,7 +88,7 @@ class Channel:
         Logarithm of the likelihood ratio from which a change is one.
     unexplained : ndarray, shape (equations,)
         Mean square over its variance from which something is left to explain.
-    prior : ndarray, shape (nuisances,)
+    prior, rows
         See `Window`.
 
     Attributes
@@ -95,11 +97,18 @@ class Channel:
         None: nothing has changed.
     """
 
-    def __init__(self, unknowns: Unknowns, detect: float, unexplained: _Array, prior: _Array) -> None:
+    def __init__(
+        self,
+        unknowns: Unknowns,
+        detect: float,
+        unexplained: _Array,
+        prior: _Array,
+        rows: Callable[[Sequence[_Sample]], Rows],
+    ) -> None:
         self.unknowns = unknowns
         self._detect = detect
         self._unexplained = unexplained
-        self._window = Window(len(unknowns.names), len(unexplained), prior)
+        self._window = Window(len(unknowns.names), prior, rows)
         self._age = 0  # blocks since the first sign of a change
         self.finding: Finding | None = None
 
@@ -109,9 +118,9 @@ class Channel:
         self._age = 0
         self.finding = None
 
-    def add(self, tick: int, seconds: float, rows: Rows) -> bool:
+    def add(self, tick: int, seconds: float, sample: _Sample) -> bool:
         """Add a sample; returns whether there is something new to say. Arguments as of `Window.add`."""
-        if not self._window.add(tick, seconds, rows):
+        if not self._window.add(tick, seconds, sample):
             return False
         self._judge(tick)
         return True
