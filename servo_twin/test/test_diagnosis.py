@@ -17,7 +17,7 @@ from servo_twin.diagnosis.signal_watch import WATCHED, SignalWatch
 from servo_twin.diagnosis.thresholds import Thresholds, ThresholdsError
 from servo_twin.diagnosis.trials import NOTHING, Change, HealthyRuns, Trials
 from servo_twin.diagnosis.window import Rows
-from servo_twin.harm import SlippedEncoder
+from servo_twin.fault_injection import SlippedEncoder
 from servo_twin.lockstep.twin import Pair
 from servo_twin.plant import PlantConfig
 
@@ -67,7 +67,9 @@ def test_nothing_is_said_of_a_healthy_pair() -> None:
 # ---- more than one, and none that is known --------------------------------------------------------------------------
 
 
-def watched(*changes: tuple[str, float], harm: SlippedEncoder | None = None, seconds: float = 10.0) -> DiagnosisMonitor:
+def watched(
+    *changes: tuple[str, float], fault: SlippedEncoder | None = None, seconds: float = 10.0
+) -> DiagnosisMonitor:
     """A monitor after changes in the middle of a motion."""
     monitor = DiagnosisMonitor(PLANT, LEARNED)
     with BoardPair(PLANT, PLANT, seed=11, level="ideal") as pair:
@@ -78,8 +80,8 @@ def watched(*changes: tuple[str, float], harm: SlippedEncoder | None = None, sec
         assert not monitor.findings()
         for name, value in changes:
             pair.board.set_plant(name, value)
-        if harm is not None:
-            pair.board.inject(harm)
+        if slip is not None:
+            pair.board.inject(slip)
         for one in motion.run(seconds):
             monitor.update(one)
     return monitor
@@ -101,7 +103,7 @@ def test_the_twin_takes_over_all_of_several_changes() -> None:
 
 
 def test_a_slipped_encoder_is_an_angle() -> None:
-    (found,) = watched(harm=SlippedEncoder(1, 100)).findings()
+    (found,) = watched(slip=SlippedEncoder(1, 100)).findings()
     assert (found.axis, found.finding.changes) == (1, ("encoder_angle",))
     assert abs(found.finding.value) == pytest.approx(np.deg2rad(18.0), rel=0.1)
 

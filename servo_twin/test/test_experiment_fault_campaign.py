@@ -14,8 +14,8 @@ from servo_twin.experiments.campaign_states import STATES, Bench, Script
 from servo_twin.experiments.fault_campaign import Result, Trial, draw, judge, run_trial
 from servo_twin.experiments.named_faults import NOTHING
 from servo_twin.experiments.rig import at_level
+from servo_twin.fault_injection import OpenPhase
 from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
-from servo_twin.harm import OpenPhase
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -29,8 +29,8 @@ PLANT = PlantConfig.load()
 
 def open_phase(*names: str) -> Trial:
     """A phase of axis 1 opens at 0.1 .. 0.6 of the speed limit."""
-    harm = OpenPhase(0, "b")
-    damage = Damage("open phase", str(harm), lambda board: board.inject(harm), lambda seen: names)
+    fault = OpenPhase(0, "b")
+    damage = Damage("open phase", str(fault), lambda board: board.inject(fault), lambda seen: names)
     return Trial(1, 0, Motor.of("axis1", PLANT), STATES["under load"], damage, PLANT)
 
 

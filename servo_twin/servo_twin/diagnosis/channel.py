@@ -18,7 +18,7 @@ __all__ = ["Channel", "Estimate", "Finding", "Kind"]
 _INTERVAL: Final = 1.96  # of 95 %
 _SEPARATE: Final = 6.0  # by which the likelihood of the change that is named exceeds that of any other,
 _SEPARATE_PART: Final = 0.1  # and by which part of itself
-_PATIENCE: Final = 30  # blocks after which changes that cannot be told apart are named together
+_AMBIGUOUS: Final = 30  # blocks after which changes that cannot be told apart are named together
 _SEVERAL: Final = 0.02  # part of what the first change explains that its own nonlinearity may leave to others
 _LEFT: Final = 0.1  # part of the residual that a single change may leave, whatever the noise
 _ENOUGH: Final = 5  # blocks from which a mean square is one
@@ -213,7 +213,7 @@ class Channel(Generic[_Sample]):
             return Finding(Kind.SEVERAL, both, *known) if self._age > 3 else None
         if found.ratio - found.rival_ratio > _SEPARATE + _SEPARATE_PART * found.ratio:
             return Finding(Kind.SINGLE, (single,), *known)
-        if self._age > _PATIENCE:
+        if self._age > _AMBIGUOUS:
             return Finding(Kind.ONE_OF, (single, names[found.rival]), *known)
         return None
 

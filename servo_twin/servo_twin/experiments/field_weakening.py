@@ -28,7 +28,7 @@ from servo_twin.experiments.rig import (
     spinning,
     watch,
 )
-from servo_twin.harm import HotPowerStage
+from servo_twin.fault_injection import HotPowerStage
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "field-weakening"

@@ -24,7 +24,7 @@ from servo_twin.experiments.rig import (
     fresh_board,
     position_of,
 )
-from servo_twin.harm import CutWire, Pin
+from servo_twin.fault_injection import CutWire, Pin
 from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
@@ -320,7 +320,7 @@ def cut_wires(plant: PlantConfig, seed: int) -> dict[str, bool]:
         board.write("cmd.enable", [1, 0])
         board.run(0.1)
         refused = _in(board, 0, "STOP") and not _word(board, 0, "faults") and "INPUT" in _word(board, 0, "limits")
-        board.heal()
+        board.remove_fault()
         board.run(0.1)
         said["enable, at rest: refused without a fault"] = refused and _in(board, 0, "STOP")
         board.write("cmd.enable", [1, 0])

@@ -35,7 +35,7 @@ TIME_HEAVY: Final = TIME_F16 * math.sqrt(10.0)
 """The same for a shaft with ten times the inertia, every movement of which takes so much longer [s]."""
 
 EVERY: Final = 5  # [degrees electrical]
-HARM_EVERY: Final = 40  # [degrees electrical]
+DAMAGE_EVERY: Final = 40  # [degrees electrical]
 
 HALF_INTERVAL: Final = 0.7
 """Half of the interval at which the search ends [degrees electrical]: eight halvings of a turn."""
@@ -58,7 +58,7 @@ REST_TICKS: Final = 5  # shortest pause between two vectors, in slow ticks; nois
 
 
 @dataclass(frozen=True)
-class Harm:
+class Damage:
     """What keeps a search from succeeding.
 
     Attributes
@@ -79,16 +79,16 @@ class Harm:
     most: float = NAMED_MOST
 
 
-HELD: Final = Harm("shaft held", "ROTOR_SEARCH", lambda board, axis: board.lock_shaft(axis))
-UNPLUGGED: Final = Harm("encoder unplugged", "ENCODER_LOST", lambda board, axis: board.connect_encoder(axis, False))
-HARMS: Final = (
+HELD: Final = Damage("shaft held", "ROTOR_SEARCH", lambda board, axis: board.lock_shaft(axis))
+UNPLUGGED: Final = Damage("encoder unplugged", "ENCODER_LOST", lambda board, axis: board.connect_encoder(axis, False))
+DAMAGES: Final = (
     HELD,
     UNPLUGGED,
-    Harm("encoder line A dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "A")),
-    Harm("encoder line B dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "B")),
-    Harm("motor unplugged", "PHASE_LOST", lambda board, axis: board.connect_motor(axis, False)),
-    Harm("encoder backwards", "ENCODER_REVERSED", lambda board, axis: board.reverse_encoder(axis), NAMED_LATE),
-    Harm(
+    Damage("encoder line A dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "A")),
+    Damage("encoder line B dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "B")),
+    Damage("motor unplugged", "PHASE_LOST", lambda board, axis: board.connect_motor(axis, False)),
+    Damage("encoder backwards", "ENCODER_REVERSED", lambda board, axis: board.reverse_encoder(axis), NAMED_LATE),
+    Damage(
         "shaft with play of 2 counts",
         "ROTOR_SEARCH",
         lambda board, axis: board.obstruct_shaft(axis, 1.5 * COUNT, 0.5 * COUNT),
@@ -107,7 +107,7 @@ With this part of the friction the shaft rests within 0.1 s.
 PLAY: Final = (3.6, 0.5)
 """An obstructed shaft that can twitch, by so many counts to both sides: held, or found where it is."""
 UNDER_WAY: Final = (0.08, 0.10, 0.12, 0.14, 0.16, 0.18)
-"""Times after the enable at which a search is harmed under way [s]; the first vector begins to pull after 0.06 s."""
+"""Times after the enable at which a search is disturbed under way [s]; the first vector begins to pull after 0.06 s."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ def find(
     plant: PlantConfig,
     seed: int,
     *,
-    harm: Harm | None = None,
+    damage: Damage | None = None,
     axes: Iterable[int] = range(AXES),
     after: float = 0.0,
     trace: bool = False,
@@ -173,7 +173,7 @@ def find(
         What is really there.
     seed : int
         Of the noise.
-    harm : Harm, optional
+    damage : Damage, optional
         What happens to some axes.
     axes : iterable of int
         Which axes it happens to.
@@ -182,7 +182,7 @@ def find(
     trace : bool
         Also keep the angle of the current vector, which only the plant knows.
     """
-    harmed = tuple(axes) if harm is not None else ()
+    damaged = tuple(axes) if damage is not None else ()
     with fresh_board(plant, seed) as board:
         board.advance(BOOT_NS)
         board.write("cmd.enable", [1] * AXES)
@@ -194,9 +194,9 @@ def find(
         run = board.catalogue.enums["state_t"]["RUN"]
         looks = round(SEARCH_MOST / (TICK if trace else LOOK))
         for look in range(looks):
-            if harm is not None and look == round(after / (TICK if trace else LOOK)):
-                for axis in harmed:
-                    harm.do(board, axis)
+            if damage is not None and look == round(after / (TICK if trace else LOOK)):
+                for axis in damaged:
+                    damage.do(board, axis)
             rows = board.record(board.time_ns + (TICK_NS if trace else round(LOOK / TICK) * TICK_NS))
             logs.append(rows.tobytes())
             last = rows[-1]
@@ -379,19 +379,19 @@ def _rows_fault(plant: PlantConfig, seed: int) -> list[Row]:
     """The named fault, and no other, in time: from many angles, with and without friction, heavy; and under way."""
     loose = _scaled(plant, "friction", LOOSE[level()])
     stiff = _scaled(_scaled(plant, "friction", 3.0), "inertia", 3.0)
-    starts = [(changed, degrees) for changed in (plant, loose, stiff) for degrees in range(-170, 180, HARM_EVERY)]
+    starts = [(changed, degrees) for changed in (plant, loose, stiff) for degrees in range(-170, 180, DAMAGE_EVERY)]
     rows: list[Row] = []
-    for harm in HARMS:
-        found = [find(start_at(changed, d), seed + k, harm=harm) for k, (changed, d) in enumerate(starts)]
-        rows.extend(_rows_named(harm, "", [[both[axis] for both in found] for axis in range(AXES)]))
-    for harm in (HELD, UNPLUGGED):
+    for damage in DAMAGES:
+        found = [find(start_at(changed, d), seed + k, damage=damage) for k, (changed, d) in enumerate(starts)]
+        rows.extend(_rows_named(damage, "", [[both[axis] for both in found] for axis in range(AXES)]))
+    for damage in (HELD, UNPLUGGED):
         found = [
-            find(start_at(plant, d), seed + k, harm=harm, after=after)
+            find(start_at(plant, d), seed + k, damage=damage, after=after)
             for k, (d, after) in enumerate(itertools.product((-101.0, 64.0), UNDER_WAY))
         ]
-        rows.extend(_rows_named(harm, " under way", [[both[axis] for both in found] for axis in range(AXES)]))
-    twitches = Harm("twitching from stop to stop", "ROTOR_SEARCH", _leave_play, NAMED_LATE)
-    found = [find(start_at(changed, d), seed + k, harm=twitches) for k, (changed, d) in enumerate(starts)]
+        rows.extend(_rows_named(damage, " under way", [[both[axis] for both in found] for axis in range(AXES)]))
+    twitches = Damage("twitching from stop to stop", "ROTOR_SEARCH", _leave_play, NAMED_LATE)
+    found = [find(start_at(changed, d), seed + k, damage=twitches) for k, (changed, d) in enumerate(starts)]
     for axis in range(AXES):
         searches = [both[axis] for both in found]
         bound = error_bound(plant.axes[axis], max(s.current for s in searches))
@@ -407,14 +407,14 @@ def _leave_play(board: Board, axis: int) -> None:
     board.obstruct_shaft(axis, below * COUNT, above * COUNT)
 
 
-def _rows_named(harm: Harm, when: str, by_axis: Sequence[Sequence[Search]]) -> list[Row]:
-    """How many of the searches end in the fault that belongs to the harm."""
+def _rows_named(damage: Damage, when: str, by_axis: Sequence[Sequence[Search]]) -> list[Row]:
+    """How many of the searches end in the fault that belongs to the damage."""
     rows: list[Row] = []
     for axis, searches in enumerate(by_axis):
-        what = f"{axis_name(axis)} {harm.name}{when}"
-        share = sum(s.faults == {harm.fault} and s.error is None for s in searches) / len(searches)
-        rows.append(Row(f"{what}: {harm.fault}", "not shown", share, "of all", Bound(1.0, 1.0)))
-        rows.append(Row(f"{what}: named", "not shown", max(s.time for s in searches), "s", Bound(most=harm.most)))
+        what = f"{axis_name(axis)} {damage.name}{when}"
+        share = sum(s.faults == {damage.fault} and s.error is None for s in searches) / len(searches)
+        rows.append(Row(f"{what}: {damage.fault}", "not shown", share, "of all", Bound(1.0, 1.0)))
+        rows.append(Row(f"{what}: named", "not shown", max(s.time for s in searches), "s", Bound(most=damage.most)))
     return rows
 
 
