@@ -67,9 +67,7 @@ def test_nothing_is_said_of_a_healthy_pair() -> None:
 # ---- more than one, and none that is known --------------------------------------------------------------------------
 
 
-def watched(
-    *changes: tuple[str, float], fault: SlippedEncoder | None = None, seconds: float = 10.0
-) -> DiagnosisMonitor:
+def watched(*changes: tuple[str, float], slip: SlippedEncoder | None = None, seconds: float = 10.0) -> DiagnosisMonitor:
     """A monitor after changes in the middle of a motion."""
     monitor = DiagnosisMonitor(PLANT, LEARNED)
     with BoardPair(PLANT, PLANT, seed=11, level="ideal") as pair:

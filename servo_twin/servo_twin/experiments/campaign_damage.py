@@ -12,19 +12,24 @@ from servo_twin.board import Board
 from servo_twin.experiments.campaign_states import State
 from servo_twin.experiments.named_faults import NOTHING
 from servo_twin.fault_injection import (
+    BadContact,
     BusNoise,
     CurrentNoise,
+    DryBearing,
     EncoderGlitches,
     HotPowerStage,
     InjectedFault,
     LockedRotor,
     OpenPhase,
+    ShiftedDisc,
     ShortedPhase,
     SlippedEncoder,
     StalledCore,
     StuckConverter,
     StuckLine,
     SupplyDip,
+    WeakMagnet,
+    WornShaft,
 )
 from servo_twin.plant import PlantConfig
 
@@ -38,6 +43,9 @@ NEAR: Final = 0.5  # noise and filter leave it open on which side of them the bu
 WATCHDOG: Final = 0.05  # s
 SLIP_LEAST: Final = 30.0  # electrical [deg]
 SLIP_NAMED: Final = 90.0  # from here on the torque acts the other way [deg]
+WORN_LOAD: Final = 0.2  # part of the inertia that is behind a worn shaft
+WORN_RESONANCE: Final = 400.0  # Hz
+WORN_DAMPING: Final = 0.05  # of that resonance
 
 
 @dataclass(frozen=True)
@@ -207,6 +215,46 @@ def _glitches(rng: random.Random, at: Where) -> Damage:
     return _injected("encoder glitches", glitches, NOTHING)
 
 
+def _magnet(rng: random.Random, at: Where) -> Damage:
+    return _injected("weak magnet", WeakMagnet(at.axis, rng.uniform(0.7, 1.0)), NOTHING)
+
+
+def _contact(rng: random.Random, at: Where) -> Damage:
+    return _injected("bad contact", BadContact(at.axis, rng.uniform(0.0, 0.5) * at.plant.axes[at.axis].r_s), NOTHING)
+
+
+def _worn(rng: random.Random, at: Where) -> Damage:
+    """A fifth of the inertia behind a shaft that twists, with play from now on."""
+    axis = at.plant.axes[at.axis]
+    load, rotor = WORN_LOAD * axis.inertia, (1.0 - WORN_LOAD) * axis.inertia
+    mass = load * rotor / axis.inertia
+    twist = 2.0 * math.pi * WORN_RESONANCE
+    worn = WornShaft(at.axis, rng.uniform(0.0, 0.02))
+
+    def strike(board: Board) -> None:
+        board.take_plant(
+            board.plant.with_axis(
+                at.axis,
+                inertia=rotor,
+                load_inertia=load,
+                shaft_stiffness=mass * twist**2,
+                shaft_damping=2.0 * WORN_DAMPING * mass * twist,
+            )
+        )
+        board.inject(worn)
+
+    return Damage("worn shaft", str(worn), strike, lambda seen: (NOTHING,), shows=False)
+
+
+def _disc(rng: random.Random, at: Where) -> Damage:
+    disc = ShiftedDisc(at.axis, rng.uniform(0.0, 0.02), rng.uniform(0.0, 2.0 * math.pi))
+    return _injected("shifted disc", disc, NOTHING)
+
+
+def _bearing(rng: random.Random, at: Where) -> Damage:
+    return _injected("dry bearing", DryBearing(at.axis, rng.uniform(1.0, 5.0)), NOTHING)
+
+
 DAMAGES: Final[Mapping[str, tuple[Callable[[random.Random, Where], Damage], bool]]] = {
     "open phase": (_open, True),
     "motor cable": (_cable, True),
@@ -224,6 +272,11 @@ DAMAGES: Final[Mapping[str, tuple[Callable[[random.Random, Where], Damage], bool
     "current noise": (_noise, True),
     "bus noise": (_bus_noise, True),
     "encoder glitches": (_glitches, False),
+    "weak magnet": (_magnet, True),
+    "bad contact": (_contact, True),
+    "worn shaft": (_worn, True),
+    "shifted disc": (_disc, False),
+    "dry bearing": (_bearing, True),
 }
 """How each kind is drawn, and whether it means anything to an axis without an encoder."""
 
