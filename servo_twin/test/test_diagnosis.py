@@ -235,6 +235,28 @@ def test_thresholds_are_learned_and_read_again(tmp_path: Path) -> None:
         Thresholds.load(path)
 
 
+def test_another_motor_is_learned_and_its_changes_are_named(tmp_path: Path) -> None:
+    """Other motors on both axes and another supply, of board and twin, with the firmware for the usual ones."""
+    plant, learned = tmp_path / "plant.toml", tmp_path / "thresholds.toml"
+    plant.write_text(
+        "[bus]\nu_source = 26.0\n"
+        "[axis1]\nr_s = 0.8\npsi_m = 0.0125\ninertia = 1.4e-5\nfriction = 4e-3\n"
+        "[axis2]\nr_s = 0.7\npsi_m = 0.011\ninertia = 2e-5\nfriction = 3e-3\n"
+    )
+    options = ["--plant", str(plant), "--workers", "1"]
+    assert cli.main(["calibrate", *options, "--runs", "2", "--time", "120", "--out", str(learned)]) == 0
+    assert Thresholds.load(learned).axes[0].voltage_q != LEARNED.axes[0].voltage_q
+    changes = [word for name in ("friction", "inertia", "flux") for word in ("--change", f"{name}=1.15")]
+    assert cli.main(["diagnose", *options, "--thresholds", str(learned), "--trials", "3", *changes]) == 0
+
+
+def test_a_board_with_a_fault_teaches_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plant = tmp_path / "plant.toml"
+    plant.write_text("[axis1]\npsi_m = 0.004\n")
+    assert cli.main(["calibrate", "--plant", str(plant), "--runs", "1", "--workers", "1"]) == 1
+    assert "axis1 of the board is in FAULT" in capsys.readouterr().err
+
+
 def test_too_little_motion_teaches_nothing() -> None:
     with pytest.raises(ThresholdsError, match="s of motion are not enough"):
         HealthyRuns(PLANT, 1, 10.0, "ideal").run(0).thresholds()

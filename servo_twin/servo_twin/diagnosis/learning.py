@@ -16,6 +16,7 @@ from servo_twin.diagnosis.hypotheses import Unknowns
 from servo_twin.diagnosis.monitor import MARGINS
 from servo_twin.diagnosis.signal_watch import WATCHED, SignalMeans
 from servo_twin.diagnosis.signals import (
+    ALIASES,
     CHANGES,
     EQUATIONS,
     TORQUE,
@@ -158,8 +159,8 @@ def _noise(entries: Sequence[AxisEquations]) -> AxisNoise:
     y, phi, z = (np.array(part) for part in zip(*((e.y, e.phi, e.alias) for e in entries), strict=True))
     share = np.array([e.share for e in entries])
     bins = bin_of(np.array([e.current for e in entries]), np.array([e.speed for e in entries]))
-    alias = [_slope(y, z[:, :, k]) for k in (0, 1)]
-    left = y - z @ np.array(alias)
+    alias = np.linalg.lstsq(z.reshape(-1, len(ALIASES)), y.ravel(), rcond=None)[0]
+    left = y - z @ alias
     baseline = np.zeros(len(CHANGES))
     for _ in range(3):
         rest = left - phi @ baseline
@@ -169,7 +170,7 @@ def _noise(entries: Sequence[AxisEquations]) -> AxisNoise:
         information = np.einsum("nei,ne,nej->ij", phi, weight, phi)
         baseline = np.linalg.solve(information, np.einsum("nei,ne,ne->i", phi, weight, left))
     return AxisNoise(
-        alias=tuple(alias),
+        alias=tuple(alias.tolist()),
         torque=torque,
         voltage_q=tuple(voltages[VOLTAGE_Q].tolist()),
         voltage_d=tuple(voltages[VOLTAGE_D].tolist()),
@@ -178,12 +179,6 @@ def _noise(entries: Sequence[AxisEquations]) -> AxisNoise:
         unexplained=(1.0,) * len(EQUATIONS),
         means=(1.0,) * len(WATCHED),
     )
-
-
-def _slope(y: _Array, z: _Array) -> float:
-    """What `y` is in proportion to `z`; `z` is zero in the equations that it has no part in."""
-    square = float(np.vdot(z, z))
-    return float(np.vdot(y, z)) / square if square > 0.0 else 0.0
 
 
 def _root_mean_square(values: _Array) -> float:

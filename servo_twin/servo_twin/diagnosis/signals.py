@@ -9,10 +9,11 @@ With ``d`` for board minus twin, values of the twin's plant with index 0 and a f
 Linear in the relative changes a of resistance, flux, inertia and Coulomb friction, the load torque T and the error e of
 the encoder's angle, however large they are. What both boards do alike (dead time, ripple, delays) cancels.
 
-Samples are 8 ms apart and alias what the loops do to noise in between. Two differences of the same sample know the
-alias: that of the sampled speed against the shaft's position for the torque, that of the current against its set-point
-for the voltage. Their coefficients are the gains of the loops, `AxisNoise.alias` with the gains of the healthy run, and
-nuisances of the estimation where the loops have other ones.
+Samples are 8 ms apart and alias what the loops do to noise in between. Differences of the same sample know the alias
+(`ALIASES`): for the torque, those of the sampled speed against the shaft's position and of the current set-point
+against its filtered value; for the voltage, that of the current against its set-point, apart at large and at small
+currents, where dead time and drops change their signs. Their coefficients depend on the loops, `AxisNoise.alias` with
+those of the healthy run, and are nuisances of the estimation where the loops have other ones.
 """
 
 from __future__ import annotations
@@ -26,12 +27,15 @@ from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.plant import AxisPlant
 
-__all__ = ["CHANGES", "EQUATIONS", "NEEDED", "AxisEquations", "AxisSignals", "BusSignal"]
+__all__ = ["ALIASES", "CHANGES", "EQUATIONS", "NEEDED", "AxisEquations", "AxisSignals", "BusSignal"]
 
 CHANGES: Final = ("resistance", "flux", "inertia", "friction", "load", "encoder_angle")
 """Unknowns of an axis: relative changes, a torque [N m] and an electrical angle [rad]."""
 
 EQUATIONS: Final = ("torque", "voltage_q", "voltage_d")
+
+ALIASES: Final = ("speed [N m s/rad]", "set-point [N m/A]", "large current [V/A]", "small current [V/A]")
+"""What knows the alias, and the units of its coefficients."""
 
 NEEDED: Final = ("position", "speed", "speed_ref", "i_q", "i_q_ref", "u_d", "u_q")
 """Variables of an axis that a sample has to carry."""
@@ -68,8 +72,8 @@ class AxisEquations(NamedTuple):
         Left sides, per equation [N m], [V], [V].
     phi : tuple of tuple of float, shape (3, 6)
         Right sides, per equation and unknown.
-    alias : tuple of tuple of float, shape (3, 2)
-        What the alias is proportional to, of the torque [rad/s] and of the voltage [A].
+    alias : tuple of tuple of float, shape (3, 4)
+        What the alias is proportional to, per equation and entry of `ALIASES`.
     share : float
         Part of an independent sample that the torque equation is.
     current, speed : float
@@ -156,12 +160,12 @@ class AxisSignals:
         filtered = self._filter.update(inputs, seconds)
         k_t, flux = plant.torque_constant, plant.pole_pairs * plant.psi_m
         resistance = plant.r_s + plant.r_on
-        y_torque = alias_torque = share = 0.0
+        y_torque = alias_speed = alias_current = share = 0.0
         torque: _Row = (0.0,) * len(CHANGES)
         if filtered is not None:
             f, rate = filtered
             y_torque = k_t * f[0] - plant.inertia * rate[1] - plant.viscous * f[1]
-            alias_torque = f[1] - rate[2]
+            alias_speed, alias_current = f[1] - rate[2], d["i_q_ref"] - f[0]
             torque = (0.0, -k_t * f[3], plant.inertia * rate[4], plant.friction * f[5], f[6], 0.0)
             share = min(seconds / (2.0 * _TIME), 1.0)
         y_q = alias_q = by_resistance = by_flux = 0.0
@@ -178,7 +182,11 @@ class AxisSignals:
         return AxisEquations(
             y=(y_torque, y_q, y_d),
             phi=(torque, (by_resistance, by_flux, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, flux * speed)),
-            alias=((alias_torque, 0.0), (0.0, alias_q), (0.0, 0.0)),
+            alias=(
+                (alias_speed, alias_current, 0.0, 0.0),
+                (0.0, 0.0, alias_q, 0.0) if carries else (0.0, 0.0, 0.0, alias_q),
+                (0.0, 0.0, 0.0, 0.0),
+            ),
             share=share,
             current=abs(current),
             speed=abs(speed),

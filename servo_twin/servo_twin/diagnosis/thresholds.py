@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.diagnosis.signal_watch import WATCHED
-from servo_twin.diagnosis.signals import CHANGES, EQUATIONS, RESISTANCE, VOLTAGE_Q, AxisEquations
+from servo_twin.diagnosis.signals import ALIASES, CHANGES, EQUATIONS, RESISTANCE, VOLTAGE_Q, AxisEquations
 from servo_twin.diagnosis.window import Rows
 from servo_twin.level import DEFAULT_LEVEL, Level
 
@@ -58,7 +58,7 @@ class AxisNoise:
     Attributes
     ----------
     alias : tuple of float
-        Its coefficients, of the torque [N m s/rad] and of the voltage [V/A].
+        Its coefficients, per entry of `ALIASES`.
     torque : float
         Standard deviation of the torque equation [N m].
     voltage_q, voltage_d : tuple of float
@@ -107,7 +107,7 @@ def bin_of(current: _Array, speed: _Array) -> NDArray[np.int64]:
 BINS: Final = (len(CURRENTS) + 1) * (len(SPEEDS) + 1)
 
 _LENGTHS: Final = {
-    "alias": 2,
+    "alias": len(ALIASES),
     "voltage_q": BINS,
     "voltage_d": BINS,
     "baseline": len(CHANGES),
