@@ -169,11 +169,16 @@ class _Watched(VirtualBoardAccess):
     def record(
         self, names: Sequence[str], samples: int, every: int, slow: bool, *args: Any, **options: Any
     ) -> Recording:
-        if self._slow:
-            self._advance(0.2 + (samples * step_of(every, slow) if options.get("trigger") else 0.0))
+        attended: Callable[[bool], None] = options["meanwhile"]
+
+        def pass_time(seconds: float, full: bool) -> None:
+            for _ in range(round(seconds / 0.08) if self._slow else 0):
+                self._advance(0.08)
+                attended(full)
+
+        pass_time(0.2 + (samples * step_of(every, slow) if options.get("trigger") else 0.0), False)
         recording = super().record(names, samples, every, slow, *args, **options)
-        if self._slow:
-            self._advance(0.7)  # samples are read
+        pass_time(0.7, True)  # samples are read
         return recording
 
 

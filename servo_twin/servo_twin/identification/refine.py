@@ -15,12 +15,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.measurement.access import MeasurementError, Recording
 from servo_msgs_py.measurement.estimation import BAND, estimates_of
 from servo_msgs_py.measurement.least_squares import mean_of
 from servo_msgs_py.measurement.log import MeasurementLog, repeat
-from servo_msgs_py.measurement.motor_test import PROTECTION, PULSES, TURN
+from servo_msgs_py.measurement.motor_rig import PROTECTION
+from servo_msgs_py.measurement.motor_test import PULSES, TURN
 from servo_msgs_py.measurement.motor_values import Estimate, MotorEstimates
 from servo_msgs_py.measurement.standstill import spectra
 
@@ -159,6 +160,8 @@ def simulated(
         with Board(plant, seed=seed, level=level) as board:
             board.set_load(log.axis, load)
             board.run(float(log.notes.get("boot", 0.05)))
+            # the real board has watched the motor; with values not yet right a monitor would end the simulation
+            board.write_raw("param.faults_enabled", [0] * AXES)
             return repeat(log, VirtualBoardAccess(board), (TURN, PULSES, PROTECTION))
     except BoardError as error:
         raise MeasurementError(f"the simulation has failed: {error}") from None
