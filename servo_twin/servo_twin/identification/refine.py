@@ -38,30 +38,27 @@ REFINED: Final = ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous"
 """What is refined, in the order of the parameters."""
 
 MODEL_ERROR: Final[Mapping[str, float]] = {
-    "r_s": 0.004,
-    "l_d": 0.0015,
+    "r_s": 0.002,
+    "l_d": 0.0003,
     "l_q": 0.002,
-    "psi_m": 0.004,
-    "inertia": 0.005,
-    "friction": 0.02,
-    "viscous": 0.02,
-    "dead_voltage": 0.003,
+    "psi_m": 0.0005,
+    "inertia": 0.0005,
+    "dead_voltage": 0.004,
 }
-"""Relative standard uncertainty that the model leaves, whatever the noise (doc/identify.md)."""
+"""Relative standard uncertainty that the residuals do not show: spread of the errors of random motors beyond the
+jackknife's (doc/identify.md)."""
 
 BATCH: Final = 4  # neighbouring samples whose residuals are not independent
 STEP: Final = 0.04
 """Of a numerical derivative: encoder and converters make simulated signals rough, so a small one shows nothing else."""
 FRICTION_MIN: Final = 0.002  # of simulations, part of the torque of the current limit
-BIAS_ERROR: Final = 0.1
-"""Part of a bias that its correction may miss."""
 
 QUICK: Final[Level] = "ideal"
 CLOSE: Final[Level] = "registers"
 """A board whose switching is simulated, too: its current converters sample the ripple, not the mean."""
 
-CURRENT_ERROR: Final = 1e-3
-"""Standard uncertainty of a mean current: a quarter of a step of the converter [A]."""
+CURRENT_ERROR: Final = 0.5e-3
+"""Standard uncertainty of a mean current: an eighth of a step of the converter [A]."""
 
 ITERATIONS: Final = 4
 FARTHEST: Final = 8.0  # a residual counts for no more than about so many times the usual one
@@ -406,15 +403,7 @@ def refine(
     for k, name in enumerate(names):
         value = start[name] + x[k] * scale[name]
         sigma = math.sqrt(max(covariance[k, k], 0.0)) * scale[name]
-        found[name] = Estimate(
-            value,
-            math.hypot(
-                sigma,
-                MODEL_ERROR.get(name, 0.0) * value,
-                floor.get(name, 0.0),
-                BIAS_ERROR * (start[name] - first.values[name].value),
-            ),
-        )
+        found[name] = Estimate(value, math.hypot(sigma, MODEL_ERROR.get(name, 0.0) * value, floor.get(name, 0.0)))
     final = values_of(x)
     shown_close = simulated(log, plant_of(base, log.axis, final, limits), final.get("load", 0.0), level)
     return Refinement(MotorEstimates(found, first.undetermined), before, difference.rms(shown_close), shown_close)
@@ -490,11 +479,15 @@ def _with_gaps(shown: Sequence[Recording], like: Sequence[Recording]) -> list[Re
 
 
 def _covariance(jacobian: Floats, residual: Floats, batches: NDArray[np.int64]) -> Floats:
-    """Of the parameters, where residuals depend on each other within a batch (sandwich estimate)."""
+    """Of the parameters: jackknife over batches, within which residuals depend on each other."""
     limited = np.clip(residual, -FARTHEST, FARTHEST)
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
-    _, place = np.unique(batches, return_inverse=True)
-    scores = np.zeros((int(place.max()) + 1, jacobian.shape[1]))
-    np.add.at(scores, place, jacobian * limited[:, None])
-    result: Floats = inverse @ (scores.T @ scores) @ inverse
+    scores = []
+    for batch in np.unique(batches):
+        rows = batches == batch
+        part = jacobian[rows]
+        # a batch draws the fit to itself: its residuals without that
+        alone = np.linalg.lstsq(np.eye(len(part)) - part @ inverse @ part.T, limited[rows], rcond=1e-6)[0]
+        scores.append(part.T @ alone)
+    result: Floats = inverse @ (np.array(scores).T @ np.array(scores)) @ inverse
     return result
