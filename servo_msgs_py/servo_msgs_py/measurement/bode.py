@@ -29,7 +29,6 @@ from servo_msgs_py.measurement.bode_plan import (
     motion_text,
     notes,
     refuse_settings,
-    signal_of,
 )
 from servo_msgs_py.measurement.bode_rig import BodeRig
 from servo_msgs_py.measurement.frequency_response import Figures, Measured, Response, estimate, figures, joined
@@ -119,7 +118,7 @@ def measure(
         home = rig.value("position")
 
         def swept(band: Band, amplitude: float, repeats: int, done: int) -> Response:
-            prepare_test_signal(access, settings.axis, signal_of(settings, band, amplitude))
+            prepare_test_signal(access, settings.axis, settings.signal(band, amplitude))
             taken = []
             if not settings.loop.slow:
                 progress("voltage", done, total)

@@ -17,10 +17,7 @@ from servo_msgs_py.measurement.prediction import Prediction, predict
 from servo_msgs_py.measurement.test_signal import SweptSine, refuse_test_signal
 
 __all__ = [
-    "BASE_PART",
     "LOOPS",
-    "SETTLE",
-    "SWEEP_PART",
     "Band",
     "Loop",
     "Request",
@@ -30,9 +27,6 @@ __all__ = [
     "motion_text",
     "notes",
     "refuse_settings",
-    "signal_of",
-    "time_of",
-    "way_turning",
 ]
 
 SWEEP_PART: Final = 0.8  # of a recording; the rest is for the loop to come to rest
@@ -162,6 +156,21 @@ class Settings:
         """Variables of the axis to record."""
         return ("test_signal", *self.loop.columns)
 
+    def signal(self, band: Band, amplitude: float) -> SweptSine:
+        """Test signal of a band."""
+        return SweptSine(self.loop.point, amplitude, band.f_min, band.f_max, band.sweep_seconds)
+
+    def way_turning(self, band: Band) -> float:
+        """How far the shaft turns in one recording at most, until it is stopped [rad]."""
+        return abs(self.speed) * band.turning_seconds + self.swing / (2.0 * math.pi * band.f_min)
+
+    def way(self, bands: Sequence[Band]) -> float:
+        """How far it turns in one of all recordings at most [rad]."""
+        if not self.loop.slow:
+            return math.pi  # the rotor goes to where the current vector points
+        stop = (abs(self.speed) + self.swing) ** 2 / (2.0 * self.deceleration)
+        return max(map(self.way_turning, bands)) + stop
+
 
 @dataclass(frozen=True)
 class Band:
@@ -194,6 +203,11 @@ class Band:
     def sweep_seconds(self) -> float:
         """Length of the test signal [s]."""
         return SWEEP_PART * self.seconds
+
+    @property
+    def turning_seconds(self) -> float:
+        """For which the shaft turns in the recording [s]."""
+        return SETTLE + _LINE + self.seconds
 
 
 def bands_of(f_min: float, f_max: float, capacity: int, slow: bool) -> tuple[Band, ...]:
@@ -251,7 +265,7 @@ def completed(access: BoardAccess, request: Request) -> tuple[Settings, Predicti
     bands = bands_of(f_min, f_max, capacity, loop.slow)
     if request.speed is None and loop.slow:
         wanted = _SPEED_PART[loop.name] * access.read("param.speed_limit")[axis]
-        speed = min(wanted, _speed_within(0.8 * way_max, max(map(time_of, bands)), deceleration))
+        speed = min(wanted, _speed_within(0.8 * way_max, max(band.turning_seconds for band in bands), deceleration))
         settings, prediction = replace(settings, speed=speed), replace(prediction, speed=speed)
     if request.amplitude is None:
         settings = replace(settings, amplitude=_default_amplitude(access, settings, prediction))
@@ -293,7 +307,7 @@ def refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Ban
     name, loop = axis_name(settings.axis), settings.loop
     if access.catalogue.label("feedback_kind_t", int(access.read("param.feedback")[settings.axis])) != "ENCODER":
         raise MeasurementError(f"{name} runs without its encoder (param.feedback); only loops with one are measured")
-    longest = max(map(time_of, bands))
+    longest = max(band.turning_seconds for band in bands)
     if longest > _TIME_MAX:
         raise MeasurementError(
             f"from {settings.f_min:.3g} Hz on a recording would take {longest:.3g} s, more than {_TIME_MAX:g} s; "
@@ -318,10 +332,10 @@ def refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Ban
     if settings.speed and not loop.slow:
         raise MeasurementError("a current loop is measured without a speed; leave it away")
     for band in bands:
-        refuse_test_signal(access, signal_of(settings, band, settings.amplitude))
+        refuse_test_signal(access, settings.signal(band, settings.amplitude))
     if not loop.slow:
         _refuse_brake(access, settings.axis)
-    way = max(_way(settings, band) for band in bands)
+    way = settings.way(bands)
     if way > settings.way_max:
         raise MeasurementError(
             f"{name} would turn by up to {way:.3g} rad to each side, more than the {settings.way_max:.3g} rad allowed; "
@@ -339,33 +353,10 @@ def _refuse_brake(access: BoardAccess, axis: int) -> None:
         )
 
 
-def signal_of(settings: Settings, band: Band, amplitude: float) -> SweptSine:
-    """Test signal of a band."""
-    return SweptSine(settings.loop.point, amplitude, band.f_min, band.f_max, band.sweep_seconds)
-
-
-def _way(settings: Settings, band: Band) -> float:
-    """How far the shaft turns in one recording at most [rad]."""
-    if not settings.loop.slow:
-        return math.pi  # the rotor goes to where the current vector points
-    stop = (abs(settings.speed) + settings.swing) ** 2 / (2.0 * settings.deceleration)
-    return way_turning(settings, band) + stop
-
-
-def way_turning(settings: Settings, band: Band) -> float:
-    """The same until the shaft is stopped [rad]."""
-    return abs(settings.speed) * time_of(band) + settings.swing / (2.0 * math.pi * band.f_min)
-
-
-def time_of(band: Band) -> float:
-    """For which the shaft turns in one recording [s]."""
-    return SETTLE + _LINE + band.seconds
-
-
 def motion_text(settings: Settings, bands: Sequence[Band]) -> str:
     """What the shaft is going to do."""
     name, loop = axis_name(settings.axis), settings.loop
-    way = max(_way(settings, band) for band in bands)
+    way = settings.way(bands)
     how = f" to and fro at {abs(settings.speed):.4g} rad/s" if settings.speed else ""
     if not loop.slow:
         how = " to where a current holds it"

@@ -9,7 +9,7 @@ from typing import Final
 
 from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Recording, refuse_faults
 from servo_msgs_py.measurement.axis_under_test import HELD_SPEED, LOOK, AxisUnderTest
-from servo_msgs_py.measurement.bode_plan import BASE_PART, SETTLE, Band, Settings, time_of, way_turning
+from servo_msgs_py.measurement.bode_plan import BASE_PART, SETTLE, Band, Settings
 from servo_msgs_py.measurement.test_signal import end_test_signal, start_test_signal
 from servo_msgs_py.timed_points import TimedPoint, encode_points
 from servo_msgs_py.units import PERIOD_NS
@@ -112,7 +112,7 @@ class BodeRig(AxisUnderTest):
                 self.command("cmd.speed", speed)
                 self._settle()
             elif speed:
-                self._travel(speed, time_of(band))
+                self._travel(speed, band.turning_seconds)
                 self._settle()
             begun = self._place()
             self.renew()
@@ -130,7 +130,7 @@ class BodeRig(AxisUnderTest):
                 self._refuse_motion(begun, here, speed)
                 begun = None
                 self.hold()
-            elif abs(here[0] - begun[0]) > way_turning(settings, band):
+            elif abs(here[0] - begun[0]) > settings.way_turning(band):
                 raise MeasurementError(f"{self.name} has turned farther than it should while it was recorded")
 
         if loop.slow:

@@ -15,17 +15,17 @@ from servo_msgs_py.measurement.log import LoggedAccess
 from servo_msgs_py.measurement.motor_config import SPEED_RATIO, configured, fitted, tuned_axis
 from servo_msgs_py.measurement.motor_values import Limits
 from servo_msgs_py.measurement.standstill import PERIOD
-from servo_msgs_py.measurement.test_signal import full_scale, start_test_signal
+from servo_msgs_py.measurement.test_signal import SweptSine, prepare_test_signal, start_test_signal
 from servo_msgs_py.tuning.configuration import Scales
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.formats import GAIN
 
-__all__ = ["LATENCY", "NOMINAL", "PROTECTION", "STOPPED", "TICK", "TURNS_MIN", "MotorRig"]
+__all__ = ["COMMAND_TIMEOUT", "LATENCY", "NOMINAL", "PROTECTION", "STOPPED", "TICK", "MotorRig"]
 
 TICK: Final = 0.5e-3  # [s]
 PROTECTION: Final = "protection"
 """Stage of a log: limits around the place of the shaft, and what brings the board back; of one board only."""
-TURNS_MIN: Final = 3.0  # to both sides: a turning vector turns a rotor of one pole pair so far
+_TURNS_MIN: Final = 3.0  # to both sides: a turning vector turns a rotor of one pole pair so far
 LATENCY: Final = 0.1
 """For the exchanges of a serial line, in which a shaft turns on [s]."""
 STOPPED: Final = 0.1  # after the set-point has reached 0 [s]
@@ -55,18 +55,7 @@ _POSSIBLE: Final[Sequence[Mapping[str, float]]] = ({"inertia": 1e-6}, {"inertia"
 class MotorRig(AxisUnderTest):
     """The axis, within limits that its user gives and that the board keeps to.
 
-    Parameters
-    ----------
-    access : LoggedAccess
-        The board, at rest with its outputs off.
-    axis : int
-        Index of the axis.
-    limits : Limits
-        What the test keeps to.
-    base : mapping
-        Parsed ``servo.toml`` for what is not of the motor.
-    report : callable
-        Gets a line for each step.
+    Parameters are those of `MotorTest`.
     """
 
     access: LoggedAccess
@@ -97,9 +86,9 @@ class MotorRig(AxisUnderTest):
             self._low = max(self._low, found.value("param.position_min"))
             self._high = min(self._high, found.value("param.position_max"))
         turns = self.room / (2.0 * math.pi)
-        if turns < TURNS_MIN * (1.0 - 1e-6):
+        if turns < _TURNS_MIN * (1.0 - 1e-6):
             raise MeasurementError(
-                f"{max(turns, 0.0):.3g} turns to both sides are too few, {TURNS_MIN:g} are needed: raise --turns-max,"
+                f"{max(turns, 0.0):.3g} turns to both sides are too few, {_TURNS_MIN:g} are needed: raise --turns-max,"
                 " or widen param.position_min and param.position_max"
             )
         self.limits = dataclasses.replace(self.limits, speed=speed, turns=turns)
@@ -177,27 +166,23 @@ class MotorRig(AxisUnderTest):
     def capacity(self, columns: Sequence[str]) -> int:
         return self.access.capacity([f"{self.name}.{column}" for column in columns])
 
-    def signal(self, amplitude: float, first: float, growth: float, calls: int) -> None:
-        """Describe a test signal: amplitude [A], frequency [turns per PWM period] and its growth, length."""
-        self.write("cmd.test_amplitude", min(amplitude / full_scale(self.access, "I_D"), 0.5))
-        self.write("cmd.test_step", first)
-        self.write("cmd.test_growth", growth)
-        self.write("cmd.test_calls", float(calls))
+    def signal(self, point: str, amplitude: float, f_min: float, f_max: float, seconds: float) -> None:
+        """Describe a test signal on a current: amplitude [A], band [Hz], length [s]."""
+        prepare_test_signal(self.access, self.axis, SweptSine(f"I_{point}", amplitude, f_min, f_max, seconds))
 
     def mark(self) -> None:
         """Describe a test signal that only marks the beginning of a recording."""
-        self.signal(0.0, 0.0, 0.0, round(_MARK / PERIOD))
+        self.signal("D", 0.0, 1.0, 1.0, _MARK)
 
     def start_signal(self, point: str) -> None:
-        start_test_signal(self.access, self.axis, f"I_{point.upper()}")
+        start_test_signal(self.access, self.axis, f"I_{point}")
 
     def sweep(self, label: str, point: str, amplitude: float) -> Recording:
         """A swept sine on a current, sampled by the fast loop."""
-        first, last = (frequency * PERIOD for frequency in _SWEEP_BAND)
-        self.signal(amplitude, first, math.log(last / first) / _SWEEP_CALLS, _SWEEP_CALLS)
+        self.signal(point.upper(), amplitude, *_SWEEP_BAND, _SWEEP_CALLS * PERIOD)
         columns = (f"i_{point}", f"u_{point}", "test_signal")
         self.access.label = label
-        return self.record(columns, _SAMPLES, 1, False, partial(self.start_signal, point))
+        return self.record(columns, _SAMPLES, 1, False, partial(self.start_signal, point.upper()))
 
     def slow(
         self,
@@ -240,7 +225,7 @@ class MotorRig(AxisUnderTest):
             self.command("cmd.speed", speed)
             self.wait(times[0])
             if mark:
-                self.start_signal("d")
+                self.start_signal("D")
             begin()
             self.wait((samples * every + 4) * TICK)
             self.command("cmd.speed", 0.0)

@@ -363,7 +363,7 @@ class MotorTest:
         for way in (-1.0, 1.0):
 
             def pulse(way: float = way) -> None:
-                rig.start_signal("d")
+                rig.start_signal("D")
                 for part_of_time, torque in ((1.0, way), (0.7, -way)):
                     rig.command("cmd.i_q", torque * current)
                     rig.wait(part_of_time * seconds)
@@ -432,8 +432,8 @@ class MotorTest:
                 # that is not known well; a slow sine does not step
                 ramp = abs(speed) / acceleration
                 times = ramp + SETTLE_HOLD, ramp + STOPPED
-                rig.signal(along, ALONG_FREQUENCY * PERIOD, 0.0, round(ALONG_TIME / PERIOD))
-                begin = partial(rig.start_signal, "d")
+                rig.signal("D", along, ALONG_FREQUENCY, ALONG_FREQUENCY, ALONG_TIME)
+                begin = partial(rig.start_signal, "D")
                 rig.moving("hold", _HELD, HOLD_SAMPLES, 2, speed, times, begin, mark=False)
                 rig.wait(max(ALONG_TIME - 2.0 * HOLD_SAMPLES * TICK - times[1], 0.0) + TICK)
 
