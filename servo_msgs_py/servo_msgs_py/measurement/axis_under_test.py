@@ -104,7 +104,9 @@ class AxisUnderTest:
         self.write_word("cmd.mode", self.access.catalogue.enums["control_mode_t"][mode])
 
     def command(self, variable: str, value: float) -> None:
-        """Write a set-point, and keep it up from now on."""
+        """Write a set-point, and keep it up from now on; if the last one has expired meanwhile, that is refused."""
+        if self._set_point is not None:
+            self.refuse_limits("EXPIRED")
         self.write(variable, value)
         self._set_point, self._since = (variable, value), 0.0
 
@@ -118,11 +120,10 @@ class AxisUnderTest:
         self._interval = _RENEWED * timeout if timeout else _RENEW_MAX
 
     def renew(self) -> None:
-        """Write the set-point again; one that has expired meanwhile is refused, as it would begin another motion."""
-        if self._set_point is not None:
-            self.refuse_limits("EXPIRED")
-            self.command(*self._set_point)
+        """Write the set-point again."""
         self._since = 0.0
+        if self._set_point is not None:
+            self.command(*self._set_point)
 
     # ---- under guard -------------------------------------------------------------------------------------------------
 

@@ -30,7 +30,7 @@ from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig, PlantError
 
-__all__ = ["MODEL_ERROR", "REFINED", "Refinement", "plant_of", "refine", "simulated"]
+__all__ = ["MODEL_ERROR", "REFINED", "Refinement", "covariance", "plant_of", "refine", "simulated"]
 
 Floats = NDArray[np.float64]
 
@@ -397,12 +397,12 @@ def refine(
     )
     x = np.asarray(result.x, dtype=np.float64)
     report(f"refined by simulation: {', '.join(f'{name} {values_of(x)[name]:.4g}' for name in names)}")
-    covariance = _covariance(np.asarray(result.jac), vector(x), difference.batches)
+    spread = covariance(np.asarray(result.jac), vector(x), difference.batches)
     floor = _floor(start, top)
     found = dict(first.values)
     for k, name in enumerate(names):
         value = start[name] + x[k] * scale[name]
-        sigma = math.sqrt(max(covariance[k, k], 0.0)) * scale[name]
+        sigma = math.sqrt(max(spread[k, k], 0.0)) * scale[name]
         found[name] = Estimate(value, math.hypot(sigma, MODEL_ERROR.get(name, 0.0) * value, floor.get(name, 0.0)))
     final = values_of(x)
     shown_close = simulated(log, plant_of(base, log.axis, final, limits), final.get("load", 0.0), level)
@@ -478,8 +478,21 @@ def _with_gaps(shown: Sequence[Recording], like: Sequence[Recording]) -> list[Re
     ]
 
 
-def _covariance(jacobian: Floats, residual: Floats, batches: NDArray[np.int64]) -> Floats:
-    """Of the parameters: jackknife over batches, within which residuals depend on each other."""
+def covariance(jacobian: Floats, residual: Floats, batches: NDArray[np.int64]) -> Floats:
+    """Of fitted parameters: jackknife over batches, within which residuals depend on each other.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (residuals, parameters)
+    residual : ndarray, shape (residuals,)
+        After the fit.
+    batches : ndarray of int, shape (residuals,)
+        Residuals of one number depend on each other.
+
+    Returns
+    -------
+    ndarray, shape (parameters, parameters)
+    """
     limited = np.clip(residual, -FARTHEST, FARTHEST)
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     scores = []
