@@ -150,10 +150,12 @@ class AxisUnderTest:
             self.wait(LOOK)
         return condition()
 
-    def until(self, condition: Callable[[], bool], seconds: float, problem: str, *, guarded: bool = True) -> None:
+    def until(
+        self, condition: Callable[[], bool], seconds: float, problem: str, remedy: str = "", *, guarded: bool = True
+    ) -> None:
         """The same; a `MeasurementError` if it does not come."""
         if not self.reached(condition, seconds, guarded=guarded):
-            raise MeasurementError(f"{self.name} {problem} within {seconds:g} s")
+            raise MeasurementError(f"{self.name} {problem} within {seconds:g} s{remedy}")
 
     def refuse_limits(self, *names: str) -> None:
         """Refuse some limits; by default all in which a shaft does not turn as it is asked to."""
@@ -198,7 +200,7 @@ class AxisUnderTest:
 
     def stand(self) -> None:
         """Wait for that."""
-        self.until(self.stands, _REST_MAX, "is not at rest: something turns the shaft;", guarded=False)
+        self.until(self.stands, _REST_MAX, "does not come to rest", ": something turns the shaft", guarded=False)
 
     def hold(self) -> None:
         """Stop at the limit and hold the position."""
@@ -212,27 +214,19 @@ class AxisUnderTest:
     def enable(self, substate: str, seconds: float) -> None:
         """Outputs on, until a sub-state is reached."""
         self.write_word("cmd.enable", 1)
-        self.until(lambda: self.substate == substate, seconds, f"has not come to {substate}; is the board in order?")
+        problem = f"has not come to {substate}"
+        self.until(lambda: self.substate == substate, seconds, problem, ": is the board in order?")
 
     def off(self) -> None:
-        """Outputs off, and the shaft at rest.
-
-        Raises
-        ------
-        MeasurementError
-            If it does not come to rest.
-        """
+        """Outputs off, and the shaft at rest."""
         self._set_point = None
         self.write_word("cmd.enable", 0)
 
         def ended() -> bool:
             return self.label("state") in ("STOP", "FAULT") and self.stands()
 
-        if not self.reached(ended, _REST_MAX, guarded=False):
-            raise MeasurementError(
-                f"with its outputs off the shaft does not come to rest within {_REST_MAX:g} s: something turns it; take"
-                " the load off, or balance it"
-            )
+        remedy = ": something turns the shaft; take the load off, or balance it"
+        self.until(ended, _REST_MAX, "does not come to rest with its outputs off", remedy, guarded=False)
         self.wait(0.1)
 
     # ---- the way back ------------------------------------------------------------------------------------------------
