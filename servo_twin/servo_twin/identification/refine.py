@@ -21,7 +21,7 @@ from servo_msgs_py.measurement.estimation import BAND, estimates_of
 from servo_msgs_py.measurement.least_squares import mean_of
 from servo_msgs_py.measurement.log import MeasurementLog, repeat
 from servo_msgs_py.measurement.motor_rig import PROTECTION
-from servo_msgs_py.measurement.motor_test import PULSES, TURN
+from servo_msgs_py.measurement.motor_test import PULSES, SPEEDS, TURN
 from servo_msgs_py.measurement.motor_values import Estimate, MotorEstimates
 from servo_msgs_py.measurement.standstill import spectra
 
@@ -39,13 +39,14 @@ REFINED: Final = ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous"
 
 MODEL_ERROR: Final[Mapping[str, float]] = {
     "r_s": 0.002,
-    "l_d": 0.0003,
+    "l_d": 0.0005,
     "l_q": 0.002,
-    "psi_m": 0.0005,
-    "inertia": 0.0005,
+    "psi_m": 0.001,
+    "inertia": 0.001,
+    "friction": 0.01,
     "dead_voltage": 0.004,
 }
-"""Relative standard uncertainty that the residuals do not show: spread of the errors of random motors beyond the
+"""Relative standard uncertainty that the residuals do not show: what the errors of random motors spread beyond the
 jackknife's (doc/identify.md)."""
 
 BATCH: Final = 4  # neighbouring samples whose residuals are not independent
@@ -58,7 +59,7 @@ CLOSE: Final[Level] = "registers"
 """A board whose switching is simulated, too: its current converters sample the ripple, not the mean."""
 
 CURRENT_ERROR: Final = 0.5e-3
-"""Standard uncertainty of a mean current: an eighth of a step of the converter [A]."""
+"""Standard uncertainty of a mean current at constant speed: an eighth of a step of the converter [A]."""
 
 ITERATIONS: Final = 4
 FARTHEST: Final = 8.0  # a residual counts for no more than about so many times the usual one
@@ -410,9 +411,11 @@ def refine(
 
 
 def _floor(values: Mapping[str, float], top: float) -> dict[str, float]:
-    """Standard uncertainty of torques that the current measurement leaves: rounding of the converter, offsets."""
+    """Standard uncertainty of torques that the converters of the currents leave, at each of the speeds another one."""
     torque = CURRENT_ERROR * 1.5 * values["pole_pairs"] * values["psi_m"]
-    return {"friction": torque, "load": torque, "viscous": torque / top}
+    line = np.array([[way, way * part * top, 1.0] for part in SPEEDS for way in (1.0, -1.0)])
+    spread = torque * np.sqrt(np.diag(np.linalg.inv(line.T @ line)))
+    return dict(zip(("friction", "viscous", "load"), spread.tolist(), strict=True))
 
 
 @dataclass(frozen=True)
