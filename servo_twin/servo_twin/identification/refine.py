@@ -41,8 +41,6 @@ MODEL_ERROR: Final[Mapping[str, float]] = {
     "r_s": 0.002,
     "l_d": 0.0005,
     "l_q": 0.002,
-    "psi_m": 0.001,
-    "inertia": 0.001,
     "friction": 0.01,
     "dead_voltage": 0.004,
 }
@@ -60,6 +58,9 @@ CLOSE: Final[Level] = "registers"
 
 CURRENT_ERROR: Final = 0.5e-3
 """Standard uncertainty of a mean current at constant speed: an eighth of a step of the converter [A]."""
+
+VOLTAGE_ERROR: Final = 5e-3
+"""The same of a mean voltage: less than a step of the duty at 24 V [V]."""
 
 ITERATIONS: Final = 4
 FARTHEST: Final = 8.0  # a residual counts for no more than about so many times the usual one
@@ -411,11 +412,20 @@ def refine(
 
 
 def _floor(values: Mapping[str, float], top: float) -> dict[str, float]:
-    """Standard uncertainty of torques that the converters of the currents leave, at each of the speeds another one."""
-    torque = CURRENT_ERROR * 1.5 * values["pole_pairs"] * values["psi_m"]
+    """Standard uncertainty that steps of converters and duties leave: of the flux, and of torques at each speed."""
+    pairs, psi = values["pole_pairs"], values["psi_m"]
+    torque = CURRENT_ERROR * 1.5 * pairs * psi
     line = np.array([[way, way * part * top, 1.0] for part in SPEEDS for way in (1.0, -1.0)])
     spread = torque * np.sqrt(np.diag(np.linalg.inv(line.T @ line)))
-    return dict(zip(("friction", "viscous", "load"), spread.tolist(), strict=True))
+    flux = VOLTAGE_ERROR / (pairs * top)
+    # torque is measured in terms of the flux
+    return {
+        "psi_m": flux,
+        "inertia": flux / psi * values["inertia"],
+        "friction": math.hypot(spread[0], flux / psi * values["friction"]),
+        "viscous": float(spread[1]),
+        "load": float(spread[2]),
+    }
 
 
 @dataclass(frozen=True)
