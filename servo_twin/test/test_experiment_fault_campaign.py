@@ -50,7 +50,8 @@ def test_trials_on_the_own_motors() -> None:
 def test_a_held_rotor_is_noticed_without_an_encoder() -> None:
     trial = draw(PLANT, 6, 5, OWN)
     assert (trial.state.name, trial.damage.kind) == ("observer, stop", "rotor held")
-    result = run_trial(trial)
+    with at_level("ideal"):
+        result = run_trial(trial)
     assert not result.lost, str(result)
 
 
