@@ -11,12 +11,12 @@
 #define NEVER UINT64_MAX
 #define SPREAD 4u /* edges by which jitter, duty error and hysteresis may add to the way of the shaft */
 /* Edges are looked for as far ahead as a frame may last [s]. */
-#define EDGE_HORIZON (BRIDGE_FRAME + SWITCHING_HORIZON * CLOCK)
+#define EDGE_HORIZON (LINEAR_INTERVAL_MAX + SWITCHING_HORIZON * CLOCK)
 #define THERMAL_WINDOWS 16u /* from one step of the temperatures to the next */
 #define GLITCH 100u /* a disturbance of an encoder line lasts so long [clocks] */
 #define SLIP 100u /* from edge to edge of a disc that slips [clocks] */
 
-static void find_rare(switching_t *plant);
+static void find_other_events(switching_t *plant);
 
 static double seconds(uint64_t from, uint64_t to) { return (double)(int64_t)(to - from) * CLOCK; }
 
@@ -24,9 +24,9 @@ static double seconds(uint64_t from, uint64_t to) { return (double)(int64_t)(to 
 static void set_load(switching_t *plant, int i, double torque)
 {
     shaft_t *shaft = &plant->shaft[i];
-    shaft->load = plant->given[i].load_torque = torque;
+    shaft->load = plant->parameters[i].load_torque = torque;
     plant->stop[i].load = shaft->two_masses ? 0.0 : torque;
-    plant->axis[i].bridge.load = plant->stop[i].load + (shaft->two_masses ? shaft->torque : 0.0);
+    plant->axis[i].inverter.load = plant->stop[i].load + (shaft->two_masses ? shaft->torque : 0.0);
 }
 
 /* What the configuration says of the sensors, the switches and the end stops of an axis. */
@@ -35,8 +35,8 @@ static void set_axis(switching_t *plant, int i, const board_config_t *config)
     const plant_axis_t *c = &config->axis[i];
     switching_axis_t *axis = &plant->axis[i];
     const double l = (c->l_d < c->l_q) ? c->l_d : c->l_q;
-    plant->given[i] = *c;
-    shaft_change(&plant->shaft[i], c, axis->bridge.theta, axis->bridge.omega);
+    plant->parameters[i] = *c;
+    shaft_change(&plant->shaft[i], c, axis->inverter.theta, axis->inverter.omega);
     plant->stop[i] = end_stop_of(c, plant->shaft[i].fine ? SHAFT : 1.0 / config->pwm_frequency);
     set_load(plant, i, c->load_torque);
     axis->dead_time_min = (uint64_t)(c->dead_time_min * SWITCHING_CLOCK_HZ + 0.5);
@@ -51,7 +51,7 @@ static void set_axis(switching_t *plant, int i, const board_config_t *config)
 
 static void set_bus(switching_t *plant, const plant_bus_t *bus)
 {
-    plant->u_noise = plant_harm_noise(&plant->u_noise_whole, plant->u_noise, bus->u_noise);
+    plant->u_noise = plant_faults_noise(&plant->u_noise_configured, plant->u_noise, bus->u_noise);
     plant->codes_per_volt = 4096.0 / bus->u_full_scale;
 }
 
@@ -64,19 +64,19 @@ void switching_init(switching_t *plant, const board_config_t *config)
     plant_random_init(&plant->noise, config->seed, 0);
     plant->window = (uint64_t)(SWITCHING_CLOCK_HZ / config->pwm_frequency + 0.5);
     plant->window_clock = plant->window;
-    plant->rare_clock = plant->window;
+    plant->other_clock = plant->window;
     plant->shaft_clock = NEVER;
     for (int i = 0; i < BOARD_AXES; i++) {
         const plant_axis_t *c = &config->axis[i];
         switching_axis_t *axis = &plant->axis[i];
-        bridge_init(&axis->bridge, c);
+        switched_inverter_init(&axis->inverter, c);
         set_axis(plant, i, config);
-        axis->window = bridge_integral(&axis->bridge);
+        axis->window = switched_inverter_integral(&axis->inverter);
         quadrature_init(&axis->encoder, c, config->seed, (uint64_t)i + 3u);
         thermal_init(&axis->winding, c->winding_capacity, c->winding_resistance, config->ambient);
         thermal_init(&axis->sink, c->sink_capacity, c->sink_resistance, config->ambient);
         plant_random_init(&axis->noise, config->seed, (uint64_t)i + 1u);
-        plant_harm_init(&axis->harm, c, config->seed, (uint64_t)i + 5u);
+        plant_faults_init(&axis->faults, c, config->seed, (uint64_t)i + 5u);
         for (int line = 0; line < QUADRATURE_LINES; line++) {
             axis->glitch_clock[line] = NEVER;
         }
@@ -85,32 +85,32 @@ void switching_init(switching_t *plant, const board_config_t *config)
         axis->i_noise = c->i_noise;
         plant->t_magnet[i] = config->ambient;
     }
-    find_rare(plant);
+    find_other_events(plant);
 }
 
 /* ---- events ------------------------------------------------------------------------------------------------------- */
 
-static inline void tell(switching_t *plant, switching_event_t event)
+static inline void report(switching_t *plant, switching_event_t event)
 {
-    if (plant->waiting < SWITCHING_EVENTS) {
-        plant->event[(plant->first + plant->waiting++) % SWITCHING_EVENTS] = event;
+    if (plant->pending < SWITCHING_EVENTS) {
+        plant->event[(plant->first + plant->pending++) % SWITCHING_EVENTS] = event;
     }
 }
 
 bool switching_take(switching_t *plant, switching_event_t *event)
 {
-    if (plant->waiting == 0u) {
+    if (plant->pending == 0u) {
         return false;
     }
     *event = plant->event[plant->first];
     plant->first = (plant->first + 1u) % SWITCHING_EVENTS;
-    plant->waiting--;
+    plant->pending--;
     return true;
 }
 
 /* ---- looking ahead ------------------------------------------------------------------------------------------------ */
 
-static uint64_t earlier(uint64_t a, uint64_t b) { return (a < b) ? a : b; }
+static uint64_t earlier(uint64_t x, uint64_t y) { return (x < y) ? x : y; }
 
 /* Clock at or after a time counted from `clock`, and behind another one. */
 static inline uint64_t clock_after(uint64_t clock, double time, uint64_t last)
@@ -120,15 +120,15 @@ static inline uint64_t clock_after(uint64_t clock, double time, uint64_t last)
 }
 
 /* Straight on, when does a current reach the comparator's threshold, from either side? */
-static uint64_t look_ahead(const switching_t *plant, const switching_axis_t *axis)
+static uint64_t trip_time(const switching_t *plant, const switching_axis_t *axis)
 {
-    const bridge_t *b = &axis->bridge;
-    const double side = 0.5 * PLANT_SQRT3 * b->di.beta;
-    const double slope[3] = {b->di.alpha, -0.5 * b->di.alpha + side, -0.5 * b->di.alpha - side};
+    const switched_inverter_t *inv = &axis->inverter;
+    const double side = 0.5 * PLANT_SQRT3 * inv->di.beta;
+    const double slope[3] = {inv->di.alpha, -0.5 * inv->di.alpha + side, -0.5 * inv->di.alpha - side};
     double soonest = SWITCHING_HORIZON * CLOCK;
     for (int k = 0; k < 3; k++) {
-        const double size = fabs(b->phase[k]);
-        const double grows = (b->phase[k] > 0.0) ? slope[k] : -slope[k];
+        const double size = fabs(inv->phase[k]);
+        const double grows = (inv->phase[k] > 0.0) ? slope[k] : -slope[k];
         const double t = (axis->i_break - size) / grows;
         if (t >= 0.0 && t < soonest) {
             soonest = t;
@@ -142,114 +142,115 @@ static inline void find_edge(switching_axis_t *axis, uint64_t last)
 {
     axis->edge_clock = NEVER;
     const double target = quadrature_target(&axis->encoder);
-    if (target > axis->bridge.high || target < axis->bridge.low) {
+    if (target > axis->inverter.stop_max || target < axis->inverter.stop_min) {
         return; /* beyond an end stop */
     }
     /* An edge drawn on the other side of the shaft is behind it, however far it has gone since: that is passed at once. */
-    const double way = target - axis->course.theta;
-    if ((axis->encoder.upwards ? way : -way) > axis->course.range) {
+    const double way = target - axis->trajectory.theta;
+    if ((axis->encoder.upwards ? way : -way) > axis->trajectory.range) {
         return;
     }
-    const double t = quadrature_time(&axis->encoder, &axis->course) - axis->course_time;
+    const double t = quadrature_time(&axis->encoder, &axis->trajectory) - axis->trajectory_time;
     if (t < EDGE_HORIZON) {
-        axis->edge_clock = clock_after(axis->course_clock, (t > 0.0) ? t : 0.0, last);
+        axis->edge_clock = clock_after(axis->trajectory_clock, (t > 0.0) ? t : 0.0, last);
     }
 }
 
 /* Whether the edges of a course may be kept back: all of them, or none. */
-static inline void find_patience(switching_axis_t *axis)
+static inline void find_deferral(switching_axis_t *axis)
 {
-    const double edges = (axis->patience > SPREAD) ? (double)(axis->patience - SPREAD) : 0.0;
-    axis->keeps = axis->course.range < edges * axis->encoder.pitch;
-    axis->told_clock = axis->keeps ? NEVER : axis->edge_clock;
+    const double edges = (axis->deferrable_edges > SPREAD) ? (double)(axis->deferrable_edges - SPREAD) : 0.0;
+    axis->defers = axis->trajectory.range < edges * axis->encoder.pitch;
+    axis->report_clock = axis->defers ? NEVER : axis->edge_clock;
 }
 
 static inline void find_next(switching_axis_t *axis)
 {
-    axis->next_clock = earlier(earlier(axis->told_clock, axis->look_clock), axis->clock + SWITCHING_HORIZON);
+    axis->next_clock = earlier(earlier(axis->report_clock, axis->trip_clock), axis->clock + SWITCHING_HORIZON);
 }
 
 static inline void find_next_of_all(switching_t *plant)
 {
-    plant->next = earlier(plant->rare_clock, earlier(plant->axis[0].next_clock, plant->axis[1].next_clock));
+    plant->next = earlier(plant->other_clock, earlier(plant->axis[0].next_clock, plant->axis[1].next_clock));
 }
 
-static void find_rare(switching_t *plant)
+static void find_other_events(switching_t *plant)
 {
-    plant->rare_clock = plant->window_clock;
+    plant->other_clock = plant->window_clock;
     if (!plant->shaft[0].fine && !plant->shaft[1].fine) {
         plant->shaft_clock = NEVER;
     } else if (plant->shaft_clock == NEVER) {
         plant->shaft_clock = plant->now + 1u;
     }
-    plant->rare_clock = earlier(plant->rare_clock, plant->shaft_clock);
+    plant->other_clock = earlier(plant->other_clock, plant->shaft_clock);
     for (int i = 0; i < BOARD_AXES; i++) {
         if (plant->axis[i].short_clock > plant->now) {
-            plant->rare_clock = earlier(plant->rare_clock, plant->axis[i].short_clock);
+            plant->other_clock = earlier(plant->other_clock, plant->axis[i].short_clock);
         }
         for (int line = 0; line < QUADRATURE_LINES; line++) {
-            plant->rare_clock = earlier(plant->rare_clock, plant->axis[i].glitch_clock[line]);
+            plant->other_clock = earlier(plant->other_clock, plant->axis[i].glitch_clock[line]);
         }
-        plant->rare_clock = earlier(plant->rare_clock, plant->axis[i].slip_clock);
+        plant->other_clock = earlier(plant->other_clock, plant->axis[i].slip_clock);
     }
 }
 
 /* Of the current vector [A^2]. */
 static inline double square_of(const switching_axis_t *axis)
 {
-    const plant_vector_t current = axis->bridge.i;
+    const plant_vector_t current = axis->inverter.i;
     return current.alpha * current.alpha + current.beta * current.beta;
 }
 
 /* What an axis draws from the bus in the segment that has begun. */
 static inline void draw(switching_t *plant, int i)
 {
-    plant->i_bus[i] = bridge_drain(&plant->axis[i].bridge);
-    plant->di_bus[i] = bridge_drain_slope(&plant->axis[i].bridge);
+    plant->i_bus[i] = switched_inverter_bus_current(&plant->axis[i].inverter);
+    plant->di_bus[i] = switched_inverter_bus_current_slope(&plant->axis[i].inverter);
 }
 
 /* Edges that are kept back happen up to the present clock, while the shaft's course is still known. */
-static inline void pass_kept(switching_t *plant, int i)
+static inline void pass_deferred(switching_t *plant, int i)
 {
     switching_axis_t *axis = &plant->axis[i];
-    while (axis->keeps && axis->edge_clock <= plant->now && axis->patience > 0u) {
+    while (axis->defers && axis->edge_clock <= plant->now && axis->deferrable_edges > 0u) {
         const uint64_t clock = axis->edge_clock;
         const quadrature_edge_t edge = quadrature_pass(&axis->encoder);
         if (edge.seen) {
-            axis->kept_back[axis->kept++] =
+            axis->deferred[axis->deferred_count++] =
                 (switching_event_t){clock, SWITCHING_ENCODER, (uint8_t)i, edge.line, edge.level};
-            axis->patience--;
+            axis->deferrable_edges--;
         }
         find_edge(axis, clock);
     }
 }
 
 /* What follows from the segment of an axis that has begun at the present clock, with this square of the current. */
-static inline void look_at(switching_t *plant, int i, double square)
+static inline void after_new_segment(switching_t *plant, int i, double square)
 {
     switching_axis_t *axis = &plant->axis[i];
-    bridge_t *b = &axis->bridge;
+    switched_inverter_t *inv = &axis->inverter;
     draw(plant, i);
-    if (b->moved) {
-        b->moved = false;
-        pass_kept(plant, i);
-        axis->course = quadrature_course(&axis->encoder, b->theta, b->omega, b->accel, b->jerk, EDGE_HORIZON);
-        axis->course_clock = axis->clock;
-        axis->course_time = b->frame.time;
+    if (inv->trajectory_changed) {
+        inv->trajectory_changed = false;
+        pass_deferred(plant, i);
+        axis->trajectory =
+            quadrature_trajectory(&axis->encoder, inv->theta, inv->omega, inv->accel, inv->jerk, EDGE_HORIZON);
+        axis->trajectory_clock = axis->clock;
+        axis->trajectory_time = inv->interval.elapsed;
         find_edge(axis, plant->now);
-        find_patience(axis);
+        find_deferral(axis);
     }
-    axis->look_clock = (square < axis->square_far) ? NEVER : look_ahead(plant, axis);
+    axis->trip_clock = (square < axis->square_far) ? NEVER : trip_time(plant, axis);
     find_next(axis);
 }
 
 /* After whatever has changed at the present clock. */
-void switching_look_around(switching_t *plant)
+void switching_find_next_event(switching_t *plant)
 {
     for (int i = 0; i < BOARD_AXES; i++) {
-        if (!plant->axis[i].bridge.begun) {
-            bridge_begin(&plant->axis[i].bridge, plant->supply.u);
-            look_at(plant, i, square_of(&plant->axis[i]));
+        if (!plant->axis[i].inverter.segment_valid) {
+            switched_inverter_begin(&plant->axis[i].inverter, plant->supply.u);
+            after_new_segment(plant, i, square_of(&plant->axis[i]));
         }
     }
     find_next_of_all(plant);
@@ -269,7 +270,7 @@ PLANT_INLINE void move_supply(switching_t *plant)
     const double load = (plant->i_bus[0] + plant->i_bus[1]) + h * (0.5 * (plant->di_bus[0] + plant->di_bus[1]));
     for (int i = 0; i < BOARD_AXES; i++) {
         const double rise = h * plant->di_bus[i];
-        plant->booked[i] += h * (plant->i_bus[i] + 0.5 * rise);
+        plant->charge_booked[i] += h * (plant->i_bus[i] + 0.5 * rise);
         plant->i_bus[i] += rise;
     }
     const supply_step_t step = supply_step_of(&plant->supply, h);
@@ -287,13 +288,13 @@ static void advance_supply(switching_t *plant) { move_supply(plant); }
 static void compare(switching_t *plant, int i)
 {
     switching_axis_t *axis = &plant->axis[i];
-    const double *p = axis->bridge.phase;
+    const double *p = axis->inverter.phase;
     const double most = axis->i_break;
     const bool tripped = p[0] > most || p[1] > most || p[2] > most || p[0] < -most || p[1] < -most || p[2] < -most ||
                          axis->short_clock > plant->now;
     if (tripped != axis->tripped) {
         axis->tripped = tripped;
-        tell(plant, (switching_event_t){plant->now, SWITCHING_OVER_CURRENT, (uint8_t)i, 0, tripped});
+        report(plant, (switching_event_t){plant->now, SWITCHING_OVER_CURRENT, (uint8_t)i, 0, tripped});
     }
 }
 
@@ -306,9 +307,9 @@ PLANT_INLINE double move_axis(switching_t *plant, int i, double *square)
     const double per_h = 1.0 / h; /* ready when the voltage is */
     move_supply(plant);
     const double u = plant->supply.u;
-    const double charge = bridge_advance(&axis->bridge, h, plant->u_h[i] * per_h);
-    supply_take(&plant->supply, charge - plant->booked[i]);
-    plant->booked[i] = 0.0;
+    const double charge = switched_inverter_advance(&axis->inverter, h, plant->u_h[i] * per_h);
+    supply_take(&plant->supply, charge - plant->charge_booked[i]);
+    plant->charge_booked[i] = 0.0;
     plant->u_h[i] = 0.0;
     axis->clock = plant->now;
     axis->shown_clock = NEVER;
@@ -331,7 +332,7 @@ static void advance_axis(switching_t *plant, int i)
 /* Flux of the magnet as warm as it is. */
 static double magnet(const switching_t *plant, int i)
 {
-    const plant_axis_t *c = &plant->given[i];
+    const plant_axis_t *c = &plant->parameters[i];
     return c->psi_m * (1.0 + c->magnet_coefficient * (plant->t_magnet[i] - plant->axis[i].winding.ambient));
 }
 
@@ -340,20 +341,21 @@ static void warm_up(switching_t *plant)
     const double h = (double)(THERMAL_WINDOWS * plant->window) * CLOCK;
     for (int i = 0; i < BOARD_AXES; i++) {
         switching_axis_t *axis = &plant->axis[i];
-        bridge_t *b = &axis->bridge;
-        bridge_settle(b);
+        switched_inverter_t *inv = &axis->inverter;
+        switched_inverter_sync(inv);
         plant->stale = true;
-        thermal_advance(&axis->winding, h, b->e_copper - axis->e_copper);
-        if (!axis->harm.heated) {
-            thermal_advance(&axis->sink, h, b->e_switch - axis->e_switch);
+        thermal_advance(&axis->winding, h, inv->e_copper - axis->e_copper);
+        if (!axis->faults.sink_held) {
+            thermal_advance(&axis->sink, h, inv->e_switch - axis->e_switch);
         }
-        axis->e_copper = b->e_copper;
-        axis->e_switch = b->e_switch;
-        bridge_set_winding(b, axis->r_s * thermal_copper(&axis->winding));
-        plant->t_magnet[i] += thermal_magnet(h, plant->given[i].magnet_time) * (axis->winding.t - plant->t_magnet[i]);
-        if (plant->given[i].magnet_coefficient != 0.0) {
-            bridge_set_magnet(b, magnet(plant, i));
-            b->moved = true;
+        axis->e_copper = inv->e_copper;
+        axis->e_switch = inv->e_switch;
+        switched_inverter_set_winding(inv, axis->r_s * thermal_copper(&axis->winding));
+        plant->t_magnet[i] +=
+            thermal_magnet(h, plant->parameters[i].magnet_time) * (axis->winding.t - plant->t_magnet[i]);
+        if (plant->parameters[i].magnet_coefficient != 0.0) {
+            switched_inverter_set_magnet(inv, magnet(plant, i));
+            inv->trajectory_changed = true;
         }
     }
     supply_warm(&plant->supply, h);
@@ -362,14 +364,14 @@ static void warm_up(switching_t *plant)
 /* What end stops, shaft and cogging do to a rotor until the next time. */
 static void push_back(switching_t *plant, int i)
 {
-    bridge_t *b = &plant->axis[i].bridge;
-    bridge_settle(b);
-    b->load = end_stop_load(&plant->stop[i], b->theta, b->omega);
+    switched_inverter_t *inv = &plant->axis[i].inverter;
+    switched_inverter_sync(inv);
+    inv->load = end_stop_load(&plant->stop[i], inv->theta, inv->omega);
     if (plant->shaft[i].fine) {
-        b->load += shaft_step(&plant->shaft[i], b->theta, b->omega, SHAFT);
+        inv->load += shaft_step(&plant->shaft[i], inv->theta, inv->omega, SHAFT);
     }
-    b->begun = false;
-    b->moved = true;
+    inv->segment_valid = false;
+    inv->trajectory_changed = true;
     plant->stale = true;
 }
 
@@ -392,7 +394,7 @@ static void end_window(switching_t *plant)
     for (int i = 0; i < BOARD_AXES; i++) {
         switching_axis_t *axis = &plant->axis[i];
         advance_axis(plant, i);
-        const bridge_integral_t now = bridge_integral(&axis->bridge);
+        const terminal_integral_t now = switched_inverter_integral(&axis->inverter);
         for (int k = 0; k < 3; k++) {
             axis->voltage[k] = (now.volts[k] - axis->window.volts[k]) * per_h;
         }
@@ -405,16 +407,16 @@ static void end_window(switching_t *plant)
         warm_up(plant);
     }
     for (int i = 0; i < BOARD_AXES; i++) { /* with the new resistance */
-        plant->axis[i].window = bridge_integral(&plant->axis[i].bridge);
+        plant->axis[i].window = switched_inverter_integral(&plant->axis[i].inverter);
     }
     plant->window_clock += plant->window;
 }
 
 /* A line of an encoder changes, and somebody may wait for it. */
-static void tell_line(switching_t *plant, int i, int line, bool level)
+static void report_line(switching_t *plant, int i, int line, bool level)
 {
-    tell(plant, (switching_event_t){plant->now, SWITCHING_ENCODER, (uint8_t)i, (uint8_t)line, level});
-    plant->axis[i].patience -= (plant->axis[i].patience > 0u) ? 1u : 0u;
+    report(plant, (switching_event_t){plant->now, SWITCHING_ENCODER, (uint8_t)i, (uint8_t)line, level});
+    plant->axis[i].deferrable_edges -= (plant->axis[i].deferrable_edges > 0u) ? 1u : 0u;
 }
 
 static inline void pass_edge(switching_t *plant, int i)
@@ -422,10 +424,10 @@ static inline void pass_edge(switching_t *plant, int i)
     switching_axis_t *axis = &plant->axis[i];
     const quadrature_edge_t edge = quadrature_pass(&axis->encoder);
     if (edge.seen) {
-        tell_line(plant, i, edge.line, edge.level);
+        report_line(plant, i, edge.line, edge.level);
     }
     find_edge(axis, plant->now);
-    axis->told_clock = axis->edge_clock;
+    axis->report_clock = axis->edge_clock;
     find_next(axis);
 }
 
@@ -435,8 +437,8 @@ static void set_line(switching_t *plant, int i, int line, bool before)
     switching_axis_t *axis = &plant->axis[i];
     const bool after = quadrature_level(&axis->encoder, line);
     if (after != before) {
-        tell_line(plant, i, line, after);
-        find_patience(axis);
+        report_line(plant, i, line, after);
+        find_deferral(axis);
         find_next(axis);
         plant->stale = true;
     }
@@ -445,18 +447,19 @@ static void set_line(switching_t *plant, int i, int line, bool before)
 /* When a line is disturbed next: any time up to twice the mean is as likely as any other. */
 static uint64_t next_glitch(switching_t *plant, int i, int line)
 {
-    plant_harm_t *harm = &plant->axis[i].harm;
-    if (harm->glitches[line] <= 0.0) {
+    plant_faults_t *faults = &plant->axis[i].faults;
+    if (faults->glitches[line] <= 0.0) {
         return NEVER;
     }
-    return plant->now + GLITCH + (uint64_t)(2.0 * SWITCHING_CLOCK_HZ / harm->glitches[line] * plant_harm_chance(harm));
+    return plant->now + GLITCH +
+           (uint64_t)(2.0 * SWITCHING_CLOCK_HZ / faults->glitches[line] * plant_faults_uniform(faults));
 }
 
 /* A disturbance begins or ends. */
 static void glitch(switching_t *plant, int i, int line)
 {
     switching_axis_t *axis = &plant->axis[i];
-    pass_kept(plant, i);
+    pass_deferred(plant, i);
     const bool before = quadrature_level(&axis->encoder, line);
     bool *flipped = &axis->encoder.flipped[line];
     *flipped = !*flipped;
@@ -468,7 +471,7 @@ static void glitch(switching_t *plant, int i, int line)
 static void slip(switching_t *plant, int i)
 {
     switching_axis_t *axis = &plant->axis[i];
-    pass_kept(plant, i);
+    pass_deferred(plant, i);
     const bool upwards = axis->slip > 0;
     const int line = ((axis->encoder.position + upwards) & 1) == 0;
     const bool before = quadrature_level(&axis->encoder, line);
@@ -478,7 +481,7 @@ static void slip(switching_t *plant, int i)
     axis->slip_clock = (axis->slip != 0) ? plant->now + SLIP : NEVER;
 }
 
-static void happen_rarely(switching_t *plant)
+static void process_other_events(switching_t *plant)
 {
     for (int i = 0; i < BOARD_AXES; i++) {
         for (int line = 0; line < QUADRATURE_LINES; line++) {
@@ -499,24 +502,24 @@ static void happen_rarely(switching_t *plant)
     if (plant->shaft_clock == plant->now) {
         step_shafts(plant);
     }
-    find_rare(plant);
+    find_other_events(plant);
 }
 
-void switching_happen(switching_t *plant)
+void switching_process_event(switching_t *plant)
 {
     plant->now = plant->next;
     for (int i = 0; i < BOARD_AXES; i++) {
         const switching_axis_t *axis = &plant->axis[i];
         if (axis->next_clock == plant->now) {
-            if (axis->told_clock == plant->now) {
+            if (axis->report_clock == plant->now) {
                 pass_edge(plant, i);
             } else {
                 advance_axis(plant, i);
             }
         }
     }
-    if (plant->rare_clock == plant->now) {
-        happen_rarely(plant);
+    if (plant->other_clock == plant->now) {
+        process_other_events(plant);
     }
     if (!plant->stale) {
         find_next_of_all(plant);
@@ -525,29 +528,29 @@ void switching_happen(switching_t *plant)
 
 /* ---- edges that nobody waits for --------------------------------------------------------------------------------------- */
 
-void switching_keep_back(switching_t *plant, int i, unsigned edges)
+void switching_defer_edges(switching_t *plant, int i, unsigned edges)
 {
     switching_axis_t *axis = &plant->axis[i];
-    pass_kept(plant, i);
-    const unsigned room = SWITCHING_KEPT - axis->kept;
+    pass_deferred(plant, i);
+    const unsigned room = SWITCHING_DEFERRED_MAX - axis->deferred_count;
     const unsigned most = (edges < room) ? edges : room;
-    axis->patience = (most > plant->waiting) ? most - plant->waiting : 0u; /* some of those may be edges, too */
-    find_patience(axis);
+    axis->deferrable_edges = (most > plant->pending) ? most - plant->pending : 0u; /* some of those may be edges, too */
+    find_deferral(axis);
     find_next(axis);
     if (!plant->stale) {
         find_next_of_all(plant);
     }
 }
 
-bool switching_take_kept(switching_t *plant, int i, switching_event_t *event)
+bool switching_take_deferred(switching_t *plant, int i, switching_event_t *event)
 {
     switching_axis_t *axis = &plant->axis[i];
-    pass_kept(plant, i);
-    if (axis->kept_first == axis->kept) {
-        axis->kept_first = axis->kept = 0;
+    pass_deferred(plant, i);
+    if (axis->deferred_first == axis->deferred_count) {
+        axis->deferred_first = axis->deferred_count = 0;
         return false;
     }
-    *event = axis->kept_back[axis->kept_first++];
+    *event = axis->deferred[axis->deferred_first++];
     return true;
 }
 
@@ -558,20 +561,20 @@ static void begin_short(switching_t *plant, int i, uint64_t until)
 {
     plant->axis[i].short_clock = until;
     plant->stale = true;
-    find_rare(plant);
+    find_other_events(plant);
     compare(plant, i);
 }
 
 /* Both rails on a short in the motor's cable: one upper switch against bus minus, or against the other phase's lower one. */
 static bool feeds_short(const switching_axis_t *axis)
 {
-    const bridge_t *b = &axis->bridge;
-    if (b->grounded >= 0) {
-        return axis->leg[b->grounded] == SWITCHING_HIGH;
+    const switched_inverter_t *inv = &axis->inverter;
+    if (inv->grounded >= 0) {
+        return axis->leg[inv->grounded] == SWITCHING_HIGH;
     }
-    if (b->alone >= 0) {
-        const switching_leg_t one = axis->leg[(b->alone + 1) % 3];
-        const switching_leg_t other = axis->leg[(b->alone + 2) % 3];
+    if (inv->unshorted >= 0) {
+        const switching_leg_t one = axis->leg[(inv->unshorted + 1) % 3];
+        const switching_leg_t other = axis->leg[(inv->unshorted + 2) % 3];
         return (one == SWITCHING_HIGH && other == SWITCHING_LOW) || (one == SWITCHING_LOW && other == SWITCHING_HIGH);
     }
     return false;
@@ -581,8 +584,8 @@ static void watch_cable(switching_t *plant, int i)
 {
     switching_axis_t *axis = &plant->axis[i];
     const bool feeds = feeds_short(axis);
-    if (feeds != axis->feeds) {
-        axis->feeds = feeds;
+    if (feeds != axis->short_fed) {
+        axis->short_fed = feeds;
         begin_short(plant, i, feeds ? NEVER : plant->now);
     }
 }
@@ -614,7 +617,7 @@ static inline void watch_short(switching_t *plant, int i, int phase, switching_l
     if (soon || before == SWITCHING_SHORT || leg == SWITCHING_SHORT) {
         watch_overlap(plant, i, phase, before, leg);
     }
-    if (axis->bridge.shorted) {
+    if (axis->inverter.shorted) {
         watch_cable(plant, i);
     }
 }
@@ -623,31 +626,31 @@ static inline void watch_short(switching_t *plant, int i, int phase, switching_l
 static inline void switch_over(switching_t *plant, int i, unsigned gates)
 {
     switching_axis_t *axis = &plant->axis[i];
-    bridge_t *b = &axis->bridge;
+    switched_inverter_t *inv = &axis->inverter;
     double u = plant->supply.u;
     double square;
     if (axis->clock != plant->now) {
         u = move_axis(plant, i, &square);
     } else {
-        bridge_begin_again(b); /* several legs switch at one clock */
+        switched_inverter_restart(inv); /* several legs switch at one clock */
         square = square_of(axis);
     }
-    b->gates = gates;
-    bridge_begin(b, u);
-    look_at(plant, i, square);
+    inv->gates = gates;
+    switched_inverter_begin(inv, u);
+    after_new_segment(plant, i, square);
     find_next_of_all(plant);
 }
 
 void switching_edge(switching_t *plant, int i, int phase, switching_leg_t leg)
 {
     switching_axis_t *axis = &plant->axis[i];
-    bridge_t *b = &axis->bridge;
+    switched_inverter_t *inv = &axis->inverter;
     if (axis->leg[phase] == leg) {
         return;
     }
-    const unsigned gates = bridge_gates_with(b, phase, leg);
-    if (bridge_indifferent(b, phase, gates, seconds(axis->clock, plant->now), plant->supply.u)) {
-        b->gates = gates;
+    const unsigned gates = switched_inverter_gates_with(inv, phase, leg);
+    if (switched_inverter_edge_has_no_effect(inv, phase, gates, seconds(axis->clock, plant->now), plant->supply.u)) {
+        inv->gates = gates;
     } else {
         switch_over(plant, i, gates);
     }
@@ -660,11 +663,12 @@ void switching_edge(switching_t *plant, int i, int phase, switching_leg_t leg)
 static void amplify(switching_t *plant, int i)
 {
     switching_axis_t *axis = &plant->axis[i];
-    switching_look(plant);
-    if (!bridge_amplifiers(&axis->bridge, seconds(axis->clock, plant->now), plant->supply.u, axis->shown)) {
+    switching_update_next_event(plant);
+    if (!switched_inverter_amplifiers(&axis->inverter, seconds(axis->clock, plant->now), plant->supply.u,
+                                      axis->shown)) {
         advance_axis(plant, i);
-        switching_look_around(plant);
-        memcpy(axis->shown, axis->bridge.amplifier, sizeof axis->shown);
+        switching_find_next_event(plant);
+        memcpy(axis->shown, axis->inverter.amplifier, sizeof axis->shown);
     }
     axis->shown_clock = plant->now;
 }
@@ -676,13 +680,13 @@ uint16_t switching_current_code(switching_t *plant, int i, int phase)
         amplify(plant, i);
     }
     const double shown =
-        axis->shown[BRIDGE_LANE(phase)] + axis->i_offset[phase] + axis->i_noise * plant_random_gauss(&axis->noise);
-    return plant_harm_code(&axis->harm, phase, plant_code(2048.0 + shown * axis->codes_per_ampere));
+        axis->shown[INVERTER_LANE(phase)] + axis->i_offset[phase] + axis->i_noise * plant_random_gauss(&axis->noise);
+    return plant_faults_code(&axis->faults, phase, plant_code(2048.0 + shown * axis->codes_per_ampere));
 }
 
 uint16_t switching_bus_code(switching_t *plant)
 {
-    switching_look(plant);
+    switching_update_next_event(plant);
     advance_supply(plant);
     const double shown = plant->supply.u + plant->u_noise * plant_random_gauss(&plant->noise);
     return plant_code(shown * plant->codes_per_volt);
@@ -701,54 +705,54 @@ bool switching_line(const switching_t *plant, int axis, int line)
 static switching_t here(const switching_t *plant, int axis)
 {
     switching_t copy = *plant;
-    switching_look_around(&copy);
+    switching_find_next_event(&copy);
     advance_supply(&copy);
     advance_axis(&copy, axis);
-    bridge_settle(&copy.axis[axis].bridge);
+    switched_inverter_sync(&copy.axis[axis].inverter);
     return copy;
 }
 
 double switching_theta(const switching_t *plant, int i)
 {
     const switching_axis_t *axis = &plant->axis[i];
-    return axis->bridge.theta + axis->bridge.omega * seconds(axis->clock, plant->now);
+    return axis->inverter.theta + axis->inverter.omega * seconds(axis->clock, plant->now);
 }
 
 void switching_truth(const switching_t *plant, int i, switching_truth_t *truth)
 {
     switching_t copy = here(plant, i);
-    switching_look_around(&copy);
+    switching_find_next_event(&copy);
     const switching_axis_t *axis = &copy.axis[i];
-    const bridge_t *b = &axis->bridge;
+    const switched_inverter_t *inv = &axis->inverter;
     const shaft_t *shaft = &copy.shaft[i];
     const bool two = shaft->two_masses;
     const double rest = two ? seconds(copy.now, copy.shaft_clock) : 0.0;
     *truth = (switching_truth_t){
-        .theta = b->theta,
-        .omega = b->omega,
-        .i_d = b->i.alpha * b->cosine + b->i.beta * b->sine,
-        .i_q = b->i.beta * b->cosine - b->i.alpha * b->sine,
-        .torque = b->torque,
-        .theta_load = two ? shaft->theta - rest * (shaft->omega - 0.5 * rest * shaft->accel) : b->theta,
-        .omega_load = two ? shaft->omega - rest * shaft->accel : b->omega,
+        .theta = inv->theta,
+        .omega = inv->omega,
+        .i_d = inv->i.alpha * inv->cosine + inv->i.beta * inv->sine,
+        .i_q = inv->i.beta * inv->cosine - inv->i.alpha * inv->sine,
+        .torque = inv->torque,
+        .theta_load = two ? shaft->theta - rest * (shaft->omega - 0.5 * rest * shaft->accel) : inv->theta,
+        .omega_load = two ? shaft->omega - rest * shaft->accel : inv->omega,
         .torque_shaft = two ? shaft->torque : 0.0,
         .t_magnet = copy.t_magnet[i],
-        .r_s = b->r_s,
-        .psi_m = b->psi_m,
-        .l_d = 1.0 / (b->inv_l_mean + b->inv_l_half),
-        .l_q = 1.0 / (b->inv_l_mean - b->inv_l_half),
+        .r_s = inv->r_s,
+        .psi_m = inv->psi_m,
+        .l_d = 1.0 / (inv->inv_l_mean + inv->inv_l_half),
+        .l_q = 1.0 / (inv->inv_l_mean - inv->inv_l_half),
         .t_winding = axis->winding.t,
         .t_sink = axis->sink.t,
-        .e_bus = b->e_bus,
-        .e_copper = b->e_copper,
-        .e_switch = b->e_switch,
+        .e_bus = inv->e_bus,
+        .e_copper = inv->e_copper,
+        .e_switch = inv->e_switch,
         .over_current = axis->tripped,
     };
     for (int k = 0; k < 3; k++) {
         truth->voltage[k] = axis->voltage[k];
-        truth->phase[k] = b->phase[k];
-        truth->shunt[k] = bridge_shunt(b, k);
-        truth->amplifier[k] = b->amplifier[BRIDGE_LANE(k)];
+        truth->phase[k] = inv->phase[k];
+        truth->shunt[k] = switched_inverter_shunt(inv, k);
+        truth->amplifier[k] = inv->amplifier[INVERTER_LANE(k)];
     }
 }
 
@@ -765,17 +769,17 @@ void switching_bus(const switching_t *plant, switching_bus_t *bus)
 /* ---- other hands on the plant ------------------------------------------------------------------------------------- */
 
 /* The axis to the present clock, where something about it changes. */
-static bridge_t *touch(switching_t *plant, int i)
+static switched_inverter_t *touch(switching_t *plant, int i)
 {
-    switching_look_around(plant);
-    bridge_t *bridge = &plant->axis[i].bridge;
-    pass_kept(plant, i);
+    switching_find_next_event(plant);
+    switched_inverter_t *inverter = &plant->axis[i].inverter;
+    pass_deferred(plant, i);
     advance_axis(plant, i);
-    bridge_settle(bridge);
-    bridge->begun = false;
-    bridge->moved = true;
+    switched_inverter_sync(inverter);
+    inverter->segment_valid = false;
+    inverter->trajectory_changed = true;
     plant->stale = true;
-    return bridge;
+    return inverter;
 }
 
 /* The disc turns by so many edges, one after another; the caller looks for the next rare event. */
@@ -790,18 +794,18 @@ static void change_axis(switching_t *plant, int i, const board_config_t *config)
 {
     const plant_axis_t *c = &config->axis[i];
     switching_axis_t *axis = &plant->axis[i];
-    bridge_t *b = touch(plant, i);
-    const bridge_integral_t before = bridge_integral(b);
-    axis->i_noise = plant_harm_noise(&axis->harm.i_whole, axis->i_noise, c->i_noise);
+    switched_inverter_t *inv = touch(plant, i);
+    const terminal_integral_t before = switched_inverter_integral(inv);
+    axis->i_noise = plant_faults_noise(&axis->faults.i_noise_configured, axis->i_noise, c->i_noise);
     thermal_change(&axis->winding, c->winding_capacity, c->winding_resistance);
     thermal_change(&axis->sink, c->sink_capacity, c->sink_resistance);
     set_axis(plant, i, config);
-    bridge_change(b, c, c->r_s * thermal_copper(&axis->winding));
+    switched_inverter_change(inv, c, c->r_s * thermal_copper(&axis->winding));
     if (c->magnet_coefficient != 0.0) {
-        bridge_set_magnet(b, magnet(plant, i));
+        switched_inverter_set_magnet(inv, magnet(plant, i));
     }
-    turn_disc(plant, i, quadrature_change(&axis->encoder, c, b->theta));
-    const bridge_integral_t after = bridge_integral(b);
+    turn_disc(plant, i, quadrature_change(&axis->encoder, c, inv->theta));
+    const terminal_integral_t after = switched_inverter_integral(inv);
     for (int k = 0; k < 3; k++) { /* the flux has changed, which no voltage has done */
         axis->window.volts[k] += after.volts[k] - before.volts[k];
     }
@@ -811,13 +815,13 @@ void switching_change(switching_t *plant, const board_config_t *config)
 {
     for (int i = 0; i < BOARD_AXES; i++) {
         /* NOLINTNEXTLINE(bugprone-suspicious-memory-comparison): a difference in padding only costs time */
-        if (memcmp(&plant->given[i], &config->axis[i], sizeof plant->given[i]) != 0) {
+        if (memcmp(&plant->parameters[i], &config->axis[i], sizeof plant->parameters[i]) != 0) {
             change_axis(plant, i, config);
         }
     }
-    find_rare(plant);
+    find_other_events(plant);
     plant->stale = true;
-    switching_look_around(plant);
+    switching_find_next_event(plant);
     advance_supply(plant);
     set_bus(plant, &config->bus);
     supply_change(&plant->supply, &config->bus);
@@ -831,23 +835,23 @@ void switching_set_load(switching_t *plant, int axis, double torque)
 
 void switching_set_friction(switching_t *plant, int i, double friction)
 {
-    if (friction != plant->axis[i].bridge.friction) {
+    if (friction != plant->axis[i].inverter.friction) {
         touch(plant, i)->friction = friction;
     }
 }
 
 void switching_lock(switching_t *plant, int axis, bool locked)
 {
-    bridge_t *bridge = touch(plant, axis);
-    bridge->locked = locked;
-    bridge->omega = locked ? 0.0 : bridge->omega;
+    switched_inverter_t *inverter = touch(plant, axis);
+    inverter->locked = locked;
+    inverter->omega = locked ? 0.0 : inverter->omega;
 }
 
 void switching_obstruct(switching_t *plant, int axis, double below, double above)
 {
-    bridge_t *bridge = touch(plant, axis);
-    bridge->low = bridge->theta - below;
-    bridge->high = bridge->theta + above;
+    switched_inverter_t *inverter = touch(plant, axis);
+    inverter->stop_min = inverter->theta - below;
+    inverter->stop_max = inverter->theta + above;
 }
 
 /* The resistance follows with the next step of the temperatures. */
@@ -855,18 +859,18 @@ void switching_warm_winding(switching_t *plant, int axis, double celsius) { plan
 
 void switching_warm_magnet(switching_t *plant, int axis, double celsius) { plant->t_magnet[axis] = celsius; }
 
-void switching_plug(switching_t *plant, int axis, bool plugged) { bridge_plug(touch(plant, axis), plugged); }
+void switching_plug(switching_t *plant, int axis, bool plugged) { switched_inverter_plug(touch(plant, axis), plugged); }
 
 void switching_set_supply(switching_t *plant, double volts)
 {
-    switching_look_around(plant);
+    switching_find_next_event(plant);
     advance_supply(plant);
     supply_set(&plant->supply, volts);
 }
 
 void switching_brake(switching_t *plant, bool on)
 {
-    switching_look_around(plant);
+    switching_find_next_event(plant);
     advance_supply(plant);
     supply_switch(&plant->supply, on);
 }
@@ -874,7 +878,7 @@ void switching_brake(switching_t *plant, bool on)
 void switching_cut(switching_t *plant, int i, int line, bool cut, bool level)
 {
     quadrature_t *encoder = &plant->axis[i].encoder;
-    pass_kept(plant, i);
+    pass_deferred(plant, i);
     const bool before = quadrature_level(encoder, line);
     encoder->cut[line] = cut;
     encoder->stuck[line] = level;
@@ -883,100 +887,100 @@ void switching_cut(switching_t *plant, int i, int line, bool cut, bool level)
 
 /* ---- what breaks ---------------------------------------------------------------------------------------------------- */
 
-static void harm_sensor(switching_t *plant, const board_harm_t *harm, bool healed)
+static void set_sensor_fault(switching_t *plant, const board_fault_t *fault, bool cleared)
 {
-    switching_axis_t *axis = &plant->axis[harm->axis];
-    switch ((board_harm_kind_t)harm->kind) {
+    switching_axis_t *axis = &plant->axis[fault->axis];
+    switch ((board_fault_kind_t)fault->kind) {
     case BOARD_STUCK_CONVERTER:
-        axis->harm.stuck[harm->part] = !healed;
-        axis->harm.code[harm->part] = plant_code(harm->value);
+        axis->faults.stuck[fault->part] = !cleared;
+        axis->faults.code[fault->part] = plant_code(fault->value);
         break;
     case BOARD_CURRENT_NOISE:
-        axis->i_noise = healed ? axis->harm.i_whole : harm->value;
+        axis->i_noise = cleared ? axis->faults.i_noise_configured : fault->value;
         break;
     case BOARD_BUS_NOISE:
-        plant->u_noise = healed ? plant->u_noise_whole : harm->value;
+        plant->u_noise = cleared ? plant->u_noise_configured : fault->value;
         break;
     case BOARD_STALLED_CORE:
         break; /* nothing of the plant */
     case BOARD_HEAT:
-        axis->harm.heated = !healed;
-        axis->sink.t = healed ? axis->sink.t : harm->value;
+        axis->faults.sink_held = !cleared;
+        axis->sink.t = cleared ? axis->sink.t : fault->value;
         break;
     default:
         break;
     }
 }
 
-static void harm_phase(switching_t *plant, const board_harm_t *harm, bool healed)
+static void set_phase_fault(switching_t *plant, const board_fault_t *fault, bool cleared)
 {
-    bridge_t *bridge = touch(plant, harm->axis);
-    const int to = (int)harm->value;
-    if (harm->kind == BOARD_OPEN_PHASE) {
-        bridge_open(bridge, harm->part, !healed);
+    switched_inverter_t *inverter = touch(plant, fault->axis);
+    const int to = (int)fault->value;
+    if (fault->kind == BOARD_OPEN_PHASE) {
+        switched_inverter_open(inverter, fault->part, !cleared);
     } else if (to < 0) {
-        bridge_short(bridge, healed ? -1 : harm->part, -1);
+        switched_inverter_short(inverter, cleared ? -1 : fault->part, -1);
     } else {
-        bridge_short(bridge, -1, healed ? -1 : 3 - harm->part - to);
+        switched_inverter_short(inverter, -1, cleared ? -1 : 3 - fault->part - to);
     }
-    watch_cable(plant, harm->axis);
+    watch_cable(plant, fault->axis);
 }
 
-static void harm_line(switching_t *plant, const board_harm_t *harm, bool healed)
+static void set_line_fault(switching_t *plant, const board_fault_t *fault, bool cleared)
 {
-    switching_axis_t *axis = &plant->axis[harm->axis];
-    axis->harm.glitches[harm->part] = healed ? 0.0 : harm->value;
-    if (!axis->encoder.flipped[harm->part]) { /* else it ends first */
-        axis->glitch_clock[harm->part] = next_glitch(plant, harm->axis, harm->part);
+    switching_axis_t *axis = &plant->axis[fault->axis];
+    axis->faults.glitches[fault->part] = cleared ? 0.0 : fault->value;
+    if (!axis->encoder.flipped[fault->part]) { /* else it ends first */
+        axis->glitch_clock[fault->part] = next_glitch(plant, fault->axis, fault->part);
     }
     plant->stale = true;
-    find_rare(plant);
+    find_other_events(plant);
 }
 
-static void harm_disc(switching_t *plant, const board_harm_t *harm)
+static void set_disc_fault(switching_t *plant, const board_fault_t *fault)
 {
-    turn_disc(plant, harm->axis, (int32_t)harm->value);
+    turn_disc(plant, fault->axis, (int32_t)fault->value);
     plant->stale = true;
-    find_rare(plant);
+    find_other_events(plant);
 }
 
-static void harm_supply(switching_t *plant, const board_harm_t *harm, bool healed)
+static void set_supply_fault(switching_t *plant, const board_fault_t *fault, bool cleared)
 {
-    switching_look_around(plant);
+    switching_find_next_event(plant);
     advance_supply(plant);
-    if (healed) {
+    if (cleared) {
         supply_recover(&plant->supply);
     } else {
-        supply_dip(&plant->supply, harm->value, harm->seconds);
+        supply_dip(&plant->supply, fault->value, fault->seconds);
     }
 }
 
-void switching_harm(switching_t *plant, const board_harm_t *harm, bool healed)
+void switching_set_fault(switching_t *plant, const board_fault_t *fault, bool cleared)
 {
-    switch ((board_harm_kind_t)harm->kind) {
+    switch ((board_fault_kind_t)fault->kind) {
     case BOARD_OPEN_PHASE:
     case BOARD_SHORTED_PHASE:
-        harm_phase(plant, harm, healed);
+        set_phase_fault(plant, fault, cleared);
         break;
     case BOARD_ENCODER_GLITCHES:
-        harm_line(plant, harm, healed);
+        set_line_fault(plant, fault, cleared);
         break;
     case BOARD_SLIPPED_ENCODER:
-        if (!healed) {
-            harm_disc(plant, harm);
+        if (!cleared) {
+            set_disc_fault(plant, fault);
         }
         break;
     case BOARD_STUCK_LINE:
-        switching_cut(plant, harm->axis, harm->part, !healed, harm->value != 0.0);
+        switching_cut(plant, fault->axis, fault->part, !cleared, fault->value != 0.0);
         break;
     case BOARD_LOCKED_ROTOR:
-        switching_lock(plant, harm->axis, !healed);
+        switching_lock(plant, fault->axis, !cleared);
         break;
     case BOARD_SUPPLY_DIP:
-        harm_supply(plant, harm, healed);
+        set_supply_fault(plant, fault, cleared);
         break;
     default:
-        harm_sensor(plant, harm, healed);
+        set_sensor_fault(plant, fault, cleared);
         break;
     }
 }
