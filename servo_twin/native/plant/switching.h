@@ -37,7 +37,7 @@
 #define SWITCHING_SHAFT 625u /* step of shafts that need shorter ones than a PWM period, 6.25 us [clocks] */
 #define SWITCHING_LINE 64u /* alignment of a plant, for speed: a cache line [bytes] */
 #define SWITCHING_EVENTS 128u /* size of the queue, a power of two */
-#define SWITCHING_DEFERRED_MAX 132u /* deferred encoder edges of an axis; with so many an axis fills whole cache lines */
+#define SWITCHING_DEFERRED_MAX 132u /* deferred encoder edges of an axis, which fill whole cache lines */
 
 /* Gate signals of one leg: bit 0 the upper switch, bit 1 the lower one. */
 typedef enum {
@@ -117,7 +117,8 @@ typedef struct {
     bool stale; /* `next` has to be found again */
     uint64_t supply_clock; /* up to which the bus has been advanced */
     double i_bus[BOARD_AXES], di_bus[BOARD_AXES]; /* current that an axis draws at supply_clock, its slope [A], [A/s] */
-    double charge_booked[BOARD_AXES]; /* charge that the bus has given at this current since the axis was advanced [A s] */
+    double
+        charge_booked[BOARD_AXES]; /* charge that the bus has given at this current since the axis was advanced [A s] */
     double u_h[BOARD_AXES]; /* integral of the bus voltage since then [V s] */
     uint64_t window, window_clock; /* length and end of the present window [clocks] */
     unsigned windows; /* since the last step of the temperatures */
