@@ -465,7 +465,9 @@ class TestEncoder:
             kept = 0
             for n in range(600):
                 if n in (100, 200):
-                    switching.lib.switching_set_fault(switching.c, switching.ffi.new("board_fault_t *", glitches), n == 200)
+                    switching.lib.switching_set_fault(
+                        switching.c, switching.ffi.new("board_fault_t *", glitches), n == 200
+                    )
                 if n in (150, 250):
                     switching.lib.switching_set_fault(switching.c, switching.ffi.new("board_fault_t *", slip), False)
                 switching.advance(switching.clock + chance.randrange(1, 8000))
@@ -629,11 +631,11 @@ def test_vectors_lie_in_one_line_of_the_cache_each(switching_c: Native) -> None:
     """If the plant begins one. A vector across two costs time, and nothing else shows that."""
     ffi = switching_c.ffi
     axis = ffi.offsetof("switching_t", "axis")
-    fields = [(name, 32) for name in ("amplifier", "drops")] + [(name, 16) for name in ("psi", "switch_vector", "i", "di")]
+    sizes = {"amplifier": 32, "drops": 32, "psi": 16, "switch_vector": 16, "i": 16, "di": 16}
     assert axis % 64 == 0
     assert ffi.sizeof("switching_axis_t") % 64 == 0
     assert ffi.offsetof("switching_axis_t", "inverter") == ffi.offsetof("switched_inverter_t", "interval") == 0
-    for name, size in fields:
+    for name, size in sizes.items():
         assert ffi.offsetof("switched_inverter_t", name) % size == 0, name
     vectors = ["i", "di", "ddi", "v", "inverse", "state_matrix", "emf_term", "emf_term_slope"]
     for name in (*vectors, "di_per_volt", "ddi_per_volt", "minus_l_leg"):
