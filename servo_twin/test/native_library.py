@@ -57,9 +57,9 @@ void plant_motor_lock(plant_motor_t *motor, bool locked);
 double plant_motor_torque(const plant_motor_t *motor);
 
 typedef struct { bool on; double leg[3], share[3], heat; ...; } averaged_inverter_t;
-void averaged_inverter_init(averaged_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency, double step);
+void averaged_inverter_init(averaged_inverter_t *inverter, const plant_axis_t *config, double frequency, double step);
 void averaged_inverter_load(averaged_inverter_t *inverter, const double duty[3], double u_dc);
-double averaged_inverter_step(averaged_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge);
+double averaged_inverter_step(averaged_inverter_t *inverter, plant_motor_t *motor, double u, double dt, double *charge);
 void averaged_inverter_open(averaged_inverter_t *inverter, plant_motor_t *motor, int phase, bool open);
 void averaged_inverter_short(averaged_inverter_t *inverter, int phase, int to);
 bool averaged_inverter_shorted(const averaged_inverter_t *inverter);
