@@ -11,7 +11,7 @@ import pytest
 from servo_twin.board import Board
 from servo_twin.experiments import braking, fault_matrix, levels, rotor_search, start_up
 from servo_twin.experiments.command import run_experiments
-from servo_twin.experiments.rig import TICK, at_level, choose_mode, command_speed, flag_mask, spinning
+from servo_twin.experiments.rig import TICK, at_level, choose_mode, command_speed, spinning
 from servo_twin.harm import StalledCore
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
@@ -86,7 +86,7 @@ def test_a_core_that_stands_still_is_late_whatever_it_does_next() -> None:
         board.advance(before)
         board.inject(StalledCore(0.001))
         board.run(0.003)
-        assert board.read_raw("axis1.faults")[0] & flag_mask(board, "faults", "LATE_LOOP")
+        assert board.read_raw("axis1.faults")[0] & board.catalogue.flag("faults", "LATE_LOOP").mask
 
 
 @pytest.mark.parametrize("level", LEVELS)

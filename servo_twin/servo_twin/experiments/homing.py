@@ -24,7 +24,6 @@ from servo_twin.experiments.rig import (
     Recording,
     command_position,
     features,
-    flag_mask,
     flags_of,
     position_of,
     prepared,
@@ -309,7 +308,7 @@ class Unhomed:
 def unhomed(plant: PlantConfig, seed: int) -> Unhomed:
     """Send both axes away, by a far position and by a speed."""
     with spinning(plant, seed) as board:
-        mask, reach = flag_mask(board, "limits", "NOT_HOMED"), Settings.of(board).reach / COUNT
+        mask, reach = board.catalogue.flag("limits", "NOT_HOMED").mask, Settings.of(board).reach / COUNT
         here = [position_of(board, axis) for axis in range(AXES)]
         for axis in range(AXES):
             features(board, axis, HOMING=True)

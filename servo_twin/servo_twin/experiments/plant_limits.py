@@ -21,7 +21,6 @@ from servo_twin.experiments.rig import (
     command_position,
     command_speed,
     features,
-    flag_mask,
     get_axis,
     largest,
     level,
@@ -166,7 +165,7 @@ def _first_current(plant: PlantConfig, seed: int, switch: str | None, speed: flo
                 features(board, axis, **{switch: True})
             command_speed(board, axis, speed)
         both = watch(board, range(AXES), 5 * TICK)
-        limited = flag_mask(board, "limits", "CURRENT")
+        limited = board.catalogue.flag("limits", "CURRENT").mask
     currents: list[float] = []
     for recording in both.values():
         k = int(np.argmax(recording.speed_ref > 0.5 * speed))

@@ -35,7 +35,6 @@ __all__ = [
     "command_speed",
     "edge_shift",
     "features",
-    "flag_mask",
     "flags_of",
     "fresh_board",
     "get_axis",
@@ -277,11 +276,6 @@ def features(board: Board, axis: int, **switches: bool) -> None:
     for name, on in switches.items():
         word = word | masks[name] if on else word & ~masks[name]
     _write_element(board, "param.features", axis, word)
-
-
-def flag_mask(board: Board, word: str, name: str) -> int:
-    """Mask of a flag by the names of the catalogue, e.g. ``flag_mask(board, "limits", "SPEED")``."""
-    return next(flag.mask for flag in board.catalogue.flags[word] if flag.name == name)
 
 
 def choose_mode(board: Board, axis: int, mode: str) -> None:

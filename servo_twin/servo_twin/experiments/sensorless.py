@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import Board
-from servo_twin.experiments.rig import TICK, TICK_NS, choose_mode, command_speed, flag_mask, fresh_board, get_axis, word
+from servo_twin.experiments.rig import TICK, TICK_NS, choose_mode, command_speed, fresh_board, get_axis, word
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -99,7 +99,7 @@ def substate(board: Board, name: str) -> int:
 def without_fault(board: Board, axis: int, name: str) -> None:
     """Take a fault out of those that may stop an axis."""
     words = board.read_raw("param.faults_enabled")
-    words[axis] &= ~flag_mask(board, "faults", name)
+    words[axis] &= ~board.catalogue.flag("faults", name).mask
     board.write_raw("param.faults_enabled", words)
 
 

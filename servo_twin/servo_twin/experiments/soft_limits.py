@@ -22,7 +22,6 @@ from servo_twin.experiments.rig import (
     at,
     command_position,
     command_speed,
-    flag_mask,
     position_of,
     set_axis,
     set_up,
@@ -132,7 +131,7 @@ def visit(plant: PlantConfig, seed: int, mode: str, limited: bool, speeds: list[
             watch(board, range(AXES), seconds, at({0.0: functools.partial(all_at_once, ask)}))
             for seconds, ask in zip((OUT, BACK), MODES[mode], strict=True)
         )
-        mask = flag_mask(board, "limits", "POSITION")
+        mask = board.catalogue.flag("limits", "POSITION").mask
     return [Run(limit, out[axis], _named(out[axis], mask), back[axis]) for axis, limit in enumerate(limits)]
 
 
@@ -173,7 +172,7 @@ def turn(plant: PlantConfig, seed: int, mode: str, limit: float | None) -> list[
             set_up(board, axis, mode, parameters={"speed_limit": speed, "acceleration_limit": ACCELERATION})
             MODES[mode][0](board, axis, 0)
         both = watch(board, range(AXES), OUT)
-        mask = flag_mask(board, "limits", "SPEED")
+        mask = board.catalogue.flag("limits", "SPEED").mask
     return [Run(0, r, _named(r, mask)) for r in both.values()]
 
 
@@ -186,7 +185,7 @@ def push(plant: PlantConfig, seed: int, limit: float | None) -> list[Run]:
             board.lock_shaft(axis)
             set_axis(board, "cmd.i_q", axis, 2.0 * CURRENT_LIMIT)
         both = watch(board, range(AXES), SETTLE)
-        mask = flag_mask(board, "limits", "CURRENT")
+        mask = board.catalogue.flag("limits", "CURRENT").mask
     return [Run(0, r, _named(r, mask, SETTLE)) for r in both.values()]
 
 
