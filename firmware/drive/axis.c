@@ -121,7 +121,7 @@ void axis_fast(axis_t *axis)
     sm_step(&axis->sm, axis);
 }
 
-/* A written enable asks for the drive, a written 0 withdraws it; a fault forgets it. */
+/* A written enable asks for the drive, a written 0 withdraws it; a fault clears it. */
 static void take_requests(axis_t *axis)
 {
     const axis_command_t *command = &axis->command;

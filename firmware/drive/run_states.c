@@ -204,7 +204,7 @@ static void calib_slow(axis_t *axis)
 
 static void idle(axis_t *axis) { (void)axis; }
 
-/* ---- READY: 50 % on every phase, outputs on (electrically a winding short; the seed wants it) ---------------------- */
+/* ---- READY: 50 % on every phase, outputs on (electrically a winding short; as in the reference design) ---------------------- */
 
 static void ready_fast(axis_t *axis) { measure(axis); }
 

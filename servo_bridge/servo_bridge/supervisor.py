@@ -68,7 +68,7 @@ from servo_msgs_py import topics
 
 __all__ = ["BoardLink", "LinkFactory", "Supervisor"]
 
-_BELIEFS: Final = ("torque_constant", "acceleration_current")
+_NOMINAL_VALUES: Final = ("torque_constant", "acceleration_current")
 _COMMAND_TIMEOUT: Final = "param.command_timeout"
 _TAKE_OVER: Final = CommandWrite("cmd.quick_stop", 0, (1,) * AXES)  # what the link does first, see wire.take_over
 _URGENT: Final = ("cmd.enable", "cmd.quick_stop", "cmd.clear_faults")
@@ -218,7 +218,7 @@ class Supervisor:
             say=lambda text: self._log.info(text),
             warn=self._warn,
         )
-        self._board_parameters.want(settings.board_parameters)
+        self._board_parameters.request(settings.board_parameters)
         self._keep_alive = KeepAlive(self._catalogue, self._link.run_command)
         self._fault_records = FaultRecords(self._catalogue, self._link.read, self._inbox.post, self._on_fault_record)
         self._motion = MotionServices(self._catalogue, self._joints, self._arbiter, self._dispatcher, self._warn)
@@ -252,7 +252,7 @@ class Supervisor:
             self._link.call,
             self._inbox.post,
             take=self._dispatcher.urgent,
-            taken=self._read_beliefs,
+            taken=self._read_nominal_values,
             say=lambda text: self._log.info(text),
             warn=self._warn,
         )
@@ -344,7 +344,7 @@ class Supervisor:
     def settings_changed(self, settings: Settings) -> None:
         """Take new settings."""
         if settings.board_parameters != self._settings.board_parameters:
-            self._board_parameters.want(settings.board_parameters)
+            self._board_parameters.request(settings.board_parameters)
         self._settings = settings
         self._arbiter.joints = list(settings.joints)
         self._homing.joints, self._homing.positions = list(settings.joints), list(settings.home_positions)
@@ -415,7 +415,7 @@ class Supervisor:
         if status.state is LinkState.CONNECTED:
             self._log.info(str(status))
             self._dispatcher.open(_TAKE_OVER)
-            self._read_beliefs()
+            self._read_nominal_values()
             self._tuning.connected()
             self._storage.connected()
         else:
@@ -523,7 +523,7 @@ class Supervisor:
         self._log.error(f"{self._joints[record.axis]}: {record.summary()}")
         self._publications.fault_record(record)
 
-    def _read_beliefs(self) -> None:
+    def _read_nominal_values(self) -> None:
         """Read what a configuration determines: motor data, and parameters whose default is another one."""
         if self._status.state is not LinkState.CONNECTED:
             return  # read when it is back
@@ -531,7 +531,7 @@ class Supervisor:
         self._board_parameters.connected()
 
     def _read_motors(self) -> None:
-        names = [f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in _BELIEFS]
+        names = [f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in _NOMINAL_VALUES]
         futures = [self._link.read(name) for name in names]
 
         def take() -> None:
