@@ -97,7 +97,7 @@ def board() -> Iterator[Board]:
         board.run(0.05)
         board.inject(SHORT)
         board.run(0.005)
-        board.remove_fault(SHORT)
+        board.clear_fault(SHORT)
         yield board
 
 
@@ -158,7 +158,7 @@ def test_the_topic_has_the_first_fault_until_it_is_cleared(chain: Chain, bench: 
             late = listen(later)
             later.until(lambda: late, what="nothing latched")
             assert late == messages
-        bench.do(lambda board: board.remove_fault(STUCK))
+        bench.do(lambda board: board.clear_fault(STUCK))
         first.until(lambda: first.clear_faults()[0], 30.0, "not cleared")
         first.until(lambda: "STOP" in first.last("/servo/state"), what="not cleared")
         bench.do(lambda board: board.set_supply(36.0))

@@ -569,15 +569,15 @@ class Board:
             self._injected.append(fault)
             self._change_plant()
             return
-        self._lib.board_inject(self._board, self._raw(fault))
+        self._lib.board_inject_fault(self._board, self._raw(fault))
         self._injected.append(fault)
 
-    def remove_fault(self, fault: InjectedFault | None = None) -> None:
+    def clear_fault(self, fault: InjectedFault | None = None) -> None:
         """Undo what `inject` has done; everything by default."""
         faults = self._injected if fault is None else [fault]
         for one in reversed(faults):
             if not isinstance(one, ChangedValue):
-                self._lib.board_heal(self._board, self._raw(one))
+                self._lib.board_clear_fault(self._board, self._raw(one))
         changed = any(isinstance(one, ChangedValue) for one in faults)
         self._injected = [one for one in self._injected if one not in faults]
         if changed:
@@ -585,7 +585,7 @@ class Board:
 
     def _raw(self, fault: NativeFault) -> Any:
         kind, *where = fault.raw()
-        return self._ffi.new("board_harm_t *", (getattr(self._lib, kind), *where))
+        return self._ffi.new("board_fault_t *", (getattr(self._lib, kind), *where))
 
     def set_plant(self, name: str, value: float) -> None:
         """Change a value of the plant from now on, by its name in the plant file: ``axis1.r_s``, ``bus.u_source``.

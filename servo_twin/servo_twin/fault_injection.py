@@ -1,4 +1,4 @@
-"""Faults of the hardware of a virtual board, for `Board.inject` and `Board.remove_fault`.
+"""Faults of the hardware of a virtual board, for `Board.inject` and `Board.clear_fault`.
 
 Each class is one kind of fault; its values say where and how much. The physics is the plant's: an open phase carries
 no current and leaves the other two in series, a short lets the over-current comparator open the switches without
@@ -52,7 +52,7 @@ _SLIP_MOST: Final = 1_000_000
 
 
 class RawFault(NamedTuple):
-    """The same as the C interface takes it (``board_harm_t``); `kind` names the constant of ``board.h``."""
+    """The same as the C interface takes it (``board_fault_t``); `kind` names the constant of ``board.h``."""
 
     kind: str
     axis: int = 0
@@ -201,7 +201,7 @@ class StalledCore:
 
 @dataclass(frozen=True)
 class SlippedEncoder:
-    """The disc of an encoder turns on its shaft by so many counts, now; `Board.remove_fault` does not turn it back."""
+    """The disc of an encoder turns on its shaft by so many counts, now; `Board.clear_fault` does not turn it back."""
 
     axis: int
     counts: int

@@ -46,23 +46,23 @@ class Averaged:
         self.plant = plain(inertia=FLYWHEEL, **axis).axes[0]
         config = c_axis(native, self.plant)
         self.motor = native.ffi.new("plant_motor_t *")
-        self.inverter = native.ffi.new("plant_inverter_t *")
+        self.inverter = native.ffi.new("averaged_inverter_t *")
         self.charge = native.ffi.new("double *")
         native.lib.plant_motor_init(self.motor, config)
-        native.lib.plant_inverter_init(self.inverter, config, 16000.0, STEP)
+        native.lib.averaged_inverter_init(self.inverter, config, 16000.0, STEP)
 
     def spin(self, omega: float) -> None:
         self.motor.omega = omega
 
     def drive(self, *duty: float) -> None:
         self.inverter.on = True
-        self.native.lib.plant_inverter_load(self.inverter, duty, self.bus)
+        self.native.lib.averaged_inverter_load(self.inverter, duty, self.bus)
 
     def open(self, phase: int) -> None:
-        self.native.lib.plant_inverter_open(self.inverter, self.motor, phase, True)
+        self.native.lib.averaged_inverter_open(self.inverter, self.motor, phase, True)
 
     def short(self, phase: int, to: int) -> None:
-        self.native.lib.plant_inverter_short(self.inverter, phase, to)
+        self.native.lib.averaged_inverter_short(self.inverter, phase, to)
 
     def run(self, seconds: float) -> Any:
         """Phase currents meanwhile, one row per step."""
@@ -70,7 +70,7 @@ class Averaged:
         for _ in range(round(seconds / STEP)):
             left = STEP
             while left > 1e-15:
-                left -= self.native.lib.plant_inverter_step(self.inverter, self.motor, self.bus, left, self.charge)
+                left -= self.native.lib.averaged_inverter_step(self.inverter, self.motor, self.bus, left, self.charge)
             rows.append(list(self.motor.phase))
         return np.array(rows)
 
@@ -93,8 +93,8 @@ class Switched:
             self.rig.edge(0, phase, gate)
 
     def fault(self, kind: int, phase: int, value: float = 0.0) -> None:
-        fault = self.rig.ffi.new("board_harm_t *", (kind, 0, phase, value, 0.0))
-        self.rig.lib.switching_harm(self.rig.c, fault, False)
+        fault = self.rig.ffi.new("board_fault_t *", (kind, 0, phase, value, 0.0))
+        self.rig.lib.switching_set_fault(self.rig.c, fault, False)
 
     def open(self, phase: int) -> None:
         self.fault(OPEN_PHASE, phase)
@@ -240,7 +240,7 @@ def test_a_short_opens_the_switches_without_software(board: Board, fault: Inject
     assert abs(board.truth(0).omega_m) < 10.0, "the shorted windings have braked it"
     assert faults(board, 1) == set()
     assert board.truth(1).omega_m == pytest.approx(150.0, rel=0.05)
-    board.remove_fault()
+    board.clear_fault()
     board.write("cmd.clear_faults", [1, 0])
     board.run(0.05)
     assert faults(board, 0) == set()
@@ -255,7 +255,7 @@ def test_an_open_phase_carries_nothing(board: Board) -> None:
     truth = board.truth(0)
     theta = 2 * truth.theta_m
     assert truth.i_d * math.cos(theta) - truth.i_q * math.sin(theta) == pytest.approx(0.0, abs=1e-9)
-    board.remove_fault(OpenPhase(0, "a"))
+    board.clear_fault(OpenPhase(0, "a"))
 
 
 def test_a_stuck_converter_is_found_out(board: Board) -> None:
@@ -285,7 +285,7 @@ def test_a_stuck_line_shows_one_count_back_and_forth(board: Board, line: Any, hi
     assert board.truth(0).omega_m > 5.0
     assert len(seen) == 2
     assert max(seen) - min(seen) == 1
-    board.remove_fault()
+    board.clear_fault()
     assert max(counts_seen(board)) - max(seen) > 10
 
 
@@ -297,7 +297,7 @@ def test_glitches_leave_the_count_alone(board: Board, line: Any) -> None:
     board.inject(EncoderGlitches(0, line, 2000.0))
     seen = counts_seen(board)
     assert all(abs(position - before) <= 1 for position in seen)
-    board.remove_fault()
+    board.clear_fault()
     board.run(0.001)
     assert board.read_raw("axis1.position")[0] == before
 
@@ -324,7 +324,7 @@ def test_a_dip_of_the_supply_ends_by_itself(board: Board) -> None:
     board.set_load(0, 0.0)
     assert board.truth(0).u_dc < 16.5
     assert faults(board, 0) == {"UNDER_VOLTAGE"}
-    board.remove_fault()
+    board.clear_fault()
     board.run(0.05)
     assert board.truth(0).u_dc == pytest.approx(24.0, abs=0.1)
 
@@ -337,7 +337,7 @@ def test_noise_can_be_heard(board: Board) -> None:
     loud = board.si(board.record(board.time_ns + 100_000_000))
     assert np.std(loud["axis1.i_d"]) > 2.0 * np.std(quiet["axis1.i_d"])
     assert np.std(loud["u_dc"]) > 3.0 * np.std(quiet["u_dc"])
-    board.remove_fault()
+    board.clear_fault()
     again = board.si(board.record(board.time_ns + 100_000_000))
     assert np.std(again["axis1.i_d"]) < 1.5 * np.std(quiet["axis1.i_d"])
 
@@ -347,7 +347,7 @@ def test_a_hot_power_stage(board: Board) -> None:
     board.run(0.01)
     assert board.truth(1).t_sink == 95.0
     assert board.truth(0).t_sink == pytest.approx(25.0, abs=0.1)
-    board.remove_fault()
+    board.clear_fault()
     board.run(0.1)
     assert 90.0 < board.truth(1).t_sink < 95.0
 

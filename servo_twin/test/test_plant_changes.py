@@ -107,7 +107,7 @@ def test_a_noisy_sensor_outlives_a_change_and_heals_to_the_present_value(level: 
             elif step == "changed":
                 board.set_plant("axis1.i_noise", 0.0)
             elif step == "repaired":
-                board.remove_fault(fault)
+                board.clear_fault(fault)
             spread.append(float(np.std(board.si(board.record(board.time_ns + 30_000_000))["axis1.i_d"])))
     whole, broken, changed, repaired = spread
     assert broken > 1.5 * whole
@@ -148,10 +148,10 @@ def test_damages_that_are_other_values(level: Level) -> None:
         board.set_plant("axis1.r_s", 0.7)  # the damage is on top of whatever there is
         assert board.truth(0).r_s == pytest.approx(0.7 + 0.5)
         assert board.plant == plant.with_value("axis1.r_s", 0.7)
-        board.remove_fault(BadContact(0, 0.3))
+        board.clear_fault(BadContact(0, 0.3))
         assert board.truth(0).r_s == pytest.approx(0.7 + 0.2)
         board.set_plant("axis1.r_s", axis.r_s)
-        board.remove_fault()
+        board.clear_fault()
         assert (board.truth(0).r_s, board.truth(0).psi_m) == (whole.r_s, whole.psi_m)
 
 
@@ -199,7 +199,7 @@ def test_a_disc_that_shifts_moves_the_position(level: Level) -> None:
         fault = ShiftedDisc(0, 0.02, 1.0)
         board.inject(fault)
         during = np.array([error() for _ in range(400)])
-        board.remove_fault(fault)
+        board.clear_fault(fault)
         after = np.array([error() for _ in range(400)])
     assert np.ptp(during) == pytest.approx(0.04, rel=0.2)
     assert np.mean(after) == pytest.approx(np.mean(before), abs=2.0 * np.pi / 4000.0)

@@ -130,7 +130,7 @@ def test_a_fault_after_clearing_is_a_first_one_again(board: Board, axis: int) ->
     board.run(0.01)
     before = fault_record(board, axis)
     assert fault(before) == "OVER_CURRENT"
-    board.remove_fault(short)
+    board.clear_fault(short)
     board.run(0.05)
     board.write("cmd.clear_faults", [1, 1])
     board.run(0.05)

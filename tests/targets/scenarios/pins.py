@@ -55,7 +55,7 @@ def pins(rig: Rig) -> None:
     rig.load(0, 0.02)
     rig.set("cmd.enable", 1)  # axis 2 refuses
     rig.until("axis 1 in SPIN", lambda: rig.places() == ["SPIN", "STOP"])
-    rig.remove_fault(CutWire(1, "enable"))
+    rig.clear_fault(CutWire(1, "enable"))
     rig.set("cmd.mode", SPEED, POSITION)
     rig.set("cmd.speed", 100.0, 0.0)  # its brake may still be closed
     rig.run(0.01)
