@@ -1,8 +1,9 @@
 """The board on a serial port behind topics and services of a node, from its configuration to its clean-up.
 
-The way of a set-point: `setpoint_topics` -> `setpoints` (form) -> `arbiter` (may it pass?) -> `dispatcher` (one write
-at a time) -> `link` (serial port, own thread) -> firmware. The way back: `link` -> `inbox` (into the executor's thread)
--> `telemetry` -> `publications`. Nothing here touches the port, and only the executor's thread touches the rest.
+The way of a set-point: `setpoint_topics` -> `setpoints` (form) -> `arbiter` (may it pass?) -> `set_point_queue` ->
+`dispatcher` (one write at a time) -> `link` (serial port, own thread) -> firmware. The way back: `link` -> `inbox` (to
+the executor's thread) -> `telemetry` -> `publications`. Nothing here touches the port, and only the executor's thread
+touches the rest.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from servo_msgs_py.timed_points import periods_ahead
 from servo_msgs_py.units import PERIOD_NS, unwrap_u32
 from std_srvs.srv import SetBool, Trigger
 
-from servo_bridge.arbiter import Arbiter, CommandWrite
+from servo_bridge.arbiter import Arbiter
 from servo_bridge.board_parameters import BoardParameters
 from servo_bridge.bursts.record_service import RecordService
 from servo_bridge.bursts.recording import piece_size
@@ -46,6 +47,7 @@ from servo_bridge.outcome import error_of
 from servo_bridge.parameters import ParameterError, Settings
 from servo_bridge.publications import Publications
 from servo_bridge.services import DeferredService, Outcome
+from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.setpoint_topics import SetPointTopics
 from servo_bridge.storage_service import StorageService
 from servo_bridge.telemetry import Frame, Telemetry
@@ -154,7 +156,7 @@ class Supervisor:
         self._arbiter.sources.preferred = settings.preferred_source
         self._inactive = f"the bridge is inactive; activate it first (ros2 lifecycle set /{full_name(node)} activate)"
         self._arbiter.inactive = self._inactive
-        self._dispatcher = Dispatcher(self._send, self._arbiter, self._warn)
+        self._dispatcher = Dispatcher(self._send, self._arbiter.queue, self._warn)
         self._publications = Publications(
             node,
             settings.joints,
@@ -174,7 +176,7 @@ class Supervisor:
         self._health = Health(self._catalogue, full_name(node), settings.port, self._joints)
         self._set_points = SetPointTopics(node, self._joints, self._arbiter, self._dispatcher.pump, self._warn)
         self._follower = Follower(self._catalogue, settings.joints, self._check_path)
-        self._arbiter.follow(self._follower)
+        self._arbiter.queue.follow(self._follower)
         self._trajectories = TrajectoryTopics(
             node,
             self._joints,
@@ -491,7 +493,7 @@ class Supervisor:
         return [
             AxisReport(
                 (status.position if status.position_ref is None else status.position_ref) * lsb,
-                follows=status.position_ref is not None and self._arbiter.obeys_points(axis),
+                follows=status.position_ref is not None and self._arbiter.queue.obeys_points(axis),
             )
             for axis, status in enumerate(frame.axes)
         ]
