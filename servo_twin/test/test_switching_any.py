@@ -1,4 +1,4 @@
-"""The plant at switching level with motors, buses, gates and hands that nobody would choose: it stays sound."""
+"""The plant at switching level with extreme motors, buses, gates and external torques: its state stays valid."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_currents_stay_sound_whatever_the_gates_do(switching_c: Native, seed: in
                 lane = leg + (leg > 0)  # BRIDGE_LANE
                 if bridge.joint >> lane & 1 == 0:
                     sign = (bridge.positive >> lane & 1) - (bridge.negative >> lane & 1)
-                    assert sign * current >= -2e-3  # nobody flows against what its leg is taken to conduct
+                    assert sign * current >= -2e-3  # no current against the direction its leg conducts
                     assert sign != 0 or current == 0.0
         assert switching.bus.u_dc >= 0.0
     times = [event[0] for event in switching.events]
