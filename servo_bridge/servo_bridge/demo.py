@@ -78,7 +78,7 @@ class Demo:
 
     # ---- phases
     def connect(self, timeout: float, *, require_twin: bool) -> None:
-        """Wait for the servo, and for the twin if it is required."""
+        """Wait at most `timeout` [s] for the servo, and as long for the twin if it is required."""
         client = self._client
         self._say("waiting for the servo ...")
         if not client.wait_for(client.ready, timeout):

@@ -85,7 +85,9 @@ class BoardLink(Protocol):
     layout: ScopeLayout
 
     def start(self) -> None: ...
-    def close(self, final_writes: Sequence[FinalWrite] = (), timeout: float = 3.0) -> bool: ...
+    def close(self, final_writes: Sequence[FinalWrite] = (), timeout: float = 3.0) -> bool:
+        """As `Link.close`; `timeout` [s]."""
+
     def write_raw(
         self, name: str, raw: Sequence[int], *, first: int = 0, urgent: bool = False
     ) -> Future[WriteResult]: ...

@@ -105,7 +105,7 @@ class Loop:
     unit: str
 
     def signals(self, axis: int, recording: Recording, scale: float) -> tuple[NDArray[np.float64], ...]:
-        """Test signal, and input and output of the open loop."""
+        """Test signal, input and output of the open loop, each (samples,); `scale`: full scale of the signal."""
         name = axis_name(axis)
         first, *others = (recording.columns[f"{name}.{column}"] for column in self.columns)
         signal = scale * recording.columns[f"{name}.test_signal"]
@@ -260,7 +260,7 @@ class Bode:
 
 
 def bands_of(f_min: float, f_max: float, capacity: int, slow: bool) -> tuple[Band, ...]:
-    """Divide a band so that each part fits a recording, from low to high frequencies.
+    """Divide a band [Hz] so that each part fits a recording of `capacity` points, from low to high frequencies.
 
     A recording has to be long enough for some turns of its lowest frequency, and sampled often enough for its highest.
 
