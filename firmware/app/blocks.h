@@ -131,7 +131,7 @@ typedef struct {
     uint16_t unused; /* what follows has the same address on every machine */
 } storage_status_t;
 
-/* What the observer sees; 0 where it does not run. The angle is that of the snapshot, the rest at most a slow tick older. */
+/* Output of the observer; 0 where it does not run. The angle is that of the snapshot, the rest at most a slow tick older. */
 typedef struct {
     frac32_t speed; /* Q1.31 of full-scale speed, mechanical */
     frac16_t theta_e; /* at the sampling instant, as the snapshot's */

@@ -15,7 +15,7 @@
 #define FRAME_MTU 254
 #endif
 #if FRAME_MTU < 32 || FRAME_MTU > 254
-#error "the serial protocol knows buffers of 32 to 254 bytes"
+#error "the serial protocol supports buffers of 32 to 254 bytes"
 #endif
 
 #define FRAME_START UINT8_C(0x2B)

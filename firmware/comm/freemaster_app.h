@@ -1,4 +1,4 @@
-/* freemaster_app.h - what a FreeMASTER server asks of its application. */
+/* freemaster_app.h - what a FreeMASTER server needs from its application. */
 #ifndef COMM_FREEMASTER_APP_H
 #define COMM_FREEMASTER_APP_H
 

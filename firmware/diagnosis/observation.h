@@ -1,4 +1,4 @@
-/* observation.h - what the drive saw and did, as the monitors are told.
+/* observation.h - measurements and actions of the drive, input of the monitors.
  *
  * The drive fills it in before it calls a monitor, once per slow tick: what is electrical in the period of the watches,
  * the shaft after the controllers.
@@ -42,7 +42,7 @@ typedef struct {
     bool sensorless;
     uint16_t features; /* FEATURE_ bits */
 
-    /* what it sees */
+    /* measurements */
     uint16_t temperature; /* code of the heat sink's sensor */
     frac16_t u_dc; /* of this period */
     frac16_t theta_e; /* Q1.15 of pi, electrical */

@@ -19,7 +19,7 @@ typedef struct {
     int32_t heating;    /* rise within a step at full-scale current and 25 deg C, 32 fraction bits */
     int32_t cooling;    /* part of what it is above `ambient` that it loses within a step, 32 fraction bits */
     frac16_t ambient;   /* temperature of the hottest surroundings */
-    frac16_t initial;   /* assumed after a reset, which forgets the temperature */
+    frac16_t initial;   /* assumed after a reset, which loses the temperature */
     frac16_t derating;  /* from here on the current limit falls .. */
     frac16_t maximum;   /* .. until it is the rated current here; a fault can be cleared below it */
     frac16_t fault; /* FAULT_MOTOR_TEMPERATURE from this temperature on */

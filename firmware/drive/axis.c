@@ -120,7 +120,7 @@ void axis_fast(axis_t *axis)
     sm_step(&axis->sm, axis, axis->fast);
 }
 
-/* A written enable asks for the drive, a written 0 withdraws it; a fault forgets it. */
+/* A written enable requests the drive, a written 0 withdraws the request; a fault cancels it. */
 static void take_requests(axis_t *axis)
 {
     const axis_command_t *command = &axis->command;
@@ -208,7 +208,7 @@ void axis_edge(axis_t *axis) { axis->source->edge(axis); }
 
 void axis_break(axis_t *axis)
 {
-    /* The hardware has opened the switches. The fast loop sees its latch and raises the fault; here, above every other
+    /* The hardware has opened the switches. The fast loop reads its latch and raises the fault; here, above every other
      * interrupt, nothing else may be touched. */
     hal_pwm_enable(axis->hal, axis->index, false);
 }

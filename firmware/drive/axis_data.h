@@ -36,7 +36,7 @@
 #define FRESH_HOME UINT16_C(0x100)
 #define FRESH_TEST UINT16_C(0x200)
 
-/* What the host asks of an axis, latched once per slow tick. */
+/* Commands of the host to an axis, latched once per slow tick. */
 typedef struct {
     int32_t position; /* counts */
     frac32_t speed; /* Q1.31 of full-scale speed */
@@ -94,8 +94,8 @@ typedef enum {
     MOTION_TORQUE = CONTROL_MODE_TORQUE,     /* follow the current set-point within the speed limit */
     MOTION_TRAJECTORY = CONTROL_MODE_TRAJECTORY, /* follow the curve through timed points */
     MOTION_STOP,                             /* ramp down at the limit; then hold */
-    MOTION_HOME,                             /* follow the ramped speed that homing.c asks for */
-    MOTION_PRESS,                            /* push with the current that homing.c asks for */
+    MOTION_HOME,                             /* follow the ramped speed of homing.c */
+    MOTION_PRESS,                            /* push with the current of homing.c */
 } motion_t;
 
 typedef struct {
@@ -118,7 +118,7 @@ typedef struct {
     frac32_t speed_ref; /* set-point of the speed controller, Q1.31 of full-scale speed */
     frac32_t speed_excitation; /* test signal in it */
     bool saturated;       /* the speed controller pushes with all it has */
-    bool held_back;       /* bus or winding bear less current than the controller wants and the limits allow */
+    bool held_back;       /* bus or winding allow less current than controller and limits */
     frac32_t limit_hold_current; /* torque mode: what holds a load that drives the shaft past a limit */
     frac32_t entry_speed; /* at which this motion has begun */
     uint16_t stop_ticks;  /* slow ticks since the ramp of MOTION_STOP has ended */
@@ -185,7 +185,7 @@ typedef struct axis {
     home_t home;
     observation_t observation;
     diagnosis_t diagnosis;
-    dq_t test_current; /* that a monitor or a test signal asks for on top of the set-point */
+    dq_t test_current; /* of a monitor or a test signal, added to the set-point */
     excitation_t excitation;
 } axis_t;
 

@@ -65,7 +65,7 @@ static void stop_init(axis_t *axis) { axis->ticks = 0; }
 
 static void stop_run(axis_t *axis)
 {
-    /* The seed switches the outputs on here; CALIB, which follows at once, wants them off. They stay off. */
+    /* The reference design switches the outputs on here; CALIB, which follows at once, needs them off. They stay off. */
     run_state_enter(axis);
     axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_RUN_ACK);
 }

@@ -47,7 +47,7 @@ typedef struct {
     axis_function_t init_fault;
     axis_function_t init_stop;
     axis_function_t stop_fault;
-    axis_function_t stop_init; /* the seed names it; none of its flags leads here */
+    axis_function_t stop_init; /* in the reference design, where no flag leads here */
     axis_function_t stop_run;
     axis_function_t run_fault;
     axis_function_t run_stop;

@@ -57,7 +57,7 @@ from servo_msgs_py import topics
 __all__ = ["CommandError", "Commander", "main"]
 
 _STEP: Final = 0.02  # [s]
-_MATCH: Final = 0.3  # until a subscription hears what a running node publishes [s]
+_MATCH: Final = 0.3  # until a subscription receives from a running node [s]
 _REPEAT: Final = 0.05  # between two velocity or effort set-points, which expire when they are not renewed [s]
 _QUANTITIES: Final = ("position", "velocity", "effort")
 _BRIDGE: Final = "servo_bridge"  # name of the node

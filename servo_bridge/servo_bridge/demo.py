@@ -394,7 +394,7 @@ def main(args: Sequence[str] | None = None) -> int:
     argv = list(sys.argv if args is None else ["servo-demo", *args])
     arguments = _arguments(remove_ros_args(argv)[1:])
     rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-    # A polite end from outside disables the axes just as Ctrl-C does. An exception from within a signal handler would
+    # SIGTERM disables the axes just as Ctrl-C does. An exception from within a signal handler would
     # come out of the executor's C++ as something else, or not at all.
     interrupted = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

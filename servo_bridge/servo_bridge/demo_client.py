@@ -1,4 +1,4 @@
-"""A user of the servo over ROS topics and services, as the demonstration needs it; knows nothing of board or link."""
+"""A user of the servo over ROS topics and services, as the demonstration needs it; independent of board and link."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ class CommandFigures:
 
 
 class Health:
-    """Builds the statuses; remembers the last counters so that new trouble is seen.
+    """Builds the statuses; keeps the last counters to find new errors.
 
     Parameters
     ----------

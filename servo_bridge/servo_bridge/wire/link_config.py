@@ -1,4 +1,4 @@
-"""What the owner of a link says to it and hears from it. Pure."""
+"""Settings of a link and what it reports to its owner. Pure."""
 
 from __future__ import annotations
 
