@@ -144,10 +144,10 @@ typedef struct {
     axis_estimate_t axis[HAL_AXES];
 } estimate_block_t;
 
-/* What the controller believes about the motors, for the host's conversions. */
+/* Nominal values of the controller for the motors, for the host's conversions. */
 typedef struct {
     frac16_t torque_constant[HAL_AXES]; /* Q1.15 of 1 N m/A */
     int32_t acceleration_current[HAL_AXES]; /* axis_config_t.acceleration_forward */
-} belief_block_t;
+} nominal_block_t;
 
 #endif

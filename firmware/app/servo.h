@@ -34,7 +34,7 @@ typedef struct servo {
     command_block_t command;
     parameter_block_t parameter;
     fault_record_t record[HAL_AXES];
-    belief_block_t belief;
+    nominal_block_t nominal;
     estimate_block_t estimate;
     config_request_t config;
     config_status_t config_status;

@@ -1,4 +1,4 @@
-/* variables.h - the tables of variables that the world outside may see and write (generated: variables_gen.c). */
+/* variables.h - the tables of variables that the host may read and write (generated: variables_gen.c). */
 #ifndef SERVO_APP_VARIABLES_H
 #define SERVO_APP_VARIABLES_H
 

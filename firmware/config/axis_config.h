@@ -1,4 +1,4 @@
-/* axis_config.h - what the controller believes about one axis and about the board, as integers.
+/* axis_config.h - the controller's nominal values of one axis and of the board, as integers.
  *
  * The numbers come from servo.toml through tune.py (servo_config_gen.c): gains from bandwidths and motor data, limits
  * from volts and amperes. The core never sees a floating-point number.

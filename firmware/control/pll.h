@@ -50,7 +50,7 @@ void pll_adapt(pll_t *pll, const pll_config_t *config, frac16_t emf);
  * long run the phase is right and not the size: `turned` is how far the angle has gone in the tick. */
 void pll_push(pll_t *pll, const pll_config_t *config, frac16_t i_q, dq_t beside, int32_t turned);
 
-/* Another belief about motor and shaft without a step of the acceleration, while `i_q` flows. */
+/* Other nominal values of motor and shaft without a step of the acceleration, while `i_q` flows. */
 void pll_retune(pll_t *pll, const pll_config_t *before, const pll_config_t *config, frac16_t i_q);
 
 static inline frac16_t pll_upper(uint32_t angle) { return (frac16_t)(uint16_t)((angle + UINT32_C(0x8000)) >> 16); }

@@ -53,7 +53,7 @@ void fault_latch_sample(fault_latch_t *latch, const observation_t *observation);
 /* Name and capture what has been found. Returns the faults that are to stop the axis. */
 fault_set_t fault_latch_capture(fault_latch_t *latch, const evidence_t *evidence, const observation_t *observation);
 
-/* Forget all faults but those that `remain`. */
+/* Clear all faults but those that `remain`. */
 void fault_latch_clear(fault_latch_t *latch, fault_set_t remain);
 
 #endif

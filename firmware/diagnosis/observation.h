@@ -11,7 +11,7 @@
 
 #define OBSERVED_PHASES 3
 
-/* What the monitors believe about motor and inverter. */
+/* Nominal values of motor and inverter. */
 typedef struct {
     frac16_t silent;          /* less is no current */
     frac16_t direction_min;   /* largest phase current from which on the directions of silence are noted */

@@ -108,7 +108,7 @@ static void compare(phase_monitor_t *m, int32_t silent, const phases_t *is, dq_t
 }
 
 /* Rare silences by chance are no evidence. */
-static void forget(phase_monitor_t *m)
+static void discard(phase_monitor_t *m)
 {
     m->age++;
     if (m->age % FORGET_TICKS != 0U) {
@@ -166,7 +166,7 @@ void phase_monitor_step(phase_monitor_t *m, const winding_config_t *config, obse
         compare(m, config->silent, &is, o->current_ref, &at);
     }
     m->faint = (uint16_t)(m->faint + (enough ? 0U : 1U));
-    forget(m);
+    discard(m);
     note_nothing(m, config, o, is.largest);
     if (m->lost) {
         evidence->confirmed |= FOUND(FINDING_PHASE_SILENT);

@@ -2,7 +2,7 @@
  *
  *   C dT/dt = 3/2 R(T) (i_d^2 + i_q^2) - (T - T_ambient) / R_th,   R(T) = R_s (1 + 0.00393/K (T - 25 deg C))
  *
- * One heat capacity and one thermal resistance to the surroundings, whose temperature is not measured but believed. The
+ * One heat capacity and one thermal resistance to the surroundings, whose temperature is not measured but assumed. The
  * currents are summed in every slow tick, the balance is worked out once in WINDING_TICKS.
  */
 #ifndef SERVO_DIAGNOSIS_WINDING_MODEL_H

@@ -22,7 +22,7 @@ typedef struct {
     uint16_t standing; /* slow ticks in which it hardly turned that way */
     bool deviates;    /* the back-EMF, over some time, fits neither angle nor speed */
     bool mismatch;    /* in the last slow tick it lay off the encoder's q axis */
-    bool reliable;    /* angle and speed can be believed */
+    bool reliable;    /* angle and speed are reliable */
     bool locked;      /* the PLL follows the back-EMF; otherwise it goes on as it was set */
     bool runs;
 } estimate_t;

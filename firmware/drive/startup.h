@@ -27,7 +27,7 @@ void startup_fast(axis_t *axis);
 /* One slow tick, after estimate_step. */
 void startup_step(axis_t *axis);
 
-/* After estimate_judge of the same tick: is the observer to be believed? */
+/* After estimate_judge of the same tick: is the observer reliable? */
 startup_result_t startup_judge(axis_t *axis);
 
 /* A start-up that has failed: because no current flows, or for another reason. */

@@ -38,7 +38,7 @@ typedef struct {
     uint16_t late;  /* points of these whose tick had passed when their turn came */
 } trajectory_t;
 
-/* Forget what waits, and do not lead any more. */
+/* Discard the queue and stop leading. */
 void trajectory_clear(trajectory_t *t);
 
 /* Points that wait. */

@@ -1,4 +1,4 @@
-/* speed_reliability.h - can the observed speed be believed? (ST slides "起动成功的判据", "转子堵转检测")
+/* speed_reliability.h - is the observed speed reliable? (ST slides "起动成功的判据", "转子堵转检测")
  *
  * Mean and variance of the last 64 observed speeds. A shaft that turns has a speed that does not change much within so
  * short a time; where there is no back-EMF, the observer follows noise.

@@ -34,7 +34,7 @@ OMEGA_FS = 2 * 5000.0 * math.pi / 30.0  # electrical
 BUS_24V = 21664
 SQRT3 = math.sqrt(3.0)
 LINEAR = int(SQRT3 / 2.0 * 32768)
-MOTOR = {"r": 0.55, "l_d": 0.403e-3, "l_q": 0.512e-3, "psi": 0.0154}  # what servo.toml believes of axis 1
+MOTOR = {"r": 0.55, "l_d": 0.403e-3, "l_q": 0.512e-3, "psi": 0.0154}  # what servo.toml assumes of axis 1
 
 
 def frac16(x: float) -> int:

@@ -100,7 +100,7 @@ class Arbiter:
                 self.queue.drop(axis, f"{self._joints[axis]} is in {status.label}")
 
     def set_torque_constants(self, values: Sequence[float]) -> None:
-        """Torque per ampere of i_q of every axis, as the board believes it [N m/A]."""
+        """Torque per ampere of i_q of every axis, nominal value of the board [N m/A]."""
         self._torque_constants = list(values)
 
     def link_lost(self, reason: str) -> None:

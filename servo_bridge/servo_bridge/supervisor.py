@@ -179,7 +179,7 @@ class Supervisor:
             say=lambda text: self._log.info(text),
             warn=self._warn,
         )
-        self._board_parameters.want(settings.board_parameters)
+        self._board_parameters.request(settings.board_parameters)
         self._keep_alive = KeepAlive(self._catalogue, self._link.run_command)
         self._fault_records = FaultRecords(self._catalogue, self._link.read, self._inbox.post, self._on_fault_record)
         self._motion = MotionServices(self._catalogue, self._joints, self._arbiter, self._dispatcher, self._warn)
@@ -213,7 +213,7 @@ class Supervisor:
             self._link.call,
             self._inbox.post,
             take=self._dispatcher.urgent,
-            taken=self._read_beliefs,
+            taken=self._read_nominal_values,
             say=lambda text: self._log.info(text),
             warn=self._warn,
         )
@@ -305,7 +305,7 @@ class Supervisor:
     def settings_changed(self, settings: Settings) -> None:
         """Take new settings."""
         if settings.board_parameters != self._settings.board_parameters:
-            self._board_parameters.want(settings.board_parameters)
+            self._board_parameters.request(settings.board_parameters)
         self._settings = settings
         self._arbiter.joints = list(settings.joints)
         self._homing.joints, self._homing.positions = list(settings.joints), list(settings.home_positions)
@@ -376,7 +376,7 @@ class Supervisor:
         if status.state is LinkState.CONNECTED:
             self._log.info(str(status))
             self._dispatcher.open(_TAKE_OVER)
-            self._read_beliefs()
+            self._read_nominal_values()
             self._tuning.connected()
             self._storage.connected()
         else:
@@ -465,7 +465,7 @@ class Supervisor:
         self._log.error(f"{self._joints[record.axis]}: {record.summary()}")
         self._publications.fault_record(record)
 
-    def _read_beliefs(self) -> None:
+    def _read_nominal_values(self) -> None:
         """Read what a configuration determines: motor data, and parameters whose default is another one."""
         if self._status.state is not LinkState.CONNECTED:
             return  # read when it is back

@@ -1,4 +1,4 @@
-"""One Float64 topic per variable, for those who want to look at a single number."""
+"""One Float64 topic per variable, for users of a single number."""
 
 from __future__ import annotations
 

@@ -78,6 +78,7 @@ class VirtualBoardAccess(BoardAccess):
         start: Callable[[], None] | None = None,
         *,
         trigger: str | None = None,
+        lead: float = 0.0,
         meanwhile: Callable[[bool], None] | None = None,
     ) -> Recording:
         elements = [element_of(self.catalogue, name) for name in names]

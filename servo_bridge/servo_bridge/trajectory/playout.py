@@ -54,7 +54,7 @@ class PlayoutClock:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the clock of the sender; the counts stay."""
+        """Discard the clock of the sender; the counts stay."""
         self._transits: deque[float] = deque(maxlen=_WINDOW)
         self._recent: deque[float] = deque(maxlen=_WINDOW)
         self._pending: list[float] = []

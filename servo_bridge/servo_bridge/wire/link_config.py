@@ -1,4 +1,4 @@
-"""Settings of a link and what it reports to its owner. Pure."""
+"""Inputs and outputs of a link, as its owner sees them. Pure."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ class Motor(Protocol):
         """Electrical turns per mechanical turn."""
 
 
-class _Believed(NamedTuple):
+class _Nominal(NamedTuple):
     """The motor of the configuration."""
 
     r_s: float
@@ -105,7 +105,7 @@ class _Believed(NamedTuple):
     pole_pairs: float
 
     @classmethod
-    def of(cls, axis: Axis) -> _Believed:
+    def of(cls, axis: Axis) -> _Nominal:
         return cls(*(axis(f"motor.{name}") for name in cls._fields))
 
 
@@ -252,7 +252,7 @@ def _lowered(axis: Axis, current: float) -> float:
 
 def _reserves(axis: Axis, board: Board) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [("speed", "torque without", "torque with", "i_d", "i_q")]
-    motor, limit = _Believed.of(axis), axis("limits.current")
+    motor, limit = _Nominal.of(axis), axis("limits.current")
     for part in _SPEEDS:
         speed = part * axis("motor.rated_speed")
         without = reserve_at(motor, limit, speed, board.voltage_max, 0.0)

@@ -61,7 +61,7 @@ class BackEmfObserver:
     Attributes
     ----------
     r_s, inductance : float
-        Of the winding that it believes in [ohm], [H].
+        Of the nominal winding [ohm], [H].
     k1 : float
         Correction of the current per error and period.
     k2 : float
@@ -269,7 +269,7 @@ class Sensorless:
 
 
 def angle_error(axis: Axis, omega_e: float, i_q: float, r_s: float = 1.0, inductance_: float = 1.0) -> float:
-    """Steady error of the observed angle when the winding differs from the belief, at i_d = 0 [rad].
+    """Steady error of the observed angle when the winding differs from the nominal one, at i_d = 0 [rad].
 
     The observer sees ``e + (R - R^) i + j omega (L_q - L^) i``, whatever K1 and K2 are: R changes its size, and only
     L turns it.
@@ -277,13 +277,13 @@ def angle_error(axis: Axis, omega_e: float, i_q: float, r_s: float = 1.0, induct
     Parameters
     ----------
     axis : Axis
-        What is believed.
+        Nominal values.
     omega_e : float
         Electrical speed [rad/s].
     i_q : float
         Current [A].
     r_s, inductance_ : float
-        What is really there over what is believed.
+        True values over nominal ones.
     """
     more_l = inductance_ * axis("motor.l_q") - inductance(axis)
     more_r = (r_s - 1.0) * axis("motor.r_s")

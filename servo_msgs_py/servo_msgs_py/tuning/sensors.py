@@ -45,7 +45,7 @@ class SpeedSensor(Protocol):
         speed : ndarray
             What the controllers get [rad/s].
         x : sequence of ndarray
-            What to remember.
+            State to keep.
         """
 
 
@@ -72,7 +72,7 @@ class Observer:
     Attributes
     ----------
     torque : float
-        Acceleration per current that it believes in [rad/s^2/A].
+        Nominal acceleration per current [rad/s^2/A].
     l_position, l_speed, l_acceleration : float
         Corrections per error and slow period.
     """

@@ -123,7 +123,7 @@ class Tuned:
         Parameters
         ----------
         inertia : float
-            Of the shaft, over what is believed.
+            Of the shaft, over the nominal value.
         observed : bool
             With the speed observer or with the M/T method; without a word, as after reset.
         """
