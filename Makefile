@@ -177,9 +177,9 @@ $(VENV)/.packages: $(VENV)/.created Makefile constraints.txt $(METADATA)
 	  (cd $$package && ../$(BIN)/python -W ignore setup.py --quiet install_data --install-dir "$(CURDIR)/$(VENV)") || exit; done
 	@touch $@
 
-# Installing servo_twin has just compiled it; this is for every later change of the C sources.
+# Installing servo_twin compiles it; this is for every later change of the C sources.
 $(VENV)/.native: $(VENV)/.packages $(NATIVE)
-	@$(if $(filter $(VENV)/.packages,$?),,echo 'compiling firmware and virtual board' && $(COMPILE))
+	@[ -z "$$(find $(NATIVE) -newer $(VENV)/.packages)" ] || { echo "compiling firmware and virtual board"; $(COMPILE); }
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.packages pyproject.toml
