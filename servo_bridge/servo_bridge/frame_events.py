@@ -30,7 +30,7 @@ class FrameEvents:
     def __init__(self, catalogue: Catalogue, joints: Sequence[str]) -> None:
         self._catalogue = catalogue
         self._joints = joints
-        self._expired = next(flag.mask for flag in catalogue.flags["limits"] if flag.name == "EXPIRED")
+        self._expired = catalogue.flag("limits", "EXPIRED").mask
 
     def faults(self, before: Frame | None, now: Frame) -> list[str]:
         """One sentence per new fault."""
