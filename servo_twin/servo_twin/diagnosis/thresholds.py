@@ -100,7 +100,7 @@ class AxisNoise:
 
 
 def bin_of(current: _Array, speed: _Array) -> NDArray[np.int64]:
-    """Indices of the bins of a voltage's noise."""
+    """Indices of the bins of a voltage's noise at currents [A] and speeds [rad/s]."""
     return np.searchsorted(CURRENTS, current) * (len(SPEEDS) + 1) + np.searchsorted(SPEEDS, speed)
 
 
