@@ -43,7 +43,7 @@ static void state_run(axis_t *axis)
 
 /* ---- transitions ---------------------------------------------------------------------------------------------- */
 
-/* Faults of the supply, the host or the machine: what the encoder counts is still true. */
+/* Faults of the supply, the host or the machine, after which the encoder count is still valid. */
 #define ANGLE_HOLDS                                                                                                    \
     (FAULT_OVER_VOLTAGE | FAULT_UNDER_VOLTAGE | FAULT_HOST_SILENT | FAULT_FOLLOWING_ERROR | FAULT_OVER_SPEED |         \
      FAULT_OVER_TEMPERATURE | FAULT_MOTOR_TEMPERATURE | FAULT_HOMING | FAULT_ENABLE_INPUT | FAULT_LIMIT_SWITCH)
@@ -67,7 +67,8 @@ static void stop_init(axis_t *axis) { axis->ticks = 0; }
 
 static void stop_run(axis_t *axis)
 {
-    /* The seed switches the outputs on here; CALIB, which follows at once, needs them off. They stay off. */
+    /* The reference design switches the outputs on here; CALIB follows immediately and needs them off. They stay
+     * off. */
     run_state_enter(axis);
     axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_RUN_ACK);
 }
@@ -75,7 +76,7 @@ static void stop_run(axis_t *axis)
 static void run_stop(axis_t *axis)
 {
     if (axis->requested) {
-        /* Wanted again before the stop was through. */
+        /* Requested again before the stop was complete. */
         axis->sm.ctrl = (uint16_t)(axis->sm.ctrl & (uint16_t)~SM_CTRL_STOP);
     } else if (run_state_may_leave(axis)) {
         axis_zero_voltage(axis, false);

@@ -3,7 +3,8 @@
 #include "drive/path_units.h"
 #include "drive/soft_limits.h"
 
-/* E40 asks for accelerations up to omega_n v / e: with less current, or a higher speed, the filter has to be slower. */
+/* E40 requires accelerations up to omega_n v / e: with less current or a higher speed limit the path filter must be
+ * slower. */
 static uint16_t omega_n_ts_under(const axis_config_t *config, axis_limits_t limits)
 {
     uint32_t omega = (uint32_t)config->path_omega_n_ts * (uint32_t)limits.i_q / (uint32_t)config->i_q_limit;
@@ -51,12 +52,12 @@ axis_limits_t limits_at_switches(const axis_t *axis, axis_limits_t limits)
     return limits;
 }
 
-/* Limits from now on. */
+/* Put new limits into force. */
 static void apply(axis_t *axis, const axis_limits_t *written)
 {
     const axis_limits_t limits = limits_at_switches(axis, *written);
     if (same(&limits, &axis->limits)) {
-        return; /* almost always */
+        return; /* the usual case */
     }
     axis->limits = limits;
     axis->path_limits.step = path_step_of(axis->config, limits.speed);
