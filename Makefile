@@ -36,28 +36,7 @@ METADATA := $(foreach package,$(PACKAGES),$(wildcard $(addprefix $(package)/,\
 # x86-64.
 ARCH ?= $(shell /lib64/ld-linux-x86-64.so.2 --help 2>/dev/null | grep -q 'x86-64-v3 .supported' && \
           $(CC) -march=x86-64-v3 -E -x c /dev/null >/dev/null 2>&1 && echo -march=x86-64-v3 -mno-fma)
-COMPILE = echo "compiling firmware and virtual board$(1)" && cd servo_twin && \
-          $(if $(3),CC=$(3)) SERVO_TWIN_FLAGS='$(ARCH) $(2)' \
-          ../$(BIN)/python -W ignore setup.py --quiet build_ext --inplace --force
-PROFILE := $(VENV)/profile
-# What `fast` compiles with: gcc, or, unless CC says otherwise, a clang from 19 on that can link a profile, and makes 10 % more of
-# it than gcc 12. FAST_CLANG=19 for another one, FAST_CLANG= for gcc. Looked for once, and only when needed.
-CAN_PROFILE = command -v llvm-profdata-$(1) >/dev/null && \
-              echo 'int main(void) { return 0; }' | clang-$(1) -x c -fuse-ld=lld -flto -fprofile-generate -o /dev/null - 2>/dev/null
-ifeq ($(origin FAST_CLANG)-$(origin CC),undefined-default)
-FAST_CLANG = $(eval FAST_CLANG := $(firstword $(foreach v,22 21 20 19,$(shell $(call CAN_PROFILE,$(v)) && echo $(v)))))$(FAST_CLANG)
-endif
-FAST_CC = $(if $(FAST_CLANG),clang-$(FAST_CLANG))
-# Valgrind reads what such a clang says of the sources in an older format only.
-CLANG_FLAGS := -O3 -gdwarf-4 -fno-vectorize -fno-slp-vectorize -fuse-ld=lld -Wno-unused-command-line-argument
-# With FMA the chains of a segment are shorter: 3 to 5 % faster, and other last bits.
-FUSED = $(if $(findstring -mno-fma,$(ARCH)),-mfma -ffp-contract=fast)
-RECORD = $(FUSED) -fprofile-generate=$(abspath $(PROFILE)) $(if $(FAST_CC),$(CLANG_FLAGS),-fprofile-update=single)
-MERGE = llvm-profdata-$(FAST_CLANG) merge --output=$(PROFILE)/all $(PROFILE)/*.profraw
-# With gcc the use of a profile turns vectors on again, whatever the compiler has been told of them in general.
-GUIDED = $(FUSED) $(if $(FAST_CC),-fprofile-use=$(abspath $(PROFILE))/all $(CLANG_FLAGS),\
-           -fprofile-use=$(abspath $(PROFILE)) -fprofile-partial-training -Wno-missing-profile \
-           -fno-tree-loop-vectorize -fno-tree-slp-vectorize)
+COMPILE = cd servo_twin && SERVO_TWIN_FLAGS='$(ARCH)' ../$(BIN)/python -W ignore setup.py --quiet build_ext --inplace --force
 CONFTESTS = $(shell find firmware $(PACKAGES) tests -name conftest.py)
 C_CORE := $(wildcard $(foreach room,math control sensing diagnosis drive app comm config,firmware/$(room)/*.c))
 C_MODELS := $(wildcard servo_twin/native/chip/*.c servo_twin/native/plant/*.c)
@@ -152,15 +131,11 @@ format: $(VENV)/.dev ## lay out Python and C sources
 
 build: $(VENV)/.native ## compile the firmware and the virtual board (part of setup)
 
-fast: $(VENV)/.fast ## compile the virtual board anew, led by a profile of itself (with clang-19 or later, if there is one): faster until a source changes, the same but for the last bits
+fast: $(VENV)/.fast ## compile the virtual board anew, guided by a profile of itself: faster until a source changes, the same but for last bits
 
 $(VENV)/.fast: $(VENV)/.native
-	@rm -rf $(PROFILE) $(VENV)/.native
-	@$(call COMPILE, for a profile$(if $(FAST_CC), with $(FAST_CC)),$(RECORD),$(FAST_CC))
-	@unset LLVM_PROFILE_FILE; for level in ideal registers; do \
-	  $(BIN)/servo-sim bench --level $$level --time 1 >/dev/null || exit; done
-	@$(if $(FAST_CC),$(MERGE))
-	@$(call COMPILE, with it,$(GUIDED),$(FAST_CC))
+	@rm -f $(VENV)/.native
+	@SERVO_TWIN_FLAGS='$(ARCH)' $(BIN)/python tests/bench/guided_build.py --profile $(VENV)/profile
 	@touch $(VENV)/.native $@
 
 # Not from the installed packages: while the generated files are stale, the extension among them may not compile.
@@ -209,9 +184,9 @@ $(VENV)/.packages: $(VENV)/.created Makefile constraints.txt $(METADATA)
 	  (cd $$package && ../$(BIN)/python -W ignore setup.py --quiet install_data --install-dir "$(CURDIR)/$(VENV)") || exit; done
 	@touch $@
 
-# Installing servo_twin has just compiled it; this is for every later change of the C sources.
+# Installing servo_twin compiles it; this is for every later change of the C sources.
 $(VENV)/.native: $(VENV)/.packages $(NATIVE)
-	@$(if $(filter $(VENV)/.packages,$?),,$(call COMPILE))
+	@[ -z "$$(find $(NATIVE) -newer $(VENV)/.packages)" ] || { echo "compiling firmware and virtual board"; $(COMPILE); }
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.packages pyproject.toml

@@ -14,8 +14,8 @@
 #define REPLACE_BIT UINT32_C(0x20000000)
 #define RESERVED_BITS UINT32_C(0xC0000000)
 #define POINT_BYTES (4U * POINT_WORDS)
-#define LEAD                                                                                                           \
-    UINT32_C(24) /* PWM periods: a point is queued before the next slow tick and used in the slow tick after it */
+/* PWM periods: a point is queued before the next slow tick and used in the slow tick after it */
+#define LEAD UINT32_C(24)
 
 typedef struct {
     trajectory_point_t point;

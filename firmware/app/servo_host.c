@@ -127,7 +127,7 @@ static uint8_t app_command(void *context, uint8_t code, const uint8_t *args, uin
     (void)args;
     (void)size;
     *result_size = 0;
-    /* Stop commands need no level. Clearing faults and keep-alive need the level *command*. */
+    /* Every client may stop an axis. Commands that re-arm it or count as keep-alive need the right to write. */
     if ((code == COMMAND_CLEAR_FAULTS || code == COMMAND_KEEP_ALIVE) &&
         freemaster_level(&servo->freemaster) < ACCESS_COMMAND) {
         return RESULT_LEVEL;
@@ -186,8 +186,7 @@ void servo_host_init(servo_t *servo)
 void servo_background(servo_t *servo)
 {
     if (storage_busy(&servo->storage, servo->hal)) {
-        freemaster_listen(&servo->freemaster,
-                          servo->hal); /* the journal and requests need the tables in the data flash */
+        freemaster_listen(&servo->freemaster, servo->hal); /* journal and requests need the tables */
         return;
     }
     journal_watch(&servo->journal, &servo->snapshot);

@@ -199,8 +199,7 @@ static uint8_t read_scope(freemaster_t *server, payload_reader_t *request, paylo
 {
     uint8_t status = check_scope(request);
     if (!fm_is_error(status)) {
-        server->app.hold(server->app.context,
-                         true); /* one masked section for all slots: the values are of one moment */
+        server->app.hold(server->app.context, true); /* one section: all slots are of one moment */
         status = scope_read(&server->scope, &server->space, reply);
         server->app.hold(server->app.context, false);
     }

@@ -6,8 +6,7 @@
 #define NEEDED (FEATURE_DEAD_TIME | FEATURE_BUS_COMPENSATION)
 
 #define TICKS_MAX 4U
-#define FILTER_SHIFT                                                                                                   \
-    2 /* four slow ticks: current noise times the controller gain is as large as the back-EMF to be detected */
+#define FILTER_SHIFT 2 /* four slow ticks: current noise times controller gain is as large as the back-EMF */
 #define EMF_OVER_SIZE 3 /* a wrong angle rotates the expected back-EMF: the difference is at most twice its size */
 #define ALL_PHASES ((UINT16_C(1) << OBSERVED_PHASES) - 1U)
 

@@ -60,8 +60,7 @@ fault_verdict_t fault_isolate(const evidence_t *evidence, fault_set_t enabled)
         const fault_rule_t rule = rule_of(fault_lowest(findings));
         const fault_set_t name = name_of(&rule, suspected, enabled);
         verdict.first = (verdict.first == 0U) ? name : verdict.first;
-        verdict.faults |=
-            name | (rule.fault & FAULT_OVER_CURRENT & enabled); /* over-current is always reported in addition */
+        verdict.faults |= name | (rule.fault & FAULT_OVER_CURRENT & enabled); /* over-current is always added */
     }
     return verdict;
 }

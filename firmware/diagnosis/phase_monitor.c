@@ -1,7 +1,7 @@
 #include "diagnosis/phase_monitor.h"
 
-#define SILENT_TICKS                                                                                                   \
-    8U /* 4 ms: longer than an intact phase is near zero at speeds at which its current lags the set-point */
+/* 4 ms: longer than an intact phase is near zero at speeds at which its current lags the set-point */
+#define SILENT_TICKS 8U
 #define NOTHING_TICKS 40U
 #define SUSPECT_TICKS 2U
 #define NOTHING_SUSPECT 8U
@@ -132,8 +132,8 @@ static bool current_not_following(const winding_config_t *config, const observat
                2 * ((int32_t)config->emf_floor + windings) + i32_abs(emf) / 2;
 }
 
-/* Valid only where the back-EMF belongs to the frame: during start-up and rotor search the frame is imposed. The
- * suspicion decays slowly: an observer that has lost the rotor produces arbitrary set-points. */
+/* Only where the back-EMF is that of the frame: a start-up and a search turn the frame themselves. The count decays
+ * slowly: set-points of an observer that has lost its rotor are arbitrary. */
 static void note_nothing(phase_monitor_t *m, const winding_config_t *config, const observation_t *o, int32_t largest)
 {
     const dq_t wanted = o->current_ref;

@@ -86,8 +86,7 @@ static void encoder_source_align(axis_t *axis, frac16_t theta_e)
     const uint16_t count = (uint16_t)encoder_count_at(&axis->config->encoder, theta_e);
     hal_encoder_preset(axis->hal, axis->index, count);
     if (axis->encoder.found) {
-        encoder_preset(&axis->encoder.position, &axis->config->encoder,
-                       count); /* the turn count survives a new alignment */
+        encoder_preset(&axis->encoder.position, &axis->config->encoder, count); /* keeps the turn count */
     } else {
         encoder_reset(&axis->encoder.position, count, hal_index_count(axis->hal, axis->index));
         axis->encoder.found = true;

@@ -236,8 +236,7 @@ static void follow_path(axis_t *axis)
     motion_state_t *m = &axis->motion;
     const path_position_t before = m->path.output;
     if (m->shaped_speed == 0) {
-        m->path_forward =
-            (axis->features & FEATURE_SPEED_FORWARD) != 0U; /* a switch-over in motion would cause a step */
+        m->path_forward = (axis->features & FEATURE_SPEED_FORWARD) != 0U; /* in motion this would be a step */
     }
     path_step(&m->path, m->target, axis->path_limits.step, axis->path_limits.acceleration,
               axis->path_limits.omega_n_ts);
@@ -279,9 +278,8 @@ static frac32_t followed_speed(axis_t *axis, path_position_t behind)
     return (shaped > axis->limits.speed) ? f32_clip(speed, shaped) : limited;
 }
 
-/* Model of a shaft that follows the position controller exactly; the following error is its difference from the real
- * shaft. Neither the steady lag of the proportional controller nor a delay caused by a limit of the bus counts as
- * following error. */
+/* Position of an ideal shaft under the position controller; the difference to the real one is the following error. The lag
+ * of a plain gain does not count, nor what the bus holds back. */
 static void follow_model(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
@@ -500,12 +498,11 @@ frac32_t motion_wanted_speed(const axis_t *axis)
 
 bool motion_too_slow(const axis_t *axis)
 {
-    const frac32_t told = (axis->motion.motion == MOTION_TORQUE) ? axis->feedback.speed : axis->motion.speed_ramp;
-    return f32_abs(told) < axis->config->startup.minimum_speed;
+    const frac32_t commanded = (axis->motion.motion == MOTION_TORQUE) ? axis->feedback.speed : axis->motion.speed_ramp;
+    return f32_abs(commanded) < axis->config->startup.minimum_speed;
 }
 
-/* A new position gain takes effect gradually: with the lag of a moving shaft a step of the gain would be a step of the
- * speed. */
+/* Another gain comes into force slowly: the speed set-point that the lag of a moving shaft gives must not jump. */
 static void follow_gain(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;

@@ -58,7 +58,7 @@ static void wait_for_rest(axis_t *axis)
 
 /* ---- transitions ------------------------------------------------------------------------------------------------ */
 
-/* READY shorts the windings. Without an encoder the shaft may be turning: then the outputs stay off. */
+/* READY shorts the windings. A shaft without an encoder may be turning: its outputs stay off. */
 static void to_ready(axis_t *axis)
 {
     axis_zero_voltage(axis, !axis->sensorless);
@@ -206,7 +206,7 @@ static void calib_slow(axis_t *axis)
 
 static void idle(axis_t *axis) { (void)axis; }
 
-/* ---- READY: 50 % on every phase, outputs on (electrically a winding short; as in the reference design) ---------------------- */
+/* ---- READY: 50 % on every phase, outputs on (electrically a winding short, DRM 4.5) -------------------------------- */
 
 static void ready_fast(axis_t *axis) { measure(axis); }
 
@@ -232,9 +232,7 @@ static void ready_slow(axis_t *axis)
     } else if (!axis->sensorless) {
         ready_align(axis);
     } else {
-        holding_brake_ask(
-            axis,
-            true); /* a sensorless start has to turn the shaft: the shorted windings brake it until the brake is open */
+        holding_brake_ask(axis, true); /* needed for a sensorless start; meanwhile shorted windings brake */
         if (holding_brake_open(axis)) {
             ready_startup(axis);
         }
@@ -372,7 +370,7 @@ static void judge_observer(axis_t *axis)
     }
 }
 
-/* End of SPIN: the observer has reached its lower speed limit, or the drive is no longer requested. */
+/* The observer has lost the rotor, or the drive is no longer requested. */
 static void bring_to_rest(axis_t *axis)
 {
     if (axis->fading_out) {
@@ -404,8 +402,7 @@ static void bound_current(axis_t *axis)
 
 static finding_set_t monitor_shaft(axis_t *axis)
 {
-    const bool full = axis->motion.saturated &&
-                      !axis->motion.held_back; /* with a reduced current limit a standing shaft is no evidence */
+    const bool full = axis->motion.saturated && !axis->motion.held_back; /* a reduced limit is no evidence */
     const bool opposed = (axis->feedback.speed < 0) != (axis->current_ref.q < 0);
     shaft_observation_t seen = {
         .features = axis->features,
@@ -485,7 +482,7 @@ static void spin_check(axis_t *axis)
     }
 }
 
-/* ---- STARTUP: a sensorless axis, from rest to a speed at which the observer works ---------------------------------- */
+/* ---- STARTUP: a sensorless axis, from rest to the observer's minimum speed ----------------------------------------- */
 
 static void startup_slow_state(axis_t *axis)
 {

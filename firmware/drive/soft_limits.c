@@ -6,11 +6,11 @@
 #define ONE_OVER_E_Q16 24109       /* 1 / e, 16 fraction bits */
 #define HALF_E_SQUARED_Q12 15133 /* e^2 / 2, 12 fraction bits */
 
-/* Speed limit as a function of the distance d to a soft limit. Close to it v = k d with k = omega_n / e, an
- * acceleration of k v, which the path filter may also require at that speed (E40). Where this exceeds a, half of the
- * acceleration limit, the curve continues smoothly as a stop at constant acceleration: v = sqrt(2 a (d - a / (2 k^2))).
- * The other half of the acceleration limit is a reserve: for the shaft, which lags its speed set-point, and for a
- * position controller that takes over, which needs the distance of its lag. */
+/* Speed limit as a function of the distance d to a soft limit. Close to it v = k d with k = omega_n / e, an acceleration of
+ * k v, which the path filter may also require at that speed (E40). Where this exceeds a, half of the acceleration limit,
+ * the curve continues smoothly as a stop at constant acceleration: v = sqrt(2 a (d - a / (2 k^2))). The other half of the
+ * acceleration limit is a reserve: for the shaft, which lags its speed set-point, and for a position controller that
+ * takes over, which needs the distance of its lag. */
 path_limits_t soft_limits_path(const axis_config_t *config, const axis_limits_t *limits, uint16_t omega_n_ts)
 {
     const path_position_t acceleration = path_step_of(config, limits->acceleration);

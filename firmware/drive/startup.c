@@ -5,7 +5,7 @@
 #include "drive/motion.h"
 
 #define QUARTER_TURN INT16_C(16384)
-#define SETTLE_TICKS 6 /* slow ticks until the observer has settled on the back-EMF of a turning shaft */
+#define SETTLE_TICKS 6 /* slow ticks until the observer has the back-EMF of a turning shaft */
 #define LOCK_TICKS 24  /* lock time of the PLL at the minimum speed, in slow ticks */
 #define PROVE_TICKS 72 /* slow ticks: rise of the current plus 64 speed samples */
 #define RATIO_BITS 14
@@ -30,8 +30,8 @@ void startup_begin(axis_t *axis, bool backwards)
 
 /* ---- the fast loop ------------------------------------------------------------------------------------------------ */
 
-/* Stator frame, zero current: the integral parts are preset with the observed back-EMF, which is available sooner than
- * an integral part would settle. */
+/* Stator frame, no current: the windings need the back-EMF as voltage, and the observer gives it sooner than an integral
+ * part would. */
 static void hold_current_off(axis_t *axis)
 {
     const ab_t emf = observer_emf(&axis->estimate.observer, &axis->config->observer);

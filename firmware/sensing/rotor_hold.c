@@ -87,10 +87,8 @@ static uint16_t balance(rotor_search_t *search, const rotor_search_config_t *con
     const int32_t moved = i32_sub_wrap(position, search->last);
     const uint32_t per_count = (uint32_t)config->angle_per_count;
     const uint32_t angle = (uint32_t)off * per_count; /* modulo a turn, like the vector */
-    search->balance -=
-        (uint32_t)(off * (int32_t)(per_count >> INTEGRAL_SHIFT)); /* less than a turn: limited by ASTRAY */
-    const int32_t first =
-        (moved > 0) - (moved < 0); /* less damping for this count, otherwise the shaft would dither about it */
+    search->balance -= (uint32_t)(off * (int32_t)(per_count >> INTEGRAL_SHIFT)); /* below a turn: see ASTRAY */
+    const int32_t first = (moved > 0) - (moved < 0); /* less damping for this count prevents dither */
     const int32_t rate = DAMPED_PARTS * moved - (DAMPED_PARTS - 1) * first;
     const uint32_t damped = (uint32_t)(rate * (int32_t)search->damping) * (per_count / DAMPED_PARTS);
     search->vector = upper(search->balance - GAIN * angle - damped);

@@ -267,8 +267,7 @@ static void verify_step(rotor_search_t *search, const rotor_search_config_t *con
     const frac16_t rotor = f16_add_wrap(search->theta_m, shift_of(search, config, position));
     const frac16_t ahead = f16_sub_wrap(search->vector, rotor);
     const int64_t gone = (int64_t)distance(search->origin, position) * config->angle_per_count;
-    if (gone > (int64_t)config->verify_angle
-                   << 14) { /* a quarter of the largest rotation: the vector does not hold the shaft */
+    if (gone > (int64_t)config->verify_angle << 14) { /* a quarter of the largest turn: not held by the vector */
         search->escapes++;
         doubt(search, config, position);
         return;
@@ -303,8 +302,7 @@ static void verify_step(rotor_search_t *search, const rotor_search_config_t *con
 
 static void turn_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    if (distance(search->origin, position) >=
-        config->move_counts) { /* the shaft has come free, and the encoder counts */
+    if (distance(search->origin, position) >= config->move_counts) { /* free again, and counted */
         search->refusals++;
         doubt(search, config, position);
         return;

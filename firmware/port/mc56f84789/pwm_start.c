@@ -92,8 +92,7 @@ void pwm_monitor_start(hal_t *hal)
     pwm_write(hal, PWMB_BASE, MONITOR_SM, PWM_OCTRL, 0U);
     pwm_write(hal, PWMB_BASE, MONITOR_SM, PWM_INTEN, 0U);
     pwm_write(hal, PWMB_BASE, MONITOR_SM, PWM_TCTRL, 0U);
-    pwm_write(hal, PWMB_BASE, MONITOR_SM, PWM_DISMAP0,
-              SET_MONITOR_DISMAP); /* faults of the drive do not switch the monitor outputs off */
+    pwm_write(hal, PWMB_BASE, MONITOR_SM, PWM_DISMAP0, SET_MONITOR_DISMAP); /* not switched off by faults */
     pwm_write(hal, PWMB_BASE, MONITOR_SM, PWM_DISMAP1, SET_MONITOR_DISMAP);
     pwm_write(hal, PWMB_BASE, MONITOR_SM, PWM_CTRL2, SET_MONITOR_CTRL2);
     hal->axis[1].others = SET_MONITOR_OUTEN;
