@@ -89,5 +89,5 @@ def registers_c(tmp_path_factory: pytest.TempPathFactory) -> chip_rig.Native:
 
 @pytest.fixture
 def rig(registers_c: chip_rig.Native) -> chip_rig.ChipRig:
-    """A chip with its clocks up, in a world that the test makes."""
+    """A chip with its clocks up, in an environment that the test makes."""
     return chip_rig.ChipRig(registers_c)

@@ -269,7 +269,7 @@ class TestLoading:
         set_duty(rig, 500)
         rig.write("PWMA0_VAL3", 700)
         assert rig.read("PWMA0_VAL3") == 500
-        assert rig.chip.pwm[0].locked_writes == 1
+        assert rig.chip.pwm.module[0].locked_writes == 1
         rig.run(start + PERIOD)
         assert gates(rig, start)[2] == (HALF + 500, OPEN)
 
