@@ -387,7 +387,10 @@ size_t board_serial_in(board_t *board, const uint8_t *data, size_t size)
     return sci_line_write(&board->chip.sci, data, size);
 }
 
-size_t board_serial_out(board_t *board, uint8_t *data, size_t room) { return sci_line_read(&board->chip.sci, data, room); }
+size_t board_serial_out(board_t *board, uint8_t *data, size_t room)
+{
+    return sci_line_read(&board->chip.sci, data, room);
+}
 
 uint64_t board_serial_next_ns(const board_t *board)
 {

@@ -2,38 +2,26 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from cffi import FFI
-
-NATIVE = Path(__file__).resolve().parents[1] / "native"
+from native_library import NATIVE, Native, compile_c
+from servo_twin._build_native import declarations
 
 NEVER = (1 << 64) - 1
 PERIOD, HALF = 6250, 3125
 """Of the PWM, in bus clocks of 10 ns."""
 
+HEADERS = [NATIVE / "chip" / name for name in ("trace.h", "environment.h", "bus.h")]
+SHARED = "".join(declarations(header.read_text(encoding="utf-8")) for header in HEADERS)
+"""What the chip shares with its environment and its peripherals with each other, for `cffi.FFI.cdef`."""
+
 CDEF = """
-typedef struct {
-    void (*advance)(void *board, uint64_t clock);
-    uint64_t (*next_event)(void *board);
-    void (*handle_events)(void *board);
-    void (*deferrable_edges_changed)(void *board);
-    void (*report_deferred)(void *board);
-    void (*set_gates)(void *board, unsigned module, unsigned submodule, unsigned levels);
-    void (*outputs_changed)(void *board);
-    uint16_t (*convert)(void *board, unsigned channel);
-    void (*boot)(void *board);
-    uint32_t (*interrupt)(void *board, unsigned vector);
-    void (*background)(void *board);
-} chip_environment_t;
 typedef struct { uint8_t gate[2][3][2]; uint8_t txd, rxd; } chip_wiring_t;
 typedef struct { double cycles_per_instruction; unsigned entry_clocks; } core_speed_t;
 typedef struct { chip_wiring_t wiring; double baud; unsigned crossbar_clocks; core_speed_t core;
                  const uint8_t *flash; uint64_t seed; } chip_config_t;
-typedef struct { uint64_t clock; uint16_t kind, a; uint32_t b; } trace_entry_t;
 typedef struct { trace_entry_t *entry; size_t size, left; } trace_t;
 typedef struct { uint64_t now; trace_t trace; bool failed; char error[200]; ...; } bus_t;
 typedef struct { uint32_t overruns, lost; ...; } sci_line_t;
@@ -113,11 +101,6 @@ KINDS = (
 )
 
 
-class Native(NamedTuple):
-    ffi: FFI
-    lib: Any
-
-
 class Event(NamedTuple):
     clock: int
     kind: str
@@ -126,21 +109,8 @@ class Event(NamedTuple):
 
 
 def build(folder: Path) -> Native:
-    builder = FFI()
-    builder.cdef(CDEF)
-    builder.set_source(
-        "_chip_under_test",
-        PREAMBLE,
-        sources=[str(path) for path in [NATIVE / "flash.c", *sorted((NATIVE / "chip").glob("*.c"))]],
-        include_dirs=[str(NATIVE)],
-        extra_compile_args=["-std=c99", "-O1"],
-    )
-    spec = importlib.util.spec_from_file_location("_chip_under_test", builder.compile(tmpdir=str(folder)))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return Native(module.ffi, module.lib)
+    sources = [NATIVE / "flash.c", *sorted((NATIVE / "chip").glob("*.c"))]
+    return compile_c(folder, "_chip_under_test", SHARED + CDEF, PREAMBLE, sources)
 
 
 def pin(name: str) -> int:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from chip_rig import HALF, PERIOD, PWM_PINS, ChipError, ChipRig, Native, pwm_module, start_pwm
+from chip_rig import HALF, PERIOD, PWM_PINS, ChipError, ChipRig, pwm_module, start_pwm
+from native_library import Native
 
 OPEN, HIGH, LOW = 0, 1, 2
 TRIG_A1 = 22  # VAL4 of PWMA SM1 at the crossbar

@@ -6,7 +6,8 @@ from functools import partial
 from typing import ClassVar
 
 import pytest
-from chip_rig import ADDRESS, HALF, PERIOD, PWM_PINS, ChipError, ChipRig, Native, pwm_module, start_pwm
+from chip_rig import ADDRESS, HALF, PERIOD, PWM_PINS, ChipError, ChipRig, pwm_module, start_pwm
+from native_library import Native
 
 SERIAL = {"GPIOC_PER": 0x0180, "SIM_GPSCL": 1 << 14, "SIM_GPSCH": 1, "SCI0_RATE": 434, "SCI0_CTRL1": 0x000C,
           "SCI0_CTRL2": 0x0020}  # fmt: skip

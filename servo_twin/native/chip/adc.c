@@ -125,7 +125,7 @@ static void begin_row(adc_t *adc, unsigned c, uint64_t from)
     const unsigned speed = (adc->pwr2 >> (2u * c)) & 3u;
     if (CHIP_BUS_HZ / 1000000u > most_mhz[speed] * div) {
         bus_fail(adc->bus, "ADC: a clock of %lu MHz with SPEED%c = %u (up to %u MHz)",
-                  (unsigned long)(CHIP_BUS_HZ / 1000000u / div), "AB"[c], speed, most_mhz[speed]);
+                 (unsigned long)(CHIP_BUS_HZ / 1000000u / div), "AB"[c], speed, most_mhz[speed]);
     }
     if (disabled(adc, c, converter->pair)) {
         bus_fail(adc->bus, "ADC: a scan without samples (SDIS = %04Xh) is not modelled", (unsigned)adc->sdis);
@@ -152,8 +152,8 @@ void adc_sync(adc_t *adc, unsigned c)
     converter->sync_clock = at;
     const uint16_t ctrl = control(adc, c);
     const bool accepted = bus_gate_open(adc->bus, 2, 7) && (ctrl & CTRL_STOP) == 0 && (ctrl & CTRL_SYNC) != 0 &&
-                        powered(adc, c) && !converter->converting &&
-                        (CTRL1_SMODE(adc->ctrl1) == SMODE_TRIGGERED_PARALLEL || converter->scanning);
+                          powered(adc, c) && !converter->converting &&
+                          (CTRL1_SMODE(adc->ctrl1) == SMODE_TRIGGERED_PARALLEL || converter->scanning);
     bus_note(adc->bus, TRACE_SYNC, c, accepted ? 1u : 0u);
     if (accepted) {
         begin_row(adc, c, at);

@@ -18,7 +18,8 @@
 #if defined(__GNUC__)
 #define CHIP_NORETURN __attribute__((noreturn))
 #define CHIP_PRINTF(text, first) __attribute__((format(printf, text, first)))
-#define NOINLINE __attribute__((noinline)) /* rare paths, so that the frequent path of the caller needs no stack frame */
+#define NOINLINE                                                                                                       \
+    __attribute__((noinline)) /* rare paths, so that the frequent path of the caller needs no stack frame */
 #else
 #define CHIP_NORETURN
 #define CHIP_PRINTF(text, first)
@@ -38,10 +39,10 @@
 
 /* Sources of events; at one clock they are handled in this order. */
 typedef enum {
-    SOURCE_PWM,                                               /* one per submodule */
+    SOURCE_PWM, /* one per submodule */
     SOURCE_FAULT = SOURCE_PWM + PWM_MODULES * PWM_SUBMODULES, /* filters of the fault inputs */
-    SOURCE_TIMER,                                             /* one per module */
-    SOURCE_ADC = SOURCE_TIMER + QTMR_MODULES,                 /* one per converter */
+    SOURCE_TIMER, /* one per module */
+    SOURCE_ADC = SOURCE_TIMER + QTMR_MODULES, /* one per converter */
     SOURCE_SERIAL = SOURCE_ADC + ADC_CONVERTERS,
     SOURCE_COP,
     CHIP_SOURCES
@@ -67,8 +68,9 @@ typedef enum {
     VECTOR_COP = 108,
 } chip_vector_t;
 
+/* CFFI-BEGIN */
 /* Causes of a reset, as SIM_RSTAT has them. */
-typedef enum { RESET_POWER_ON = 1u << 2, RESET_COP = 1u << 5, RESET_SOFTWARE = 1u << 6 } reset_cause_t;
+typedef enum { RESET_POWER_ON = 0x04, RESET_COP = 0x20, RESET_SOFTWARE = 0x40 } reset_cause_t;
 
 /* What drives the pin of a gate: a level, or the PWM. */
 typedef enum { GATE_LOW, GATE_HIGH, GATE_PWM } gate_pin_t;
@@ -84,22 +86,23 @@ typedef struct {
     void (*pwm_fault)(void *chip, unsigned module, unsigned input, bool level);
     void (*timer_input)(void *chip, unsigned module, unsigned input, bool level);
     void (*timer_pulse)(void *chip, unsigned module, unsigned input);
-    void (*timer_catch_up)(void *chip);     /* with the deferred edges, before a change of what they do */
+    void (*timer_catch_up)(void *chip); /* with the deferred edges, before a change of what they do */
     void (*clock_gates_changed)(void *chip); /* SIM_PCE */
-    void (*route_pins)(void *chip);         /* SIM_GPS or SIM_IPS0 have changed */
-    void (*pins_routed)(void *chip);        /* pins have other functions */
-    void (*gate_pins_changed)(void *chip);  /* so have those of the gates, or other levels */
+    void (*route_pins)(void *chip); /* SIM_GPS or SIM_IPS0 have changed */
+    void (*pins_routed)(void *chip); /* pins have other functions */
+    void (*gate_pins_changed)(void *chip); /* so have those of the gates, or other levels */
     bool (*gate_level)(void *chip, unsigned module, unsigned submodule, unsigned side);
     void (*need_bus_clock)(void *chip, const char *what); /* an error, unless the bus runs at CHIP_BUS_HZ */
-    void (*reset)(void *chip, reset_cause_t cause);       /* does not return while software runs */
+    void (*reset)(void *chip, reset_cause_t cause); /* does not return while software runs */
 } chip_signals_t;
+/* CFFI-END */
 
 /* Registers of the SIM that act on other peripherals. */
 typedef struct {
-    uint16_t pce[4];  /* clock gates */
-    uint16_t pcr;     /* double clock rates */
+    uint16_t pce[4]; /* clock gates */
+    uint16_t pcr; /* double clock rates */
     uint16_t gps[11]; /* function selects SIM_GPSAL .. SIM_GPSGH */
-    uint16_t ips0;    /* inputs that come from crossbar A instead of their pins */
+    uint16_t ips0; /* inputs that come from crossbar A instead of their pins */
 } sim_control_t;
 
 typedef struct {
@@ -110,14 +113,14 @@ typedef struct {
     const chip_environment_t *environment;
     void *board; /* first argument of the environment's functions */
     const chip_signals_t *signals;
-    void *chip;          /* first argument of the signals */
+    void *chip; /* first argument of the signals */
     uint64_t request[2]; /* bit per vector: its interrupt is requested */
     /* A request has changed, or the background has something to do. Not beside other flags: read together with them just after a
      * write, it would stall the processor until the write is complete. */
     bool changed;
     sim_control_t sim;
     bool background_due;
-    uint32_t polls;         /* reads of registers since time last moved */
+    uint32_t polls; /* reads of registers since time last moved */
     uint64_t access_clocks; /* per access to a register while the software boots */
     trace_t trace;
     bool failed;

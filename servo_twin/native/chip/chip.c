@@ -2,13 +2,13 @@
 
 #include <string.h>
 
-#define POLLS_MAX 20000u /* reads at one clock: the software waits for a flag, and time stands still */
+#define POLLS_MAX 20000u /* reads at one clock: the software polls a flag that cannot change */
 
 /* ---- peripherals ---------------------------------------------------------------------------------------------------- */
 
 typedef struct {
     uint32_t base, end; /* addresses of the registers, the end excluded */
-    size_t offset;      /* of the peripheral in chip_t */
+    size_t offset; /* of the peripheral in chip_t */
     uint16_t (*read)(void *peripheral, uint32_t address);
     void (*write)(void *peripheral, uint32_t address, uint16_t value);
     void (*reset)(void *peripheral); /* NULL: another entry resets it */
@@ -71,8 +71,8 @@ static void connect_peripherals(chip_t *chip)
     }
     for (unsigned i = 0; i < sizeof handlers / sizeof handlers[0]; i++) {
         for (unsigned n = 0; n < handlers[i].count; n++) {
-            chip->bus.events.handler[handlers[i].source + n] = (event_handler_t){
-                handlers[i].handle, at(chip, handlers[i].offset), n};
+            chip->bus.events.handler[handlers[i].source + n] =
+                (event_handler_t){handlers[i].handle, at(chip, handlers[i].offset), n};
         }
     }
 }

@@ -23,8 +23,8 @@ static void restart(cop_t *cop)
     cop->start_clock = cop->bus->now;
     cop->half_served = false;
     bus_plan(cop->bus, SOURCE_COP,
-                  ((cop->ctrl & COP_CEN) != 0) ? cop->bus->now + ((uint64_t)cop->tout + 1u) * count_clocks(cop)
-                                               : CHIP_NEVER);
+             ((cop->ctrl & COP_CEN) != 0) ? cop->bus->now + ((uint64_t)cop->tout + 1u) * count_clocks(cop)
+                                          : CHIP_NEVER);
 }
 
 void cop_event(void *peripheral, unsigned n)

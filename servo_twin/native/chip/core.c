@@ -45,17 +45,19 @@ static inline bool step(core_t *core, uint64_t until)
     return true;
 }
 
-static void pause_charges(void)
+static void enter(core_t *core)
 {
-    running = NULL;
-    core_left = INT_MAX;
+    running = core;
+    core->running = true;
 }
 
 static void leave(core_t *core)
 {
-    pause_charges();
+    running = NULL;
+    core_left = INT_MAX;
+    core->running = false;
     (void)swapcontext(&core->inside, &core->outside);
-    running = core;
+    enter(core);
 }
 
 /* As step(); suspended at the end of a core_run. */
@@ -76,10 +78,7 @@ static bool run_event(core_t *core, uint64_t until)
 
 /* ---- charges -------------------------------------------------------------------------------------------------------- */
 
-static void busy(core_t *core, uint64_t clocks);
-
-/* The software may be charged with the time until the next event. */
-static void give(core_t *core)
+void core_give(core_t *core)
 {
     const bus_t *bus = core->bus;
     const uint64_t event = events_earlier(EVENT_CLOCK(events_next(&bus->events)), next_of_plant(bus));
@@ -92,11 +91,10 @@ static void give(core_t *core)
     core_left = core->given;
 }
 
-/* Let the time pass that has been charged. */
-static void settle(core_t *core)
+void core_settle(core_t *core)
 {
-    bus_t *bus = core->bus;
-    if (running != core) {
+    const bus_t *bus = core->bus;
+    if (!core->running) {
         return;
     }
     core->part += (uint64_t)((int64_t)core->given - core_left) * core->unit_clocks;
@@ -109,7 +107,7 @@ static void settle(core_t *core)
     if (bus->now + clocks < core->horizon && !bus->changed && !core->stop) {
         pass_time(core, bus->now + clocks); /* almost always */
     } else {
-        busy(core, clocks);
+        core_busy(core, clocks);
     }
 }
 
@@ -118,7 +116,7 @@ void core_look(void)
     if (running == NULL) {
         core_left = INT_MAX;
     } else {
-        settle(running);
+        core_settle(running);
     }
 }
 
@@ -132,22 +130,6 @@ void core_spend(int units)
 }
 #endif
 
-void core_before_access(core_t *core)
-{
-    settle(core);
-    if (core->booting) {
-        busy(core, core->bus->access_clocks);
-    }
-}
-
-void core_after_access(core_t *core)
-{
-    const uint64_t horizon = core->horizon;
-    if (running == core && (horizon == 0 || EVENT_CLOCK(events_next(&core->bus->events)) < horizon)) {
-        give(core);
-    }
-}
-
 /* ---- software ------------------------------------------------------------------------------------------------------- */
 
 NOINLINE static void run_handler(core_t *core, unsigned vector, int level)
@@ -158,10 +140,10 @@ NOINLINE static void run_handler(core_t *core, unsigned vector, int level)
     core->level = level;
     core->part = 0;
     bus_note(bus, TRACE_ENTER, vector, (uint32_t)level);
-    busy(core, core->speed.entry_clocks);
+    core_busy(core, core->speed.entry_clocks);
     const uint32_t more = bus->environment->interrupt(bus->board, vector);
-    settle(core);
-    busy(core, more);
+    core_settle(core);
+    core_busy(core, more);
     core->level = outer;
     core->part = part;
     bus_note(bus, TRACE_LEAVE, vector, 0);
@@ -190,29 +172,28 @@ static inline void start_handlers(core_t *core)
     }
 }
 
-/* The software runs for so many clocks; handlers that interrupt it come on top. */
-static void busy(core_t *core, uint64_t clocks)
+void core_busy(core_t *core, uint64_t clocks)
 {
-    const bus_t *bus = core->bus;
-    uint64_t end = bus->now + clocks;
+    uint64_t end = core->bus->now + clocks;
     bool on = true;
     while (on) {
         on = run_event(core, end);
-        const uint64_t begin = bus->now;
+        const uint64_t begin = core->bus->now;
         start_handlers(core);
-        end += bus->now - begin;
-        on = on || bus->now > begin;
+        const uint64_t handled = core->bus->now - begin;
+        end += handled;
+        on = on || handled > 0;
     }
-    give(core);
+    core_give(core);
 }
 
 static void boot(core_t *core)
 {
     core->must_boot = false;
     core->booting = true;
-    give(core);
+    core_give(core);
     core->bus->environment->boot(core->bus->board);
-    settle(core);
+    core_settle(core);
     core->booting = false;
 }
 
@@ -224,9 +205,9 @@ CHIP_NORETURN static void live(core_t *core)
         start_handlers(core);
         if (bus->background_due && !bus->changed) {
             bus->background_due = false;
-            give(core);
+            core_give(core);
             bus->environment->background(bus->board);
-            settle(core);
+            core_settle(core);
             bus->changed = bus->background_due; /* due again */
         }
         (void)run_event(core, CHIP_NEVER);
@@ -238,7 +219,7 @@ static void inside(unsigned upper, unsigned lower)
 {
     /* NOLINTNEXTLINE(performance-no-int-to-ptr): a context takes ints */
     core_t *core = (core_t *)(uintptr_t)((uint64_t)upper << 32 | lower);
-    running = core;
+    enter(core);
     while (setjmp(core->bus->escape) == ESCAPE_FAILURE) {
         leave(core);
     }
@@ -272,7 +253,7 @@ void core_reset(core_t *core)
     core->horizon = 0;
     core->part = 0;
     core->must_boot = true;
-    core->alive = core->alive && running == core; /* otherwise the context is abandoned */
+    core->alive = core->alive && core->running; /* otherwise the context is abandoned */
     core->bus->changed = true;
     core->bus->background_due = false;
     core->bus->polls = 0;

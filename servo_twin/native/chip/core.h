@@ -24,6 +24,7 @@ typedef struct {
     intc_t *intc;
     core_speed_t speed;
     int level;            /* of the handler that runs */
+    bool running;         /* the software of this core runs in the present thread */
     bool booting;         /* accesses take time, interrupts are masked */
     bool masked;          /* all interrupts of peripherals */
     uint64_t unit_clocks; /* duration of 1/16 instruction [2^-20 clocks] */
@@ -46,8 +47,30 @@ void core_reset(core_t *core);
 /* All events and software up to and including `until`, unless an error or `stop` ends it; booting may take longer. */
 void core_run(core_t *core, uint64_t until);
 
-/* Around an access to a register: the charges up to it are paid; the next event may have come nearer. */
-void core_before_access(core_t *core);
-void core_after_access(core_t *core);
+/* Let the time pass that the software has been charged with up to here. */
+void core_settle(core_t *core);
+
+/* The software runs for so many clocks; handlers that interrupt it come on top. */
+void core_busy(core_t *core, uint64_t clocks);
+
+/* Charge the software with the time until the next event. */
+void core_give(core_t *core);
+
+/* Before and after an access to a register, after which the next event may be nearer. */
+static inline void core_before_access(core_t *core)
+{
+    core_settle(core);
+    if (core->booting) {
+        core_busy(core, core->bus->access_clocks);
+    }
+}
+
+static inline void core_after_access(core_t *core)
+{
+    const uint64_t horizon = core->horizon;
+    if (core->running && (horizon == 0 || EVENT_CLOCK(events_next(&core->bus->events)) < horizon)) {
+        core_give(core);
+    }
+}
 
 #endif

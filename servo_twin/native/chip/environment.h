@@ -8,6 +8,7 @@
 
 #include <stdint.h>
 
+/* CFFI-BEGIN */
 typedef struct {
     /* Advance the plant to `clock` (never back). */
     void (*advance)(void *board, uint64_t clock);
@@ -42,5 +43,6 @@ typedef struct {
     /* Software that runs while no interrupt does. */
     void (*background)(void *board);
 } chip_environment_t;
+/* CFFI-END */
 
 #endif

@@ -72,7 +72,8 @@ void ftfl_write(void *peripheral, uint32_t address, uint16_t value)
     const unsigned reg = address - FTFL_BASE;
     const bool under_way = busy(ftfl);
     if (reg == STAT_CNFG) {
-        bus_allow(ftfl->bus, address, value, STAT_CCIF | STAT_ERRORS, "interrupts and suspended erases are not modelled");
+        bus_allow(ftfl->bus, address, value, STAT_CCIF | STAT_ERRORS,
+                  "interrupts and suspended erases are not modelled");
         if (!under_way) {
             ftfl->errors = (uint16_t)(ftfl->errors & ~value);
             if ((value & STAT_CCIF) != 0u && (ftfl->errors & (STAT_ACCERR | STAT_FPVIOL)) == 0u) {

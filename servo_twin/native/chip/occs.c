@@ -27,10 +27,7 @@ static bool crystal_good(const occs_t *occs)
     return (occs->osctl2 & OSCTL2_COPD) == 0 && occs->bus->now >= occs->crystal_clock;
 }
 
-static bool on_pll(const occs_t *occs)
-{
-    return (occs->ctrl & CTRL_ZSRC) != 0 && occs->bus->now >= occs->switch_clock;
-}
+static bool on_pll(const occs_t *occs) { return (occs->ctrl & CTRL_ZSRC) != 0 && occs->bus->now >= occs->switch_clock; }
 
 /* Bus clock: reference times (PLLDB + 1), halved by ZSRC, by the postscaler, and between the fast clock and the bus. */
 static uint32_t bus_hz(const occs_t *occs)
@@ -52,7 +49,7 @@ void occs_need_bus_clock(occs_t *occs, const char *what)
 {
     if (!on_pll(occs) || bus_hz(occs) != CHIP_BUS_HZ) {
         bus_fail(occs->bus, "%s starts while the bus clock is %.3f MHz; only 100 MHz is modelled", what,
-                  1e-6 * (double)bus_hz(occs));
+                 1e-6 * (double)bus_hz(occs));
     }
 }
 

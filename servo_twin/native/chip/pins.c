@@ -89,7 +89,8 @@ static pin_function_t selected(const pins_t *pins, const choice_t *choice)
     if (!is_peripheral(pins, choice->pin)) {
         return FUNCTION_GPIO;
     }
-    const unsigned code = ((unsigned)pins->bus->sim.gps[choice->select] >> choice->shift) & ((1u << choice->width) - 1u);
+    const unsigned code =
+        ((unsigned)pins->bus->sim.gps[choice->select] >> choice->shift) & ((1u << choice->width) - 1u);
     const pin_function_t function = (pin_function_t)choice->function[code];
     return (function == FUNCTION_GPIO) ? FUNCTION_OTHER : function; /* an entry left out: a reserved code */
 }

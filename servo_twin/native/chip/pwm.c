@@ -28,7 +28,7 @@ static void find_distances(pwm_submodule_t *s)
     }
     s->distance[PWM_CYCLE] = s->distance[1] + 1u;
     s->distance[PWM_WRAP] = WRAP_DISTANCE;
-    if (s->order == PWM_ORDER_KEPT) {
+    if (s->order == PWM_ORDER_VALID) {
         s->order = PWM_ORDER_MOVED;
     }
 }
@@ -69,20 +69,20 @@ void pwm_settle(const pwm_t *pwm, pwm_submodule_t *s)
 static bool reloads_itself(const pwm_submodule_t *s) { return s->number == 0 || (s->ctrl2 & CTRL2_RELOAD_SEL) == 0; }
 
 /* Which compares are events. */
-void pwm_watch(pwm_t *pwm, pwm_submodule_t *s)
+void pwm_select_events(pwm_t *pwm, pwm_submodule_t *s)
 {
     const pwm_module_t *module = module_of(pwm, s);
     const unsigned resume_at_half = module->fsts_half;
-    unsigned watched = (s->tctrl | s->inten) & 0x3Fu;
-    watched |= 0x0Cu; /* PWM23 */
+    unsigned eventful = (s->tctrl | s->inten) & 0x3Fu;
+    eventful |= 0x0Cu; /* PWM23 */
     if ((s->ctrl2 & CTRL2_INDEP) != 0) {
-        watched |= 0x30u;
+        eventful |= 0x30u;
     }
     if (((s->ctrl & CTRL_HALF) != 0 && reloads_itself(s)) || (s->blocked & resume_at_half) != 0) {
-        watched |= 1u;
+        eventful |= 1u;
     }
-    if (watched != s->watched) {
-        s->watched = watched;
+    if (eventful != s->eventful) {
+        s->eventful = eventful;
         s->order = PWM_ORDER_STALE;
     }
     s->from_45 = ((module->ipol >> s->number) & 1u) != 0;
@@ -96,7 +96,7 @@ static void list_events(pwm_submodule_t *s)
 {
     unsigned count = 0;
     for (unsigned k = 0; k < PWM_WRAP; k++) {
-        if (((s->watched | BIT(PWM_CYCLE)) & BIT(k)) != 0) {
+        if (((s->eventful | BIT(PWM_CYCLE)) & BIT(k)) != 0) {
             s->event[count++] = PWM_EVENT(0, k);
         }
     }
@@ -110,7 +110,7 @@ static void sort_events(pwm_submodule_t *s)
     if (s->order == PWM_ORDER_STALE) {
         list_events(s);
     }
-    s->order = PWM_ORDER_KEPT;
+    s->order = PWM_ORDER_VALID;
     uint32_t before = 0;
     for (uint32_t *at = s->event; *at != LAST_EVENT; at++) {
         const unsigned number = PWM_EVENT_NUMBER(*at);
@@ -132,7 +132,7 @@ static inline uint64_t clock_of(const pwm_submodule_t *s, uint32_t event)
     return s->origin + ((uint64_t)PWM_EVENT_DISTANCE(event) << s->active.prescaler);
 }
 
-/* What has become an event only now, behind the counter, waits for the next cycle. */
+/* A compare that becomes an event behind the count is first handled in the next cycle. */
 static void find_anew(pwm_submodule_t *s, uint64_t now)
 {
     if (!s->running || s->stuck) {
@@ -151,7 +151,7 @@ static void find_anew(pwm_submodule_t *s, uint64_t now)
 /* When the counter's next event is. */
 static inline void find_next(pwm_submodule_t *s, uint64_t now)
 {
-    if (s->order == PWM_ORDER_KEPT) {
+    if (s->order == PWM_ORDER_VALID) {
         s->next_clock = clock_of(s, *s->next);
     } else {
         find_anew(s, now);
@@ -192,7 +192,8 @@ void pwm_request(pwm_t *pwm, pwm_submodule_t *s)
 void pwm_request_fault(pwm_t *pwm, unsigned m)
 {
     const pwm_module_t *module = &pwm->module[m];
-    bus_request(pwm->bus, (m == 0) ? VECTOR_PWMA_FAULT : VECTOR_PWMB_FAULT, (module->fault_flag & module->fctrl & 0xFu) != 0);
+    bus_request(pwm->bus, (m == 0) ? VECTOR_PWMA_FAULT : VECTOR_PWMB_FAULT,
+                (module->fault_flag & module->fctrl & 0xFu) != 0);
 }
 
 /* ---- loading and cycles ---------------------------------------------------------------------------------------------- */
@@ -254,7 +255,7 @@ static void reload(pwm_t *pwm, pwm_submodule_t *s, bool at_end)
         }
         if (other != s) {
             find_next(other, pwm->bus->now);
-            bus_plan(pwm->bus, other->id, due(other));
+            events_set(&pwm->bus->events, other->id, due(other));
         }
     }
 }
@@ -291,7 +292,7 @@ static inline void follow_sync(pwm_t *pwm, pwm_submodule_t *s)
         pwm_force_out(pwm, s);
     }
     find_next(s, pwm->bus->now);
-    bus_plan(pwm->bus, s->id, due(s));
+    events_set(&pwm->bus->events, s->id, due(s));
     if (bus_is_due(pwm->bus, s->id)) {
         run(pwm, s);
     }
@@ -327,7 +328,7 @@ static void trigger(pwm_t *pwm, const pwm_submodule_t *s, unsigned odd)
     pwm->bus->signals->crossbar(pwm->bus->chip, (int)a, (int)b, XBAR_PULSE);
 }
 
-/* Watched compares at the distance d, in the present clock. */
+/* Compares that are events at the distance d, in the present clock. */
 static void matches(pwm_t *pwm, pwm_submodule_t *s, uint32_t d, unsigned hit)
 {
     s->done = d;
@@ -385,7 +386,7 @@ static void handle(pwm_t *pwm, pwm_submodule_t *s)
     }
 }
 
-/* All events of a submodule up to the present clock. */
+/* All events of a submodule up to the present clock; the smallest key of the module is not found yet. */
 static void run(pwm_t *pwm, pwm_submodule_t *s)
 {
     const bool synchronised = s->running && s->sync_clock <= pwm->bus->now;
@@ -410,15 +411,15 @@ static void run(pwm_t *pwm, pwm_submodule_t *s)
     }
     if (s->dead_clock <= pwm->bus->now) {
         pwm_end_dead_time(s);
-        pwm_show(pwm, s);
+        pwm_update_pins(pwm, s);
     }
-    bus_plan(pwm->bus, s->id, due(s));
+    events_set(&pwm->bus->events, s->id, due(s));
 }
 
 /* Most events are an edge of PWM23 that switches a pair or the end of a dead time, and nothing else. */
 static inline bool only_switches(const pwm_submodule_t *s, uint64_t now)
 {
-    if (s->order != PWM_ORDER_KEPT || s->sync_clock <= now) {
+    if (s->order != PWM_ORDER_VALID || s->sync_clock <= now) {
         return false;
     }
     const uint32_t event = s->next[0];
@@ -426,7 +427,7 @@ static inline bool only_switches(const pwm_submodule_t *s, uint64_t now)
     return s->next_clock > now || (plain && (event ^ s->next[1]) >= PWM_EVENTS && s->dead_clock > now);
 }
 
-/* Such an event. When the next one is, is found before the world is told: a processor works ahead that far. */
+/* Such an event. The next one is found before the environment is called, so that a processor can compute it in parallel. */
 static inline void switch_pair(pwm_t *pwm, pwm_submodule_t *s)
 {
     if (s->next_clock > pwm->bus->now) {
@@ -439,7 +440,7 @@ static inline void switch_pair(pwm_t *pwm, pwm_submodule_t *s)
         pwm_drive_pair(pwm, s, (((s->generated & s->followed) ^ s->given) & 1u) != 0);
     }
     bus_plan(pwm->bus, s->id, due(s));
-    pwm_show(pwm, s);
+    pwm_update_pins(pwm, s);
 }
 
 /* All events of a module at the present clock, beginning with source n. */
@@ -453,6 +454,7 @@ void pwm_event(void *peripheral, unsigned n)
             switch_pair(pwm, s);
         } else {
             run(pwm, s);
+            events_find_first(&pwm->bus->events, n / EVENT_GROUP);
         }
         n = EVENT_SOURCE(*first);
     } while (EVENT_CLOCK(*first) <= pwm->bus->now);
@@ -476,8 +478,8 @@ void pwm_follow_run(pwm_t *pwm, unsigned m)
     for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
         pwm_submodule_t *s = &module->sub[n];
         const bool shared = n > 0 && CTRL2_CLK_SEL(s->ctrl2) == 2u;
-        const bool clocked =
-            bus_gate_open(pwm->bus, 3, ((m == 0) ? 7u : 3u) - n) && (!shared || bus_gate_open(pwm->bus, 3, (m == 0) ? 7u : 3u));
+        const bool clocked = bus_gate_open(pwm->bus, 3, ((m == 0) ? 7u : 3u) - n) &&
+                             (!shared || bus_gate_open(pwm->bus, 3, (m == 0) ? 7u : 3u));
         const bool runs = clocked && ((module->run >> n) & (shared ? module->run : 1u) & 1u) != 0;
         if (runs == s->running) {
             continue;
@@ -539,7 +541,7 @@ void pwm_reset(void *peripheral)
             };
             pwm->submodule[s->id] = s;
             find_distances(s);
-            pwm_watch(pwm, s);
+            pwm_select_events(pwm, s);
         }
         for (unsigned i = 0; i < PWM_FAULTS; i++) {
             module->fault_clock[i] = CHIP_NEVER;

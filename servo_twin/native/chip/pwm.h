@@ -4,7 +4,7 @@
  * origin take the place of counts, so that INIT and wraps need no special cases: VALk matches at the distance
  * (VALk - base) mod 2^16, and the cycle ends one past the distance of VAL1.
  *
- * Matches that change an output, load registers, fire a trigger or want an interrupt are events; the flags of all others
+ * Matches that change an output, load registers, fire a trigger or request an interrupt are events; the flags of all others
  * are computed when they are read (`settled`).
  *
  * Within one clock: compares see the values that were active at its beginning; what is loaded at a VAL0 match acts from
@@ -20,14 +20,14 @@
 #define PWM_END 0xE800u
 
 #define PWM_VALS 6
-#define PWM_CYCLE 6u /* of the events of a counter, behind the VALs: one past VAL1 */
-#define PWM_WRAP 7u  /* nothing has ended the cycle: the counter wraps */
+#define PWM_CYCLE 6u /* event behind those of the VALs: one past VAL1 */
+#define PWM_WRAP 7u  /* the counter wraps, as nothing has ended the cycle */
 #define PWM_EVENTS 8u
 
 typedef struct {
-    uint16_t init;
-    uint16_t val[PWM_VALS];
-    uint16_t prescaler; /* exponent of two */
+    uint16_t init;          /* [counts] */
+    uint16_t val[PWM_VALS]; /* [counts] */
+    uint16_t prescaler;     /* 2^prescaler clocks per count */
 } pwm_buffered_t;
 
 #define PWM_EVENT(distance, number) ((uint32_t)(distance) * PWM_EVENTS + (number))
@@ -35,9 +35,8 @@ typedef struct {
 #define PWM_EVENT_NUMBER(event) ((event) % PWM_EVENTS)
 #define PWM_NO_EVENT UINT32_MAX
 
-/* Whether the list of events still fits: their distances have changed, or which there are. It is never kept while the
- * counter stands. */
-typedef enum { PWM_ORDER_KEPT, PWM_ORDER_MOVED, PWM_ORDER_STALE } pwm_order_t;
+/* The list of events is valid, has changed distances, or has other members. It is never valid while the counter is stopped. */
+typedef enum { PWM_ORDER_VALID, PWM_ORDER_MOVED, PWM_ORDER_STALE } pwm_order_t;
 
 typedef struct {
     uint8_t id;             /* source of events, and its number in traces: 4 module + number */
@@ -62,7 +61,7 @@ typedef struct {
     const uint32_t *next;          /* the first that is not handled */
     int64_t settled;               /* flags up to this distance are found [counts] */
     unsigned plain;                /* bit k: VALk only switches the pair */
-    unsigned watched;              /* bit k: VALk is an event */
+    unsigned eventful;              /* bit k: VALk is an event */
     uint64_t next_clock;           /* of the counter's next event */
     uint64_t sync_clock;           /* at which a pulse at EXT_SYNC acts; CHIP_NEVER without one */
     /* outputs, bit 0 A and bit 1 B; generated, followed and given: bit 0 PWM23, bit 1 PWM45 */

@@ -45,13 +45,13 @@ uint16_t pwm_counter(const pwm_submodule_t *s, uint64_t now);
 /* Flags of the compares up to the present clock. */
 void pwm_settle(const pwm_t *pwm, pwm_submodule_t *s);
 
-/* Which compares are events: after a change of what they do. */
-void pwm_watch(pwm_t *pwm, pwm_submodule_t *s);
+/* Which compares are events; after a change of what they do. */
+void pwm_select_events(pwm_t *pwm, pwm_submodule_t *s);
 
-/* When the next event is: after a change of when. */
+/* Plan the next event; after a change of its clock. */
 void pwm_schedule(pwm_t *pwm, pwm_submodule_t *s);
 
-/* Interrupts, after a change of flags or enables. */
+/* Requests of interrupts; after a change of flags or enables. */
 void pwm_request(pwm_t *pwm, pwm_submodule_t *s);
 void pwm_request_fault(pwm_t *pwm, unsigned m);
 
@@ -66,11 +66,11 @@ void pwm_follow_run(pwm_t *pwm, unsigned m);
 /* ---- outputs and faults (pwm_outputs.c) ------------------------------------------------------------------------------ */
 
 /* Which pins of a pair follow its outputs. */
-void pwm_prepare(pwm_t *pwm, pwm_submodule_t *s);
-void pwm_show_all(pwm_t *pwm, unsigned m);
+void pwm_find_live_pins(pwm_t *pwm, pwm_submodule_t *s);
+void pwm_update_all_pins(pwm_t *pwm, unsigned m);
 
-/* What the outputs have become, at the pins. */
-static inline void pwm_show(pwm_t *pwm, pwm_submodule_t *s)
+/* Apply the outputs to the pins. */
+static inline void pwm_update_pins(pwm_t *pwm, pwm_submodule_t *s)
 {
     const unsigned levels = (s->out & s->live) ^ s->fixed;
     if (levels != s->levels) {
@@ -81,7 +81,7 @@ static inline void pwm_show(pwm_t *pwm, pwm_submodule_t *s)
     }
 }
 
-/* The dead-time unit of a pair: the switch that closes waits for its count, the other opens at once. */
+/* The dead-time unit of a pair: the switch that closes is delayed by its count, the other one opens at once. */
 static inline void pwm_drive_pair(const pwm_t *pwm, pwm_submodule_t *s, bool pair)
 {
     if (pair != s->pair || (s->out == 0 && s->dead_clock == CHIP_NEVER)) {
@@ -99,12 +99,12 @@ static inline void pwm_end_dead_time(pwm_submodule_t *s)
     s->out |= s->pair ? 1u : 2u;
 }
 
-/* The outputs, after a change of what they follow. */
+/* The outputs; after a change of their inputs. */
 void pwm_drive(pwm_t *pwm, pwm_submodule_t *s);
 
 void pwm_force_out(pwm_t *pwm, pwm_submodule_t *s);
 
-/* The cycle (or half of it) begins: outputs resume that were waiting for it. */
+/* At a full or half cycle outputs resume that a fault has disabled. */
 void pwm_resume_blocked(pwm_t *pwm, pwm_submodule_t *s, uint16_t boundary);
 
 static inline void pwm_resume(pwm_t *pwm, pwm_submodule_t *s, uint16_t boundary)

@@ -4,7 +4,7 @@
 /* ---- outputs ------------------------------------------------------------------------------------------------------- */
 
 /* Which pins of a pair follow its outputs. One that is not driven is held low by the resistor of its gate driver. */
-void pwm_prepare(pwm_t *pwm, pwm_submodule_t *s)
+void pwm_find_live_pins(pwm_t *pwm, pwm_submodule_t *s)
 {
     const pwm_module_t *module = module_of(pwm, s);
     unsigned live = 0, high = 0, inverted = 0;
@@ -27,18 +27,18 @@ void pwm_prepare(pwm_t *pwm, pwm_submodule_t *s)
     s->fixed = inverted | high;
 }
 
-void pwm_show_all(pwm_t *pwm, unsigned m)
+void pwm_update_all_pins(pwm_t *pwm, unsigned m)
 {
     for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
-        pwm_prepare(pwm, &pwm->module[m].sub[n]);
-        pwm_show(pwm, &pwm->module[m].sub[n]);
+        pwm_find_live_pins(pwm, &pwm->module[m].sub[n]);
+        pwm_update_pins(pwm, &pwm->module[m].sub[n]);
     }
 }
 
 void pwm_pins_changed(pwm_t *pwm)
 {
-    pwm_show_all(pwm, 0);
-    pwm_show_all(pwm, 1);
+    pwm_update_all_pins(pwm, 0);
+    pwm_update_all_pins(pwm, 1);
 }
 
 void pwm_drive(pwm_t *pwm, pwm_submodule_t *s)
@@ -50,7 +50,7 @@ void pwm_drive(pwm_t *pwm, pwm_submodule_t *s)
     } else {
         pwm_drive_pair(pwm, s, s->from_45 ? (selected & 2u) == 0 : (selected & 1u) != 0);
     }
-    pwm_show(pwm, s);
+    pwm_update_pins(pwm, s);
 }
 
 void pwm_force_out(pwm_t *pwm, pwm_submodule_t *s)
@@ -65,7 +65,7 @@ void pwm_force_out(pwm_t *pwm, pwm_submodule_t *s)
         s->given |= (source == 2u ? software : source) << which;
     }
     s->mask = ((module->mask >> (8u + n)) & 1u) | (((module->mask >> (4u + n)) & 1u) << 1);
-    pwm_prepare(pwm, s);
+    pwm_find_live_pins(pwm, s);
     pwm_drive(pwm, s);
 }
 
@@ -91,9 +91,9 @@ void pwm_resume_blocked(pwm_t *pwm, pwm_submodule_t *s, uint16_t boundary)
         }
     }
     if (s->blocked != before) {
-        pwm_watch(pwm, s);
-        pwm_prepare(pwm, s);
-        pwm_show(pwm, s);
+        pwm_select_events(pwm, s);
+        pwm_find_live_pins(pwm, s);
+        pwm_update_pins(pwm, s);
     }
 }
 
@@ -111,9 +111,9 @@ void pwm_find_faults(pwm_t *pwm, unsigned m)
     for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
         pwm_submodule_t *s = &module->sub[n];
         s->blocked |= begun;
-        pwm_watch(pwm, s);
-        pwm_prepare(pwm, s);
-        pwm_show(pwm, s);
+        pwm_select_events(pwm, s);
+        pwm_find_live_pins(pwm, s);
+        pwm_update_pins(pwm, s);
         pwm_schedule(pwm, s);
     }
     pwm_request_fault(pwm, m);

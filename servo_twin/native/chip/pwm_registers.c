@@ -120,7 +120,7 @@ static void write_ctrl2(pwm_t *pwm, uint32_t address, unsigned m, unsigned n, ui
         bus_no_value(pwm->bus, address, value, "this INIT_SEL or FORCE_SEL is not modelled");
     }
     s->ctrl2 = (uint16_t)(value & ~CTRL2_FORCE);
-    pwm_watch(pwm, s);
+    pwm_select_events(pwm, s);
     pwm_follow_run(pwm, m);
     if ((value & CTRL2_FORCE) != 0) {
         for (unsigned k = n; k < PWM_SUBMODULES; k++) {
@@ -163,7 +163,7 @@ static void write_sub(pwm_t *pwm, uint32_t address, unsigned m, unsigned n, uint
             s->updated = s->updated || CTRL_PRSC(value) != s->buffer.prescaler;
             s->buffer.prescaler = CTRL_PRSC(value);
         }
-        pwm_watch(pwm, s);
+        pwm_select_events(pwm, s);
         pwm_schedule(pwm, s);
         break;
     case FRCTRL:
@@ -171,8 +171,8 @@ static void write_sub(pwm_t *pwm, uint32_t address, unsigned m, unsigned n, uint
         break;
     case OCTRL:
         s->octrl = value & 0x073Fu;
-        pwm_prepare(pwm, s);
-        pwm_show(pwm, s);
+        pwm_find_live_pins(pwm, s);
+        pwm_update_pins(pwm, s);
         break;
     case STS:
         pwm_settle(pwm, s);
@@ -183,7 +183,7 @@ static void write_sub(pwm_t *pwm, uint32_t address, unsigned m, unsigned n, uint
         bus_allow(pwm->bus, address, value, 0x303F, "the capture unit is not modelled");
         pwm_settle(pwm, s);
         s->inten = value;
-        pwm_watch(pwm, s);
+        pwm_select_events(pwm, s);
         pwm_request(pwm, s);
         pwm_schedule(pwm, s);
         break;
@@ -193,13 +193,13 @@ static void write_sub(pwm_t *pwm, uint32_t address, unsigned m, unsigned n, uint
     case TCTRL:
         bus_allow(pwm->bus, address, value, 0x003F, "PWM waveforms as triggers are not modelled");
         s->tctrl = value;
-        pwm_watch(pwm, s);
+        pwm_select_events(pwm, s);
         pwm_schedule(pwm, s);
         break;
     case DISMAP0:
         s->dismap0 = value;
-        pwm_prepare(pwm, s);
-        pwm_show(pwm, s);
+        pwm_find_live_pins(pwm, s);
+        pwm_update_pins(pwm, s);
         break;
     case DISMAP1: /* faults 4-7 have no pins here */
         s->dismap1 = value;
@@ -222,14 +222,14 @@ static void write_mctrl(pwm_t *pwm, unsigned m, uint16_t value)
     if (ipol != module->ipol) {
         module->ipol = ipol;
         for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
-            pwm_watch(pwm, &module->sub[n]);
+            pwm_select_events(pwm, &module->sub[n]);
         }
     }
     module->run = (value >> 8) & 0xFu;
     const bool first_stuck = module->sub[0].running && module->sub[0].stuck;
     for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
         pwm_submodule_t *s = &module->sub[n];
-        /* A counter without a cycle meets its reload point, and that of its followers, in every clock. */
+        /* A counter whose cycle is one clock reloads in every clock, and so do its followers. */
         const bool led = first_stuck && n > 0 && (s->ctrl2 & CTRL2_RELOAD_SEL) != 0;
         const bool stuck = s->running && (s->stuck || led);
         if (((module->ldok >> n) & 1u) != 0 && ((s->ctrl & CTRL_LDMOD) != 0 || stuck)) {
@@ -295,7 +295,7 @@ static void write_module(pwm_t *pwm, uint32_t address, unsigned m, uint32_t r, u
     case OUTEN:
         bus_allow(pwm->bus, address, value, 0x0FF0, "PWM_X is not modelled");
         module->outen = value;
-        pwm_show_all(pwm, m);
+        pwm_update_all_pins(pwm, m);
         break;
     case MASK:
         module->mask = value & 0x0FFFu;
@@ -328,7 +328,7 @@ static void write_module(pwm_t *pwm, uint32_t address, unsigned m, uint32_t r, u
         module->fsts_full = (value >> 4) & 0xFu;
         module->fsts_half = (uint16_t)(value >> 12);
         for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
-            pwm_watch(pwm, &module->sub[n]);
+            pwm_select_events(pwm, &module->sub[n]);
             pwm_schedule(pwm, &module->sub[n]);
         }
         pwm_request_fault(pwm, m);

@@ -53,7 +53,7 @@ static void request(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n)
 {
     const qtmr_channel_t *c = &timer->channel[n];
     const unsigned flags = c->sctrl & (SCTRL_FLAGS);
-    const unsigned wanted = ((unsigned)c->sctrl << 1) & SCTRL_FLAGS; /* each enable stands below its flag */
+    const unsigned wanted = ((unsigned)c->sctrl << 1) & SCTRL_FLAGS; /* each enable is one bit below its flag */
     const bool compare = (((unsigned)c->csctrl << 2) & c->csctrl & (CSCTRL_TCF1EN | CSCTRL_TCF2EN)) != 0;
     bus_request(qtmr->bus, ((timer->module == 0) ? VECTOR_TMRA0 : VECTOR_TMRB0) - n, (flags & wanted) != 0 || compare);
 }
@@ -67,8 +67,8 @@ NOINLINE static void change_oflag(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n
     qtmr_channel_t *c = &timer->channel[n];
     c->oflag = level;
     const bool out = level != ((c->sctrl & 2u) != 0); /* OPS inverts the output */
-    qtmr->bus->signals->crossbar(qtmr->bus->chip, (int)((timer->module == 0) ? 36u + n : 16u + n), (int)((timer->module == 0) ? 16u + n : 4u + n),
-                out ? XBAR_RISE : XBAR_FALL);
+    qtmr->bus->signals->crossbar(qtmr->bus->chip, (int)((timer->module == 0) ? 36u + n : 16u + n),
+                                 (int)((timer->module == 0) ? 16u + n : 4u + n), out ? XBAR_RISE : XBAR_FALL);
     FOR_EACH(k, timer->follows[n])
     {
         const unsigned mode = CTRL_CM(timer->channel[k].ctrl);

@@ -29,7 +29,8 @@ typedef struct {
     uint64_t hold_clock;                  /* ... and the clock that it is to be computed for */
     unsigned raw;                         /* levels at the inputs, bit per input */
     unsigned in;                          /* levels behind the filters */
-    uint64_t change_clock[QTMR_CHANNELS]; /* at which a new level passes the filter of an input; CHIP_NEVER without one */
+    uint64_t
+        change_clock[QTMR_CHANNELS]; /* at which a new level passes the filter of an input; CHIP_NEVER without one */
     uint32_t delay[QTMR_CHANNELS];        /* of that filter [clocks] */
     uint64_t quiet_clock;                 /* the first change_clock, if that edge is deferrable; else CHIP_NEVER */
     unsigned deferrable_edges;            /* number of coming edges of which nothing but a count follows */
@@ -41,8 +42,8 @@ typedef struct {
     unsigned counts_edges[QTMR_CHANNELS]; /* count edges of this input */
     unsigned follows[QTMR_CHANNELS];      /* count the output of this channel */
     unsigned captures[QTMR_CHANNELS];     /* capture at this input, ... */
-    unsigned captured;                    /* ... those whose IEF is set: no further capture until software clears it */
-    unsigned cleared_by[QTMR_CHANNELS];   /* whose OFLAG this input clears */
+    unsigned captured; /* ... those whose IEF is set: no further capture until software clears it */
+    unsigned cleared_by[QTMR_CHANNELS]; /* whose OFLAG this input clears */
 } qtmr_module_t;
 
 typedef struct {

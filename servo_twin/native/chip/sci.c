@@ -33,7 +33,10 @@ static double byte_clocks(const sci_t *sci, unsigned m)
     return (((sci->bus->sim.pcr >> (13u - m)) & 1u) != 0) ? 0.5 * clocks : clocks;
 }
 
-static bool alive(const sci_t *sci, unsigned m) { return sci->module[m].rate != 0 && bus_gate_open(sci->bus, 1, 12u - m); }
+static bool alive(const sci_t *sci, unsigned m)
+{
+    return sci->module[m].rate != 0 && bus_gate_open(sci->bus, 1, 12u - m);
+}
 
 static uint16_t status(const sci_module_t *module)
 {
