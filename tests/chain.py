@@ -30,13 +30,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import AppliedCommand, applied_from_message, snapshot_table
-from servo_msgs_py.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.qos import command_qos, latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.level import Level, chosen_level
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
-
-from servo_msgs_py import topics
 
 DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 1 + os.getpid() * 37 % 100
 MARK = "SERVO_TEST_MARK"
@@ -252,7 +251,7 @@ class User:
         self.executor = EventsExecutor(context=self.context)
         self.node = Node("user", context=self.context)
         self.messages: dict[str, list[Any]] = {}
-        deep, latched = topics.telemetry_qos(1000), topics.latched_qos()
+        deep, latched = telemetry_qos(1000), latched_qos()
         for name, kind, qos in (
             ("/servo/joint_states", JointState, deep),
             ("/servo/snapshot", Float64MultiArray, deep),
@@ -267,7 +266,7 @@ class User:
             ("/rosout", Log, deep),
         ):
             self.listen(name, kind, qos)
-        qos = topics.command_qos()
+        qos = command_qos()
         self.joint_commands = self.node.create_publisher(JointState, "/servo/joint_commands", qos)
         self.commands = self.node.create_publisher(Float64MultiArray, "/servo/commands", qos)
         self.position = [self.node.create_publisher(Float64, f"/servo/axis{n}/position", qos) for n in (1, 2)]

@@ -16,13 +16,12 @@ from builtin_interfaces.msg import Duration
 from chain import DOMAIN, Cable, Chain, Process, User, followed_board, user, wait_for
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import from_stamp, snapshot_table
+from servo_msgs_py.runtime.qos import command_qos, latched_qos
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.level import LEVEL_VARIABLE, Level, chosen_level
 from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-
-from servo_msgs_py import topics
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
@@ -298,7 +297,7 @@ class Bursts:
         self._me = me
         self._record = me.node.create_client(SetBool, "/servo/record")
         for name in self.TOPICS:
-            me.listen(name, Float64MultiArray, topics.latched_qos())
+            me.listen(name, Float64MultiArray, latched_qos())
 
     def begin(self) -> None:
         """Have the recorder record."""
@@ -344,7 +343,7 @@ class TestTwinOfTheSameBoard:
                 go(me, *(x * TURN for x in turns))
             if bursts is not None:
                 bursts.exactly_zero()
-            trajectories = me.node.create_publisher(JointTrajectory, "/servo/joint_trajectory", topics.command_qos())
+            trajectories = me.node.create_publisher(JointTrajectory, "/servo/joint_trajectory", command_qos())
             me.until(trajectories.get_subscription_count)
             trajectories.publish(square())
             me.until(lambda: me.position_of(1) < -0.9 * TURN, 10.0)

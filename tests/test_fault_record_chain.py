@@ -16,6 +16,7 @@ import pytest
 from chain import Chain, User, user
 from servo_msgs_py.convert import snapshot_table
 from servo_msgs_py.fault_record import COLUMNS, FaultRecord
+from servo_msgs_py.runtime.qos import latched_qos
 from servo_twin.board import Board
 from servo_twin.experiments.named_faults import fault_record
 from servo_twin.harm import ShortedPhase, StuckConverter
@@ -121,7 +122,7 @@ def table(message: Float64MultiArray) -> list[list[float]]:
 
 def listen(anybody: User) -> list[Any]:
     messages: list[Any] = []
-    anybody.node.create_subscription(Float64MultiArray, TOPIC, messages.append, topics.latched_qos())
+    anybody.node.create_subscription(Float64MultiArray, TOPIC, messages.append, latched_qos())
     return messages
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from chain import Chain, User
+from servo_msgs_py.runtime.qos import latched_qos
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
@@ -32,7 +33,7 @@ def chain(tmp_path: Path) -> Iterator[Chain]:
 @pytest.fixture
 def user() -> Iterator[User]:
     user = User()
-    user.listen("/servo/axis1/position_known", Bool, topics.latched_qos())
+    user.listen("/servo/axis1/position_known", Bool, latched_qos())
     yield user
     user.close()
 

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_dict_from_yaml_file, parameter_value_to_python
 from servo_bridge.node import ServoBridge
 from servo_bridge.parameters import PARAMETERS as BRIDGE_PARAMETERS
-from servo_msgs_py.node_shell import NameTakenError, ParameterError, Spec, claim_name, full_name
+from servo_msgs_py.runtime.node_shell import NameTakenError, ParameterError, Spec, claim_name, full_name
 from servo_twin.node import PARAMETERS as TWIN_PARAMETERS
 from servo_twin.node import ServoTwin
 from servo_twin.viewer_node import PARAMETERS as VIEWER_PARAMETERS

@@ -11,12 +11,11 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.runtime.qos import latched_qos
 from servo_twin.lockstep.blocks import blocks_of_file
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from test_tune_on_board import CONFIG, edited
-
-from servo_msgs_py import topics
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
@@ -33,7 +32,7 @@ class Tuner:
         self._tune = me.node.create_client(SetBool, "/servo/tune")
         self._parameters = me.node.create_client(SetParameters, "/servo/servo_bridge/set_parameters")
         me.node.create_subscription(
-            String, "/servo/tuning", lambda message: self.files.append(message.data), topics.latched_qos()
+            String, "/servo/tuning", lambda message: self.files.append(message.data), latched_qos()
         )
 
     def call(self, file: Path, *, send: bool) -> tuple[bool, str]:

@@ -43,6 +43,7 @@ from servo_msgs_py.catalogue import Catalogue, Variable
 from servo_msgs_py.convert import parameters_from_message
 from servo_msgs_py.joints import Joint
 from servo_msgs_py.robot_description import Motor, joints_of, motors_of
+from servo_msgs_py.runtime.qos import command_qos, latched_qos, telemetry_qos
 from servo_msgs_py.value_text import value_text
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
@@ -188,8 +189,8 @@ class Commander(Node):
         """State of the servo and its joints now, with faults and limits, for people."""
         joints: list[JointState] = []
         reports: list[DiagnosticArray] = []
-        self.create_subscription(JointState, self._of(topics.JOINT_STATES), joints.append, topics.telemetry_qos())
-        self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, reports.append, topics.telemetry_qos())
+        self.create_subscription(JointState, self._of(topics.JOINT_STATES), joints.append, telemetry_qos())
+        self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, reports.append, telemetry_qos())
         state = self._state()
         lines = [state]
         if state.startswith(_LOST):
@@ -222,7 +223,7 @@ class Commander(Node):
     def _latched(self, name: str) -> str:
         """What a latched topic says."""
         texts: list[str] = []
-        self.create_subscription(String, self._of(name), lambda m: texts.append(m.data), topics.latched_qos())
+        self.create_subscription(String, self._of(name), lambda m: texts.append(m.data), latched_qos())
         self.wait_for(lambda: texts, f"no {self._of(name)} was heard")
         return texts[-1]
 
@@ -244,7 +245,7 @@ class Commander(Node):
             heard.append(parameters_from_message(message, self._catalogue))
 
         topic = self._of(topics.PARAMETERS)
-        self.create_subscription(Float64MultiArray, topic, take, topics.latched_qos())
+        self.create_subscription(Float64MultiArray, topic, take, latched_qos())
         self.wait_for(lambda: heard, f"no {topic} were heard")
         self.wait_for(lambda: wanted(heard[-1]), "the board does not have them (/diagnostics says why)")
         return heard[-1]
@@ -282,7 +283,7 @@ class Commander(Node):
         if self._state().startswith(_LOST):
             return "the board is not connected; it gets them when it is"
         reports: list[DiagnosticArray] = []
-        self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, reports.append, topics.telemetry_qos())
+        self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, reports.append, telemetry_qos())
         try:
             self.parameters(lambda present: applied(assignments, present) == present)
         except CommandError:
@@ -302,9 +303,7 @@ class Commander(Node):
         """
         applied: list[Float64MultiArray] = []
         heard = self._bridge_log()
-        self.create_subscription(
-            Float64MultiArray, self._of(topics.COMMANDS_APPLIED), applied.append, topics.telemetry_qos()
-        )
+        self.create_subscription(Float64MultiArray, self._of(topics.COMMANDS_APPLIED), applied.append, telemetry_qos())
         publisher = self._publisher(JointState, topics.JOINT_COMMANDS)
         message = JointState(name=list(targets))
         setattr(message, quantity, list(targets.values()))
@@ -341,7 +340,7 @@ class Commander(Node):
         """Where the joints are [rad], by name."""
         heard: list[JointState] = []
         topic = self._of(topics.JOINT_STATES)
-        subscription = self.create_subscription(JointState, topic, heard.append, topics.telemetry_qos())
+        subscription = self.create_subscription(JointState, topic, heard.append, telemetry_qos())
         self.wait_for(lambda: heard, f"no {topic} were heard")
         self.destroy_subscription(subscription)
         return dict(zip(heard[-1].name, heard[-1].position, strict=True))
@@ -378,7 +377,7 @@ class Commander(Node):
         """Listen to the log of the bridge; the result gives the lines from now on that begin in a way."""
         if self._log_lines is None:
             self._log_lines = []
-            self.create_subscription(Log, "/rosout", self._on_log, topics.telemetry_qos())
+            self.create_subscription(Log, "/rosout", self._on_log, telemetry_qos())
         lines = self._log_lines
         first = len(lines)
         return lambda beginning: [line for line in lines[first:] if line.startswith(beginning)]
@@ -392,7 +391,7 @@ class Commander(Node):
         if name in self._matched_publishers:
             return self._matched_publishers[name]
         topic = self._of(name)
-        publisher = self._matched_publishers[name] = self.create_publisher(kind, topic, topics.command_qos())
+        publisher = self._matched_publishers[name] = self.create_publisher(kind, topic, command_qos())
         self.wait_for(publisher.get_subscription_count, f"no subscriber on {topic}")
         self.wait_for(lambda: self.count_publishers("/rosout") > 1, "the log of the bridge was not found")
         self.turn(_MATCH)  # until the new subscriptions are matched: what is published before is not heard

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import AppliedCommand, applied_from_message, from_stamp, snapshot_table, to_stamp
 from servo_msgs_py.robot_description import joints_of
+from servo_msgs_py.runtime.qos import command_qos, latched_qos, telemetry_qos
 from std_msgs.msg import Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -56,16 +57,16 @@ class ServoClient(Node):
         self._rows: list[NDArray[np.float64]] = []
         self._residuals: list[tuple[int, list[float]]] = []
         self._residual_topic = f"{twin}/{topics.RESIDUAL}"
-        deep = topics.telemetry_qos(1000)
+        deep = telemetry_qos(1000)
         self._names = self.create_subscription(JointState, self._of(topics.JOINT_STATES), self._on_names, deep)
         self.create_subscription(Float64MultiArray, self._of(topics.SNAPSHOT), self._on_snapshot, deep)
         self.create_subscription(Float64MultiArray, self._of(topics.COMMANDS_APPLIED), self._on_applied, deep)
-        self.create_subscription(String, self._of(topics.STATE), self._on_state, topics.latched_qos())
+        self.create_subscription(String, self._of(topics.STATE), self._on_state, latched_qos())
         self.create_subscription(JointState, self._residual_topic, self._on_residual, deep)
         self._description = self._of(topics.ROBOT_DESCRIPTION)
-        self.create_subscription(String, self._description, self._on_description, topics.latched_qos())
-        self._commands = self.create_publisher(JointState, self._of(topics.JOINT_COMMANDS), topics.command_qos())
-        self._paths = self.create_publisher(JointTrajectory, self._of(topics.JOINT_TRAJECTORY), topics.command_qos())
+        self.create_subscription(String, self._description, self._on_description, latched_qos())
+        self._commands = self.create_publisher(JointState, self._of(topics.JOINT_COMMANDS), command_qos())
+        self._paths = self.create_publisher(JointTrajectory, self._of(topics.JOINT_TRAJECTORY), command_qos())
         self._single: dict[str, Any] = {}
         self._enable = self.create_client(SetBool, self._of(topics.ENABLE))
         self._quick_stop = self.create_client(Trigger, self._of(topics.QUICK_STOP))
@@ -193,7 +194,7 @@ class ServoClient(Node):
         self.joints = list(message.name)
         for joint in self.joints:
             topic = self._of(topics.joint_position_topic(joint))
-            self._single[joint] = self.create_publisher(Float64, topic, topics.command_qos())
+            self._single[joint] = self.create_publisher(Float64, topic, command_qos())
 
     def _on_snapshot(self, message: Float64MultiArray) -> None:
         columns, rows = snapshot_table(message)

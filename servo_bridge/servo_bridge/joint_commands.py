@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from servo_msgs_py.runtime.qos import command_qos
 
 from servo_bridge.arbiter import Arbiter
 from servo_bridge.setpoint_topics import SetPointTopics
@@ -67,7 +68,7 @@ class JointCommands:
         self._offset_ns = offset_ns
         self._wall_ns = wall_ns
         self._repeats = Repeats()
-        node.create_subscription(JointState, _SOURCE, self._on_command, topics.command_qos())
+        node.create_subscription(JointState, _SOURCE, self._on_command, command_qos())
 
     def advance(self) -> None:
         """Hand on what is due of the streams."""

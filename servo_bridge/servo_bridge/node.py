@@ -12,7 +12,7 @@ from typing import Any
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.node_shell import claim_name, full_name, run, setting_up
+from servo_msgs_py.runtime.node_shell import claim_name, full_name, run, setting_up
 
 from servo_bridge.entities import Entities
 from servo_bridge.parameters import PARAMETERS, ParameterError, declare, settings_from, values_of, watch

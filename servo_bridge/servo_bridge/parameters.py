@@ -18,9 +18,9 @@ from rclpy.parameter import Parameter
 from servo_msgs_py.board_parameters import Assignment, merged
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.joints import Joint, JointLimits, joint_names
-from servo_msgs_py.node_shell import ParameterError, Spec, full_name
-from servo_msgs_py.node_shell import declare as declare_all
 from servo_msgs_py.robot_description import NO_LIMIT
+from servo_msgs_py.runtime.node_shell import ParameterError, Spec, full_name
+from servo_msgs_py.runtime.node_shell import declare as declare_all
 
 from servo_bridge.bursts.request import BurstRequest
 from servo_bridge.telemetry import telemetry_variables

@@ -18,6 +18,7 @@ from servo_msgs_py.convert import (
 from servo_msgs_py.fault_record import COLUMNS as RECORD_COLUMNS
 from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.joints import Joint
+from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
 from std_msgs.msg import Bool, Float64MultiArray, String
 
@@ -64,7 +65,7 @@ class Publications:
         self._last_description = ""
         self._last_state: str | None = None
         self._last_armed: bool | None = None
-        deep, latched = topics.telemetry_qos(), topics.latched_qos()
+        deep, latched = telemetry_qos(), latched_qos()
         self._joint_states = node.create_publisher(JointState, topics.JOINT_STATES, deep)
         self._snapshot = node.create_publisher(Float64MultiArray, topics.SNAPSHOT, deep)
         self._applied = node.create_publisher(Float64MultiArray, topics.COMMANDS_APPLIED, deep)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from rclpy.node import Node
+from servo_msgs_py.runtime.qos import command_qos
 from std_msgs.msg import Float64, Float64MultiArray
 
 from servo_bridge.arbiter import Arbiter
@@ -53,7 +54,7 @@ class SetPointTopics:
         self._publishers = node.get_publishers_info_by_topic
         self._resolve = node.resolve_topic_name
         self.figures = CommandFigures()
-        qos = topics.command_qos()
+        qos = command_qos()
         node.create_subscription(Float64MultiArray, topics.COMMANDS, self._on_commands, qos)
         for axis, joint in enumerate(joints):
             topic = topics.joint_position_topic(joint)

@@ -22,8 +22,8 @@ from servo_msgs_py.board_parameters import RawParameters, applied
 from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name
 from servo_msgs_py.convert import diagnostic_array, flag_texts
 from servo_msgs_py.fault_record import FaultRecord
-from servo_msgs_py.node_shell import full_name
 from servo_msgs_py.robot_description import Motor, describe
+from servo_msgs_py.runtime.node_shell import full_name
 from servo_msgs_py.timed_points import periods_ahead
 from servo_msgs_py.units import PERIOD_NS, unwrap_u32
 from std_srvs.srv import SetBool, Trigger

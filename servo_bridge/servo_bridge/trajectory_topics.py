@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from rclpy.node import Node
+from servo_msgs_py.runtime.qos import command_qos
 from trajectory_msgs.msg import JointTrajectory
 
 from servo_bridge.arbiter import Arbiter
@@ -65,7 +66,7 @@ class TrajectoryTopics:
         self._limits = limits
         self._origin_ns = origin_ns
         self._say = say
-        node.create_subscription(JointTrajectory, topics.JOINT_TRAJECTORY, self._on_trajectory, topics.command_qos())
+        node.create_subscription(JointTrajectory, topics.JOINT_TRAJECTORY, self._on_trajectory, command_qos())
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         source = topics.JOINT_TRAJECTORY

@@ -9,6 +9,7 @@ from typing import Any
 from rclpy.node import Node
 from servo_msgs_py.catalogue import Value, Variable, axis_name
 from servo_msgs_py.convert import columns, row
+from servo_msgs_py.runtime.qos import telemetry_qos
 from std_msgs.msg import Float64
 
 from servo_bridge.outcome import error_of
@@ -54,7 +55,7 @@ class VariableTopics:
             ends = [""] if variable.count == 1 else [f".{axis_name(k)}" for k in range(variable.count)]
             for column, end in zip(columns([variable]), ends, strict=True):
                 topic = topics.variable_topic(variable.name + end, joints)
-                self._publishers[column] = node.create_publisher(Float64, topic, topics.telemetry_qos())
+                self._publishers[column] = node.create_publisher(Float64, topic, telemetry_qos())
         self._outside = _endless([variable for variable in variables if columns([variable])[0] not in sampled])
         self._under_way: Future[Value] | None = None
 

@@ -30,6 +30,7 @@ from servo_bridge.wire.session import Session
 from servo_msgs_py.board_parameters import parameters
 from servo_msgs_py.catalogue import Catalogue, Value
 from servo_msgs_py.convert import applied_from_message, parameters_from_message, snapshot_table
+from servo_msgs_py.runtime.qos import command_qos, latched_qos, telemetry_qos
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
@@ -206,13 +207,13 @@ class Rig:
             (topics.DIAGNOSTICS, DiagnosticArray),
             (f"var/{parameters.get('joints', ['axis1'])[0]}/i_q", Float64),
         ):
-            self.listen(name, kind, topics.telemetry_qos(1000))
+            self.listen(name, kind, telemetry_qos(1000))
         self.listen("/rosout", Log, ROSOUT)
-        self.listen(topics.PARAMETERS, Float64MultiArray, topics.latched_qos())
-        self.listen(topics.ROBOT_DESCRIPTION, String, topics.latched_qos())
-        self.listen(topics.STATE, String, topics.latched_qos())
-        self.listen(topics.ARMED, Bool, topics.latched_qos())
-        qos = topics.command_qos()
+        self.listen(topics.PARAMETERS, Float64MultiArray, latched_qos())
+        self.listen(topics.ROBOT_DESCRIPTION, String, latched_qos())
+        self.listen(topics.STATE, String, latched_qos())
+        self.listen(topics.ARMED, Bool, latched_qos())
+        qos = command_qos()
         self.joint_commands = self.user.create_publisher(JointState, topics.JOINT_COMMANDS, qos)
         self.commands = self.user.create_publisher(Float64MultiArray, topics.COMMANDS, qos)
         self.position = self.user.create_publisher(Float64, "axis2/position", qos)

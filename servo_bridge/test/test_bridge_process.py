@@ -28,7 +28,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import AppliedCommand, applied_from_message
-from servo_msgs_py.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.qos import command_qos, latched_qos, telemetry_qos
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool
 
@@ -86,11 +87,11 @@ class Bridge:
         self.user = Node("user", namespace="servo", context=self.context)
         self.executor.add_node(self.user)
         self.seen: dict[str, list[Any]] = {}
-        self._listen(topics.STATE, String, topics.latched_qos())
-        self._listen(topics.ARMED, Bool, topics.latched_qos())
-        self._listen(topics.JOINT_STATES, JointState, topics.telemetry_qos())
-        self._listen(topics.COMMANDS_APPLIED, Float64MultiArray, topics.telemetry_qos())
-        self.position = self.user.create_publisher(Float64, "axis1/position", topics.command_qos())
+        self._listen(topics.STATE, String, latched_qos())
+        self._listen(topics.ARMED, Bool, latched_qos())
+        self._listen(topics.JOINT_STATES, JointState, telemetry_qos())
+        self._listen(topics.COMMANDS_APPLIED, Float64MultiArray, telemetry_qos())
+        self.position = self.user.create_publisher(Float64, "axis1/position", command_qos())
         self.enable_client = self.user.create_client(SetBool, topics.ENABLE)
 
     def __enter__(self) -> Bridge:

@@ -14,7 +14,8 @@ from bridge_rig import DOMAIN, FAULT, SPIN, STOP, Rig
 from sensor_msgs.msg import JointState
 from servo_bridge.command import main
 from servo_bridge.wire.link_state import LinkState
-from servo_msgs_py.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.qos import command_qos
 
 from servo_msgs_py import topics
 
@@ -177,7 +178,7 @@ def test_a_velocity_is_renewed_in_time_for_as_long_as_was_asked(rig: Rig, monkey
         assert list(message.velocity) == [50.0]
         times.append(time.monotonic())
 
-    rig.user.create_subscription(JointState, topics.JOINT_COMMANDS, taken, topics.command_qos())
+    rig.user.create_subscription(JointState, topics.JOINT_COMMANDS, taken, command_qos())
     begin = time.monotonic()
     status, out, err = command(rig, "velocity", "axis1=50", "--for", "1")
     assert (status, out.strip()) == (0, "took effect"), err

@@ -21,6 +21,7 @@ from servo_bridge.freemaster.errors import TransportError
 from servo_bridge.wire.link import LinkState
 from servo_msgs_py.convert import snapshot_table
 from servo_msgs_py.fault_record import COLUMNS
+from servo_msgs_py.runtime.qos import latched_qos
 from std_msgs.msg import Float64MultiArray
 
 from servo_bridge import tool
@@ -155,7 +156,7 @@ def test_snapshot_of_a_board_that_vanishes_in_the_middle(
 @pytest.fixture
 def rig() -> Iterator[Rig]:
     with Rig() as result:
-        result.listen(TOPIC, Float64MultiArray, topics.latched_qos())
+        result.listen(TOPIC, Float64MultiArray, latched_qos())
         result.link.blocks = {"axis1.fault_record": LOST, "axis2.fault_record": NONE}
         result.up()
         yield result
@@ -190,7 +191,7 @@ def test_who_comes_later_gets_it_too(rig: Rig) -> None:
     fail(rig, PHASE_LOST)
     rig.until(lambda: rig.messages[TOPIC])
     earlier = rig.messages[TOPIC]
-    rig.listen(TOPIC, Float64MultiArray, topics.latched_qos())
+    rig.listen(TOPIC, Float64MultiArray, latched_qos())
     rig.until(lambda: rig.messages[TOPIC])
     assert rig.messages[TOPIC] == earlier
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 from bridge_rig import DOMAIN
-from servo_msgs_py.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import bound_to_us
 
 pytestmark = pytest.mark.realtime
 

@@ -21,6 +21,7 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import AppliedCommand, from_stamp, snapshot_table, to_stamp
 from servo_msgs_py.joints import Joint, JointLimits
 from servo_msgs_py.robot_description import joints_of
+from servo_msgs_py.runtime.qos import command_qos, latched_qos
 from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool
 
@@ -407,7 +408,7 @@ def test_a_hot_winding_is_a_warning_and_its_temperature_a_topic(rig: Rig) -> Non
         Float64MultiArray,
         topics.WINDING_TEMPERATURES,
         lambda message: found.append(list(message.data)),
-        topics.latched_qos(),
+        latched_qos(),
     )
     rig.link.parameters["param.i_q_limit"] = [CATALOGUE["param.i_q_limit"].to_raw(4.0)] * 2
     for axis, celsius, current in (("axis1", 115.0, 3.0), ("axis2", 80.0, 8.25)):
@@ -661,7 +662,7 @@ def test_shutdown_switches_off_and_says_so(rig: Rig) -> None:
 def test_two_sources_are_named_in_log_and_diagnostics_and_one_can_have_precedence(rig: Rig) -> None:
     rig.ready()
     other = Node("teleop", context=rig.context)
-    velocity = other.create_publisher(JointState, "/servo/joint_commands", topics.command_qos())
+    velocity = other.create_publisher(JointState, "/servo/joint_commands", command_qos())
     try:
         rig.until(lambda: velocity.get_subscription_count())
 

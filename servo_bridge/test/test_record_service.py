@@ -15,6 +15,7 @@ from servo_bridge.bursts.request import Prepared
 from servo_bridge.wire.session import connect
 from servo_msgs_py.convert import snapshot_table
 from servo_msgs_py.recorder_setup import RecorderSetup, setup_from_message, setup_message
+from servo_msgs_py.runtime.qos import latched_qos
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 
@@ -43,8 +44,8 @@ def rig() -> Iterator[Rig]:
         return board.feed(data)
 
     with Rig(recording="axis1.i_q --trigger 'axis1.i_q > 1.0' --before 30% --points 50") as rig:
-        rig.listen(topics.RECORDING, Float64MultiArray, topics.latched_qos())
-        rig.listen(topics.RECORDER, Float64MultiArray, topics.latched_qos())
+        rig.listen(topics.RECORDING, Float64MultiArray, latched_qos())
+        rig.listen(topics.RECORDER, Float64MultiArray, latched_qos())
         rig.record_client = rig.user.create_client(SetBool, topics.RECORD)  # type: ignore[attr-defined]
         rig.until(rig.record_client.service_is_ready)  # type: ignore[attr-defined]
         rig.up(STOP, STOP)

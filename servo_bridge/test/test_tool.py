@@ -18,7 +18,7 @@ from fake_port import FakePort, NoiseDevice
 from fake_servo import CATALOGUE, FakeServo
 from fake_target import CONST, ENUM, NONE, RO, RW, STRUCT, FakeEntry, FakeTarget
 from fake_target_v3 import FakeTargetV3
-from servo_msgs_py.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import bound_to_us
 
 from servo_bridge import tool
 

@@ -9,6 +9,7 @@ from bridge_rig import FAULT, SPIN, Rig
 from builtin_interfaces.msg import Duration
 from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.runtime.qos import command_qos
 from servo_msgs_py.timed_points import TimedPoint, decode_points
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -41,7 +42,7 @@ def rig() -> Iterator[Rig]:
 
 
 def publish(rig: Rig, message: JointTrajectory) -> None:
-    publisher = rig.user.create_publisher(JointTrajectory, topics.JOINT_TRAJECTORY, topics.command_qos())
+    publisher = rig.user.create_publisher(JointTrajectory, topics.JOINT_TRAJECTORY, command_qos())
     rig.until(publisher.get_subscription_count)
     publisher.publish(message)
 

@@ -1,16 +1,13 @@
-"""Names of topics and services, and their quality of service.
+"""Names of topics and services; their quality of service is in `servo_msgs_py.runtime.qos`.
 
 All names are relative: the board's node lives in the namespace ``/servo``, the twin offers the same names in
-``/twin``. Importing this module does not import rclpy; only the functions that build QoS profiles do.
+``/twin``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
-
-if TYPE_CHECKING:
-    from rclpy.qos import QoSProfile
+from typing import Final
 
 # ---- telemetry
 JOINT_STATES: Final = "joint_states"
@@ -135,22 +132,3 @@ def within(parent: str, namespace: str) -> str:
     """Absolute namespace, without a slash at its end; one that does not begin with a slash lies in `parent`."""
     namespace = namespace.rstrip("/")
     return namespace if namespace.startswith("/") or not namespace else f"{parent.rstrip('/')}/{namespace}"
-
-
-def telemetry_qos(depth: int = 50) -> QoSProfile:
-    """Reliable and deep enough: depth 10 loses 5 % of a 500 Hz stream in a Python subscriber."""
-    from rclpy.qos import QoSProfile, ReliabilityPolicy
-
-    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
-
-
-def command_qos(depth: int = 10) -> QoSProfile:
-    """Reliable; a set-point must not be lost."""
-    return telemetry_qos(depth)
-
-
-def latched_qos() -> QoSProfile:
-    """Transient local, depth 1: a late subscriber gets the last state at once."""
-    from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-
-    return QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)

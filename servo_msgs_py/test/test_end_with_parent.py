@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from servo_msgs_py.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import bound_to_us
 
 pytestmark = pytest.mark.realtime
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rclpy.node import Node
-from servo_msgs_py.node_shell import ParameterError, Spec, run
+from servo_msgs_py.runtime.node_shell import ParameterError, Spec, run
 
 from servo_twin.diagnosis.learning import FALSE_ALARM_HOURS, Learner
 from servo_twin.diagnosis.thresholds import ThresholdsError

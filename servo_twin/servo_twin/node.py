@@ -29,9 +29,10 @@ from servo_msgs_py.convert import (
     snapshot_table,
 )
 from servo_msgs_py.joints import Joint, joint_names
-from servo_msgs_py.node_shell import ParameterError, Spec, claim_name, declare, full_name, run, setting_up
 from servo_msgs_py.recorder_setup import setup_from_message
 from servo_msgs_py.robot_description import joints_of
+from servo_msgs_py.runtime.node_shell import ParameterError, Spec, claim_name, declare, full_name, run, setting_up
+from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.tuning.errors import ConfigError
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
@@ -168,7 +169,7 @@ class ServoTwin(Node):
         return Board(self._plant, seed=self._values["seed"])
 
     def _advertise(self) -> None:
-        deep, latched = topics.telemetry_qos(), topics.latched_qos()
+        deep, latched = telemetry_qos(), latched_qos()
         self._joint_states = self.create_publisher(JointState, topics.JOINT_STATES, deep)
         self._snapshot = self.create_publisher(Float64MultiArray, topics.SNAPSHOT, deep)
         self._residual = self.create_publisher(JointState, topics.RESIDUAL, deep)
@@ -180,22 +181,22 @@ class ServoTwin(Node):
         self._diagnosed = self.create_publisher(DiagnosticArray, topics.DIAGNOSIS, latched)
 
     def _subscribe(self) -> None:
-        board, deep = self._board_namespace, topics.telemetry_qos(200)
+        board, deep = self._board_namespace, telemetry_qos(200)
         applied = f"{board}/{topics.COMMANDS_APPLIED}"
         self.create_subscription(Float64MultiArray, f"{board}/{topics.SNAPSHOT}", self._on_snapshot, deep)
         self.create_subscription(Float64MultiArray, applied, self._on_applied, deep)
         parameters = f"{board}/{topics.PARAMETERS}"
-        self.create_subscription(Float64MultiArray, parameters, self._on_parameters, topics.latched_qos())
+        self.create_subscription(Float64MultiArray, parameters, self._on_parameters, latched_qos())
         windings = f"{board}/{topics.WINDING_TEMPERATURES}"
-        self.create_subscription(Float64MultiArray, windings, self._on_windings, topics.latched_qos())
-        self.create_subscription(String, f"{board}/{topics.TUNING}", self._on_tuning, topics.latched_qos())
-        self.create_subscription(String, f"{board}/{topics.STATE}", self._on_board_state, topics.latched_qos())
+        self.create_subscription(Float64MultiArray, windings, self._on_windings, latched_qos())
+        self.create_subscription(String, f"{board}/{topics.TUNING}", self._on_tuning, latched_qos())
+        self.create_subscription(String, f"{board}/{topics.STATE}", self._on_board_state, latched_qos())
         description = f"{board}/{topics.ROBOT_DESCRIPTION}"
-        self.create_subscription(String, description, self._on_description, topics.latched_qos())
+        self.create_subscription(String, description, self._on_description, latched_qos())
 
         recorder, recording = f"{board}/{topics.RECORDER}", f"{board}/{topics.RECORDING}"
-        self.create_subscription(Float64MultiArray, recorder, self._on_recorder, topics.latched_qos())
-        self.create_subscription(Float64MultiArray, recording, self._on_recording, topics.latched_qos())
+        self.create_subscription(Float64MultiArray, recorder, self._on_recorder, latched_qos())
+        self.create_subscription(Float64MultiArray, recording, self._on_recording, latched_qos())
 
     # ---- what comes in
     def _on_snapshot(self, message: Float64MultiArray) -> None:
@@ -274,7 +275,7 @@ class ServoTwin(Node):
             if joint_names(joints) != joint_names(self._joints):
                 for publisher in self._variables.values():
                     self.destroy_publisher(publisher)
-                names, deep = joint_names(joints), topics.telemetry_qos()
+                names, deep = joint_names(joints), telemetry_qos()
                 self._variables = {
                     name: self.create_publisher(Float64, topics.residual_topic(name, names), deep) for name in COMPARED
                 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from servo_msgs_py.ros_program import run_with_ros
+from servo_msgs_py.runtime.ros_program import run_with_ros
 
 __all__ = ["twin", "viewer"]
 

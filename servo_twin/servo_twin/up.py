@@ -22,7 +22,7 @@ from types import FrameType
 from typing import Any, Final, NoReturn
 
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import bound_to_us
 
 from servo_msgs_py import board_parameters
 from servo_twin.level import LEVEL_VARIABLE, add_level_option, chosen_level

@@ -21,8 +21,9 @@ from sensor_msgs.msg import JointState
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import applied_from_message, from_stamp, snapshot_table
 from servo_msgs_py.joints import joint_names
-from servo_msgs_py.node_shell import ParameterError, Spec, declare, run, setting_up
 from servo_msgs_py.robot_description import joints_of
+from servo_msgs_py.runtime.node_shell import ParameterError, Spec, declare, run, setting_up
+from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from std_msgs.msg import Bool, Float64MultiArray, String
 
 from servo_msgs_py import topics
@@ -122,7 +123,7 @@ class ServoViewer(Node):
             topics.within(self.get_namespace(), self._values[f"{name}_namespace"]) for name in ("board", "twin")
         )
         # Rows come late after a stall rather than never; what the recording cannot take is counted in `Viewer`.
-        deep, latched = topics.telemetry_qos(500), topics.latched_qos()
+        deep, latched = telemetry_qos(500), latched_qos()
         viewer = self._viewer
         for namespace, take in ((board, viewer.board), (twin, viewer.twin)):
             topic = f"{namespace}/{topics.SNAPSHOT}"

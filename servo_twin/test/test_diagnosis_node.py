@@ -11,14 +11,13 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.parameter import Parameter
+from servo_msgs_py.runtime.qos import latched_qos
 from servo_twin.calibrate_node import Calibration
 from servo_twin.diagnosis.pair import BoardPair, Motion
 from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.plant import PlantConfig
 from test_twin_node import DOMAIN, Rig
 from twin_rig import COLUMNS
-
-from servo_msgs_py import topics
 
 pytestmark = pytest.mark.realtime
 
@@ -31,7 +30,7 @@ class DiagnosisRig(Rig):
 
     def __init__(self, **parameters: Any) -> None:
         super().__init__(**parameters)
-        self._listen(TOPIC, DiagnosticArray, topics.latched_qos())
+        self._listen(TOPIC, DiagnosticArray, latched_qos())
         self._draw = random.Random(4)
         self.board.up()
 

@@ -28,8 +28,9 @@ from servo_msgs_py.convert import (
     snapshot_table,
 )
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint
-from servo_msgs_py.node_shell import ParameterError
 from servo_msgs_py.robot_description import describe
+from servo_msgs_py.runtime.node_shell import ParameterError
+from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.harm import HotPowerStage, SlippedEncoder
 from servo_twin.node import PARAMETERS, ServoTwin, main
@@ -63,7 +64,7 @@ class Rig:
             rclpy.shutdown(context=self.context)
             raise
         self.user = Node("user", namespace="servo", context=self.context)
-        deep, latched = topics.telemetry_qos(1000), topics.latched_qos()
+        deep, latched = telemetry_qos(1000), latched_qos()
         self.snapshot = self.user.create_publisher(Float64MultiArray, topics.SNAPSHOT, deep)
         self.applied = self.user.create_publisher(Float64MultiArray, topics.COMMANDS_APPLIED, deep)
         self.state = self.user.create_publisher(String, topics.STATE, latched)
@@ -400,7 +401,7 @@ def test_has_the_configuration_that_the_bridge_reads_from_the_board(
 ) -> None:
     rig.board.run(0.3)
     rig.caught_up()
-    published = rig.user.create_publisher(String, topics.TUNING, topics.latched_qos())
+    published = rig.user.create_publisher(String, topics.TUNING, latched_qos())
     published.publish(String(data="not TOML ["))
     rig.until(lambda: "the twin cannot take the configuration of the board" in capfd.readouterr().err)
     text = SERVO_TOML.read_text(encoding="utf-8")

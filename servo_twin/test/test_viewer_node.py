@@ -26,9 +26,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import diagnostic_array, diagnostic_status, joint_state, snapshot_message
-from servo_msgs_py.end_with_parent import bound_to_us
 from servo_msgs_py.joints import DEFAULT_JOINTS
 from servo_msgs_py.robot_description import describe
+from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.view import scene
 from servo_twin.view.recording import RecordingError, read_scalars, read_texts
@@ -116,7 +117,7 @@ class Robot:
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=DOMAIN)
         self.node = Node("robot", context=self.context)
-        deep, latched = topics.telemetry_qos(500), topics.latched_qos()
+        deep, latched = telemetry_qos(500), latched_qos()
         self._made: dict[str, Any] = {
             name: self.node.create_publisher(kind, name, qos)
             for name, kind, qos in (

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from servo_msgs_py.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import bound_to_us
 from servo_twin.virtual_board import IDLE_SLICE_S, LinkError, Pacer, Terminal, main, serve, slip_reporter
 
 pytestmark = pytest.mark.realtime

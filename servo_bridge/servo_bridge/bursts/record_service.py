@@ -13,6 +13,7 @@ from rclpy.node import Node
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import snapshot_message
 from servo_msgs_py.recorder_setup import setup_message
+from servo_msgs_py.runtime.qos import latched_qos
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 
@@ -79,8 +80,8 @@ class RecordService:
         self._recording: Recording | None = None
         self._answer: Future[Outcome] | None = None
         self.request = request
-        self._publisher = node.create_publisher(Float64MultiArray, topics.RECORDING, topics.latched_qos())
-        self._setups = node.create_publisher(Float64MultiArray, topics.RECORDER, topics.latched_qos())
+        self._publisher = node.create_publisher(Float64MultiArray, topics.RECORDING, latched_qos())
+        self._setups = node.create_publisher(Float64MultiArray, topics.RECORDER, latched_qos())
         self._setups.publish(setup_message(None))
         self._timer = node.create_timer(POLL, self._step, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._timer.cancel()

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import bound_to_us
 from servo_msgs_py.tuning.errors import ConfigError
 
 from servo_bridge.tuning.plan import Computed, computed, file_of

@@ -20,6 +20,7 @@ from rclpy.node import Node
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import BlockRefusedError, take_result
 from servo_msgs_py.catalogue import AXES, numbers
+from servo_msgs_py.runtime.qos import latched_qos
 from servo_msgs_py.tuning.errors import ConfigError
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
@@ -104,7 +105,7 @@ class TuningService:
         self._busy = False
         self._published: str | None = None  # since the link is up
         self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._publisher = node.create_publisher(String, topics.TUNING, topics.latched_qos())
+        self._publisher = node.create_publisher(String, topics.TUNING, latched_qos())
         self._service = DeferredService(node, SetBool, topics.TUNE, lambda request: self._asked(request.data))
         self._thread = threading.Thread(target=self._run, name="servo tuning", daemon=True)
         self._thread.start()
