@@ -239,7 +239,7 @@ def test_the_crossbar_passes_a_trigger_to_the_converter(alone: Callable[..., Alo
 
 
 def test_a_pwm_inserts_dead_time_at_both_edges(alone: Callable[..., Alone]) -> None:
-    types = """typedef struct { gate_pin_t pin[2]; ...; } pwm_submodule_t;
+    types = """typedef struct { uint8_t pin[2]; ...; } pwm_submodule_t;
                typedef struct { pwm_submodule_t sub[4]; ...; } pwm_module_t;"""
     pwm = alone("pwm", types=types, members="pwm_module_t module[2];")
     pwm.peripheral.module[0].sub[0].pin = [pwm.lib.GATE_PWM] * 2

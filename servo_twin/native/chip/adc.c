@@ -191,9 +191,10 @@ static void end_scan(adc_t *adc, unsigned c)
     request(adc);
 }
 
-void adc_event(void *peripheral, unsigned c)
+void adc_event(void *peripheral, unsigned source)
 {
     adc_t *adc = (adc_t *)peripheral;
+    const unsigned c = source - SOURCE_ADC;
     adc_converter_t *converter = &adc->converter[c];
     if (converter->converting && converter->sample_clock <= adc->bus->now) {
         const uint64_t ready = converter->ready_clock;

@@ -42,7 +42,7 @@ typedef struct {
 uint16_t adc_read(void *adc, uint32_t address);
 void adc_write(void *adc, uint32_t address, uint16_t value);
 void adc_reset(void *adc);
-NOINLINE void adc_event(void *adc, unsigned converter);
+NOINLINE void adc_event(void *adc, unsigned source);
 
 /* Pulse at a sync input. */
 void adc_sync(adc_t *adc, unsigned converter);

@@ -37,7 +37,7 @@ static const peripheral_t peripherals[] = {
 static const struct {
     unsigned source, count; /* first of the sources, and how many there are */
     size_t offset;
-    void (*handle)(void *peripheral, unsigned n);
+    void (*handle)(void *peripheral, unsigned source);
 } handlers[] = {
     {SOURCE_PWM, PWM_MODULES * PWM_SUBMODULES, AT(pwm), pwm_event},
     {SOURCE_FAULT, 1, AT(pwm), pwm_fault_event},
@@ -72,7 +72,7 @@ static void connect_peripherals(chip_t *chip)
     for (unsigned i = 0; i < sizeof handlers / sizeof handlers[0]; i++) {
         for (unsigned n = 0; n < handlers[i].count; n++) {
             chip->bus.events.handler[handlers[i].source + n] =
-                (event_handler_t){handlers[i].handle, at(chip, handlers[i].offset), n};
+                (event_handler_t){handlers[i].handle, at(chip, handlers[i].offset)};
         }
     }
 }
@@ -122,7 +122,7 @@ static void connect_gates(chip_t *chip)
 {
     for (unsigned i = 0; i < PINS_GATES; i++) {
         const unsigned module = i / 6u, submodule = i % 6u / 2u, side = i % 2u;
-        chip->pwm.module[module].sub[submodule].pin[side] = pins_gate(&chip->pins, module, submodule, side);
+        chip->pwm.module[module].sub[submodule].pin[side] = (uint8_t)pins_gate(&chip->pins, module, submodule, side);
     }
 }
 
@@ -302,7 +302,7 @@ void chip_init(chip_t *chip, const chip_config_t *config, const chip_environment
     pins_power_on(&chip->pins, bus, &config->wiring);
     sci_init(&chip->sci, bus, config->baud);
     flash_init(&chip->ftfl.flash, config->flash, config->seed);
-    core_init(&chip->core, bus, &chip->intc, &config->core);
+    core_init(&chip->core, bus, &chip->intc, &config->core, chip->stack);
     connect_peripherals(chip);
     if (setjmp(bus->escape) == 0) {
         signal_reset(chip, RESET_POWER_ON);

@@ -31,6 +31,7 @@ typedef struct {
 
 typedef struct chip {
     bus_t bus;
+    core_t core;
     pwm_t pwm;
     qtmr_t qtmr;
     adc_t adc;
@@ -43,7 +44,7 @@ typedef struct chip {
     cop_t cop;
     ftfl_t ftfl;
     uint8_t peripheral_of[CHIP_PAGES]; /* index into the table of peripherals */
-    core_t core;
+    _Alignas(16) uint8_t stack[CORE_STACK];
 } chip_t;
 
 /* Power on. The software boots in the first chip_run. */

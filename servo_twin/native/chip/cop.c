@@ -27,10 +27,10 @@ static void restart(cop_t *cop)
                                           : CHIP_NEVER);
 }
 
-void cop_event(void *peripheral, unsigned n)
+void cop_event(void *peripheral, unsigned source)
 {
     const cop_t *cop = (const cop_t *)peripheral;
-    (void)n;
+    (void)source;
     cop->bus->signals->reset(cop->bus->chip, RESET_COP);
 }
 

@@ -18,6 +18,6 @@ typedef struct {
 uint16_t cop_read(void *cop, uint32_t address);
 void cop_write(void *cop, uint32_t address, uint16_t value);
 void cop_reset(void *cop);
-void cop_event(void *cop, unsigned n);
+void cop_event(void *cop, unsigned source);
 
 #endif

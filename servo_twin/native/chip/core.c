@@ -21,14 +21,15 @@ static inline void pass_time(core_t *core, uint64_t clock)
 
 static inline uint64_t next_of_plant(const bus_t *bus) { return bus->environment->next_event(bus->board); }
 
-/* The next event up to `until`; or, without one, that clock: returns false. */
+/* Handle the next event up to `until`; without one, go to that clock and return false. */
 static inline bool step(core_t *core, uint64_t until)
 {
     bus_t *bus = core->bus;
     const uint64_t key = events_next(&bus->events);
     const uint64_t clock = EVENT_CLOCK(key);
     const uint64_t plant = next_of_plant(bus);
-    if (events_earlier(plant, clock) > until) {
+    core->next = events_earlier(plant, clock);
+    if (core->next > until) {
         if (until > bus->now) {
             pass_time(core, until);
         }
@@ -78,10 +79,9 @@ static bool run_event(core_t *core, uint64_t until)
 
 /* ---- charges -------------------------------------------------------------------------------------------------------- */
 
-void core_give(core_t *core)
+static inline void give_until(core_t *core, uint64_t event)
 {
     const bus_t *bus = core->bus;
-    const uint64_t event = events_earlier(EVENT_CLOCK(events_next(&bus->events)), next_of_plant(bus));
     const uint64_t next = events_earlier(event, core->limit);
     const uint64_t clocks = (next > bus->now) ? next - bus->now : 0;
     core->horizon = next;
@@ -89,6 +89,12 @@ void core_give(core_t *core)
     const uint64_t units = far ? INT_MAX : (clocks << PART_BITS) / core->unit_clocks;
     core->given = (units < INT_MAX) ? (int)units : INT_MAX;
     core_left = core->given;
+}
+
+void core_give(core_t *core)
+{
+    const bus_t *bus = core->bus;
+    give_until(core, events_earlier(EVENT_CLOCK(events_next(&bus->events)), next_of_plant(bus)));
 }
 
 void core_settle(core_t *core)
@@ -175,16 +181,12 @@ static inline void start_handlers(core_t *core)
 void core_busy(core_t *core, uint64_t clocks)
 {
     uint64_t end = core->bus->now + clocks;
-    bool on = true;
-    while (on) {
-        on = run_event(core, end);
+    while (run_event(core, end) || core->bus->changed) {
         const uint64_t begin = core->bus->now;
         start_handlers(core);
-        const uint64_t handled = core->bus->now - begin;
-        end += handled;
-        on = on || handled > 0;
+        end += core->bus->now - begin;
     }
-    core_give(core);
+    give_until(core, core->next);
 }
 
 static void boot(core_t *core)
@@ -236,7 +238,7 @@ void core_run(core_t *core, uint64_t until)
         const uint64_t address = (uintptr_t)core;
         (void)getcontext(&core->inside);
         core->inside.uc_stack.ss_sp = core->stack;
-        core->inside.uc_stack.ss_size = sizeof core->stack;
+        core->inside.uc_stack.ss_size = CORE_STACK;
         core->inside.uc_link = NULL;
         makecontext(&core->inside, (void (*)(void))inside, 2, (unsigned)(address >> 32), (unsigned)address);
         core->alive = true;
@@ -259,10 +261,11 @@ void core_reset(core_t *core)
     core->bus->polls = 0;
 }
 
-void core_init(core_t *core, bus_t *bus, intc_t *intc, const core_speed_t *speed)
+void core_init(core_t *core, bus_t *bus, intc_t *intc, const core_speed_t *speed, uint8_t *stack)
 {
     core->bus = bus;
     core->intc = intc;
     core->speed = *speed;
+    core->stack = stack;
     core->unit_clocks = (uint64_t)(speed->cycles_per_instruction / UNITS * (double)(1u << PART_BITS) + 0.5);
 }

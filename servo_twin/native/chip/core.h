@@ -29,6 +29,7 @@ typedef struct {
     bool masked;          /* all interrupts of peripherals */
     uint64_t unit_clocks; /* duration of 1/16 instruction [2^-20 clocks] */
     int given;            /* charge until the next event, when time last moved [1/16 instruction] */
+    uint64_t next;        /* clock of the event that was next when the core last looked for one */
     uint64_t horizon;     /* clock before which there is no event; 0: unknown */
     uint64_t part;        /* charged since time last moved, less than a clock [2^-20 clocks] */
     uint64_t limit;       /* last clock of this core_run */
@@ -36,10 +37,10 @@ typedef struct {
     bool must_boot;
     bool alive;           /* `inside` is suspended */
     ucontext_t inside, outside;
-    _Alignas(16) uint8_t stack[CORE_STACK];
+    uint8_t *stack; /* CORE_STACK bytes */
 } core_t;
 
-void core_init(core_t *core, bus_t *bus, intc_t *intc, const core_speed_t *speed);
+void core_init(core_t *core, bus_t *bus, intc_t *intc, const core_speed_t *speed, uint8_t *stack);
 
 /* The software starts anew in the next core_run, or at once if it has caused the reset. */
 void core_reset(core_t *core);

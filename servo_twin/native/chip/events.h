@@ -21,9 +21,8 @@
 #define EVENT_SOURCE(key) ((unsigned)((key) % EVENT_SOURCES))
 
 typedef struct {
-    void (*handle)(void *peripheral, unsigned n); /* the present clock is that of the event */
+    void (*handle)(void *peripheral, unsigned source); /* the present clock is that of the event */
     void *peripheral;
-    unsigned n; /* source, counted from the peripheral's first one */
 } event_handler_t;
 
 typedef struct {
@@ -74,7 +73,7 @@ static inline uint64_t events_next(const events_t *events)
 static inline void events_handle(events_t *events, unsigned source)
 {
     const event_handler_t *handler = &events->handler[source];
-    handler->handle(handler->peripheral, handler->n);
+    handler->handle(handler->peripheral, source);
 }
 
 /* Cancel all events. */

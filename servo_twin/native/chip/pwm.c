@@ -443,20 +443,20 @@ static inline void switch_pair(pwm_t *pwm, pwm_submodule_t *s)
     pwm_update_pins(pwm, s);
 }
 
-/* All events of a module at the present clock, beginning with source n. */
-void pwm_event(void *peripheral, unsigned n)
+/* All events of a module at the present clock, beginning with `source`. */
+void pwm_event(void *peripheral, unsigned source)
 {
     pwm_t *pwm = (pwm_t *)peripheral;
-    const uint64_t *first = &pwm->bus->events.first[n / EVENT_GROUP];
+    const uint64_t *first = &pwm->bus->events.first[source / EVENT_GROUP];
     do {
-        pwm_submodule_t *s = pwm->submodule[n];
+        pwm_submodule_t *s = pwm->submodule[source];
         if (only_switches(s, pwm->bus->now)) {
             switch_pair(pwm, s);
         } else {
             run(pwm, s);
-            events_find_first(&pwm->bus->events, n / EVENT_GROUP);
+            events_find_first(&pwm->bus->events, source / EVENT_GROUP);
         }
-        n = EVENT_SOURCE(*first);
+        source = EVENT_SOURCE(*first);
     } while (EVENT_CLOCK(*first) <= pwm->bus->now);
 }
 

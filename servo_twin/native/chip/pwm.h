@@ -41,6 +41,7 @@ typedef enum { PWM_ORDER_VALID, PWM_ORDER_MOVED, PWM_ORDER_STALE } pwm_order_t;
 typedef struct {
     uint8_t id;             /* source of events, and its number in traces: 4 module + number */
     uint8_t module, number; /* 0: A, 1: B; 0 to 3 */
+    uint8_t pin[2];         /* gate_pin_t: what drives the pins of the gates, upper and lower */
     /* registers */
     pwm_buffered_t buffer; /* as written */
     pwm_buffered_t active; /* as loaded */
@@ -74,7 +75,6 @@ typedef struct {
     unsigned out;        /* its outputs, or those of an independent submodule */
     uint64_t dead_clock; /* end of the dead time in progress; CHIP_NEVER without one */
     unsigned blocked;    /* bit per fault that disables the outputs */
-    gate_pin_t pin[2];   /* what drives the pins of the gates */
     unsigned live;       /* pins that follow the outputs, ... */
     unsigned fixed;      /* ... and the levels of the others, or inversion */
     unsigned levels;     /* of the pins: bit 0 the upper, bit 1 the lower switch */
@@ -103,8 +103,8 @@ typedef struct {
 uint16_t pwm_read(void *pwm, uint32_t address);
 void pwm_write(void *pwm, uint32_t address, uint16_t value);
 void pwm_reset(void *pwm);
-void pwm_event(void *pwm, unsigned submodule);
-void pwm_fault_event(void *pwm, unsigned n);
+void pwm_event(void *pwm, unsigned source);
+void pwm_fault_event(void *pwm, unsigned source);
 
 /* Pulse at EXT_SYNC; its delay is added. */
 void pwm_ext_sync(pwm_t *pwm, unsigned module, unsigned submodule);

@@ -129,10 +129,10 @@ static void schedule_fault(pwm_t *pwm)
     bus_plan(pwm->bus, SOURCE_FAULT, next);
 }
 
-void pwm_fault_event(void *peripheral, unsigned n)
+void pwm_fault_event(void *peripheral, unsigned source)
 {
     pwm_t *pwm = (pwm_t *)peripheral;
-    (void)n;
+    (void)source;
     for (unsigned m = 0; m < PWM_MODULES; m++) {
         pwm_module_t *module = &pwm->module[m];
         for (unsigned i = 0; i < PWM_FAULTS; i++) {
@@ -159,6 +159,6 @@ void pwm_fault_input(pwm_t *pwm, unsigned m, unsigned input, bool level)
     module->fault_clock[input] = same ? CHIP_NEVER : pwm->bus->now + delay;
     schedule_fault(pwm);
     if (!same && delay == 0) {
-        pwm_fault_event(pwm, 0);
+        pwm_fault_event(pwm, SOURCE_FAULT);
     }
 }

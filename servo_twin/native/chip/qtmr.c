@@ -462,10 +462,10 @@ void qtmr_pulse(qtmr_t *qtmr, unsigned m, unsigned input)
 }
 
 /* Edges that pass their filters at the present clock. */
-void qtmr_event(void *peripheral, unsigned m)
+void qtmr_event(void *peripheral, unsigned source)
 {
     qtmr_t *qtmr = (qtmr_t *)peripheral;
-    qtmr_module_t *timer = &qtmr->module[m];
+    qtmr_module_t *timer = &qtmr->module[source - SOURCE_TIMER];
     qtmr_catch_up(qtmr);
     for (unsigned input = 0; input < QTMR_CHANNELS; input++) {
         if (timer->change_clock[input] <= qtmr->bus->now) {

@@ -55,7 +55,7 @@ typedef struct {
 uint16_t qtmr_read(void *qtmr, uint32_t address);
 void qtmr_write(void *qtmr, uint32_t address, uint16_t value);
 void qtmr_reset(void *qtmr);
-void qtmr_event(void *qtmr, unsigned module);
+void qtmr_event(void *qtmr, unsigned source);
 
 /* Level at an input from `clock` on: the present one, or an earlier one if the module has deferrable edges. */
 void qtmr_input(qtmr_t *qtmr, unsigned module, unsigned input, bool level, uint64_t clock);

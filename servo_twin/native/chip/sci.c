@@ -164,10 +164,10 @@ static void arrived(sci_t *sci)
     }
 }
 
-void sci_event(void *peripheral, unsigned n)
+void sci_event(void *peripheral, unsigned source)
 {
     sci_t *sci = (sci_t *)peripheral;
-    (void)n;
+    (void)source;
     for (unsigned m = 0; m < SCI_MODULES; m++) {
         sent(sci, m);
     }

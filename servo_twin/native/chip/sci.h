@@ -50,7 +50,7 @@ void sci_init(sci_t *sci, bus_t *bus, double baud);
 uint16_t sci_read(void *sci, uint32_t address);
 void sci_write(void *sci, uint32_t address, uint16_t value);
 void sci_reset(void *sci);
-void sci_event(void *sci, unsigned n);
+void sci_event(void *sci, unsigned source);
 
 /* The host's end of the line. Both return the number of bytes. */
 size_t sci_line_write(sci_t *sci, const uint8_t *data, size_t size);
