@@ -158,7 +158,7 @@ static uint16_t convert(void *self, unsigned channel)
     }
 }
 
-static double seconds_of(const board_t *board) { return (double)board->chip.bus.now * (CLOCK_NS * 1e-9); }
+static double seconds_of(const board_t *board) { return (double)board->chip.core.bus.now * (CLOCK_NS * 1e-9); }
 
 static void show_contacts(board_t *board, int axis)
 {
@@ -178,7 +178,7 @@ static void look_at_pins(board_t *board)
     for (int axis = 0; axis < BOARD_AXES; axis++) {
         plant_pins_t *pins = &board->pins[axis];
         if (plant_pins_follow(pins, seconds_of(board))) {
-            switching_advance(&board->plant, board->chip.bus.now);
+            switching_advance(&board->plant, board->chip.core.bus.now);
             switching_set_friction(&board->plant, axis, plant_pins_friction(pins));
             chip_plant_changed(&board->chip);
         }
@@ -193,7 +193,7 @@ static void outputs_changed(void *self)
     chip_plant_changed(&board->chip);
     const bool on = chip_pin_level(&board->chip, brake_pin);
     if (on != board->plant.supply.braking) {
-        switching_advance(&board->plant, board->chip.bus.now); /* the plant stands where the chip met it last */
+        switching_advance(&board->plant, board->chip.core.bus.now); /* the plant stands where the chip met it last */
         switching_brake(&board->plant, on);
     }
     for (int axis = 0; axis < BOARD_AXES; axis++) {
@@ -252,7 +252,7 @@ static const chip_environment_t environment = {
 
 flash_t *board_flash(board_t *board, uint64_t *now_ns)
 {
-    *now_ns = board->chip.bus.now * CLOCK_NS;
+    *now_ns = board->chip.core.bus.now * CLOCK_NS;
     return &board->chip.ftfl.flash;
 }
 
@@ -301,8 +301,8 @@ static void boot_once(board_t *board)
     board->booted = true;
     (void)chip_run(&board->chip, 0);
     board->starting = true;
-    (void)chip_run(&board->chip, board->chip.bus.now + START_MOST);
-    board->zero = board->chip.bus.now;
+    (void)chip_run(&board->chip, board->chip.core.bus.now + START_MOST);
+    board->zero = board->chip.core.bus.now;
     if (!board->starting) {
         const pwm_submodule_t *master = &board->chip.pwm.module[0].sub[0];
         board->zero = master->origin + master->distance[PWM_CYCLE];
@@ -325,7 +325,10 @@ servo_t *board_servo(board_t *board)
     return &board->servo;
 }
 
-const char *board_error(const board_t *board) { return board->chip.bus.failed ? board->chip.bus.error : NULL; }
+const char *board_error(const board_t *board)
+{
+    return board->chip.core.bus.failed ? board->chip.core.bus.error : NULL;
+}
 
 /* Returns true if it has stopped before `until_ns`, for a slow tick. */
 static bool run(board_t *board, uint64_t until_ns)
@@ -333,8 +336,9 @@ static bool run(board_t *board, uint64_t until_ns)
     boot_once(board);
     board->chip.core.stop = false;
     (void)chip_run(&board->chip, board->zero + until_ns / CLOCK_NS);
-    const uint64_t reached = (board->chip.bus.now > board->zero) ? (board->chip.bus.now - board->zero) * CLOCK_NS : 0u;
-    if (board->chip.core.stop || board->chip.bus.failed) {
+    const uint64_t reached =
+        (board->chip.core.bus.now > board->zero) ? (board->chip.core.bus.now - board->zero) * CLOCK_NS : 0u;
+    if (board->chip.core.stop || board->chip.core.bus.failed) {
         board->time_ns = (reached > board->time_ns) ? reached : board->time_ns;
         return board->chip.core.stop;
     }
@@ -362,10 +366,10 @@ size_t board_record(board_t *board, uint64_t until_ns, uint8_t *log, size_t max_
 
 size_t board_trace(board_t *board, uint64_t until_ns, trace_entry_t *log, size_t room)
 {
-    board->chip.bus.trace = (trace_t){.entry = log, .size = 0, .left = room};
+    board->chip.core.bus.trace = (trace_t){.entry = log, .size = 0, .left = room};
     board_advance(board, until_ns);
-    const size_t size = board->chip.bus.trace.size;
-    board->chip.bus.trace = (trace_t){.entry = NULL, .size = 0, .left = 0};
+    const size_t size = board->chip.core.bus.trace.size;
+    board->chip.core.bus.trace = (trace_t){.entry = NULL, .size = 0, .left = 0};
     return size;
 }
 

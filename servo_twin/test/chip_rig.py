@@ -29,8 +29,8 @@ typedef struct { sci_line_t line; ...; } sci_t;
 typedef struct { uint32_t services; ...; } cop_t;
 typedef struct { uint32_t locked_writes; ...; } pwm_module_t;
 typedef struct { pwm_module_t module[2]; ...; } pwm_t;
-typedef struct { bool stop; ...; } core_t;
-typedef struct { bus_t bus; sci_t sci; cop_t cop; pwm_t pwm; core_t core; ...; } chip_t;
+typedef struct { bus_t bus; bool stop; ...; } core_t;
+typedef struct { sci_t sci; cop_t cop; pwm_t pwm; core_t core; ...; } chip_t;
 void chip_init(chip_t *chip, const chip_config_t *config, const chip_environment_t *environment, void *board);
 bool chip_run(chip_t *chip, uint64_t until);
 uint16_t chip_read(chip_t *chip, uint32_t address);
@@ -64,23 +64,23 @@ static int try_read(chip_t *chip, uint32_t address)
 {
     jmp_buf outer;
     volatile int value = -1;
-    memcpy(&outer, &chip->bus.escape, sizeof outer);
-    if (setjmp(chip->bus.escape) == 0) {
+    memcpy(&outer, &chip->core.bus.escape, sizeof outer);
+    if (setjmp(chip->core.bus.escape) == 0) {
         value = chip_read(chip, address);
     }
-    memcpy(&chip->bus.escape, &outer, sizeof outer);
+    memcpy(&chip->core.bus.escape, &outer, sizeof outer);
     return value;
 }
 
 static int try_write(chip_t *chip, uint32_t address, uint16_t value)
 {
     jmp_buf outer;
-    memcpy(&outer, &chip->bus.escape, sizeof outer);
-    const int reason = setjmp(chip->bus.escape);
+    memcpy(&outer, &chip->core.bus.escape, sizeof outer);
+    const int reason = setjmp(chip->core.bus.escape);
     if (reason == 0) {
         chip_write(chip, address, value);
     }
-    memcpy(&chip->bus.escape, &outer, sizeof outer);
+    memcpy(&chip->core.bus.escape, &outer, sizeof outer);
     return (reason == ESCAPE_FAILURE) ? -1 : 0;
 }
 """
@@ -270,25 +270,25 @@ class ChipRig:
         return self.edges[first][0] if first < len(self.edges) else NEVER
 
     def _late(self) -> None:
-        while self.keeps_back and self.edges and self.edges[0][0] <= self.chip.bus.now:
+        while self.keeps_back and self.edges and self.edges[0][0] <= self.chip.core.bus.now:
             if self.lib.chip_deferrable_edges(self.chip, pin(self.edges[0][1])) == 0:
                 break  # an event
             clock, name, level = self.edges.pop(0)
-            self.kept_back += clock < self.chip.bus.now
+            self.kept_back += clock < self.chip.core.bus.now
             self.lib.chip_pin_late(self.chip, pin(name), level, clock)
 
     def _events(self) -> None:
         self._late()
-        while self.edges and self.edges[0][0] <= self.chip.bus.now:
+        while self.edges and self.edges[0][0] <= self.chip.core.bus.now:
             _, name, level = self.edges.pop(0)
             self.lib.chip_pin(self.chip, pin(name), level)
 
     def _gates(self, module: int, submodule: int, levels: int) -> None:
-        self.gates.append((self.chip.bus.now, module, submodule, levels))
+        self.gates.append((self.chip.core.bus.now, module, submodule, levels))
 
     def _convert(self, channel: int) -> int:
         code = self.codes[channel]
-        return code(self.chip.bus.now) if callable(code) else code
+        return code(self.chip.core.bus.now) if callable(code) else code
 
     def _interrupt(self, vector: int) -> int:
         return self.handlers[vector]() or 100
@@ -316,11 +316,11 @@ class ChipRig:
 
     @property
     def now(self) -> int:
-        return int(self.chip.bus.now)
+        return int(self.chip.core.bus.now)
 
     def _check(self, good: bool) -> None:
         if not good:
-            raise ChipError(self.ffi.string(self.chip.bus.error).decode())
+            raise ChipError(self.ffi.string(self.chip.core.bus.error).decode())
 
     def run(self, until: int) -> None:
         """Run up to and including a clock."""
@@ -355,11 +355,11 @@ class ChipRig:
 
     def clear(self) -> None:
         """Forget what has been recorded."""
-        self.chip.bus.trace = {"entry": self._trace, "size": 0, "left": 200_000}
+        self.chip.core.bus.trace = {"entry": self._trace, "size": 0, "left": 200_000}
         self.gates.clear()
 
     def events(self, *kinds: str) -> list[Event]:
-        log = self._trace[0 : self.chip.bus.trace.size]
+        log = self._trace[0 : self.chip.core.bus.trace.size]
         events = [Event(int(e.clock), KINDS[e.kind], int(e.a), int(e.b)) for e in log]
         return [e for e in events if not kinds or e.kind in kinds]
 

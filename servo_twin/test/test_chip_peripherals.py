@@ -154,7 +154,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Alone]:
     def build(name: str, cdef: str, members: str, types: str) -> Native:
         handlers = "".join(
             f"for (unsigned n = 0; n < {count}u; n++) {{ rig->bus.events.handler[{source} + n] ="
-            f" (event_handler_t){{{handle}, &rig->peripheral, n}}; }}"
+            f" (event_handler_t){{{handle}, &rig->peripheral}}; }}"
             for source, count, handle in EVENTS[name]
         )
         return compile_c(

@@ -69,7 +69,7 @@ class TestAccess:
     @pytest.mark.parametrize("address", [0xE400 + 6, 0xDE00, 0xC000, 0xE1E0, 0xE6AA, 0xE6CF, 0xE556, 0x0100])
     def test_no_such_register(self, rig: ChipRig, address: int) -> None:
         assert rig.lib.try_read(rig.chip, address) == -1
-        text = rig.ffi.string(rig.chip.bus.error).decode()
+        text = rig.ffi.string(rig.chip.core.bus.error).decode()
         assert f"({address:04X}h) is not modelled (at " in text
 
     def test_after_an_error_the_chip_stands_still(self, rig: ChipRig) -> None:

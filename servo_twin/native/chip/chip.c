@@ -57,7 +57,7 @@ static inline const peripheral_t *find_peripheral(chip_t *chip, uint32_t address
     const uint32_t page = (address - PAGE_BASE) / PAGE_SIZE;
     const peripheral_t *found = &peripherals[(page < CHIP_PAGES) ? chip->peripheral_of[page] : 0u];
     if (address < found->base || address >= found->end) {
-        bus_no_register(&chip->bus, address);
+        bus_no_register(&chip->core.bus, address);
     }
     return found;
 }
@@ -71,7 +71,7 @@ static void connect_peripherals(chip_t *chip)
     }
     for (unsigned i = 0; i < sizeof handlers / sizeof handlers[0]; i++) {
         for (unsigned n = 0; n < handlers[i].count; n++) {
-            chip->bus.events.handler[handlers[i].source + n] =
+            chip->core.bus.events.handler[handlers[i].source + n] =
                 (event_handler_t){handlers[i].handle, at(chip, handlers[i].offset)};
         }
     }
@@ -100,7 +100,7 @@ static void signal_pwm_fault(void *chip, unsigned module, unsigned input, bool l
 
 static void signal_timer_input(void *chip, unsigned module, unsigned input, bool level)
 {
-    qtmr_input(&chip_of(chip)->qtmr, module, input, level, chip_of(chip)->bus.now);
+    qtmr_input(&chip_of(chip)->qtmr, module, input, level, chip_of(chip)->core.bus.now);
 }
 
 static void signal_timer_pulse(void *chip, unsigned module, unsigned input)
@@ -152,7 +152,7 @@ CHIP_NORETURN static void signal_reset(void *self, reset_cause_t cause)
 {
     chip_t *chip = chip_of(self);
     qtmr_catch_up(&chip->qtmr); /* the levels at the pins stay */
-    events_reset(&chip->bus.events);
+    events_reset(&chip->core.bus.events);
     core_reset(&chip->core);
     chip->sim.cause = cause;
     for (unsigned i = 0; i < PERIPHERALS; i++) {
@@ -161,7 +161,7 @@ CHIP_NORETURN static void signal_reset(void *self, reset_cause_t cause)
         }
     }
     pins_route(&chip->pins);
-    longjmp(chip->bus.escape, ESCAPE_RESET);
+    longjmp(chip->core.bus.escape, ESCAPE_RESET);
 }
 
 static const chip_signals_t signals = {
@@ -187,13 +187,13 @@ CHIP_NORETURN NOINLINE static void fail_waiting(chip_t *chip, uint32_t address)
 {
     char name[64];
     chip_register_name(address, name, sizeof name);
-    bus_fail(&chip->bus, "the software waits for %s, which cannot change meanwhile", name);
+    bus_fail(&chip->core.bus, "the software waits for %s, which cannot change meanwhile", name);
 }
 
 uint16_t chip_read(chip_t *chip, uint32_t address)
 {
     core_before_access(&chip->core);
-    if (++chip->bus.polls > POLLS_MAX) {
+    if (++chip->core.bus.polls > POLLS_MAX) {
         fail_waiting(chip, address);
     }
     const peripheral_t *peripheral = find_peripheral(chip, address);
@@ -205,7 +205,7 @@ uint16_t chip_read(chip_t *chip, uint32_t address)
 void chip_write(chip_t *chip, uint32_t address, uint16_t value)
 {
     core_before_access(&chip->core);
-    bus_note(&chip->bus, TRACE_WRITE, address, value);
+    bus_note(&chip->core.bus, TRACE_WRITE, address, value);
     const peripheral_t *peripheral = find_peripheral(chip, address);
     peripheral->write(at(chip, peripheral->offset), address, value);
     core_after_access(&chip->core);
@@ -214,7 +214,7 @@ void chip_write(chip_t *chip, uint32_t address, uint16_t value)
 void chip_interrupts(chip_t *chip, bool on)
 {
     chip->core.masked = !on;
-    chip->bus.changed = true;
+    chip->core.bus.changed = true;
 }
 
 /* Errors of an access from outside end there. */
@@ -222,23 +222,23 @@ int32_t chip_peek(chip_t *chip, uint32_t address)
 {
     jmp_buf within;
     volatile int32_t value = -1;
-    memcpy(&within, &chip->bus.escape, sizeof within);
-    if (!chip->bus.failed && setjmp(chip->bus.escape) == 0) {
-        chip->bus.polls = 0;
+    memcpy(&within, &chip->core.bus.escape, sizeof within);
+    if (!chip->core.bus.failed && setjmp(chip->core.bus.escape) == 0) {
+        chip->core.bus.polls = 0;
         value = chip_read(chip, address);
     }
-    memcpy(&chip->bus.escape, &within, sizeof within);
+    memcpy(&chip->core.bus.escape, &within, sizeof within);
     return value;
 }
 
 int chip_poke(chip_t *chip, uint32_t address, uint16_t value)
 {
     jmp_buf within;
-    volatile int result = chip->bus.failed ? -1 : 0;
-    memcpy(&within, &chip->bus.escape, sizeof within);
-    switch (setjmp(chip->bus.escape)) {
+    volatile int result = chip->core.bus.failed ? -1 : 0;
+    memcpy(&within, &chip->core.bus.escape, sizeof within);
+    switch (setjmp(chip->core.bus.escape)) {
     case 0:
-        if (!chip->bus.failed && !chip->core.must_boot) {
+        if (!chip->core.bus.failed && !chip->core.must_boot) {
             chip_write(chip, address, value);
         }
         break;
@@ -248,7 +248,7 @@ int chip_poke(chip_t *chip, uint32_t address, uint16_t value)
     default:
         break;
     }
-    memcpy(&chip->bus.escape, &within, sizeof within);
+    memcpy(&chip->core.bus.escape, &within, sizeof within);
     return result;
 }
 
@@ -279,19 +279,19 @@ void chip_pin_late(chip_t *chip, unsigned pin, bool level, uint64_t clock)
 
 bool chip_run(chip_t *chip, uint64_t until)
 {
-    if (!chip->bus.failed) {
+    if (!chip->core.bus.failed) {
         core_run(&chip->core, until);
     }
-    if (!chip->bus.failed) {
+    if (!chip->core.bus.failed) {
         qtmr_catch_up(&chip->qtmr);
     }
-    return !chip->bus.failed;
+    return !chip->core.bus.failed;
 }
 
 void chip_init(chip_t *chip, const chip_config_t *config, const chip_environment_t *environment, void *board)
 {
     memset(chip, 0, sizeof *chip);
-    bus_t *bus = &chip->bus;
+    bus_t *bus = &chip->core.bus;
     bus->environment = environment;
     bus->board = board;
     bus->signals = &signals;
@@ -302,7 +302,7 @@ void chip_init(chip_t *chip, const chip_config_t *config, const chip_environment
     pins_power_on(&chip->pins, bus, &config->wiring);
     sci_init(&chip->sci, bus, config->baud);
     flash_init(&chip->ftfl.flash, config->flash, config->seed);
-    core_init(&chip->core, bus, &chip->intc, &config->core, chip->stack);
+    core_init(&chip->core, &chip->intc, &config->core, chip->stack);
     connect_peripherals(chip);
     if (setjmp(bus->escape) == 0) {
         signal_reset(chip, RESET_POWER_ON);

@@ -30,7 +30,6 @@ typedef struct {
 } chip_config_t;
 
 typedef struct chip {
-    bus_t bus;
     core_t core;
     pwm_t pwm;
     qtmr_t qtmr;

@@ -15,8 +15,8 @@ CORE_THREAD int core_left = INT_MAX;
 
 static inline void pass_time(core_t *core, uint64_t clock)
 {
-    core->bus->now = clock;
-    core->bus->polls = 0;
+    core->bus.now = clock;
+    core->bus.polls = 0;
 }
 
 static inline uint64_t next_of_plant(const bus_t *bus) { return bus->environment->next_event(bus->board); }
@@ -24,7 +24,7 @@ static inline uint64_t next_of_plant(const bus_t *bus) { return bus->environment
 /* Handle the next event up to `until`; without one, go to that clock and return false. */
 static inline bool step(core_t *core, uint64_t until)
 {
-    bus_t *bus = core->bus;
+    bus_t *bus = &core->bus;
     const uint64_t key = events_next(&bus->events);
     const uint64_t clock = EVENT_CLOCK(key);
     const uint64_t plant = next_of_plant(bus);
@@ -81,7 +81,7 @@ static bool run_event(core_t *core, uint64_t until)
 
 static inline void give_until(core_t *core, uint64_t event)
 {
-    const bus_t *bus = core->bus;
+    const bus_t *bus = &core->bus;
     const uint64_t next = events_earlier(event, core->limit);
     const uint64_t clocks = (next > bus->now) ? next - bus->now : 0;
     core->horizon = next;
@@ -93,13 +93,13 @@ static inline void give_until(core_t *core, uint64_t event)
 
 void core_give(core_t *core)
 {
-    const bus_t *bus = core->bus;
+    const bus_t *bus = &core->bus;
     give_until(core, events_earlier(EVENT_CLOCK(events_next(&bus->events)), next_of_plant(bus)));
 }
 
 void core_settle(core_t *core)
 {
-    const bus_t *bus = core->bus;
+    const bus_t *bus = &core->bus;
     if (!core->running) {
         return;
     }
@@ -140,7 +140,7 @@ void core_spend(int units)
 
 NOINLINE static void run_handler(core_t *core, unsigned vector, int level)
 {
-    bus_t *bus = core->bus;
+    bus_t *bus = &core->bus;
     const int outer = core->level;
     const uint64_t part = core->part;
     core->level = level;
@@ -158,7 +158,7 @@ NOINLINE static void run_handler(core_t *core, unsigned vector, int level)
 
 NOINLINE static void serve_requests(core_t *core)
 {
-    bus_t *bus = core->bus;
+    bus_t *bus = &core->bus;
     while (bus->changed) {
         unsigned vector;
         int level;
@@ -172,7 +172,7 @@ NOINLINE static void serve_requests(core_t *core)
 /* All events of one clock come before a handler. */
 static inline void start_handlers(core_t *core)
 {
-    const bus_t *bus = core->bus;
+    const bus_t *bus = &core->bus;
     if (bus->changed && EVENT_CLOCK(events_next(&bus->events)) > bus->now) {
         serve_requests(core);
     }
@@ -180,11 +180,11 @@ static inline void start_handlers(core_t *core)
 
 void core_busy(core_t *core, uint64_t clocks)
 {
-    uint64_t end = core->bus->now + clocks;
-    while (run_event(core, end) || core->bus->changed) {
-        const uint64_t begin = core->bus->now;
+    uint64_t end = core->bus.now + clocks;
+    while (run_event(core, end) || core->bus.changed) {
+        const uint64_t begin = core->bus.now;
         start_handlers(core);
-        end += core->bus->now - begin;
+        end += core->bus.now - begin;
     }
     give_until(core, core->next);
 }
@@ -194,7 +194,7 @@ static void boot(core_t *core)
     core->must_boot = false;
     core->booting = true;
     core_give(core);
-    core->bus->environment->boot(core->bus->board);
+    core->bus.environment->boot(core->bus.board);
     core_settle(core);
     core->booting = false;
 }
@@ -202,7 +202,7 @@ static void boot(core_t *core)
 /* Handlers and background, when they are due. */
 CHIP_NORETURN static void live(core_t *core)
 {
-    bus_t *bus = core->bus;
+    bus_t *bus = &core->bus;
     for (;;) {
         start_handlers(core);
         if (bus->background_due && !bus->changed) {
@@ -222,7 +222,7 @@ static void inside(unsigned upper, unsigned lower)
     /* NOLINTNEXTLINE(performance-no-int-to-ptr): a context takes ints */
     core_t *core = (core_t *)(uintptr_t)((uint64_t)upper << 32 | lower);
     enter(core);
-    while (setjmp(core->bus->escape) == ESCAPE_FAILURE) {
+    while (setjmp(core->bus.escape) == ESCAPE_FAILURE) {
         leave(core);
     }
     if (core->must_boot) {
@@ -256,14 +256,13 @@ void core_reset(core_t *core)
     core->part = 0;
     core->must_boot = true;
     core->alive = core->alive && core->running; /* otherwise the context is abandoned */
-    core->bus->changed = true;
-    core->bus->background_due = false;
-    core->bus->polls = 0;
+    core->bus.changed = true;
+    core->bus.background_due = false;
+    core->bus.polls = 0;
 }
 
-void core_init(core_t *core, bus_t *bus, intc_t *intc, const core_speed_t *speed, uint8_t *stack)
+void core_init(core_t *core, intc_t *intc, const core_speed_t *speed, uint8_t *stack)
 {
-    core->bus = bus;
     core->intc = intc;
     core->speed = *speed;
     core->stack = stack;

@@ -20,7 +20,7 @@ typedef struct {
 } core_speed_t;
 
 typedef struct {
-    bus_t *bus;
+    bus_t bus; /* embedded, as each step reads it */
     intc_t *intc;
     core_speed_t speed;
     int level;            /* of the handler that runs */
@@ -40,7 +40,7 @@ typedef struct {
     uint8_t *stack; /* CORE_STACK bytes */
 } core_t;
 
-void core_init(core_t *core, bus_t *bus, intc_t *intc, const core_speed_t *speed, uint8_t *stack);
+void core_init(core_t *core, intc_t *intc, const core_speed_t *speed, uint8_t *stack);
 
 /* The software starts anew in the next core_run, or at once if it has caused the reset. */
 void core_reset(core_t *core);
@@ -62,14 +62,14 @@ static inline void core_before_access(core_t *core)
 {
     core_settle(core);
     if (core->booting) {
-        core_busy(core, core->bus->access_clocks);
+        core_busy(core, core->bus.access_clocks);
     }
 }
 
 static inline void core_after_access(core_t *core)
 {
     const uint64_t horizon = core->horizon;
-    if (core->running && (horizon == 0 || EVENT_CLOCK(events_next(&core->bus->events)) < horizon)) {
+    if (core->running && (horizon == 0 || EVENT_CLOCK(events_next(&core->bus.events)) < horizon)) {
         core_give(core);
     }
 }
