@@ -75,3 +75,22 @@ def test_a_recording_begins_at_its_trigger(access: SessionAccess) -> None:
     assert access.record(["tick"], 10, 1, slow=True).columns["tick"].size == 10
     with pytest.raises(MeasurementError, match="axis3"):
         access.record(["axis3.i_q"], 10, 1, slow=False)
+
+
+def test_what_takes_a_while_to_start_is_begun_earlier(board: Board, access: SessionAccess) -> None:
+    """The memory of the recorder fills meanwhile: nothing is lost of what follows the trigger."""
+    begun = []
+
+    def start() -> None:
+        begun.append(board.time_ns * 1e-9)
+        access.wait(0.5)
+        access.write("cmd.enable", [float(len(begun) == 1)], 0)
+
+    names, waited = ("tick", "axis1.event_state"), []
+    for lead in (0.0, 0.5):
+        asked = board.time_ns * 1e-9
+        recording = access.record(names, 1280, 1, slow=True, start=start, trigger="axis1.event_state", lead=lead)
+        assert recording.columns["axis1.event_state"][0] > 0.0
+        assert np.diff(recording.columns["tick"]).tolist() == [8.0] * 1279
+        waited.append(begun[-1] - asked)
+    assert waited[0] - waited[1] == pytest.approx(0.5, abs=0.05)

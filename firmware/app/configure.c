@@ -212,7 +212,7 @@ static void renew_parameters(parameter_block_t *parameter, uint16_t i, const axi
 }
 
 bool configure_latch(configure_t *configure, config_status_t *status, parameter_block_t *parameter,
-                     belief_block_t *belief, axis_t *axes)
+                     nominal_block_t *nominal, axis_t *axes)
 {
     const bool taken = may_take(configure, status, axes);
     for (uint16_t i = 0; taken && i < HAL_AXES; i++) {
@@ -223,8 +223,8 @@ bool configure_latch(configure_t *configure, config_status_t *status, parameter_
         const axis_config_t *after = spare(configure, i);
         axis_take_config(&axes[i], after);
         renew_parameters(parameter, i, before, after);
-        belief->torque_constant[i] = after->torque_constant;
-        belief->acceleration_current[i] = after->acceleration_forward;
+        nominal->torque_constant[i] = after->torque_constant;
+        nominal->acceleration_current[i] = after->acceleration_forward;
         configure->in_force[i] = (uint16_t)(1U - configure->in_force[i]);
         configure->ready[i] = false;
         status->checksum[i] = configure->checksum[i];

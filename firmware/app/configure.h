@@ -50,6 +50,6 @@ void configure_show(const configure_t *configure, config_request_t *request);
 /* Between two slow ticks: take what is pending, if the axes are at rest or need not be. True if blocks have been taken;
  * parameters whose default is another one then have the new default. */
 bool configure_latch(configure_t *configure, config_status_t *status, parameter_block_t *parameter,
-                     belief_block_t *belief, axis_t *axes);
+                     nominal_block_t *nominal, axis_t *axes);
 
 #endif

@@ -251,7 +251,7 @@ static uint16_t compose(const journal_t *journal, uint8_t line[JOURNAL_LINE])
     return writer.size;
 }
 
-static void forget(journal_t *journal)
+static void discard(journal_t *journal)
 {
     if (journal->lost != 0U) {
         journal->lost = 0;
@@ -267,6 +267,6 @@ void journal_print(journal_t *journal, freemaster_t *server)
         uint8_t line[JOURNAL_LINE];
         const uint16_t size = compose(journal, line);
         freemaster_print(server, line, size);
-        forget(journal);
+        discard(journal);
     }
 }

@@ -25,7 +25,7 @@ void latch_reset(latch_marks_t *marks);
 /* Mark what lies in [offset, offset + size) of the command block. */
 void latch_mark(latch_marks_t *marks, uint16_t offset, uint16_t size);
 
-/* Hand what was written to the axes and forget the marks. Returns true when a command has taken effect. */
+/* Hand what was written to the axes and clear the marks. Returns true when a command has taken effect. */
 bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_block_t *parameter, axis_t *axes);
 
 /* Take over what belongs to no axis. */

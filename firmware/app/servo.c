@@ -44,8 +44,8 @@ void servo_init(servo_t *servo, hal_t *hal)
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         const axis_config_t *config = configure_block(&servo->configure, i);
         axis_init(&servo->axis[i], config, hal, i, &servo->record[i], &servo->tick);
-        servo->belief.torque_constant[i] = config->torque_constant;
-        servo->belief.acceleration_current[i] = config->acceleration_forward;
+        servo->nominal.torque_constant[i] = config->torque_constant;
+        servo->nominal.acceleration_current[i] = config->acceleration_forward;
     }
     for (uint16_t i = 0; i < HAL_ANALOG_OUTS; i++) {
         servo->monitor[i] = 0;
@@ -87,7 +87,7 @@ static void note_applied(servo_t *servo)
 static void take_blocks(servo_t *servo)
 {
     config_status_t *status = &servo->config_status;
-    if (configure_latch(&servo->configure, status, &servo->parameter, &servo->belief, servo->axis)) {
+    if (configure_latch(&servo->configure, status, &servo->parameter, &servo->nominal, servo->axis)) {
         note_applied(servo);
         status->taken_tick = servo->applied_tick;
         status->taken_count++;

@@ -101,8 +101,8 @@ CHECK(81, SIZE(estimate.axis[0].theta_e) == 2);
 CHECK(82, SIZE(estimate.axis[0].emf) == 2);
 CHECK(83, SIZE(estimate.axis[0].reliable) == 2);
 CHECK(84, SIZE(record[0].pending) == 4);
-CHECK(85, SIZE(belief.torque_constant[0]) == 2);
-CHECK(86, SIZE(belief.acceleration_current[0]) == 4);
+CHECK(85, SIZE(nominal.torque_constant[0]) == 2);
+CHECK(86, SIZE(nominal.acceleration_current[0]) == 4);
 CHECK(87, SIZE(snapshot.axis[1].position) == 4);
 CHECK(88, SIZE(snapshot.axis[1].position_ref) == 4);
 CHECK(89, SIZE(snapshot.axis[1].speed) == 4);
@@ -130,8 +130,8 @@ CHECK(110, SIZE(estimate.axis[1].theta_e) == 2);
 CHECK(111, SIZE(estimate.axis[1].emf) == 2);
 CHECK(112, SIZE(estimate.axis[1].reliable) == 2);
 CHECK(113, SIZE(record[1].pending) == 4);
-CHECK(114, SIZE(belief.torque_constant[1]) == 2);
-CHECK(115, SIZE(belief.acceleration_current[1]) == 4);
+CHECK(114, SIZE(nominal.torque_constant[1]) == 2);
+CHECK(115, SIZE(nominal.acceleration_current[1]) == 4);
 CHECK(116, SIZE(tick) >= 4);
 CHECK(117, SIZE(applied_tick) >= 4);
 CHECK(118, SIZE(applied_count) >= 2);
@@ -827,8 +827,8 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {2523, 1228, AT(record[0]), SIZE(record[0]), TSA_KIND_RO}, /* axis1.fault_record */
     {2542, 442, LIVE(2), 2, TSA_KIND_RO}, /* axis1.home_result */
     {2560, 939, LIVE(3), 2, TSA_KIND_RO}, /* axis1.home_spread */
-    {2578, 946, AT(belief.torque_constant[0]), SIZE(belief.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
-    {2600, 1044, AT(belief.acceleration_current[0]), SIZE(belief.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
+    {2578, 946, AT(nominal.torque_constant[0]), SIZE(nominal.torque_constant[0]), TSA_KIND_RO}, /* axis1.torque_constant */
+    {2600, 1044, AT(nominal.acceleration_current[0]), SIZE(nominal.acceleration_current[0]), TSA_KIND_RO}, /* axis1.acceleration_current */
     {2627, 946, LIVE(4), 2, TSA_KIND_RO}, /* axis1.i_a */
     {2637, 946, LIVE(5), 2, TSA_KIND_RO}, /* axis1.i_b */
     {2647, 946, LIVE(6), 2, TSA_KIND_RO}, /* axis1.i_c */
@@ -883,8 +883,8 @@ static const tsa_entry_t entries[] TABLE_MEMORY = {
     {3415, 1228, AT(record[1]), SIZE(record[1]), TSA_KIND_RO}, /* axis2.fault_record */
     {3434, 442, LIVE(28), 2, TSA_KIND_RO}, /* axis2.home_result */
     {3452, 939, LIVE(29), 2, TSA_KIND_RO}, /* axis2.home_spread */
-    {3470, 946, AT(belief.torque_constant[1]), SIZE(belief.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
-    {3492, 1044, AT(belief.acceleration_current[1]), SIZE(belief.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
+    {3470, 946, AT(nominal.torque_constant[1]), SIZE(nominal.torque_constant[1]), TSA_KIND_RO}, /* axis2.torque_constant */
+    {3492, 1044, AT(nominal.acceleration_current[1]), SIZE(nominal.acceleration_current[1]), TSA_KIND_RO}, /* axis2.acceleration_current */
     {3519, 946, LIVE(30), 2, TSA_KIND_RO}, /* axis2.i_a */
     {3529, 946, LIVE(31), 2, TSA_KIND_RO}, /* axis2.i_b */
     {3539, 946, LIVE(32), 2, TSA_KIND_RO}, /* axis2.i_c */

@@ -1,7 +1,7 @@
 /* payload.h - bounded reading of a request and bounded writing of an answer.
  *
- * Neither can leave its buffer. A reader that is asked for more than was received remembers it in `missing` and
- * delivers zeros, a writer that runs full remembers it in `full`: handlers read all fields first and check once.
+ * Neither can leave its buffer. A reader that is asked for more than was received sets `missing` and
+ * delivers zeros, a writer that runs full sets `full`: handlers read all fields first and check once.
  */
 #ifndef COMM_PAYLOAD_H
 #define COMM_PAYLOAD_H
@@ -31,7 +31,7 @@ const uint8_t *payload_take(payload_reader_t *reader, uint32_t size);
 
 /* One of a list of operations: u8 code, u8 length, data. */
 typedef struct {
-    uint8_t code;
+    uint8_t code; /* FreeMASTER code of the operation */
     payload_reader_t operand;
 } payload_operation_t;
 

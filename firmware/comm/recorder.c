@@ -36,7 +36,7 @@ void recorder_init(recorder_t *recorder, const recorder_app_t *app, recorder_mem
 
 static bool complete(const payload_reader_t *operand) { return !operand->missing && operand->left == 0; }
 
-static void forget(recorder_t *recorder)
+static void discard(recorder_t *recorder)
 {
     recorder->running = false;
     recorder->slots = 0;
@@ -62,9 +62,9 @@ static uint8_t reserve(recorder_t *recorder, payload_reader_t *operand)
         if (memory->owner->running) {
             return FM_BUSY;
         }
-        forget(memory->owner);
+        discard(memory->owner);
     }
-    forget(recorder);
+    discard(recorder);
     memory->owner = recorder;
     recorder->slots = slots;
     recorder->total = total;

@@ -1,7 +1,7 @@
 /* friction.h - the current that friction takes: Coulomb with a smooth sign, and viscous.
  *
  * Beyond the reference design. Fed forward from the speed set-point, not from the measured speed: that could not start a
- * shaft, and too large a belief would close a loop with positive feedback.
+ * shaft, and too large a nominal value would close a loop with positive feedback.
  */
 #ifndef SERVO_CONTROL_FRICTION_H
 #define SERVO_CONTROL_FRICTION_H

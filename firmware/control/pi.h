@@ -10,7 +10,7 @@ typedef struct {
     gain_t kc; /* Kc, between 0 (no anti-windup) and 1 */
 } pi_gains_t;
 
-/* Sum of products fraction x gain, not yet rounded: 55 fraction bits, which leaves +-256. The gains that meet in one
+/* Sum of products fraction x gain, not yet rounded: 55 fraction bits, which leaves +-256. The gains that are added in one
  * sum stay below 255 together. */
 typedef int64_t pi_sum_t;
 #define PI_SUM_BITS (31 + GAIN_BITS)

@@ -108,7 +108,7 @@ static void compare(phase_monitor_t *m, int32_t silent, const phases_t *is, dq_t
 }
 
 /* Rare silences by chance are no evidence. */
-static void forget(phase_monitor_t *m)
+static void discard(phase_monitor_t *m)
 {
     m->age++;
     if (m->age % FORGET_TICKS != 0U) {
@@ -131,7 +131,8 @@ static bool current_not_following(const winding_config_t *config, const observat
                2 * ((int32_t)config->emf_floor + windings) + i32_abs(emf) / 2;
 }
 
-/* Only where the back-EMF is that of the frame: a start-up and a search turn the frame themselves. As a suspicion it is forgotten slowly: an observer that has lost its rotor asks for anything. */
+/* Only where the back-EMF is that of the frame: a start-up and a search turn the frame themselves. The count decays
+ * slowly: set-points of an observer that has lost its rotor are arbitrary. */
 static void note_nothing(phase_monitor_t *m, const winding_config_t *config, const observation_t *o, int32_t largest)
 {
     const dq_t wanted = o->current_ref;
@@ -165,7 +166,7 @@ void phase_monitor_step(phase_monitor_t *m, const winding_config_t *config, obse
         compare(m, config->silent, &is, o->current_ref, &at);
     }
     m->faint = (uint16_t)(m->faint + (enough ? 0U : 1U));
-    forget(m);
+    discard(m);
     note_nothing(m, config, o, is.largest);
     if (m->lost) {
         evidence->confirmed |= FOUND(FINDING_PHASE_SILENT);

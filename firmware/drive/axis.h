@@ -19,7 +19,7 @@ void axis_fast(axis_t *axis);
  * estimate of the observer. */
 void axis_estimate(axis_t *axis);
 
-/* In a later period than axis_estimate, before the next slow tick: can the estimate be believed, does the motion obey? New
+/* In a later period than axis_estimate, before the next slow tick: is the estimate reliable, does the motion obey? New
  * limits of the path are taken in here. */
 void axis_check(axis_t *axis);
 

@@ -4,7 +4,7 @@
 
 #include "drive/axis_data.h"
 
-/* From rest, with the rotor believed at `angle`, turning by `step` per period. */
+/* From rest, with the rotor assumed at `angle`, turning by `step` per period. */
 void estimate_start(axis_t *axis, uint32_t angle, int32_t step);
 void estimate_stop(axis_t *axis);
 

@@ -4,7 +4,7 @@
 
 #include "drive/axis_data.h"
 
-/* Duty 50 % on every phase, outputs on or off; controllers forget what they held. */
+/* Duty 50 % on every phase, outputs on or off; controllers are reset. */
 void axis_zero_voltage(axis_t *axis, bool outputs_on);
 
 /* Duty 0 on every phase, outputs on: all low sides short the windings, and the shunts see their currents. */

@@ -1,4 +1,4 @@
-/* startup.h - from rest to a speed at which the observer sees the rotor (ST slides "起动策略", "起动成功的判据").
+/* startup.h - from rest to a speed at which the observer works (ST slides "起动策略", "起动成功的判据").
  *
  * First the windings are kept without current: the back-EMF of a shaft that turns shows then, and it is caught as it is.
  * But dead time and drops keep a current away that is meant to flow, so what seems to be back-EMF may be the echo of the
@@ -27,7 +27,7 @@ void startup_fast(axis_t *axis);
 /* One slow tick, after estimate_step. */
 void startup_step(axis_t *axis);
 
-/* After estimate_judge of the same tick: is the observer to be believed? */
+/* After estimate_judge of the same tick: is the observer reliable? */
 startup_result_t startup_judge(axis_t *axis);
 
 /* A start-up that has failed: because no current flows, or for another reason. */

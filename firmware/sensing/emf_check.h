@@ -2,7 +2,7 @@
  *
  * In the frame of the true rotor it is (0, omega psi_m). An angle that is wrong turns it, a speed that is wrong gives it
  * another length. So it tells a wrong encoder offset and a dead encoder, and a rotor that only swings where the observer
- * believes that it turns: the variance of the observed speed, ST's criterion, does not see that one.
+ * reports that it turns: the variance of the observed speed, ST's criterion, does not see that one.
  */
 #ifndef SERVO_SENSING_EMF_CHECK_H
 #define SERVO_SENSING_EMF_CHECK_H
@@ -21,7 +21,7 @@ typedef struct {
 
 typedef struct {
     int32_t d; /* filtered deviation, 8 bits more */
-    int32_t q;
+    int32_t q; /* the same */
     uint16_t ticks; /* slow ticks of deviation */
 } emf_check_t;
 

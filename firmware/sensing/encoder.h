@@ -6,7 +6,7 @@
 
 typedef struct {
     uint16_t counts;          /* per turn: 4 x lines */
-    uint16_t pole_pairs;
+    uint16_t pole_pairs; /* electrical turns per mechanical turn */
     uint32_t angle_per_count; /* 2^32 / counts: F12's 16.38 with 16 more fraction bits */
 } encoder_config_t;
 
@@ -21,7 +21,7 @@ typedef struct {
 } encoder_t;
 
 /* Angle over the full 32-bit turn. The counter is a two's complement number; its product with 2^32 / counts wraps as
- * the angle does, which is what F12 wants from the 16-bit product without saturation. */
+ * the angle does, which is what F12 requires from the 16-bit product without saturation. */
 static inline uint32_t encoder_angle32(const encoder_config_t *config, uint16_t count)
 {
     return (uint32_t)(int32_t)(int16_t)count * config->angle_per_count;
@@ -54,7 +54,7 @@ void encoder_reset(encoder_t *encoder, uint16_t count, uint16_t index);
 /* One slow loop. False when the index pulses and the count disagree about the turns. */
 bool encoder_update(encoder_t *encoder, const encoder_config_t *config, uint16_t count, uint16_t index);
 
-/* After a disagreement: believe the wrapped differences, which need no index. */
+/* After a disagreement: take the wrapped differences, which need no index. */
 void encoder_resync(encoder_t *encoder, const encoder_config_t *config);
 
 /* The counter has been preset to `count`: the position stays what it was. */

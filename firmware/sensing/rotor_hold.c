@@ -13,7 +13,7 @@ typedef enum {
 /* With a the largest acceleration of the electrical angle per slow tick squared, and the vector at -(P x + D dx), the shaft
  * is a second-order system with omega^2 = a (1 + P) and 2 zeta omega = D a. A rotor that is opposite to the vector at first is
  * driven until that has turned by half a turn: the more damping, the sooner. D a = 0.7 leaves room for an inertia half as
- * large as believed; larger D than 80 makes too much of a count. */
+ * large as assumed; larger D than 80 makes too much of a count. */
 #define GAIN 2
 #define DAMPING_TIMES_ACCELERATION UINT32_C(7301) /* 0.7 / 2 pi x 2^16 */
 #define DAMPING_MAX UINT32_C(80)

@@ -97,7 +97,7 @@ void rotor_search_start(rotor_search_t *search, int32_t position)
     pull(search, position);
 }
 
-/* The rotor is believed to lie at theta_M; the current may still be that of the pull. */
+/* The rotor is assumed to lie at theta_M; the current may still be that of the pull. */
 static void verify(rotor_search_t *search, int32_t position)
 {
     search->phase = ROTOR_SEARCH_VERIFY;
@@ -108,7 +108,7 @@ static void verify(rotor_search_t *search, int32_t position)
     search->follows = false;
 }
 
-/* What was believed is not true, and nothing else is known: look from the side, or give up. */
+/* The assumed position is wrong and no other is known: try from the side, or give up. */
 static void doubt(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     if (search->escapes >= ESCAPES_MAX) {

@@ -7,7 +7,7 @@
  * its size - and the brake is the pull played backwards with the current reversed. The shaft then stops, whatever its
  * inertia, about as far behind the first counts as these were from rest; friction stops it sooner.
  *
- * Honest: nothing is believed that has not been tried. Where the rotor is thought to lie, the vector turns a little at full
+ * Nothing is assumed without a test. Where the rotor is assumed to lie, the vector turns a little at full
  * current until the shaft follows, and back: this cancels friction, and shows a shaft that leans on an end stop, which
  * twitches alone do not, and a reversed encoder, with which the shaft runs away from the vector. Where the largest current
  * moves nothing at all, a vector that turns by a wide angle tells by its voltage a shaft that is held from one that moves
@@ -38,7 +38,7 @@ typedef enum {
     ROTOR_SEARCH_PULL,     /* the current at theta_M grows */
     ROTOR_SEARCH_BRAKE,    /* reversed, it shrinks */
     ROTOR_SEARCH_REST,     /* none; then the windings are shorted until the shaft rests */
-    ROTOR_SEARCH_VERIFY,   /* does the shaft follow the vector where the rotor is believed to lie? */
+    ROTOR_SEARCH_VERIFY,   /* does the shaft follow the vector where the rotor is assumed to lie? */
     ROTOR_SEARCH_TURN,     /* nothing moves: does the rotor follow a turning vector unseen? */
     ROTOR_SEARCH_FOUND,
     ROTOR_SEARCH_HELD,     /* the rotor does not move, or not far enough */

@@ -25,14 +25,14 @@ typedef struct {
     int32_t count;        /* position at the last step */
     int32_t offset;       /* estimated position less the count */
     int32_t step;         /* estimated speed */
-    int32_t acceleration; /* that no current explains: load, friction, a wrong belief */
+    int32_t acceleration; /* that no current explains: load, friction, a wrong nominal value */
 } speed_observer_t;
 
 /* Start at a position with a speed known from elsewhere. */
 void speed_observer_reset(speed_observer_t *observer, const speed_observer_config_t *config, int32_t count,
                           frac32_t speed);
 
-/* Another belief about motor and shaft without a step of the acceleration, while `i_q` flows. */
+/* Other nominal values of motor and shaft without a step of the acceleration, while `i_q` flows. */
 void speed_observer_retune(speed_observer_t *observer, const speed_observer_config_t *before,
                            const speed_observer_config_t *config, frac16_t i_q);
 

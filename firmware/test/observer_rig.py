@@ -15,7 +15,7 @@ T: Final = 62.5e-6
 SLOW: Final = 8
 PAIRS: Final = 2
 R, L, PSI = 0.55, 0.4575e-3, 0.0154
-"""What servo.toml believes of axis 1; the observer takes the mean of both inductances."""
+"""What servo.toml assumes of axis 1; the observer takes the mean of both inductances."""
 
 
 def frac16(x: float) -> int:

@@ -285,7 +285,7 @@ def test_no_set_point_jumps_when_gains_change(core: Core, data: st.DataObject) -
     bench.servo.configure.pending = 1
     assert core.lib.configure_latch(
         core.ffi.addressof(bench.servo, "configure"), core.ffi.addressof(bench.servo, "config_status"),
-        core.ffi.addressof(bench.servo, "parameter"), core.ffi.addressof(bench.servo, "belief"), bench.servo.axis,
+        core.ffi.addressof(bench.servo, "parameter"), core.ffi.addressof(bench.servo, "nominal"), bench.servo.axis,
     )  # fmt: skip
     one = 1 << 55
     after = motion.speed_pi.integral + error * axis.config.speed.kp

@@ -295,7 +295,7 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
             "axis1__rotor_search__interval": 4.0,
             "axis1__observer__bandwidth": 1500.0,
         },
-        "axis1: gains that meet in u_d = 314.",
+        "axis1: gains added in u_d = 314.",
         "one sum of a PI",
     ),
     ("integral gain", {"axis1__motor__r_s": 1000.0}, "axis1: current controller d Kp Ki Ts = 133.", "gain_t"),

@@ -34,7 +34,7 @@ OMEGA_FS = 2 * 5000.0 * math.pi / 30.0  # electrical
 BUS_24V = 21664
 SQRT3 = math.sqrt(3.0)
 LINEAR = int(SQRT3 / 2.0 * 32768)
-MOTOR = {"r": 0.55, "l_d": 0.403e-3, "l_q": 0.512e-3, "psi": 0.0154}  # what servo.toml believes of axis 1
+MOTOR = {"r": 0.55, "l_d": 0.403e-3, "l_q": 0.512e-3, "psi": 0.0154}  # what servo.toml assumes of axis 1
 
 
 def frac16(x: float) -> int:
@@ -440,7 +440,7 @@ def test_voltage_leads_by_the_delay(core: Core) -> None:
 
 @pytest.mark.parametrize("omega", [0.0, 600.0, -600.0])
 def test_step_response_on_a_motor(core: Core, omega: float) -> None:
-    """Closed over E18..E21 with half a period of delay: i_q steps to 2 A at 1 kHz bandwidth, i_d hardly notices."""
+    """Closed over E18..E21 with half a period of delay: i_q steps to 2 A at 1 kHz bandwidth, i_d hardly changes."""
     loop, ts, steps = Loop(core), 1.0 / 16000.0, 10
     i, theta, duty_volts = 0j, 0.3, 0j
     log = []

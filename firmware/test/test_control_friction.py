@@ -1,4 +1,4 @@
-"""Friction compensation against its formula in floating point, over every speed and plausible belief."""
+"""Friction compensation against its formula in floating point, over every speed and plausible nominal value."""
 
 from __future__ import annotations
 

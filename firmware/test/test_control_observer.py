@@ -96,7 +96,7 @@ def test_back_emf_has_no_bias(core: Core, omega: float, i_q: float) -> None:
 
 
 @pytest.mark.parametrize(("r", "l_s", "most"), [(0.5, 1.0, 1.0), (1.5, 1.0, 1.0), (1.0, 0.5, 4.0), (1.0, 1.5, 4.0)])
-def test_wrong_belief_turns_the_angle_as_on_paper(core: Core, r: float, l_s: float, most: float) -> None:
+def test_a_wrong_nominal_value_turns_the_angle_as_on_paper(core: Core, r: float, l_s: float, most: float) -> None:
     """ST slide "控制性能介绍": low sensitivity to R_s, moderate to L_s.
 
     With i_d = 0, R changes only the size of e, and L turns it by delta_L i_q / psi.
@@ -121,5 +121,5 @@ def test_a_turn_is_exact(core: Core) -> None:
 
 
 def test_scales() -> None:
-    """The rig speaks of the same units as the tool."""
+    """The rig uses the same units as the tool."""
     assert (U_FS, I_FS, PAIRS, SLOW) == (24.2, 8.25, 2, 8)

@@ -150,7 +150,7 @@ def test_load_step_shows_in_the_size_of_the_back_emf(core: Core) -> None:
 
 
 def test_wrong_size_gives_way_to_the_phase(core: Core) -> None:
-    """A flux that is a fifth larger than believed: the speed is the true one all the same, after some time."""
+    """A flux that is a fifth larger than nominal: the speed is the true one all the same, after some time."""
     ideal = Ideal(core, flux=1.2)
     ideal.estimator.start(0.0, 200.0)
     for _ in range(round(1.5 / T)):

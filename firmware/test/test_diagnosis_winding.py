@@ -100,15 +100,15 @@ def test_integers_follow_the_heat_balance(
     rig: Diagnosis, r_s: float, rated: float, capacity: float, begin: float, i_d: float, i_q: float, steps: int
 ) -> None:
     it = axis(motor__r_s=r_s, motor__rated_current=rated, heat_capacity=capacity)
-    believed = Winding.of(it)
-    end = exact(believed, begin, math.hypot(i_d, i_q), steps * STEP)
-    if end > 250.0 or believed.resistance * capacity < 20.0:
+    nominal = Winding.of(it)
+    end = exact(nominal, begin, math.hypot(i_d, i_q), steps * STEP)
+    if end > 250.0 or nominal.resistance * capacity < 20.0:
         return  # a winding that saturates, and one that is quicker than any motor's
     model = Model.of(rig, it)
     model.celsius = begin
     model.steps(i_d, i_q, steps)
     # a step of 32 ms sums up the losses of its beginning; the integers of a very slow winding are coarse
-    way = abs(end - begin) + abs(begin - believed.ambient) * 0.02
+    way = abs(end - begin) + abs(begin - nominal.ambient) * 0.02
     assert model.celsius == pytest.approx(end, abs=0.05 + 0.02 * way)
 
 
@@ -199,17 +199,17 @@ def test_any_motor_ends_between_derating_and_maximum(
 ) -> None:
     """From anywhere, with a demand for all the current there is, and never with a fault."""
     it = axis(motor__r_s=r_s, motor__rated_current=rated, heat_capacity=capacity, ambient=ambient)
-    believed = Winding.of(it)
-    heats = believed.loss(4.0, 130.0) * STEP / capacity
-    if heats > 5.0 or believed.resistance * capacity > 60.0:
+    nominal = Winding.of(it)
+    heats = nominal.loss(4.0, 130.0) * STEP / capacity
+    if heats > 5.0 or nominal.resistance * capacity > 60.0:
         return  # from the derating to the fault in a few steps; and what takes too long here
     model = Model.of(rig, it)
     model.celsius = begin
-    for _ in range(round(8.0 * believed.resistance * capacity / STEP)):
+    for _ in range(round(8.0 * nominal.resistance * capacity / STEP)):
         model.step_steadily(model.limit())
         assert not model.state.hot
         assert model.celsius < 130.0 + heats + 0.1
-    current, end = believed.settled()
+    current, end = nominal.settled()
     assert model.celsius == pytest.approx(end, abs=1.0)
     assert model.limit() == pytest.approx(current, abs=0.05 * (4.0 - rated) + 0.03)
 

@@ -197,7 +197,7 @@ def test_both_axes_at_once(core: Core) -> None:
 
 
 def test_spinning_axis_without_back_emf_is_found_out(bench: Bench) -> None:
-    """Put into SPIN by hand: no back-EMF answers, and the speed is not believed."""
+    """Put into SPIN by hand: no back-EMF answers, and the speed is not accepted."""
     to_ready(bench)
     bench.write(0, speed=speed(100.0))
     bench.to_substate(0, STARTUP, 3)

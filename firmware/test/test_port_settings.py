@@ -122,8 +122,8 @@ def test_the_same_values_where_int_has_16_bits(compile_program: CompileProgram, 
 
 
 def test_the_application_has_the_same_quantities() -> None:
-    """servo.toml is what the controller believes; the registers must agree with it."""
-    belief = tomllib.loads((FIRMWARE / "config" / "servo.toml").read_text(encoding="utf-8"))
+    """servo.toml holds the nominal values of the controller; the registers must agree with it."""
+    nominal = tomllib.loads((FIRMWARE / "config" / "servo.toml").read_text(encoding="utf-8"))
     settings = (PORT / "settings.h").read_text(encoding="ascii")
 
     def quantity(name: str) -> int:
@@ -132,10 +132,10 @@ def test_the_application_has_the_same_quantities() -> None:
                 return int(line.split()[2].rstrip("UL"))
         raise AssertionError(f"{name} has no value")
 
-    assert quantity("PWM_FREQUENCY_HZ") == belief["board"]["pwm_frequency"]
-    assert quantity("DEAD_TIME_NS") == pytest.approx(1e9 * belief["board"]["dead_time"])
-    assert quantity("BUS_CLOCK_HZ") / quantity("TIME_STAMP_DIVIDER") == belief["board"]["timer_clock"]
-    assert quantity("ENCODER_LINES") == belief["defaults"]["encoder"]["lines"]
+    assert quantity("PWM_FREQUENCY_HZ") == nominal["board"]["pwm_frequency"]
+    assert quantity("DEAD_TIME_NS") == pytest.approx(1e9 * nominal["board"]["dead_time"])
+    assert quantity("BUS_CLOCK_HZ") / quantity("TIME_STAMP_DIVIDER") == nominal["board"]["timer_clock"]
+    assert quantity("ENCODER_LINES") == nominal["defaults"]["encoder"]["lines"]
 
 
 # ---- a change of a quantity moves the registers that it should, and no others ---------------------------------------

@@ -227,7 +227,7 @@ def test_pulse_is_forgotten_at_half_a_turn(core: Core, config: Any, way: int) ->
         assert encoder.pending == kept
 
 
-def test_resync_believes_the_differences(core: Core, config: Any) -> None:
+def test_resync_takes_the_differences(core: Core, config: Any) -> None:
     encoder = Encoder(core, config)
     encoder.timer.index_works = False
     for _ in range(41):

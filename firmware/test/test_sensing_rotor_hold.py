@@ -67,7 +67,7 @@ def test_found_under_load_from_every_angle(core: Core, axis: int, part: float) -
 
 @pytest.mark.parametrize("inertia", [0.5, 2.0, 3.0])
 @pytest.mark.parametrize("axis", [0, 1])
-def test_found_with_another_inertia_than_believed(core: Core, axis: int, inertia: float) -> None:
+def test_found_with_another_inertia_than_nominal(core: Core, axis: int, inertia: float) -> None:
     for degrees in range(-170, 180, 20):
         result = search(core, axis, degrees, 0.02, inertia=inertia * SHAFTS[axis][0])
         assert result.phase == FOUND, degrees

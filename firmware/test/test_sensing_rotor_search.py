@@ -399,7 +399,7 @@ def test_long_times_do_not_wrap(core: Core, factor: int) -> None:
 
 
 def verifying(core: Core, config: Any) -> Any:
-    """A search that believes the rotor at theta_M, 0, with the shaft at 0."""
+    """A search that assumes the rotor at theta_M, 0, with the shaft at 0."""
     s = core.ffi.new("rotor_search_t *")
     core.lib.rotor_search_start(s, 0)
     s.reach = 128
@@ -575,7 +575,7 @@ def test_interval_halves_exactly(core: Core) -> None:
 @pytest.mark.parametrize("at", range(1, 7))
 @pytest.mark.parametrize("degrees", [-140.0, -33.0, 12.0, 71.0])
 def test_push_from_outside_leads_to_no_wrong_angle(core: Core, degrees: float, at: int) -> None:
-    """A knock moves the shaft against one of the vectors: that twitch is believed, and found out."""
+    """A knock moves the shaft against one of the vectors: that twitch is taken for an answer, and then refuted."""
     shaft = Shaft(degrees * DEGREE)
     knocked = False
 

@@ -146,7 +146,7 @@ def test_rest_is_rest(core: Core) -> None:
 
 
 def test_lost_shaft_is_found_again(core: Core) -> None:
-    """A counter that jumps is believed: no estimate that winds up."""
+    """A counter that jumps is accepted: no estimate that winds up."""
     shaft = Shaft(core)
     shaft.theta = 500 * COUNT
     shaft.step()

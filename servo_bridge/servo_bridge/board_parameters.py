@@ -1,4 +1,4 @@
-"""The parameters of the connected board: read, brought to what the user wants, read again and told. Pure.
+"""The parameters of the connected board: read, set to what the user requests, read again and reported. Pure.
 
 Everything runs in one thread except the link's own work, whose ends come back through `post`.
 """
@@ -19,7 +19,7 @@ __all__ = ["BoardParameters"]
 
 
 class BoardParameters:
-    """Keeps a board at the parameters that the user wants.
+    """Keeps a board at the parameters that the user requests.
 
     What the user does not name stays as it is on the board. The first thing that goes wrong stands in `trouble`.
 
@@ -43,7 +43,7 @@ class BoardParameters:
     values : mapping or None
         Raw parameters of the board; None while they are not known.
     trouble : str
-        Why the board does not have what the user wants; empty when it has.
+        Why the board does not have what the user requests; empty when it has.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class BoardParameters:
         self._round = 0  # what comes back from an earlier round is void
 
     # ---- what the owner tells
-    def want(self, assignments: Sequence[Assignment]) -> None:
+    def request(self, assignments: Sequence[Assignment]) -> None:
         """Bring the board to these, now and after every connection."""
         self._wanted = assignments
         if self._connected:

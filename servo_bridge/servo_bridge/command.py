@@ -57,7 +57,7 @@ from servo_msgs_py import topics
 __all__ = ["CommandError", "Commander", "main"]
 
 _STEP: Final = 0.02  # [s]
-_MATCH: Final = 0.3  # until a subscription hears what a running node publishes [s]
+_MATCH: Final = 0.3  # until a subscription receives what a running node publishes [s]
 _REPEAT: Final = 0.05  # between two velocity or effort set-points, which expire when they are not renewed [s]
 _QUANTITIES: Final = ("position", "velocity", "effort")
 _BRIDGE: Final = "servo_bridge"  # name of the node
@@ -387,7 +387,7 @@ class Commander(Node):
             self._log_lines.append(message.msg)
 
     def _publisher(self, kind: Any, name: str) -> Any:
-        """A publisher that the bridge hears, with the log of the bridge heard, too."""
+        """A publisher matched with the bridge, and a subscription matched with the bridge's log."""
         if name in self._matched_publishers:
             return self._matched_publishers[name]
         topic = self._of(name)

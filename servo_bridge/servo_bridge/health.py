@@ -35,7 +35,7 @@ WINDING: Final = ("winding_temperature", "winding_current")
 
 @dataclass(frozen=True)
 class Winding:
-    """What the board thinks of a motor's winding.
+    """The board's estimate of a motor's winding.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class CommandFigures:
 
 
 class Health:
-    """Builds the statuses; remembers the last counters so that new trouble is seen.
+    """Builds the statuses; keeps the last counters so that new errors are seen.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ class Health:
         return self._status("stream", level, message, values)
 
     def parameters(self, values: RawParameters | None, trouble: str) -> DiagnosticStatus:
-        """Status of the parameters of the board: their values, and whether they are those that the user wants."""
+        """Status of the parameters of the board: their values, and whether they are those that the user requests."""
         if values is None:
             return self._status("parameters", _WARN, trouble or "not read yet", {})
         known = si(values, self._catalogue)

@@ -48,7 +48,7 @@ class Inbox:
             function()
 
     def close(self) -> None:
-        """Take nothing more and forget what waits."""
+        """Take nothing more and discard what waits."""
         with self._lock:
             self._closed = True
             self._waiting.clear()

@@ -72,6 +72,7 @@ class SessionAccess(BoardAccess):
         return True
 
     def wait(self, seconds: float) -> None:
+        """Let time pass [s]; `meanwhile` is called again and again."""
         end = self._line.clock() + round(seconds * 1e9)
         while (left := end - self._line.clock()) > 0:
             self._meanwhile()
@@ -92,6 +93,7 @@ class SessionAccess(BoardAccess):
         start: Callable[[], None] | None = None,
         *,
         trigger: str | None = None,
+        lead: float = 0.0,
         meanwhile: Callable[[bool], None] | None = None,
     ) -> Recording:
         condition = None if trigger is None else f"{trigger} >= 1"
@@ -107,7 +109,7 @@ class SessionAccess(BoardAccess):
         )
         recording = BurstRecording(request, self.catalogue, clock=self._clock)
         try:
-            burst = self._recorded(recording, start, samples * step, meanwhile or (lambda _: None))
+            burst = self._recorded(recording, start, samples * step, lead, meanwhile or (lambda _: None))
         except (RecorderError, UnknownVariableError, ValueError) as error:
             raise MeasurementError(f"recording {', '.join(names)}: {error}") from error
         finally:
@@ -120,13 +122,15 @@ class SessionAccess(BoardAccess):
         recording: BurstRecording,
         start: Callable[[], None] | None,
         seconds: float,
+        lead: float,
         meanwhile: Callable[[bool], None],
     ) -> Burst:
         while recording.phase in (Phase.SET_UP, Phase.READY):
             recording.step(self._session)
             meanwhile(False)
         # Nothing triggers before the memory was full once; without a trigger the last samples before the stop are kept.
-        ready = self._clock() + (_LEAD if recording.request.trigger is None else seconds + _LEAD)
+        filling = 0.0 if recording.request.trigger is None else max(seconds - lead, 0.0)
+        ready = self._clock() + filling + _LEAD
         while self._clock() < ready:
             self.wait(_ATTEND)
             meanwhile(False)

@@ -9,8 +9,9 @@ from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import flag_texts
 from servo_msgs_py.units import SLOW_PERIODS
 
-from servo_bridge.arbiter import Arbiter, CommandWrite
+from servo_bridge.arbiter import Arbiter
 from servo_bridge.dispatcher import Dispatcher
+from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.telemetry import Frame
 
 __all__ = ["MotionServices", "Outcome"]
@@ -49,7 +50,7 @@ class MotionServices:
         on_event: Callable[[str], None],
     ) -> None:
         self._catalogue = catalogue
-        self._input = next(flag.mask for flag in catalogue.flags["limits"] if flag.name == "INPUT")
+        self._input = catalogue.flag("limits", "INPUT").mask
         self._joints = list(joints)
         self._arbiter = arbiter
         self._dispatcher = dispatcher

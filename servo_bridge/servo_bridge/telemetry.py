@@ -1,4 +1,4 @@
-"""One sample of the board as the rest of the bridge wants it: 64-bit positions and the state of every axis. Pure."""
+"""One sample of the board as the rest of the bridge needs it: 64-bit positions and the state of every axis. Pure."""
 
 from __future__ import annotations
 

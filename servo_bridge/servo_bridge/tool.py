@@ -107,7 +107,7 @@ def _parser() -> argparse.ArgumentParser:
         type=_password,
         default=argparse.SUPPRESS,
         metavar="TEXT",
-        help=f"for boards that want one (default: ${PASSWORD_VARIABLE}, or asked for)",
+        help=f"for boards that require one (default: ${PASSWORD_VARIABLE}, or asked for)",
     )
     parser = argparse.ArgumentParser(
         prog="servo-tool",

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.measurement.access import MeasurementError
-from servo_msgs_py.measurement.bode import LOOPS, Bode, Request, measure
+from servo_msgs_py.measurement.bode import Bode, measure
+from servo_msgs_py.measurement.bode_plan import LOOPS, Request
 from servo_msgs_py.measurement.bode_report import COLUMNS, as_dict, draw, rows, text
 
 from servo_bridge.bode_recording import write_recording

@@ -319,7 +319,7 @@ def warn(context: Context) -> None:
 
 
 def _require_contract(context: Context) -> None:
-    """Refuse to write to a servo board of another version; a stranger is written by its own types."""
+    """Refuse to write to a servo board of another version; a board without catalogue is written by its own types."""
     mismatch = context.session.mismatch
     if isinstance(mismatch, BoardMismatchError) and not mismatch.stranger and not getattr(context.args, "raw", False):
         raise mismatch
@@ -346,7 +346,7 @@ def _readings(sampler: Sampler, rate: float | None, duration: float | None) -> I
 
 
 def _compare(context: Context) -> tuple[dict[str, bytes], dict[str, bytes]]:
-    """Bytes that the file wants and bytes that the board has."""
+    """Bytes that the file expects and bytes that the board has."""
     path = parameter_file.checked(Path(context.args.file))
     variables, catalogue = context.session.variables, context.catalogue
     known = catalogue.hash if context.session.mismatch is None else None

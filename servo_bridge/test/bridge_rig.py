@@ -39,7 +39,7 @@ from servo_msgs_py import topics
 T = TypeVar("T")
 DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 20 + os.getpid() % 80
 STOP, SPIN, FAULT = (2, 0), (3, 3), (0, 0)
-BELIEFS = {"axis1.torque_constant": 0.04, "axis2.torque_constant": 0.05} | {
+NOMINAL_VALUES = {"axis1.torque_constant": 0.04, "axis2.torque_constant": 0.05} | {
     f"axis{k}.acceleration_current": 2.0e-4 for k in (1, 2)
 }
 
@@ -117,7 +117,7 @@ class FakeLink:
             done.set_result(self.blocks[name])
         else:
             count = self.catalogue[name].count
-            done.set_result(BELIEFS.get(name, self.values.get(name, 1.5 if count == 1 else [1.5] * count)))
+            done.set_result(NOMINAL_VALUES.get(name, self.values.get(name, 1.5 if count == 1 else [1.5] * count)))
         return done
 
     def call(self, function: Callable[[Session], T]) -> Future[T]:

@@ -146,7 +146,7 @@ def test_all_that_fits_is_recorded_and_no_more(kind: type[FakeTarget]) -> None:
         recorder.configure(Setup((COUNT,) * 80))
 
 
-def test_a_target_that_counts_bytes_in_another_way_is_believed() -> None:
+def test_a_target_that_counts_bytes_in_another_way_is_followed() -> None:
     """The alignment of its memory is its own: what it says after the set-up counts."""
     target, client = a_target()
     real = target.recorders[0].capacity

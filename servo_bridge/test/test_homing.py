@@ -5,16 +5,17 @@ from __future__ import annotations
 from concurrent.futures import Future
 
 import pytest
-from servo_bridge.arbiter import Arbiter, AxisStatus, CommandWrite
+from servo_bridge.arbiter import Arbiter, AxisStatus
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.homing import METHODS, Homing
+from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.telemetry import Frame
 from servo_msgs_py.catalogue import Catalogue, Value
 from servo_msgs_py.joints import Joint
 
 CATALOGUE = Catalogue.load()
 STATE, METHOD, RESULT = (CATALOGUE.enums[f"home_{name}_t"] for name in ("state", "method", "result"))
-FEATURE = next(flag.mask for flag in CATALOGUE.flags["features"] if flag.name == "HOMING")
+FEATURE = CATALOGUE.flag("features", "HOMING").mask
 LSB = CATALOGUE["cmd.home_position"].lsb
 
 
@@ -28,7 +29,7 @@ class Rig:
         self.values = {f"axis{k}.home_{what}": 0.0 for k in (1, 2) for what in ("result", "spread")}
         joints = (Joint("arm", gear_ratio=10.0, direction=-1, offset=0.5), Joint("hand"))
         self.arbiter = Arbiter(CATALOGUE, joints)
-        self.dispatcher = Dispatcher(self._send, self.arbiter, self.said.append)
+        self.dispatcher = Dispatcher(self._send, self.arbiter.queue, self.said.append)
         self.homing = Homing(
             CATALOGUE,
             joints,

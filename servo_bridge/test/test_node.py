@@ -209,7 +209,7 @@ def test_the_same_message_again_renews_the_set_point_and_silence_writes_nothing(
 
 
 def test_a_set_point_that_expires_is_told_once_with_the_time_of_the_board(rig: Rig) -> None:
-    expired = next(flag.mask for flag in CATALOGUE.flags["limits"] if flag.name == "EXPIRED")
+    expired = CATALOGUE.flag("limits", "EXPIRED").mask
     rig.link.parameters["param.command_timeout"] = [CATALOGUE["param.command_timeout"].to_raw(0.25)]
     rig.ready()
     rig.until(lambda: rig.messages[topics.PARAMETERS])
@@ -480,7 +480,7 @@ def test_senseless_parameters_are_named(parameters: dict[str, Any], sentence: st
     assert sentence in str(caught.value)
 
 
-def test_a_bridge_that_did_not_start_takes_nobody_s_log_with_it() -> None:
+def test_a_bridge_that_failed_to_start_leaves_the_log_of_the_next_one_working() -> None:
     """What is left of it may be collected at any time, while the next one of its name is at work."""
     with pytest.raises(ParameterError) as refused, Rig(joints=["one"]):
         pass

@@ -2,7 +2,7 @@
 
 The description has what robot_state_publisher and MoveIt need, and a ``ros2_control`` tag for hardware that speaks by
 the topics of the bridge. Gear ratio, direction and offset stand in the transmissions of that tag: twin, viewer and
-commander take them from there. Its joints have what the board believes of its motors.
+commander take them from there. Its joints have the nominal values of the board's motors.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _HEIGHT: Final = 0.01
 
 @dataclass(frozen=True)
 class Motor:
-    """What the controller of an axis believes of its motor.
+    """Nominal values of the motor of an axis.
 
     Attributes
     ----------

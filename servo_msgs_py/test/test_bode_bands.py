@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from servo_msgs_py.measurement.access import MeasurementError, step_of
-from servo_msgs_py.measurement.bode import bands_of
+from servo_msgs_py.measurement.bode_plan import bands_of
 
 
 @given(

@@ -62,6 +62,7 @@ class VirtualBoardAccess(BoardAccess):
         return True
 
     def wait(self, seconds: float) -> None:
+        """Let simulated time pass [s]."""
         self.board.run(seconds)
 
     def capacity(self, names: Sequence[str]) -> int:
@@ -77,6 +78,7 @@ class VirtualBoardAccess(BoardAccess):
         start: Callable[[], None] | None = None,
         *,
         trigger: str | None = None,
+        lead: float = 0.0,
         meanwhile: Callable[[bool], None] | None = None,
     ) -> Recording:
         elements = [element_of(self.catalogue, name) for name in names]

@@ -11,7 +11,8 @@ import pytest
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.measurement.access import MeasurementError, Recording, send_configuration
-from servo_msgs_py.measurement.bode import LOOPS, Bode, Request, measure
+from servo_msgs_py.measurement.bode import Bode, measure
+from servo_msgs_py.measurement.bode_plan import LOOPS, Request
 from servo_msgs_py.measurement.bode_report import as_dict, draw, text
 from servo_msgs_py.measurement.test_signal import end_test_signal
 from servo_twin.board import Board
@@ -88,7 +89,7 @@ def test_other_gains_and_the_speed_observer_are_predicted_too(access: VirtualBoa
     assert half.figures.crossover is not None
     assert half.figures.crossover.value < 50.0
     send_configuration(access, {0: block})
-    observer = next(flag.mask for flag in access.catalogue.flags["features"] if flag.name == "SPEED_OBSERVER")
+    observer = access.catalogue.flag("features", "SPEED_OBSERVER").mask
     words = access.read("param.features")
     access.write("param.features", [words[0] + observer, words[1]])
     observed = measure(access, Request(0, "position"), enable=True)
@@ -249,6 +250,7 @@ class EndedSignal(VirtualBoardAccess):
         start: Callable[[], None] | None = None,
         *,
         trigger: str | None = None,
+        lead: float = 0.0,
         meanwhile: Callable[[bool], None] | None = None,
     ) -> Recording:
         calls = 0
@@ -261,7 +263,7 @@ class EndedSignal(VirtualBoardAccess):
             if meanwhile is not None:
                 meanwhile(full)
 
-        return super().record(names, samples, every, slow, start, trigger=trigger, meanwhile=ending)
+        return super().record(names, samples, every, slow, start, trigger=trigger, lead=lead, meanwhile=ending)
 
 
 def test_a_test_signal_that_ends_early_is_refused(access: VirtualBoardAccess) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import math
@@ -23,8 +24,9 @@ from servo_twin.cli import main
 from servo_twin.firmware_build import servo_table
 from servo_twin.identification.files import write_estimates
 from servo_twin.identification.motors import random_motor
+from servo_twin.identification.refine import covariance
 from servo_twin.identification.session import identified, measure_virtual
-from servo_twin.identification.trials import AIMS, Trial, summary
+from servo_twin.identification.trials import AIMS, Trial, Trials, summary
 from servo_twin.plant import PlantConfig
 
 AXIS = 1
@@ -169,11 +171,16 @@ class _Watched(VirtualBoardAccess):
     def record(
         self, names: Sequence[str], samples: int, every: int, slow: bool, *args: Any, **options: Any
     ) -> Recording:
-        if self._slow:
-            self._advance(0.2 + (samples * step_of(every, slow) if options.get("trigger") else 0.0))
+        attended: Callable[[bool], None] = options["meanwhile"]
+
+        def pass_time(seconds: float, full: bool) -> None:
+            for _ in range(round(seconds / 0.08) if self._slow else 0):
+                self._advance(0.08)
+                attended(full)
+
+        pass_time(0.2 + (samples * step_of(every, slow) if options.get("trigger") else 0.0), False)
         recording = super().record(names, samples, every, slow, *args, **options)
-        if self._slow:
-            self._advance(0.7)  # samples are read
+        pass_time(0.7, True)  # samples are read
         return recording
 
 
@@ -293,6 +300,27 @@ def test_a_shaft_that_does_not_come_to_rest_is_waited_for_and_told(seconds: floa
         assert ("Do not enable it" in test.restoring_text) == math.isinf(seconds)
 
 
+@pytest.mark.parametrize("mode", ["TEST", "SPEED"])
+def test_a_host_that_falls_silent_ends_the_motion(mode: str) -> None:
+    """The board stops the shaft by itself, and the set-point is not given again."""
+    speeds: list[float] = []
+
+    def pause(access: _Watched) -> None:
+        board = access.board
+        turns = abs(board.truth(0).omega_m) > (3.0 if mode == "TEST" else 20.0)
+        if turns and not speeds and board.read("axis1.mode") == board.catalogue.enums["control_mode_t"][mode]:
+            board.run(1.5)
+            speeds.append(board.truth(0).omega_m)
+
+    with Board(PlantConfig.load(), seed=1, level="ideal") as board:
+        board.run(0.05)
+        before = _state(board)
+        with pytest.raises(MeasurementError, match="EXPIRED"):
+            MotorTest(_Watched(board, pause), 0, LIMITS, servo_table()).run()
+        assert abs(speeds[0]) < 1.0
+        assert _state(board) == before
+
+
 @pytest.mark.parametrize(("axis", "reason"), [(0, "axis1 is enabled"), (1, "axis2 is enabled")])
 def test_nothing_is_done_while_an_axis_is_enabled(axis: int, reason: str) -> None:
     class Silent(_Watched):
@@ -362,3 +390,31 @@ def test_false_success_is_counted() -> None:
     text = "\n".join(summary([(0, good), (1, far), (2, told)]))
     assert "3 motors: 2 identified, 1 not" in text
     assert "false success: 1 (motors 1)" in text
+
+
+def test_uncertainties_of_few_points_are_not_too_small() -> None:
+    """A line through six points, each a batch of its own: what a fit draws to itself counts, too."""
+    x = np.linspace(0.2, 1.0, 6)
+    jacobian = np.column_stack([x, np.ones_like(x)])
+    true = np.linalg.inv(jacobian.T @ jacobian)
+    rng = np.random.default_rng(1)
+    found = np.zeros((2, 2))
+    for _ in range(2000):
+        noise = rng.standard_normal(x.size)
+        left = noise - jacobian @ np.linalg.lstsq(jacobian, noise, rcond=None)[0]
+        found += covariance(jacobian, left, np.arange(x.size)) / 2000
+    assert np.all(np.diag(found) > np.diag(true))
+    assert np.all(np.diag(found) < 2.0 * np.diag(true))
+
+
+def test_trials_that_are_ended_leave_what_they_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def run(_: Trials, number: int) -> Trial:
+        if number == 2:
+            raise KeyboardInterrupt
+        return Trial(dict.fromkeys(AIMS, 0.01), dict.fromkeys(AIMS, True), 20.0, (), "")
+
+    monkeypatch.setattr(Trials, "run", run)
+    arguments = ["identify", "--trials", "3", "--workers", "1", "--seed", "5", "--level", "ideal"]
+    with contextlib.suppress(KeyboardInterrupt):
+        main([*arguments, "--out", str(tmp_path)])
+    assert [trial["motor"] for trial in json.loads((tmp_path / "trials.json").read_text())] == [5, 6]

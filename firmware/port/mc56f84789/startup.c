@@ -38,7 +38,7 @@ copied:
     rts
 }
 
-/* Interrupts off, mode of the core as C wants it, stack, data and fast code out of flash, bss; the symbols are the
+/* Interrupts off, mode of the core as C requires it, stack, data and fast code out of flash, bss; the symbols are the
  * linker's. */
 asm void startup_entry(void)
 {

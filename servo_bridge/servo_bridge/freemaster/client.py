@@ -60,7 +60,7 @@ class Client:
     before_exchange : callable or None
         Called before every exchange; may exchange something itself while it has taken itself out of here.
     ask_password : callable or None
-        Gives the password when the target wants one; None or a None from it lets the refusal stand.
+        Gives the password when the target requires one; None or a None from it lets the refusal stand.
     info : BoardInfo
         What the target said when it was identified.
     """
@@ -84,7 +84,7 @@ class Client:
         return min(self.mtu - 2, MAX_ANSWER_DATA)
 
     def exchange(self, request: Request, *, retries: int | None = None) -> Exchange:
-        """Send any request; see `Line.exchange`. Logs in when the target wants a password and there is one."""
+        """Send any request; see `Line.exchange`. Logs in when the target requires a password and there is one."""
         if self.before_exchange is not None:
             self.before_exchange()
         try:
@@ -260,7 +260,7 @@ class Client:
     # ---- application commands ---------------------------------------------------------------------------------
 
     def run_command(self, code: int, arguments: bytes = b"", *, timeout: float = 1.0) -> int:
-        """Run an application command and wait for its result.
+        """Run an application command and wait for its result, at most `timeout` [s].
 
         Raises
         ------

@@ -176,12 +176,12 @@ class Follower:
         self._request = _Request(axes, plan, start, begun, refused, abandoned, takes_over)
 
     def withdraw(self, plan: Plan) -> None:
-        """Forget a request that has not begun, and tell nothing."""
+        """Discard a request that has not begun, without a result."""
         if self._request is not None and self._request.plan is plan:
             self._request = None
 
     def cancel(self, axis: int, reason: str) -> None:
-        """Forget the path of an axis, and the request that names it."""
+        """Discard the path of an axis, and the request that names it."""
         before = self._axes[axis]
         self._axes[axis] = _Axis(position_ref=before.position_ref)
         if before.abandoned is not None:

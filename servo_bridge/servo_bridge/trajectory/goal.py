@@ -51,7 +51,7 @@ class Step(Enum):
     STOP = "stop"
     """Have the joints of the goal stop and hold."""
     WITHDRAW = "withdraw"
-    """Its path has not begun: forget it, and send the result."""
+    """Its path has not begun: discard it, and send the result."""
     END = "end"
     """Send the result, `Goal.outcome`; joints that still follow the path of an aborted goal have to stop."""
 

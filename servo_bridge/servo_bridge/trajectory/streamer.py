@@ -47,7 +47,7 @@ _RELAX: Final = 0.0001
 def stream_lead(baud: int) -> float:
     """How long before it is due a point of a stream is sent at first [s].
 
-    The segment that ends there takes a step, 10 ms; the board wants a point 1.5 ms ahead and checks eight of them in
+    The segment that ends there takes a step, 10 ms; the board needs a point 1.5 ms ahead and checks eight of them in
     5 ms; the rest of 27 ms is for the computer. On the line the tick is as old as its sample, 83 bytes. Where a write
     of eight points, 142 bytes, has just begun, it goes before with the sample that shows its effect, then comes the
     write itself: 450 bytes.

@@ -15,7 +15,7 @@ _PATIENCE: Final = 1.0
 
 
 class BlockSession:
-    """A board as `servo_msgs_py.axis_config_transfer.BlockMemory` wants it.
+    """A board as a `servo_msgs_py.axis_config_transfer.BlockMemory`.
 
     Parameters
     ----------

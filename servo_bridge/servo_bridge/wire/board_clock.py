@@ -118,7 +118,7 @@ class BoardClock:
         return self._offset
 
     def reset(self) -> None:
-        """Forget the offset: the board counts anew."""
+        """Discard the offset: the board counts anew."""
         self._buckets.clear()
         self._offset = None
 

@@ -62,7 +62,7 @@ trip of that sample: without a pause another sample goes before."""
 
 
 class _StopError(Exception):
-    """The owner wants the thread to end."""
+    """The owner requests the end of the thread."""
 
 
 class Link:
@@ -333,7 +333,7 @@ class Link:
         raise _StopError
 
     def _loop(self, client: Client, reader: ScopeReader) -> None:
-        """Alternate between one job and one sample until the owner wants to stop.
+        """Alternate between one job and one sample until the owner requests a stop.
 
         A sample is handed to the owner while the line carries the request after it; one that shows the effect of a
         write at once, for there may be a next one.

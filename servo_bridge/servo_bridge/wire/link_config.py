@@ -1,4 +1,4 @@
-"""What the owner of a link says to it and hears from it. Pure."""
+"""Inputs and outputs of a link, as its owner sees them. Pure."""
 
 from __future__ import annotations
 

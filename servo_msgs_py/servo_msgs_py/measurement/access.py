@@ -103,7 +103,7 @@ class BoardAccess(BlockMemory, Protocol):
             raise MeasurementError(f"{name}: the board refuses {', '.join(f'{value:g}' for value in values)}")
 
     def wait(self, seconds: float) -> None:
-        """Let board time pass; the board does not miss its host meanwhile."""
+        """Let board time pass [s]; the board does not miss its host meanwhile."""
 
     def capacity(self, names: Sequence[str]) -> int:
         """How many samples of these variables fit one recording; elements of arrays as ``name[k]``."""
@@ -117,6 +117,7 @@ class BoardAccess(BlockMemory, Protocol):
         start: Callable[[], None] | None = None,
         *,
         trigger: str | None = None,
+        lead: float = 0.0,
         meanwhile: Callable[[bool], None] | None = None,
     ) -> Recording:
         """Record some variables.
@@ -135,8 +136,10 @@ class BoardAccess(BlockMemory, Protocol):
             Called when the recorder is armed; it writes what is to be recorded.
         trigger : str, optional
             Variable: the first sample is the one at which it is above zero; on a serial line it takes as long as the
-            recording until `start` is called, because the memory has to be full once. By default the recording begins
-            before `start` is called, on a serial line by up to 0.3 s.
+            recording, less `lead`, until `start` is called, because the memory has to be full once. By default the
+            recording begins before `start` is called, on a serial line by up to 0.3 s.
+        lead : float, optional
+            Time that `start` takes at least before the trigger comes [s].
         meanwhile : callable, optional
             Called again and again, on a serial line some ten times a second, from before `start` until the samples
             have been read. Its argument says whether the memory is full: then nothing depends on the axis any more,

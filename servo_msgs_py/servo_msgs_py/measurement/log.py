@@ -173,12 +173,14 @@ class LoggedAccess(BoardAccess):
     ----------
     stage : str
         Part of the measurement that is made now.
+    label : str
+        What the next recording is for.
     """
 
     def __init__(self, access: BoardAccess, log: MeasurementLog) -> None:
         self._access = access
         self.log = log
-        self.stage = ""
+        self.stage = self.label = ""
         self._calls = log.calls
 
     @property
@@ -193,6 +195,7 @@ class LoggedAccess(BoardAccess):
         return self._access.write_words(name, words, first)
 
     def wait(self, seconds: float) -> None:
+        """Let board time pass [s], and note it."""
         self._calls.append(Call("wait", (seconds,), stage=self.stage))
         self._access.wait(seconds)
 
@@ -208,25 +211,13 @@ class LoggedAccess(BoardAccess):
         start: Callable[[], None] | None = None,
         *,
         trigger: str | None = None,
+        lead: float = 0.0,
         meanwhile: Callable[[bool], None] | None = None,
     ) -> Recording:
-        return self.labelled("", names, samples, every, slow, start, trigger=trigger, meanwhile=meanwhile)
-
-    def labelled(
-        self,
-        label: str,
-        names: Sequence[str],
-        samples: int,
-        every: int,
-        slow: bool,
-        start: Callable[[], None] | None = None,
-        *,
-        trigger: str | None = None,
-        meanwhile: Callable[[bool], None] | None = None,
-    ) -> Recording:
-        """As `record`, with a purpose; what `meanwhile` does is not written down."""
-        outer = self._calls
+        """Record with `label`, which holds for one recording; what `meanwhile` does is not written down."""
+        outer, label = self._calls, self.label
         inner: list[Call] = []
+        self.label = ""
 
         def logged_start() -> None:
             self._calls = inner
@@ -236,7 +227,17 @@ class LoggedAccess(BoardAccess):
             finally:
                 self._calls = outer
 
-        recording = self._access.record(names, samples, every, slow, logged_start, trigger=trigger, meanwhile=meanwhile)
+        def unlogged(full: bool) -> None:
+            self._calls = []
+            try:
+                if meanwhile is not None:
+                    meanwhile(full)
+            finally:
+                self._calls = outer
+
+        recording = self._access.record(
+            names, samples, every, slow, logged_start, trigger=trigger, lead=lead, meanwhile=unlogged
+        )
         outer.append(Call("record", (list(names), samples, every, slow, trigger), tuple(inner), label, self.stage))
         self.log.recordings.append(recording)
         return recording

@@ -28,13 +28,13 @@ _GRID: Final = 200
 def tuned_of_blocks(
     access: BoardAccess, axis: int, blocks: Sequence[Mapping[str, int]], timeouts: tuple[float, float] = (0.5, 0.5)
 ) -> Tuned:
-    """Gains and beliefs of configuration blocks; a `ConfigError` if no configuration gives them."""
+    """Gains and nominal values of configuration blocks; a `ConfigError` if no configuration gives them."""
     configuration = parse(restored(blocks, timeouts, access.catalogue), access.catalogue)
     return tuned(configuration.axes[axis], configuration)
 
 
 def tuned_of_board(access: BoardAccess, axis: int) -> Tuned:
-    """Gains and beliefs that a board has in force; see `tuned_of_blocks`."""
+    """Gains and nominal values that a board has in force; see `tuned_of_blocks`."""
     return tuned_of_blocks(access, axis, [read_block(access, number) for number in range(AXES)])
 
 
@@ -45,7 +45,7 @@ class Prediction:
     Attributes
     ----------
     it : Tuned
-        Gains and beliefs.
+        Gains and nominal values.
     loop : str
         ``current``, ``current_d``, ``speed`` or ``position``.
     speed : float

@@ -1,4 +1,4 @@
-"""The tuning tool: from what is believed about board and motors to the integers that the controller computes with.
+"""The tuning tool: from the nominal values of board and motors to the integers that the controller computes with.
 
 `reading` makes a `configuration` of ``servo.toml``: every number by itself as `schema` says, all together as `checks`
 say. `gains` follow from motor data and bandwidths in SI units, `constants` are the same as integers in the `formats`

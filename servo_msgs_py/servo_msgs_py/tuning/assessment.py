@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 INERTIAS: Final = (0.5, 1.0, 2.0, 3.0)
-"""Inertias that are tried, over what the configuration believes."""
+"""Inertias that are tried, over the nominal one."""
 
 SPEEDS: Final = (100.0, 10.0, 5.0, 3.0, 2.0, 1.0)
 """Speeds at which the delay of the M/T method is tried [rad/s]."""
@@ -143,7 +143,7 @@ class Inertia:
     Attributes
     ----------
     factor : float
-        Over the believed one.
+        Over the nominal one.
     observed : bool
         With the speed observer instead of the M/T method.
     stable : bool

@@ -34,7 +34,7 @@ exit status: 0 done; 1 the configuration is refused, or with --check the C file 
 Warnings go to standard error and do not change it.
 
 another motor: edit servo.toml (or a copy of it), look at `tune.py report`, then `make generate` and `make build`;
-README.md beside this tool tells the whole story."""
+README.md beside this tool has the details."""
 
 
 def parser() -> argparse.ArgumentParser:

@@ -1,4 +1,4 @@
-"""What the controller believes about the board and its axes, as immutable objects; defaults merged in."""
+"""Nominal values of the controller for the board and its axes, as immutable objects; defaults merged in."""
 
 from __future__ import annotations
 

@@ -71,10 +71,10 @@ def _current_loop(to: Converter, gains: Gains) -> dict[str, Field]:
     coupling, flux = "correct motor.pole_pairs, motor.l_d or motor.l_q", "correct motor.pole_pairs or motor.psi_m"
     duty = to.board_at(FRAC16, "dead_time", 1.0 / board.period, "write seconds, some 1e-6")
     step = to.of(GAIN, "angle step", omega_e * board.period / math.pi, "fewer motor.pole_pairs")
-    to.of(PI_SUM, "gains that meet in u_d", (gains.current_d.kp + omega_e * axis("motor.l_q")) * admittance, slower)
+    to.of(PI_SUM, "gains added in u_d", (gains.current_d.kp + omega_e * axis("motor.l_q")) * admittance, slower)
     emf = omega_e * axis("motor.psi_m") / s.u_s
     u_q = (gains.current_q.kp + omega_e * axis("motor.l_d")) * admittance + emf
-    to.of(PI_SUM, "gains that meet in u_q", u_q, slower)
+    to.of(PI_SUM, "gains added in u_q", u_q, slower)
     sign = to.of(INT16_Q8, "slope of sensing.sign_current", s.i / axis("sensing.sign_current"), "raise that current")
     return {
         "current_loop.d": pi_raw(axis, "current controller d", gains.current_d, admittance, slower),

@@ -75,18 +75,27 @@ class Motor(Protocol):
     """What the voltage equations need; a plant of the twin has it, too."""
 
     @property
-    def r_s(self) -> float: ...
+    def r_s(self) -> float:
+        """Resistance of a phase [ohm]."""
+
     @property
-    def l_d(self) -> float: ...
+    def l_d(self) -> float:
+        """Inductance of the d axis [H]."""
+
     @property
-    def l_q(self) -> float: ...
+    def l_q(self) -> float:
+        """Inductance of the q axis [H]."""
+
     @property
-    def psi_m(self) -> float: ...
+    def psi_m(self) -> float:
+        """Flux linkage of the magnets [V s]."""
+
     @property
-    def pole_pairs(self) -> float: ...
+    def pole_pairs(self) -> float:
+        """Electrical turns per mechanical turn."""
 
 
-class _Believed(NamedTuple):
+class _Nominal(NamedTuple):
     """The motor of the configuration."""
 
     r_s: float
@@ -96,7 +105,7 @@ class _Believed(NamedTuple):
     pole_pairs: float
 
     @classmethod
-    def of(cls, axis: Axis) -> _Believed:
+    def of(cls, axis: Axis) -> _Nominal:
         return cls(*(axis(f"motor.{name}") for name in cls._fields))
 
 
@@ -193,7 +202,7 @@ class Loop:
 
     @property
     def turn(self) -> float:
-        """Crossover frequency times tick."""
+        """Crossover frequency times tick [rad]."""
         return 2.0 * math.asin(min(0.5 * self.gain, 1.0))
 
     @property
@@ -243,7 +252,7 @@ def _lowered(axis: Axis, current: float) -> float:
 
 def _reserves(axis: Axis, board: Board) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [("speed", "torque without", "torque with", "i_d", "i_q")]
-    motor, limit = _Believed.of(axis), axis("limits.current")
+    motor, limit = _Nominal.of(axis), axis("limits.current")
     for part in _SPEEDS:
         speed = part * axis("motor.rated_speed")
         without = reserve_at(motor, limit, speed, board.voltage_max, 0.0)

@@ -43,8 +43,8 @@ BLIND_MAX: Final = 0.2
 
 SIZE_MAX: Final = 4.0
 """`observer.pll_size` [Hz] times the part of the speed limit by which `emf_check.floor` lets the size of the back-EMF
-be off: the speed loop answers to that. With twice as much the observed speed of a light shaft was too restless to be
-believed."""
+be off: the speed loop answers to that. With twice as much the observed speed of a light shaft was too noisy to be
+used."""
 
 SIZE: Final = 2.0
 """What may be written without trying."""

@@ -19,7 +19,7 @@ from servo_msgs_py.tuning.winding import Winding
 __all__ = ["AxisReport", "as_dict", "axis_reports", "text"]
 
 MODEL: Final = """\
-Model: the loops as they are sampled, with the integer gains and the motor that the configuration believes in.
+Model: the loops as they are sampled, with the integer gains and the nominal motor.
 Duties are loaded half a PWM period after their sample and hold for a whole one. M/T: the controller sees the mean speed
 of a slow period whose middle is 1.5 slow periods old; below some 10 rad/s its age changes with the speed, as the last
 table says. Observer: errors of more than a count. Small signals: no limit active, no change of direction."""

@@ -246,7 +246,7 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         ),
         "heat_capacity": Entry("J/K", "of the copper and what it heats up along with"),
         "ambient": Entry("deg C", "hottest surroundings", zero=True, signed=True),
-        "initial": Entry("deg C", "assumed after a reset, which forgets the temperature", zero=True, signed=True),
+        "initial": Entry("deg C", "assumed after a reset, which loses the temperature", zero=True, signed=True),
         "derating": Entry("deg C", "from where on the current limit falls"),
         "maximum": Entry("deg C", "where the current limit has come down to the rated current"),
         "fault": Entry("deg C", "that is a fault, until it is below maximum again"),

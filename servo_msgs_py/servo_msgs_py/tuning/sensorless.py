@@ -61,7 +61,7 @@ class BackEmfObserver:
     Attributes
     ----------
     r_s, inductance : float
-        Of the winding that it believes in [ohm], [H].
+        Of the nominal winding [ohm], [H].
     k1 : float
         Correction of the current per error and period.
     k2 : float
@@ -78,7 +78,7 @@ class BackEmfObserver:
 
     @property
     def a(self) -> float:
-        """Part of a current that is left after a period."""
+        """Part of a current that is left after a period: exp(-R T / L)."""
         return math.exp(-self.r_s * self.period / self.inductance)
 
     @property
@@ -93,16 +93,16 @@ class BackEmfObserver:
         return np.array([[a * left, -b * left], [turn * self.k2 * a, turn * (1.0 - b * self.k2)]])
 
     def poles(self, omega_e: float) -> tuple[complex, complex]:
-        """Eigenvalues of that, the slower first."""
+        """Eigenvalues of that at the electrical speed `omega_e` [rad/s], the slower first."""
         slow, fast = sorted((complex(z) for z in np.linalg.eigvals(self.matrix(omega_e))), key=abs, reverse=True)
         return slow, fast
 
     def radius(self, omega_e: float) -> float:
-        """Magnitude of the slower pole."""
+        """Magnitude of the slower pole at the electrical speed `omega_e` [rad/s]."""
         return abs(self.poles(omega_e)[0])
 
     def winding(self, r_s: float = 1.0, inductance: float = 1.0) -> BackEmfObserver:
-        """The same gains with so many times the resistance and inductance."""
+        """The same gains with so many times (ratios) the resistance and inductance."""
         return BackEmfObserver(self.r_s * r_s, self.inductance * inductance, self.k1, self.k2, self.period)
 
     @classmethod
@@ -169,7 +169,7 @@ class Pll:
         )
 
     def size_gains(self, tick: float) -> tuple[float, float]:
-        """What speed and load gain in a slow tick per speed that the size tells more: both poles at the bandwidth."""
+        """Gains of speed and load per `tick` [s] for the speed that the size adds: both poles at the bandwidth."""
         left = math.exp(-self.size * tick)
         return 1.0 - left**2, (1.0 - left) ** 2
 
@@ -269,7 +269,7 @@ class Sensorless:
 
 
 def angle_error(axis: Axis, omega_e: float, i_q: float, r_s: float = 1.0, inductance_: float = 1.0) -> float:
-    """Steady error of the observed angle when the winding differs from the belief, at i_d = 0 [rad].
+    """Steady error of the observed angle when the winding differs from the nominal one, at i_d = 0 [rad].
 
     The observer sees ``e + (R - R^) i + j omega (L_q - L^) i``, whatever K1 and K2 are: R changes its size, and only
     L turns it.
@@ -277,13 +277,13 @@ def angle_error(axis: Axis, omega_e: float, i_q: float, r_s: float = 1.0, induct
     Parameters
     ----------
     axis : Axis
-        What is believed.
+        Nominal values.
     omega_e : float
         Electrical speed [rad/s].
     i_q : float
         Current [A].
     r_s, inductance_ : float
-        What is really there over what is believed.
+        True values over nominal ones.
     """
     more_l = inductance_ * axis("motor.l_q") - inductance(axis)
     more_r = (r_s - 1.0) * axis("motor.r_s")

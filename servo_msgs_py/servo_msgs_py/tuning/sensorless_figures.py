@@ -16,7 +16,7 @@ from servo_msgs_py.tuning.tuned import Tuned
 __all__ = ["WINDINGS", "AngleError", "Lock", "ObserverPoles", "SensorlessFigures", "sensorless_figures"]
 
 WINDINGS: Final = ((1.0, 1.0), (0.5, 1.0), (1.5, 1.0), (1.0, 0.5), (1.0, 1.5))
-"""Resistance and inductance that are tried, over what the configuration believes."""
+"""Resistance and inductance that are tried, over the nominal values."""
 
 SPEEDS: Final = (1.0, 2.0, 4.0, 8.0)
 """Of the minimum speed, as far as they lie below the limit, which comes last."""
@@ -36,7 +36,7 @@ class ObserverPoles:
     Attributes
     ----------
     r_s, inductance : float
-        Of the winding in its equations, over what is believed; K1 and K2 stay.
+        Of the winding in its equations, over the nominal value; K1 and K2 stay.
     speed : float
         Mechanical [rad/s].
     poles : tuple of Pole
@@ -51,12 +51,12 @@ class ObserverPoles:
 
 @dataclass(frozen=True)
 class AngleError:
-    """Steady error of the observed angle at the rated current, when the winding is not what is believed.
+    """Steady error of the observed angle at the rated current, when the winding is not the nominal one.
 
     Attributes
     ----------
     r_s, inductance : float
-        What is there over what is believed.
+        True values over nominal ones.
     speed : float
         Mechanical [rad/s].
     degrees : float
@@ -112,7 +112,7 @@ class SensorlessFigures:
     unexplained_speed : float
         What `emf_check.floor` makes of the back-EMF's size, mechanical [rad/s].
     blind_speed : float
-        Below it `limits.current` takes more voltage in a warm winding, beside what is believed, than there is back-EMF:
+        Below it `limits.current` takes more voltage in a warm winding, besides the nominal one, than there is back-EMF:
         while it brakes the observed angle turns round. Mechanical [rad/s].
     """
 

@@ -41,7 +41,7 @@ def sensorless_text(it: Tuned, figures: SensorlessFigures) -> Iterator[str]:
 
 def _winding(r_s: float, inductance: float) -> str:
     parts = [f"{name} x {value:g}" for name, value in (("R", r_s), ("L", inductance)) if value != 1.0]
-    return ", ".join(parts) or "as believed"
+    return ", ".join(parts) or "nominal"
 
 
 def _pole(pole: Pole) -> tuple[str, str, str]:

@@ -118,12 +118,12 @@ class Tuned:
         return self.axis.features["speed_observer"]
 
     def shaft(self, inertia: float = 1.0, observed: bool | None = None) -> ShaftLoops:
-        """Speed and position loop.
+        """Models of the speed and the position loop.
 
         Parameters
         ----------
         inertia : float
-            Of the shaft, over what is believed.
+            Of the shaft, over the nominal value.
         observed : bool
             With the speed observer or with the M/T method; without a word, as after reset.
         """

@@ -36,7 +36,7 @@ _HEAT: Final = Format("q32", 32, 1, 2**30 - 1)
 
 @dataclass(frozen=True)
 class Winding:
-    """A winding as the configuration believes in it.
+    """Nominal values of a winding.
 
     Attributes
     ----------

@@ -23,7 +23,7 @@ from servo_twin.identification.files import draw, report_lines, write_estimates,
 from servo_twin.identification.motors import random_motor
 from servo_twin.identification.refine import CLOSE
 from servo_twin.identification.session import Identified, identified, measure_virtual, tuned_table
-from servo_twin.identification.trials import Trials, summary
+from servo_twin.identification.trials import Trial, Trials, summary
 from servo_twin.level import FAST_LEVEL, Level, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import Runner
@@ -170,10 +170,13 @@ def _write(
 def _trials(args: argparse.Namespace, plant: PlantConfig, base: Mapping[str, Any]) -> int:
     level = chosen_level(args.level, default=FAST_LEVEL)
     work = Trials(plant, base, args.axis - 1, _limits(args, plant), level, args.seed)
-    found = sorted(Runner.of(args).run(work, range(args.trials), "identify, motors"))
     args.out.mkdir(parents=True, exist_ok=True)
-    content = [{"motor": args.seed + number, **dataclasses.asdict(trial)} for number, trial in found]
-    text = json.dumps(content, indent=2, default=float) + "\n"
-    (args.out / "trials.json").write_text(text, encoding="utf-8")
+    found: list[tuple[int, Trial]] = []
+    text = ""
+    for one in Runner.of(args).run(work, range(args.trials), "identify, motors"):
+        found = sorted([*found, one], key=lambda pair: pair[0])
+        content = [{"motor": args.seed + number, **dataclasses.asdict(trial)} for number, trial in found]
+        text = json.dumps(content, indent=2, default=float) + "\n"
+        (args.out / "trials.json").write_text(text, encoding="utf-8")  # each time: a run that is ended loses nothing
     print(text if args.json else "\n".join(summary(found)))
     return 1 if any(trial.false_success for _, trial in found) else 0

@@ -15,12 +15,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from servo_msgs_py.catalogue import axis_name
+from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.measurement.access import MeasurementError, Recording
 from servo_msgs_py.measurement.estimation import BAND, estimates_of
 from servo_msgs_py.measurement.least_squares import mean_of
 from servo_msgs_py.measurement.log import MeasurementLog, repeat
-from servo_msgs_py.measurement.motor_test import PROTECTION, PULSES, TURN
+from servo_msgs_py.measurement.motor_rig import PROTECTION
+from servo_msgs_py.measurement.motor_test import PULSES, SPEEDS, TURN
 from servo_msgs_py.measurement.motor_values import Estimate, MotorEstimates
 from servo_msgs_py.measurement.standstill import spectra
 
@@ -29,7 +30,7 @@ from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig, PlantError
 
-__all__ = ["MODEL_ERROR", "REFINED", "Refinement", "plant_of", "refine", "simulated"]
+__all__ = ["MODEL_ERROR", "REFINED", "Refinement", "covariance", "plant_of", "refine", "simulated"]
 
 Floats = NDArray[np.float64]
 
@@ -37,30 +38,29 @@ REFINED: Final = ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous"
 """What is refined, in the order of the parameters."""
 
 MODEL_ERROR: Final[Mapping[str, float]] = {
-    "r_s": 0.004,
-    "l_d": 0.0015,
+    "r_s": 0.002,
+    "l_d": 0.0005,
     "l_q": 0.002,
-    "psi_m": 0.004,
-    "inertia": 0.005,
-    "friction": 0.02,
-    "viscous": 0.02,
-    "dead_voltage": 0.003,
+    "friction": 0.01,
+    "dead_voltage": 0.004,
 }
-"""Relative standard uncertainty that the model leaves, whatever the noise (doc/identify.md)."""
+"""Relative standard uncertainty that the residuals do not show: what the errors of random motors spread beyond the
+jackknife's (doc/identify.md)."""
 
 BATCH: Final = 4  # neighbouring samples whose residuals are not independent
 STEP: Final = 0.04
 """Of a numerical derivative: encoder and converters make simulated signals rough, so a small one shows nothing else."""
 FRICTION_MIN: Final = 0.002  # of simulations, part of the torque of the current limit
-BIAS_ERROR: Final = 0.1
-"""Part of a bias that its correction may miss."""
 
 QUICK: Final[Level] = "ideal"
 CLOSE: Final[Level] = "registers"
 """A board whose switching is simulated, too: its current converters sample the ripple, not the mean."""
 
-CURRENT_ERROR: Final = 1e-3
-"""Standard uncertainty of a mean current: a quarter of a step of the converter [A]."""
+CURRENT_ERROR: Final = 0.5e-3
+"""Standard uncertainty of a mean current at constant speed: an eighth of a step of the converter [A]."""
+
+VOLTAGE_ERROR: Final = 5e-3
+"""The same of a mean voltage: less than a step of the duty at 24 V [V]."""
 
 ITERATIONS: Final = 4
 FARTHEST: Final = 8.0  # a residual counts for no more than about so many times the usual one
@@ -119,7 +119,7 @@ class Refinement:
 
 
 def plant_of(plant: PlantConfig, axis: int, values: Mapping[str, float], limits: Mapping[str, float]) -> PlantConfig:
-    """A plant file's values with those of a motor.
+    """A plant file's values with those of a motor [SI], by name.
 
     The lost voltage of a leg is dead time and drop together: the dead time stays that of `plant`, the drop takes the
     rest.
@@ -145,7 +145,7 @@ def plant_of(plant: PlantConfig, axis: int, values: Mapping[str, float], limits:
 def simulated(
     log: MeasurementLog, plant: PlantConfig, load: float, level: Level = "ideal", seed: int = 1
 ) -> list[Recording]:
-    """What a virtual board with this plant shows, when all is done to it that was done to the real one.
+    """What a virtual board with this plant and load [N m] shows when treated as the real one was.
 
     Raises
     ------
@@ -159,6 +159,8 @@ def simulated(
         with Board(plant, seed=seed, level=level) as board:
             board.set_load(log.axis, load)
             board.run(float(log.notes.get("boot", 0.05)))
+            # the real board has watched the motor; with values not yet right a monitor would end the simulation
+            board.write_raw("param.faults_enabled", [0] * AXES)
             return repeat(log, VirtualBoardAccess(board), (TURN, PULSES, PROTECTION))
     except BoardError as error:
         raise MeasurementError(f"the simulation has failed: {error}") from None
@@ -397,30 +399,33 @@ def refine(
     )
     x = np.asarray(result.x, dtype=np.float64)
     report(f"refined by simulation: {', '.join(f'{name} {values_of(x)[name]:.4g}' for name in names)}")
-    covariance = _covariance(np.asarray(result.jac), vector(x), difference.batches)
+    spread = covariance(np.asarray(result.jac), vector(x), difference.batches)
     floor = _floor(start, top)
     found = dict(first.values)
     for k, name in enumerate(names):
         value = start[name] + x[k] * scale[name]
-        sigma = math.sqrt(max(covariance[k, k], 0.0)) * scale[name]
-        found[name] = Estimate(
-            value,
-            math.hypot(
-                sigma,
-                MODEL_ERROR.get(name, 0.0) * value,
-                floor.get(name, 0.0),
-                BIAS_ERROR * (start[name] - first.values[name].value),
-            ),
-        )
+        sigma = math.sqrt(max(spread[k, k], 0.0)) * scale[name]
+        found[name] = Estimate(value, math.hypot(sigma, MODEL_ERROR.get(name, 0.0) * value, floor.get(name, 0.0)))
     final = values_of(x)
     shown_close = simulated(log, plant_of(base, log.axis, final, limits), final.get("load", 0.0), level)
     return Refinement(MotorEstimates(found, first.undetermined), before, difference.rms(shown_close), shown_close)
 
 
 def _floor(values: Mapping[str, float], top: float) -> dict[str, float]:
-    """Standard uncertainty of torques that the current measurement leaves: rounding of the converter, offsets."""
-    torque = CURRENT_ERROR * 1.5 * values["pole_pairs"] * values["psi_m"]
-    return {"friction": torque, "load": torque, "viscous": torque / top}
+    """Standard uncertainty that steps of converters and duties leave: of the flux, and of torques at each speed."""
+    pairs, psi = values["pole_pairs"], values["psi_m"]
+    torque = CURRENT_ERROR * 1.5 * pairs * psi
+    line = np.array([[way, way * part * top, 1.0] for part in SPEEDS for way in (1.0, -1.0)])
+    spread = torque * np.sqrt(np.diag(np.linalg.inv(line.T @ line)))
+    flux = VOLTAGE_ERROR / (pairs * top)
+    # torque is measured in terms of the flux
+    return {
+        "psi_m": flux,
+        "inertia": flux / psi * values["inertia"],
+        "friction": math.hypot(spread[0], flux / psi * values["friction"]),
+        "viscous": float(spread[1]),
+        "load": float(spread[2]),
+    }
 
 
 @dataclass(frozen=True)
@@ -486,12 +491,29 @@ def _with_gaps(shown: Sequence[Recording], like: Sequence[Recording]) -> list[Re
     ]
 
 
-def _covariance(jacobian: Floats, residual: Floats, batches: NDArray[np.int64]) -> Floats:
-    """Of the parameters, where residuals depend on each other within a batch (sandwich estimate)."""
+def covariance(jacobian: Floats, residual: Floats, batches: NDArray[np.int64]) -> Floats:
+    """Of fitted parameters: jackknife over batches, within which residuals depend on each other.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (residuals, parameters)
+    residual : ndarray, shape (residuals,)
+        After the fit.
+    batches : ndarray of int, shape (residuals,)
+        Residuals of one number depend on each other.
+
+    Returns
+    -------
+    ndarray, shape (parameters, parameters)
+    """
     limited = np.clip(residual, -FARTHEST, FARTHEST)
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
-    _, place = np.unique(batches, return_inverse=True)
-    scores = np.zeros((int(place.max()) + 1, jacobian.shape[1]))
-    np.add.at(scores, place, jacobian * limited[:, None])
-    result: Floats = inverse @ (scores.T @ scores) @ inverse
+    scores = []
+    for batch in np.unique(batches):
+        rows = batches == batch
+        part = jacobian[rows]
+        # a batch draws the fit to itself: its residuals without that
+        alone = np.linalg.lstsq(np.eye(len(part)) - part @ inverse @ part.T, limited[rows], rcond=1e-6)[0]
+        scores.append(part.T @ alone)
+    result: Floats = inverse @ (np.array(scores).T @ np.array(scores)) @ inverse
     return result

@@ -1,0 +1,236 @@
+"""An axis whose motor is not known: protection and configuration while it is tested, and recordings. Pure."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, Final
+
+from servo_msgs_py.axis_config import AxisConfigTable
+from servo_msgs_py.measurement.access import MeasurementError, Recording, send_configuration
+from servo_msgs_py.measurement.axis_under_test import AxisState, AxisUnderTest
+from servo_msgs_py.measurement.log import LoggedAccess
+from servo_msgs_py.measurement.motor_config import SPEED_RATIO, configured, fitted, tuned_axis
+from servo_msgs_py.measurement.motor_values import Limits
+from servo_msgs_py.measurement.standstill import PERIOD
+from servo_msgs_py.measurement.test_signal import SweptSine, prepare_test_signal, start_test_signal
+from servo_msgs_py.tuning.configuration import Scales
+from servo_msgs_py.tuning.errors import ConfigError
+from servo_msgs_py.tuning.formats import GAIN
+
+__all__ = ["COMMAND_TIMEOUT", "LATENCY", "NOMINAL", "PROTECTION", "STOPPED", "TICK", "MotorRig"]
+
+TICK: Final = 0.5e-3  # [s]
+PROTECTION: Final = "protection"
+"""Stage of a log: limits around the place of the shaft, and what brings the board back; of one board only."""
+_TURNS_MIN: Final = 3.0  # to both sides: a turning vector turns a rotor of one pole pair so far
+LATENCY: Final = 0.1
+"""For the exchanges of a serial line, in which a shaft turns on [s]."""
+STOPPED: Final = 0.1  # after the set-point has reached 0 [s]
+COMMAND_TIMEOUT: Final = 1.0
+"""After which the board stops the shaft when set-points stop coming [s]: longer than a slow line is silent."""
+NOMINAL: Final[Mapping[str, float]] = {
+    "r_s": 0.5,
+    "l_d": 0.4e-3,
+    "l_q": 0.4e-3,
+    "psi_m": 0.015,
+    "pole_pairs": 1.0,
+    "inertia": 1e-5,
+    "friction": 0.0,
+    "viscous": 0.0,
+}
+"""What the controller is told before anything is known; only the current controllers work with it, with other gains."""
+
+_MARK: Final = 0.1
+"""Length of a test signal without amplitude, which marks the beginning of a recording [s]."""
+_SAMPLES: Final = 1280
+_SWEEP_CALLS: Final = 1100  # of a test signal; the rest of the recording is its decay
+_SWEEP_BAND: Final = (150.0, 3000.0)  # [Hz]
+_POSSIBLE: Final[Sequence[Mapping[str, float]]] = ({"inertia": 1e-6}, {"inertia": 1e-5}, {"inertia": 1e-3})
+"""Motors for which there has to be a configuration before anything moves."""
+
+
+class MotorRig(AxisUnderTest):
+    """The axis, within limits that its user gives and that the board keeps to.
+
+    Parameters are those of `MotorTest`.
+    """
+
+    access: LoggedAccess
+
+    def __init__(
+        self, access: LoggedAccess, axis: int, limits: Limits, base: Mapping[str, Any], report: Callable[[str], None]
+    ) -> None:
+        super().__init__(access, axis, report)
+        self.limits, self._base = limits, base
+        self._low = self._high = 0.0  # where the shaft stays between [rad]
+        self._over_speed = math.inf  # of the board's protection [rad/s]
+        self._kept = 0  # features that protect and that the user has switched on
+
+    # ---- protection --------------------------------------------------------------------------------------------------
+
+    def keep_protection(self, found: AxisState) -> None:
+        """Stay within what protects the axis already; a `MeasurementError` if that leaves too little room."""
+        catalogue, flags, features = self.access.catalogue, self.masks("features"), found.word("param.features")
+        self._kept = features & flags["OVER_SPEED"]
+        speed = min(self.limits.speed, found.value("param.speed_limit"))
+        if self._kept:
+            self._over_speed = found.value("param.over_speed")
+            speed = min(speed, self._over_speed / SPEED_RATIO)
+        here, room = self.value("position"), 2.0 * math.pi * self.limits.turns
+        self._low = max(here - room, catalogue["param.position_min"].minimum)
+        self._high = min(here + room, catalogue["param.position_max"].maximum)
+        if features & flags["POSITION_LIMITS"]:
+            self._low = max(self._low, found.value("param.position_min"))
+            self._high = min(self._high, found.value("param.position_max"))
+        turns = self.room / (2.0 * math.pi)
+        if turns < _TURNS_MIN * (1.0 - 1e-6):
+            raise MeasurementError(
+                f"{max(turns, 0.0):.3g} turns to both sides are too few, {_TURNS_MIN:g} are needed: raise --turns-max,"
+                " or widen param.position_min and param.position_max"
+            )
+        self.limits = dataclasses.replace(self.limits, speed=speed, turns=turns)
+        for motor in _POSSIBLE:
+            try:
+                self.fitted({**NOMINAL, **motor})
+            except MeasurementError as error:
+                raise MeasurementError(
+                    f"{speed:.3g} rad/s is too slow for the test: raise --speed-max and param.speed_limit ({error})"
+                ) from None
+
+    @property
+    def room(self) -> float:
+        """Way to the nearer limit [rad]."""
+        here = self.value("position")
+        return min(here - self._low, self._high - here)
+
+    def unmonitored(self, monitors: int, *faults: str) -> None:
+        """Switch on these monitors but for some faults; those of a simulated board stay off."""
+        masks = self.masks("faults")
+        stage, self.access.stage = self.access.stage, PROTECTION
+        self.write_word("param.faults_enabled", monitors & ~sum(masks[name] for name in faults))
+        self.access.stage = stage
+
+    # ---- configuration -----------------------------------------------------------------------------------------------
+
+    def configure(self, kp: float, ki: float, *, live: bool = False) -> None:
+        """Current controllers with these gains [V/A], [V/(A s)]."""
+        scales = Scales.of(self.access.catalogue)
+        to = scales.i / scales.u_s
+        raw = {"kp": round(math.ldexp(kp * to, 24)), "ki": max(round(math.ldexp(ki * PERIOD * to, 24)), 1)}
+        most = GAIN.high // 4
+        gains = {f"current_loop.{axis}.{gain}": min(value, most) for axis in "dq" for gain, value in raw.items()}
+        self._send(configured(self._base, self.axis, self.limits, NOMINAL), gains)
+        if not live:
+            self._features()
+
+    def configure_for(self, table: Mapping[str, Any]) -> None:
+        """The configuration of a motor, from `fitted`."""
+        self._send(table, {})
+        self._features()
+
+    def fitted(self, motor: Mapping[str, float]) -> dict[str, Any]:
+        """``servo.toml`` with the bandwidths that a motor bears."""
+        try:
+            return fitted(self._base, self.axis, self.limits, motor, gentle=True)
+        except ConfigError as error:
+            raise MeasurementError(f"the controller cannot be tuned for the test: {error}") from None
+
+    def _send(self, table: Mapping[str, Any], members: Mapping[str, int]) -> None:
+        """Let the board take a configuration, with some members of the block replaced."""
+        try:
+            block = {**tuned_axis(table, self.axis).block, **members}
+        except ConfigError as error:
+            raise MeasurementError(f"the controller cannot be tuned for the test: {error}") from None
+        AxisConfigTable.load().check(block)
+        send_configuration(self.access, {self.axis: block})
+        self.write("param.i_q_limit", self.limits.current)
+
+    def _features(self) -> None:
+        """Only what keeps voltages what they are asked to be, no compensation of what is measured; and protection."""
+        flags = self.masks("features")
+        plain = flags["BUS_COMPENSATION"] | flags["ANTI_WINDUP"] | flags["ENHANCED_MT"]
+        self.write_word("param.features", plain)
+        stage, self.access.stage = self.access.stage, PROTECTION
+        self.write("param.position_min", self._low)
+        self.write("param.position_max", self._high)
+        if self._kept:
+            self.write("param.over_speed", min(self._over_speed, SPEED_RATIO * self.limits.speed))
+        self.write_word("param.features", plain | flags["POSITION_LIMITS"] | self._kept)
+        self.access.stage = stage
+
+    # ---- recordings --------------------------------------------------------------------------------------------------
+
+    def capacity(self, columns: Sequence[str]) -> int:
+        return self.access.capacity([f"{self.name}.{column}" for column in columns])
+
+    def signal(self, point: str, amplitude: float, f_min: float, f_max: float, seconds: float) -> None:
+        """Describe a test signal on a current: amplitude [A], band [Hz], length [s]."""
+        prepare_test_signal(self.access, self.axis, SweptSine(f"I_{point}", amplitude, f_min, f_max, seconds))
+
+    def mark(self) -> None:
+        """Describe a test signal that only marks the beginning of a recording."""
+        self.signal("D", 0.0, 1.0, 1.0, _MARK)
+
+    def start_signal(self, point: str) -> None:
+        start_test_signal(self.access, self.axis, f"I_{point}")
+
+    def sweep(self, label: str, point: str, amplitude: float) -> Recording:
+        """A swept sine on a current, sampled by the fast loop."""
+        self.signal(point.upper(), amplitude, *_SWEEP_BAND, _SWEEP_CALLS * PERIOD)
+        columns = (f"i_{point}", f"u_{point}", "test_signal")
+        self.access.label = label
+        return self.record(columns, _SAMPLES, 1, False, partial(self.start_signal, point.upper()))
+
+    def slow(
+        self,
+        label: str,
+        columns: Sequence[str],
+        samples: int,
+        every: int = 1,
+        start: Callable[[], None] | None = None,
+        lead: float = 0.0,
+    ) -> Recording:
+        """A recording of the slow loop; with `start` from the beginning of a test signal on."""
+        self.access.label = label
+        return self.record(columns, samples, every, True, start, triggered=start is not None, lead=lead)
+
+    def moving(
+        self,
+        label: str,
+        columns: Sequence[str],
+        samples: int,
+        every: int,
+        speed: float,
+        times: tuple[float, float],
+        begin: Callable[[], None] = lambda: None,
+        *,
+        mark: bool = True,
+    ) -> Recording:
+        """A recording that begins when a speed [rad/s] is reached; the shaft stops before samples are read.
+
+        Parameters
+        ----------
+        times : tuple of float
+            For reaching the speed, and for stopping [s].
+        begin : callable
+            What is done at the first sample.
+        mark : bool
+            Whether a test signal without amplitude marks the first sample; otherwise `begin` starts one.
+        """
+
+        def start() -> None:
+            self.command("cmd.speed", speed)
+            self.wait(times[0])
+            if mark:
+                self.start_signal("D")
+            begin()
+            self.wait((samples * every + 4) * TICK)
+            self.command("cmd.speed", 0.0)
+            self.wait(times[1])
+
+        if mark:
+            self.mark()
+        return self.slow(label, columns, samples, every, start, times[0])
