@@ -11,7 +11,7 @@ import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
-from servo_twin.experiments.dead_time_torque import whole_counts
+from servo_twin.experiments.dead_time_torque import swerve_at
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.plant_limits import believed, move_speeds
 from servo_twin.experiments.rig import (
@@ -90,8 +90,7 @@ class Move:
 
 def measure(recording: Recording, target: int, shaft: AxisPlant) -> Move:
     """Judge a move of a shaft that began at rest with the recording; `target` in counts."""
-    near = np.abs(recording.position_ref - target) <= ARRIVED
-    swerve = whole_counts(recording, shaft, float(recording.time[int(np.argmax(near))])) if near.any() else 0.0
+    swerve = swerve_at(recording, shaft, target, ARRIVED)
     error = float(np.abs(recording.position_ref - recording.shaft).max())
     settling = arrives(recording, target, ARRIVED + swerve, 0.0)
     return Move(recording, error, overshoot(recording, target), settling, swerve)

@@ -25,12 +25,12 @@ from servo_twin.experiments.rig import (
     fresh_board,
     position_of,
     set_up,
+    until,
     word,
 )
 from servo_twin.harm import CutWire, Pin
 from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import PlantConfig
-from servo_twin.simulation import SimulationError
 
 NAME: Final = "pins"
 HELP: Final = """\
@@ -106,17 +106,14 @@ def _in(board: Board, axis: int, state: str, substate: str | None = None) -> boo
     return found and word(board, axis, "substate") == enums["substate_t"][substate]
 
 
-def _until(board: Board, what: str, holds: Callable[[int], bool], seconds: float = 3.0) -> None:
-    for _ in range(round(seconds / 0.005)):
-        if all(holds(axis) for axis in range(AXES)):
-            return
-        board.run(0.005)
-    raise SimulationError(f"not within {seconds:g} s: {what}")
+def _until(board: Board, what: str, holds: Callable[[Board, int], bool], seconds: float = 3.0) -> None:
+    """Run until something holds for both axes."""
+    until(board, what, lambda: all(holds(board, axis) for axis in range(AXES)), seconds, 0.005)
 
 
 def _enable(board: Board) -> None:
     board.write("cmd.enable", [1] * AXES)
-    _until(board, "both axes in SPIN, their brakes open", lambda axis: _ready(board, axis))
+    _until(board, "both axes in SPIN, their brakes open", _ready)
 
 
 def _ready(board: Board, axis: int) -> bool:
@@ -169,14 +166,14 @@ def hang(plant: PlantConfig, seed: int, angle: float) -> Hang:
             board.set_load(axis, load_of(plant, axis))
         board.write("cmd.enable", [1] * AXES)
         first = _ways(board, 1.2)
-        _until(board, "SPIN after the search", lambda axis: _ready(board, axis))
+        _until(board, "SPIN after the search", _ready)
         board.write("cmd.enable", [0] * AXES)
         off = _ways(board, 0.3)
-        _until(board, "STOP", lambda axis: _in(board, axis, "STOP"))
+        _until(board, "STOP", lambda board, axis: _in(board, axis, "STOP"))
         board.run(0.3)  # an axis waits for a shaft that rests
         board.write("cmd.enable", [1] * AXES)
         again = _ways(board, 0.4)
-        _until(board, "SPIN again", lambda axis: _ready(board, axis))
+        _until(board, "SPIN again", _ready)
         for axis in range(AXES):
             board.inject(CutWire(axis, "enable"))
         fault = _ways(board, 0.2)
@@ -252,7 +249,7 @@ def overrun(plant: PlantConfig, seed: int) -> list[Overrun]:
         _enable(board)
         for axis in range(AXES):
             set_up(board, axis, "SPEED", FULL_SPEED)
-        _until(board, "the stop at the switches", lambda axis: _in(board, axis, "FAULT"))
+        _until(board, "the stop at the switches", lambda board, axis: _in(board, axis, "FAULT"))
         beyond = [board.truth(axis).theta_m - at[axis] for axis in range(AXES)]
         named = [flags_of(board, axis, "faults") == {"LIMIT_SWITCH"} for axis in range(AXES)]
         board.run(0.2)

@@ -12,7 +12,7 @@ from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
-from servo_twin.experiments.dead_time_torque import pushed, whole_counts
+from servo_twin.experiments.dead_time_torque import pushed, swerve_at
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import move_speeds, path_settles
 from servo_twin.experiments.rig import (
@@ -73,9 +73,7 @@ class Move:
 def measure(recording: Recording, target: int, ramp_end: float, shaft: AxisPlant) -> Move:
     """Judge a move of a shaft that began with the recording; `target` in counts, `ramp_end` in seconds."""
     last = recording.part(recording.time[-1] - REST / 2.0).position
-    near = np.abs(recording.position_ref - target) <= MOST_COUNTS
-    after = float(recording.time[int(np.argmax(near))]) if near.any() else float(recording.time[-1])
-    swerve = whole_counts(recording, shaft, after)
+    swerve = swerve_at(recording, shaft, target, MOST_COUNTS)
     swing = pushed(recording, shaft, position=True)[-last.size :]
     return Move(
         recording,
