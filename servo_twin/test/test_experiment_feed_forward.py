@@ -33,10 +33,12 @@ def test_agrees(changes: dict[str, float]) -> None:
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("missing", ["SPEED_FORWARD", "ACCELERATION_FORWARD"])
 def test_a_feature_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
-    def features(board: Board, axis: int, **switches: bool) -> None:
-        rig.features(board, axis, **{name: on for name, on in switches.items() if name != missing})
+    genuine = rig.features
 
-    monkeypatch.setattr(feed_forward, "features", features)
+    def features(board: Board, axis: int, **switches: bool) -> None:
+        genuine(board, axis, **{name: on for name, on in switches.items() if name != missing})
+
+    monkeypatch.setattr(rig, "features", features)
     found = rows()
     for axis in (1, 2):
         if missing == "SPEED_FORWARD":
