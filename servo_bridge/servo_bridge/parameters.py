@@ -44,7 +44,7 @@ __all__ = [
 _JOINT = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 _AT_START: Mapping[str, Spec] = {
-    "autostart": Spec(True, "whether the node configures and activates itself at the start; nothing is enabled by it"),
+    "autostart": Spec(True, "whether the node configures and activates itself at the start; no axis is enabled by it"),
 }
 
 _SETTINGS: Mapping[str, Spec] = {
