@@ -32,8 +32,8 @@ _REFUSALS: Final[Mapping[str, str]] = {
     "FORM": "malformed request; if another program also writes to the board, stop it and try again",
     "ABSENT": "the board has no data flash; keep the values in files: servo-tool save, servo-tool tune --from-board",
     "BUSY": "the board is still busy with the previous request; try again",
-    "MOTION": "only at rest with the outputs off: disable both axes, wait for standstill and try again; the stored "
-    "values are unchanged",
+    "MOTION": "only at rest with the outputs off: disable both axes and wait until they stand, then ask again; what "
+    "was stored before is still there",
     "CHANGED": "parameters or configuration were changed meanwhile; the stored values are unchanged: try again",
     "FLASH": "verification of the data flash failed; the previously stored values are unchanged. If it happens "
     "again, the flash is worn out",
