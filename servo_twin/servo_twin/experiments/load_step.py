@@ -19,11 +19,11 @@ from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "load-step"
 HELP: Final = """\
-An axis without an encoder turns steadily without load; then a torque against the motion comes all at once, stays, and
-goes all at once. It is active: where the motor does not hold it, it turns the shaft back. The steps grow, over a range
-of speeds, until one throws the rotor out of step. The reference design does not show this. On paper a load step T takes
-T / (J w e) from the speed of a shaft whose speed loop has two poles at w and knows the speed at once; a bound is the
-step that would take all of it with a loop of 30 Hz, as far as the current can hold it. The notes say what was lost."""
+An axis without an encoder turns steadily without load; then a torque against the motion is applied in a step, and
+removed in a step. The load is active: if the motor cannot hold it, it reverses the shaft. The steps increase, over a
+range of speeds, until the rotor loses synchronism. The reference design does not show this. In theory a load step T
+reduces the speed by T / (J w e) if the speed loop has two poles at w and measures the speed without delay; a bound is
+the step that would stop the shaft with a loop of 30 Hz, within the current limit. The notes give the speed drops."""
 
 SPEEDS: Final = (0.05, 0.08, 0.13, 0.2, 0.4, 0.8)
 """Parts of the speed limit."""

@@ -19,10 +19,10 @@ from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "real-shaft"
 HELP: Final = """\
-Each part of the plant that is off by default, one at a time: a second mass behind a spring, backlash, cogging, an
-encoder disc off its centre, iron that saturates, a magnet and a winding that are warm (servo_twin/doc/plant.md).
-Measured is what the drive's own signals, or the load, show of it; the bound is the equation of the part. The reference
-design has none of them."""
+Each effect of the plant that is off by default, one at a time: a second mass behind an elastic shaft, backlash,
+cogging, an eccentric encoder disc, saturation, warm magnet and winding (servo_twin/doc/plant.md). The effect is
+measured in the signals of the drive or in the load; the bound is the equation of the effect. The reference design has
+none of them."""
 
 RESONANCE: Final = 150.0  # [Hz]
 GAP: Final = 0.02  # [rad]

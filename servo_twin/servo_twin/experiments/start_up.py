@@ -24,13 +24,12 @@ from servo_twin.runner import HERE, Runner, run_in_order
 
 NAME: Final = "start-up"
 HELP: Final = """\
-A turning current vector draws the rotor along until mean and variance of the observed speed say that the observer has
-it. The reference design shows a start-up in which the angle converges within 150 ms and the criterion is met within
-500 ms (slide with the waveforms of a start-up). Measured on both axes as they are, from the moment at which the
-vector begins; the angle has converged when its error stays within 15 degrees from then on, up to the closed loop and
-in it. Then 1000 starts with random rotor angle, direction and set-point, with inertia, friction and load torque
-spread about the nominal ones, on all cores (20 of them at register level): how many of them end in a shaft that turns
-at the set-point."""
+A rotating current vector accelerates the rotor until mean and variance of the observed speed meet the criterion. The
+reference design shows a start-up in which the angle converges within 150 ms and the criterion is met within 500 ms (ST
+document, waveforms of a start-up). Measured on both axes with their nominal plant, from the start of the vector; the
+angle has converged when its error stays within 15 degrees from then on, also in closed loop. Then 1000 starts with
+random rotor angle, direction and set-point, with inertia, friction and load torque spread about the nominal ones, on
+all cores (20 of them at register level): the number of starts after which the shaft turns at the set-point."""
 
 STARTS: Final = 1000
 """Random starts, two per board."""
