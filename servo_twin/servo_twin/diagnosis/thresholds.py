@@ -82,7 +82,7 @@ class AxisNoise:
 
     @property
     def prior(self) -> NDArray[np.float64]:
-        """What is known of the coefficients of the alias: they are right to once their own size."""
+        """Inverse variances of the coefficients of the alias: their standard deviation is their own size."""
         size = np.maximum(np.abs(np.array(self.alias)), 1e-9)
         return np.asarray(1.0 / size**2)
 

@@ -144,7 +144,7 @@ class Window:
         return Sums(a, b, parts_a, parts_b, energy, samples)
 
     def left(self, sums: Sums, block: int, vector: _Array) -> _Array:
-        """Weighted squares per equation that these unknowns leave since a block, with the nuisances that suit them."""
+        """Weighted squares (equations,) that these unknowns leave since a block, with the best nuisance terms."""
         a, b, size = sums.parts_a[block], sums.parts_b[block], self._size
         whole = a.sum(axis=0)
         rest = b.sum(axis=0)[size:] - whole[size:, :size] @ vector
