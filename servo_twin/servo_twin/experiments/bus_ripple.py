@@ -43,7 +43,7 @@ def capacitance(plant: PlantConfig, axis: int) -> float:
 
 
 def amplitude(signal: NDArray[np.float64], frequency: float) -> float:
-    """Amplitude of one frequency in a signal that covers whole periods of it."""
+    """Amplitude of one frequency [Hz] in a signal (samples,) that covers whole periods of it, in its unit."""
     wave = np.exp(-2j * np.pi * frequency * TICK * np.arange(signal.size))
     return float(2.0 * abs(np.mean((signal - signal.mean()) * wave)))
 

@@ -122,7 +122,7 @@ class Mismatch:
 
     @property
     def wrong(self) -> float:
-        """What feed-forward gets wrong, over what is needed."""
+        """Error of feed-forward over what is needed (ratio)."""
         return abs(self.there - self.believed) / self.there
 
 

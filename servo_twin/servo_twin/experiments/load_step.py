@@ -65,7 +65,7 @@ def lost_on_paper(motor: AxisPlant, torque: float) -> float:
 
 
 def bear(plant: PlantConfig, seed: int, axis: int, part: float, steps: Sequence[float]) -> Borne:
-    """Growing steps at a part of the speed limit."""
+    """Growing steps, as parts of the torque at the current limit, at a part of the speed limit."""
     with started(plant, seed, {axis: 1.0}) as board:
         limit, current = limits_of(board, axis)
         speed = part * limit

@@ -78,7 +78,7 @@ def creep(plant: PlantConfig, seed: int, axis: int, speed: float) -> Pair:
 
 
 def shaft(plant: PlantConfig, axis: int, belief: Belief, inertia: float = 1.0, friction: float = 1.0) -> PlantConfig:
-    """Plant with so many times the inertia and the friction that the controller believes in."""
+    """Plant with so many times (ratios) the nominal inertia and friction."""
     return plant.with_axis(axis, inertia=inertia * belief.inertia, friction=friction * belief.friction)
 
 
