@@ -107,11 +107,11 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         most = 1e3 * HELD * currents[axis] * motor.torque_constant
         paper = [1e3 * it.speed / lost_on_paper(motor, 1.0) for it in found]
         for it, step in zip(found, paper, strict=True):
-            at = f"{name} at {it.speed / RPM:.0f} rpm"
-            yield Judge(f"{at}, ", NOT_SHOWN)("step borne", 1e3 * it.torque, "mN m", min(step, most))
+            where = f"{name} at {it.speed / RPM:.0f} rpm"
+            yield Judge(f"{where}, ", NOT_SHOWN)("step borne", 1e3 * it.torque, "mN m", min(step, most))
             after = f"the next one: {it.end}" if it.end else "the largest that was tried"
             yield (
-                f"{at}: {1e3 * it.torque:.0f} mN m take {it.lost / RPM:.0f} rpm, on paper "
+                f"{where}: {1e3 * it.torque:.0f} mN m take {it.lost / RPM:.0f} rpm, on paper "
                 f"{lost_on_paper(motor, it.torque) / RPM:.0f} rpm; {after}"
             )
         x, borne = np.array([it.speed / RPM for it in found]), np.array([1e3 * it.torque for it in found])
