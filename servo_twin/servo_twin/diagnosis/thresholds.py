@@ -43,8 +43,8 @@ current near zero, and the ripple that is left of them grows with the speed."""
 _Array = NDArray[np.float64]
 
 _RIPPLE: Final = 0.3
-"""Part of an independent sample that the voltage d is, and the voltage q at a small current: the ripple of the dead time,
-six times per electrical turn, is aliased to beats of some samples."""
+"""Part of an independent sample that the voltage d is, and the voltage q at a small current: the ripple of the dead
+time, six times per electrical turn, is aliased to beats of some samples."""
 
 
 class ThresholdsError(ValueError):
