@@ -24,7 +24,7 @@ fn=(2)
 
 
 def test_parts_by_source() -> None:
-    assert part_of("/x/servo_twin/native/plant/bridge.c") == "plant"
+    assert part_of("/x/servo_twin/native/plant/switched_inverter.c") == "plant"
     assert part_of("/x/servo_twin/native/chip/pwm.c") == "chip"
     assert part_of("/x/firmware/port/mc56f84789/pwm.c") == "drivers"
     assert part_of("/x/firmware/control/svm.c") == "firmware"

@@ -198,18 +198,18 @@ typedef enum {
     BOARD_HEAT, /* value: temperature of the power stage from now on [deg C] */
     BOARD_SLIPPED_ENCODER, /* value: counts by which the encoder's disc turns on the shaft, now; stays so when healed */
     BOARD_CUT_WIRE /* part: a board_pin_t; a contact reads as open, the brake's coil has no current */
-} board_harm_kind_t;
+} board_fault_kind_t;
 
 typedef struct {
-    int kind; /* board_harm_kind_t */
+    int kind; /* board_fault_kind_t */
     int axis; /* 0 for what concerns the bus */
     int part;
     double value, seconds;
-} board_harm_t;
+} board_fault_t;
 
 /* From now on, or no longer; healing what is whole does nothing. */
-void board_inject(board_t *board, const board_harm_t *harm);
-void board_heal(board_t *board, const board_harm_t *harm);
+void board_inject_fault(board_t *board, const board_fault_t *fault);
+void board_clear_fault(board_t *board, const board_fault_t *fault);
 
 /* What the chip has counted since reset. */
 typedef struct {

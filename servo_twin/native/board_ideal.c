@@ -153,26 +153,26 @@ void board_set_magnet(board_t *board, int axis, double celsius) { drive_of(board
 void board_set_motor(board_t *board, int axis, int connected)
 {
     plant_drive_t *drive = drive_of(board, axis);
-    plant_inverter_plug(&drive->inverter, &drive->motor, connected != 0);
+    averaged_inverter_plug(&drive->inverter, &drive->motor, connected != 0);
 }
 
-void board_inject(board_t *board, const board_harm_t *harm)
+void board_inject_fault(board_t *board, const board_fault_t *fault)
 {
-    if (harm->kind == BOARD_CUT_WIRE) {
-        chip_cut_wire(&board->chip, harm->axis, harm->part, true);
-    } else if (harm->kind == BOARD_STALLED_CORE) {
-        board->chip.stalled_ns = board->chip.now_ns + (uint64_t)(harm->seconds * 1e9);
+    if (fault->kind == BOARD_CUT_WIRE) {
+        chip_cut_wire(&board->chip, fault->axis, fault->part, true);
+    } else if (fault->kind == BOARD_STALLED_CORE) {
+        board->chip.stalled_ns = board->chip.now_ns + (uint64_t)(fault->seconds * 1e9);
     } else {
-        plant_harm(&board->chip.plant, harm, false);
+        plant_set_fault(&board->chip.plant, fault, false);
     }
 }
 
-void board_heal(board_t *board, const board_harm_t *harm)
+void board_clear_fault(board_t *board, const board_fault_t *fault)
 {
-    if (harm->kind == BOARD_CUT_WIRE) {
-        chip_cut_wire(&board->chip, harm->axis, harm->part, false);
+    if (fault->kind == BOARD_CUT_WIRE) {
+        chip_cut_wire(&board->chip, fault->axis, fault->part, false);
     } else {
-        plant_harm(&board->chip.plant, harm, true);
+        plant_set_fault(&board->chip.plant, fault, true);
     }
 }
 

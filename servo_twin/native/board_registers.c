@@ -81,7 +81,7 @@ uint64_t world_next(void *world)
 {
     board_t *board = (board_t *)world;
     const switching_t *plant = &board->plant;
-    return (plant->waiting > 0) ? plant->now : switching_next(&board->plant); /* an edge may have shorted the bus */
+    return (plant->pending > 0) ? plant->now : switching_next(&board->plant); /* an edge may have shorted the bus */
 }
 
 /* The pin of an encoder's line, or that of the other line. */
@@ -99,8 +99,8 @@ void world_deferrable_edges(void *world)
         const unsigned a = chip_deferrable_edges(&board->chip, encoder_pin[axis][0]);
         const unsigned b = chip_deferrable_edges(&board->chip, encoder_pin[axis][1]);
         const unsigned edges = (a < b) ? a : b;
-        if (edges != board->plant.axis[axis].patience) {
-            switching_keep_back(&board->plant, axis, edges);
+        if (edges != board->plant.axis[axis].deferrable_edges) {
+            switching_defer_edges(&board->plant, axis, edges);
         }
     }
 }
@@ -110,7 +110,7 @@ void world_late(void *world)
     board_t *board = (board_t *)world;
     switching_event_t event;
     for (int axis = 0; axis < BOARD_AXES; axis++) {
-        while (switching_take_kept(&board->plant, axis, &event)) {
+        while (switching_take_deferred(&board->plant, axis, &event)) {
             chip_pin_late(&board->chip, line_pin(board, axis, event.line), event.level, event.clock);
         }
     }
@@ -471,29 +471,29 @@ void board_set_magnet(board_t *board, int axis, double celsius) { switching_warm
 
 void board_set_motor(board_t *board, int axis, int connected) { switching_plug(&board->plant, axis, connected != 0); }
 
-static void cut_wire(board_t *board, const board_harm_t *harm, bool cut)
+static void cut_wire(board_t *board, const board_fault_t *fault, bool cut)
 {
-    plant_pins_cut(&board->pins[harm->axis], harm->part, cut, seconds_of(board));
-    show_contacts(board, harm->axis);
+    plant_pins_cut(&board->pins[fault->axis], fault->part, cut, seconds_of(board));
+    show_contacts(board, fault->axis);
 }
 
-void board_inject(board_t *board, const board_harm_t *harm)
+void board_inject_fault(board_t *board, const board_fault_t *fault)
 {
     boot_once(board);
-    if (harm->kind == BOARD_CUT_WIRE) {
-        cut_wire(board, harm, true);
-    } else if (harm->kind == BOARD_STALLED_CORE) {
-        board->stall_clocks = (uint32_t)(harm->seconds * 1e9 / CLOCK_NS);
+    if (fault->kind == BOARD_CUT_WIRE) {
+        cut_wire(board, fault, true);
+    } else if (fault->kind == BOARD_STALLED_CORE) {
+        board->stall_clocks = (uint32_t)(fault->seconds * 1e9 / CLOCK_NS);
     } else {
-        switching_harm(&board->plant, harm, false);
+        switching_set_fault(&board->plant, fault, false);
     }
 }
 
-void board_heal(board_t *board, const board_harm_t *harm)
+void board_clear_fault(board_t *board, const board_fault_t *fault)
 {
-    if (harm->kind == BOARD_CUT_WIRE) {
-        cut_wire(board, harm, false);
+    if (fault->kind == BOARD_CUT_WIRE) {
+        cut_wire(board, fault, false);
     } else {
-        switching_harm(&board->plant, harm, true);
+        switching_set_fault(&board->plant, fault, true);
     }
 }

@@ -152,7 +152,7 @@ static void half_cycle(hal_t *chip, int sampled)
     for (int i = 0; i < HAL_AXES; i++) {
         if (chip->axis[i].written) {
             chip->axis[i].written = false;
-            plant_inverter_load(&chip->plant.axis[i].inverter, chip->axis[i].duty, chip->plant.bus.u);
+            averaged_inverter_load(&chip->plant.axis[i].inverter, chip->axis[i].duty, chip->plant.bus.u);
         }
     }
     watch_dog(chip);
@@ -176,7 +176,7 @@ static void grid(hal_t *chip)
     plant_t *plant = &chip->plant;
     if (chip->grid_ns > 0) { /* time zero is the beginning of the first step */
         plant_step(plant, chip->grid_ns - plant->step_ns);
-        plant_hold(plant, seconds(chip));
+        plant_update_holding_brakes(plant, seconds(chip));
         for (int i = 0; i < HAL_AXES; i++) {
             if (check_current(chip, i) && awake(chip)) {
                 servo_break_isr(chip->servo, (uint16_t)i);

@@ -569,7 +569,7 @@ class Board:
             self._harms.append(harm)
             self._change_plant()
             return
-        self._lib.board_inject(self._board, self._raw(harm))
+        self._lib.board_inject_fault(self._board, self._raw(harm))
         self._harms.append(harm)
 
     def heal(self, harm: Harm | None = None) -> None:
@@ -577,7 +577,7 @@ class Board:
         harms = self._harms if harm is None else [harm]
         for one in reversed(harms):
             if not isinstance(one, ChangedValue):
-                self._lib.board_heal(self._board, self._raw(one))
+                self._lib.board_clear_fault(self._board, self._raw(one))
         changed = any(isinstance(one, ChangedValue) for one in harms)
         self._harms = [one for one in self._harms if one not in harms]
         if changed:
@@ -585,7 +585,7 @@ class Board:
 
     def _raw(self, harm: NativeHarm) -> Any:
         kind, *where = harm.raw()
-        return self._ffi.new("board_harm_t *", (getattr(self._lib, kind), *where))
+        return self._ffi.new("board_fault_t *", (getattr(self._lib, kind), *where))
 
     def set_plant(self, name: str, value: float) -> None:
         """Change a value of the plant from now on, by its name in the plant file: ``axis1.r_s``, ``bus.u_source``.

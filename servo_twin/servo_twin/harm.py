@@ -52,7 +52,7 @@ _SLIP_MOST: Final = 1_000_000
 
 
 class RawHarm(NamedTuple):
-    """The same as the C interface takes it (``board_harm_t``); `kind` names the constant of ``board.h``."""
+    """The same as the C interface takes it (``board_fault_t``); `kind` names the constant of ``board.h``."""
 
     kind: str
     axis: int = 0

@@ -56,13 +56,13 @@ def build_switching(folder: Path, name: str, *defines: str) -> Native:
     preamble = """
 #include "plant/plant.h"
 #include "plant/switching.h"
-#include "plant/bridge_course.h"
+#include "plant/segment_trajectory.h"
 
 static unsigned straight_roots(const double f0[4], const double f1[4], const double d0[4], double h, double root[4])
 {
     lanes_t roots;
-    const unsigned good = chord_roots(lanes_of(f0), lanes_of(f1), lanes_of(d0), h, &roots);
-    put_lanes(root, roots);
+    const unsigned good = chord_roots(load_lanes(f0), load_lanes(f1), load_lanes(d0), h, &roots);
+    store_lanes(root, roots);
     return good;
 }
 """
@@ -77,8 +77,8 @@ def switching_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
 
 @pytest.fixture(scope="session")
 def stepping_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
-    """The same without frames: every segment goes by the steps that are otherwise for what is unusual."""
-    return build_switching(tmp_path_factory.mktemp("stepping"), "stepping_under_test", "PLANT_NO_FRAMES")
+    """The same without linear intervals: every segment by the general integration."""
+    return build_switching(tmp_path_factory.mktemp("stepping"), "stepping_under_test", "PLANT_NO_LINEAR_INTERVALS")
 
 
 @pytest.fixture(scope="session")

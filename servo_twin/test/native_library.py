@@ -56,14 +56,14 @@ void plant_motor_set_phases(plant_motor_t *motor, double i_a, double i_b);
 void plant_motor_lock(plant_motor_t *motor, bool locked);
 double plant_motor_torque(const plant_motor_t *motor);
 
-typedef struct { bool on; double leg[3], share[3], heat; ...; } plant_inverter_t;
-void plant_inverter_init(plant_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency, double step);
-void plant_inverter_load(plant_inverter_t *inverter, const double duty[3], double u_dc);
-double plant_inverter_step(plant_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge);
-void plant_inverter_open(plant_inverter_t *inverter, plant_motor_t *motor, int phase, bool open);
-void plant_inverter_short(plant_inverter_t *inverter, int phase, int to);
-bool plant_inverter_shorted(const plant_inverter_t *inverter);
-double plant_inverter_shunt(const plant_inverter_t *inverter, const plant_motor_t *motor, int phase, bool low);
+typedef struct { bool on; double leg[3], share[3], heat; ...; } averaged_inverter_t;
+void averaged_inverter_init(averaged_inverter_t *inverter, const plant_axis_t *config, double frequency, double step);
+void averaged_inverter_load(averaged_inverter_t *inverter, const double duty[3], double u_dc);
+double averaged_inverter_step(averaged_inverter_t *inverter, plant_motor_t *motor, double u, double dt, double *charge);
+void averaged_inverter_open(averaged_inverter_t *inverter, plant_motor_t *motor, int phase, bool open);
+void averaged_inverter_short(averaged_inverter_t *inverter, int phase, int to);
+bool averaged_inverter_shorted(const averaged_inverter_t *inverter);
+double averaged_inverter_shunt(const averaged_inverter_t *inverter, const plant_motor_t *motor, int phase, bool low);
 
 typedef struct { double u_source, u, e_source, e_brake; ...; } supply_t;
 void supply_init(supply_t *supply, const plant_bus_t *config, double ambient);
@@ -90,7 +90,7 @@ double plant_random_gauss(plant_random_t *random);
 uint16_t plant_code(double code);
 uint16_t plant_code_unipolar(double value, double full_scale);
 
-typedef struct { plant_inverter_t inverter; plant_motor_t motor; plant_encoder_t encoder; ...; } plant_drive_t;
+typedef struct { averaged_inverter_t inverter; plant_motor_t motor; plant_encoder_t encoder; ...; } plant_drive_t;
 typedef struct { plant_drive_t axis[2]; supply_t bus; uint64_t step_ns; ...; } plant_t;
 void plant_init(plant_t *plant, const board_config_t *config);
 void plant_step(plant_t *plant, uint64_t now_ns);

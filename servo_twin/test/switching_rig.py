@@ -11,14 +11,14 @@ from switching_reference import Edge
 
 SWITCHING_CDEF = """
 typedef struct {
-    double i[4], di[4], ddi[4], v[4], inverse[2][4], drift[2][4], push[4], push_slope[4];
-    double along[3][4], bend[3][4], hold[4]; ...;
-} bridge_frame_t;
+    double i[4], di[4], ddi[4], v[4], inverse[2][4], state_matrix[2][4], emf_term[4], emf_term_slope[4];
+    double di_per_volt[3][4], ddi_per_volt[3][4], minus_l_leg[4]; ...;
+} linear_interval_t;
 typedef struct {
-    bridge_frame_t frame; double amplifier[4], drops[14][4]; plant_vector_t psi, a, i, di;
-    double theta, omega, phase[3], low, high; unsigned positive, negative, joint; ...;
-} bridge_t;
-typedef struct { bridge_t bridge; ...; } switching_axis_t;
+    linear_interval_t interval; double amplifier[4], drops[14][4]; plant_vector_t psi, switch_vector, i, di;
+    double theta, omega, phase[3], stop_min, stop_max; unsigned positive, negative, joined; ...;
+} switched_inverter_t;
+typedef struct { switched_inverter_t inverter; ...; } switching_axis_t;
 typedef struct { double speed; ...; } shaft_t;
 typedef struct { switching_axis_t axis[2]; shaft_t shaft[2]; supply_t supply; ...; } switching_t;
 typedef struct { uint64_t clock; uint8_t kind, axis, line; bool level; } switching_event_t;
@@ -29,8 +29,8 @@ void switching_edge(switching_t *plant, int axis, int phase, int leg);
 uint64_t switching_next(switching_t *plant);
 void switching_advance(switching_t *plant, uint64_t clock);
 bool switching_take(switching_t *plant, switching_event_t *event);
-void switching_keep_back(switching_t *plant, int axis, unsigned edges);
-bool switching_take_kept(switching_t *plant, int axis, switching_event_t *event);
+void switching_defer_edges(switching_t *plant, int axis, unsigned edges);
+bool switching_take_deferred(switching_t *plant, int axis, switching_event_t *event);
 uint16_t switching_current_code(switching_t *plant, int axis, int phase);
 uint16_t switching_bus_code(switching_t *plant);
 bool switching_over_current(const switching_t *plant, int axis);
@@ -49,9 +49,9 @@ void switching_lock(switching_t *plant, int axis, bool locked);
 void switching_obstruct(switching_t *plant, int axis, double below, double above);
 void switching_plug(switching_t *plant, int axis, bool plugged);
 void switching_cut(switching_t *plant, int axis, int line, bool cut, bool level);
-typedef struct { int kind, axis, part; double value, seconds; } board_harm_t;
-typedef enum { BOARD_ENCODER_GLITCHES, BOARD_SLIPPED_ENCODER, ... } board_harm_kind_t;
-void switching_harm(switching_t *plant, const board_harm_t *harm, bool healed);
+typedef struct { int kind, axis, part; double value, seconds; } board_fault_t;
+typedef enum { BOARD_ENCODER_GLITCHES, BOARD_SLIPPED_ENCODER, ... } board_fault_kind_t;
+void switching_set_fault(switching_t *plant, const board_fault_t *fault, bool cleared);
 void switching_brake(switching_t *plant, bool on);
 """
 
@@ -69,7 +69,7 @@ class Switching:
 
     def spin(self, axis: int, omega: float) -> None:
         """Give the shaft a speed; before anything has happened."""
-        self.c.axis[axis].bridge.omega = self.c.shaft[axis].speed = omega
+        self.c.axis[axis].inverter.omega = self.c.shaft[axis].speed = omega
 
     def charge(self, volts: float) -> None:
         """Give the bus a voltage; before anything has happened."""
@@ -85,13 +85,13 @@ class Switching:
         while self.lib.switching_take(self.c, event):
             self.events.append((event.clock, event.kind, event.axis, event.line, event.level))
 
-    def take_kept(self, axis: int, patience: int) -> int:
-        """Take the edges that have been kept back, and allow for others; returns how many there were."""
+    def take_deferred(self, axis: int, allowed: int) -> int:
+        """Take the deferred edges and allow as many more to be deferred; returns how many there were."""
         event = self.ffi.new("switching_event_t *")
         before = len(self.events)
-        while self.lib.switching_take_kept(self.c, axis, event):
+        while self.lib.switching_take_deferred(self.c, axis, event):
             self.events.append((event.clock, event.kind, event.axis, event.line, event.level))
-        self.lib.switching_keep_back(self.c, axis, patience)
+        self.lib.switching_defer_edges(self.c, axis, allowed)
         return len(self.events) - before
 
     def edge(self, axis: int, phase: int, gates: int) -> None:

@@ -46,23 +46,23 @@ class Averaged:
         self.plant = plain(inertia=FLYWHEEL, **axis).axes[0]
         config = c_axis(native, self.plant)
         self.motor = native.ffi.new("plant_motor_t *")
-        self.inverter = native.ffi.new("plant_inverter_t *")
+        self.inverter = native.ffi.new("averaged_inverter_t *")
         self.charge = native.ffi.new("double *")
         native.lib.plant_motor_init(self.motor, config)
-        native.lib.plant_inverter_init(self.inverter, config, 16000.0, STEP)
+        native.lib.averaged_inverter_init(self.inverter, config, 16000.0, STEP)
 
     def spin(self, omega: float) -> None:
         self.motor.omega = omega
 
     def drive(self, *duty: float) -> None:
         self.inverter.on = True
-        self.native.lib.plant_inverter_load(self.inverter, duty, self.bus)
+        self.native.lib.averaged_inverter_load(self.inverter, duty, self.bus)
 
     def open(self, phase: int) -> None:
-        self.native.lib.plant_inverter_open(self.inverter, self.motor, phase, True)
+        self.native.lib.averaged_inverter_open(self.inverter, self.motor, phase, True)
 
     def short(self, phase: int, to: int) -> None:
-        self.native.lib.plant_inverter_short(self.inverter, phase, to)
+        self.native.lib.averaged_inverter_short(self.inverter, phase, to)
 
     def run(self, seconds: float) -> Any:
         """Phase currents meanwhile, one row per step."""
@@ -70,7 +70,7 @@ class Averaged:
         for _ in range(round(seconds / STEP)):
             left = STEP
             while left > 1e-15:
-                left -= self.native.lib.plant_inverter_step(self.inverter, self.motor, self.bus, left, self.charge)
+                left -= self.native.lib.averaged_inverter_step(self.inverter, self.motor, self.bus, left, self.charge)
             rows.append(list(self.motor.phase))
         return np.array(rows)
 
@@ -93,8 +93,8 @@ class Switched:
             self.rig.edge(0, phase, gate)
 
     def harm(self, kind: int, phase: int, value: float = 0.0) -> None:
-        harm = self.rig.ffi.new("board_harm_t *", (kind, 0, phase, value, 0.0))
-        self.rig.lib.switching_harm(self.rig.c, harm, False)
+        harm = self.rig.ffi.new("board_fault_t *", (kind, 0, phase, value, 0.0))
+        self.rig.lib.switching_set_fault(self.rig.c, harm, False)
 
     def open(self, phase: int) -> None:
         self.harm(OPEN_PHASE, phase)

@@ -26,20 +26,20 @@ class Leg:
         self.bus = bus
         config = c_axis(plant_c, axis)
         self.motor = plant_c.ffi.new("plant_motor_t *")
-        self.inverter = plant_c.ffi.new("plant_inverter_t *")
+        self.inverter = plant_c.ffi.new("averaged_inverter_t *")
         self._charge = plant_c.ffi.new("double *")
         plant_c.lib.plant_motor_init(self.motor, config)
-        plant_c.lib.plant_inverter_init(self.inverter, config, PWM, STEP)
+        plant_c.lib.averaged_inverter_init(self.inverter, config, PWM, STEP)
         self.inverter.on = on
 
     def duty(self, *duty: float) -> None:
-        self.native.lib.plant_inverter_load(self.inverter, duty, self.bus)
+        self.native.lib.averaged_inverter_load(self.inverter, duty, self.bus)
 
     def run(self, steps: int) -> None:
         for _ in range(steps):
             left = STEP
             while left > 1e-15:
-                left -= self.native.lib.plant_inverter_step(self.inverter, self.motor, self.bus, left, self._charge)
+                left -= self.native.lib.averaged_inverter_step(self.inverter, self.motor, self.bus, left, self._charge)
 
     @property
     def charge(self) -> float:
@@ -271,12 +271,12 @@ class TestShunts:
         leg.native.lib.plant_motor_set_phases(leg.motor, current, -current / 2)
         leg.run(1)
         now = leg.phase[0]
-        shunt = leg.native.lib.plant_inverter_shunt
+        shunt = leg.native.lib.averaged_inverter_shunt
         assert shunt(leg.inverter, leg.motor, 0, True) == (now if low else 0.0)
         assert shunt(leg.inverter, leg.motor, 0, False) == (now if high else 0.0)
 
     def test_only_lower_diodes_pass_them(self, plant_c: Native) -> None:
         leg = locked(plant_c, plain().axes[0], on=False)
         leg.native.lib.plant_motor_set_phases(leg.motor, 3.0, -1.0)
-        shunt = leg.native.lib.plant_inverter_shunt
+        shunt = leg.native.lib.averaged_inverter_shunt
         assert [shunt(leg.inverter, leg.motor, k, True) for k in range(3)] == pytest.approx([3.0, 0.0, 0.0])

@@ -16,26 +16,26 @@ def test_a_pair_does_what_two_single_axes_do(plant_c: Native, speeds: tuple[floa
     lib.plant_init(both, c_config(plant_c, plant))
     duties = [(0.62, 0.48, 0.40), (0.45, 0.52, 0.53)]
     motors = [ffi.new("plant_motor_t *") for _ in range(2)]
-    inverters = [ffi.new("plant_inverter_t *") for _ in range(2)]
+    inverters = [ffi.new("averaged_inverter_t *") for _ in range(2)]
     step = both.step_ns * 1e-9
     charge = ffi.new("double *")
     for index in range(2):
         config = c_axis(plant_c, plant.axes[index])
         lib.plant_motor_init(motors[index], config)
-        lib.plant_inverter_init(inverters[index], config, 16000.0, step)
+        lib.averaged_inverter_init(inverters[index], config, 16000.0, step)
         inverters[index].on = both.axis[index].inverter.on = True
         motors[index].omega = both.axis[index].motor.omega = speeds[index]
     for n in range(600):
         bus = both.bus.u
         if n % 2 == 0:
             for index in range(2):
-                lib.plant_inverter_load(inverters[index], duties[index], bus)
-                lib.plant_inverter_load(ffi.addressof(both.axis[index].inverter), duties[index], bus)
+                lib.averaged_inverter_load(inverters[index], duties[index], bus)
+                lib.averaged_inverter_load(ffi.addressof(both.axis[index].inverter), duties[index], bus)
         lib.plant_step(both, n * both.step_ns)
         for index, motor in enumerate(motors):
             left = step
             while left > 1e-15:
-                left -= lib.plant_inverter_step(inverters[index], motor, bus, left, charge)
+                left -= lib.averaged_inverter_step(inverters[index], motor, bus, left, charge)
             paired = both.axis[index].motor
             assert paired.omega == pytest.approx(motor.omega, rel=1e-11, abs=1e-12)
             assert paired.theta == pytest.approx(motor.theta, rel=1e-12, abs=1e-14)

@@ -77,13 +77,13 @@ def test_currents_stay_sound_whatever_the_gates_do(switching_c: Native, seed: in
             # what resistance alone lets through
             assert max(map(abs, truth.phase)) < 1.0 + volts / (motor.r_s + motor.r_on)
             assert sum(truth.phase) == pytest.approx(0.0, abs=1e-9 * (1.0 + max(map(abs, truth.phase))))
-            bridge = c.axis[index].bridge
-            assert bridge.low <= truth.theta <= bridge.high
-            for leg, current in enumerate(bridge.phase):
-                lane = leg + (leg > 0)  # BRIDGE_LANE
-                if bridge.joint >> lane & 1 == 0:
-                    sign = (bridge.positive >> lane & 1) - (bridge.negative >> lane & 1)
-                    assert sign * current >= -2e-3  # nobody flows against what its leg is taken to conduct
+            inverter = c.axis[index].inverter
+            assert inverter.stop_min <= truth.theta <= inverter.stop_max
+            for leg, current in enumerate(inverter.phase):
+                lane = leg + (leg > 0)  # INVERTER_LANE
+                if inverter.joined >> lane & 1 == 0:
+                    sign = (inverter.positive >> lane & 1) - (inverter.negative >> lane & 1)
+                    assert sign * current >= -2e-3  # no current flows against the sign that its leg conducts
                     assert sign != 0 or current == 0.0
         assert switching.bus.u_dc >= 0.0
     times = [event[0] for event in switching.events]

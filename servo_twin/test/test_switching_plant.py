@@ -147,7 +147,7 @@ class TestMeans:
         for n in range(60):
             edges = [e for axis in range(2) for e in centred_edges(n * PERIOD, PERIOD, duties[axis], DEAD, axis)]
             for index in range(2):
-                lib.plant_inverter_load(ffi.addressof(averaged.axis[index].inverter), duties[index], averaged.bus.u)
+                lib.averaged_inverter_load(ffi.addressof(averaged.axis[index].inverter), duties[index], averaged.bus.u)
             for _ in range(2):  # half cycles
                 lib.plant_step(averaged, clock)
                 clock += averaged.step_ns
@@ -445,8 +445,8 @@ class TestEncoder:
         assert lines == {0}
         assert not switching.lib.switching_line(switching.c, 0, 1)
 
-    @pytest.mark.parametrize("patience", [3, 12, 100])
-    def test_edges_that_are_kept_back_have_the_same_clocks(self, switching_c: Native, patience: int) -> None:
+    @pytest.mark.parametrize("allowed", [3, 12, 100])
+    def test_deferred_edges_have_the_same_clocks(self, switching_c: Native, allowed: int) -> None:
         """Of a shaft that turns back, with a line that is disturbed and later cut, and a disc that slips."""
 
         def run(keeps: bool) -> tuple[list[tuple[int, int, int, int, bool]], int]:
@@ -465,18 +465,20 @@ class TestEncoder:
             kept = 0
             for n in range(600):
                 if n in (100, 200):
-                    switching.lib.switching_harm(switching.c, switching.ffi.new("board_harm_t *", glitches), n == 200)
+                    switching.lib.switching_set_fault(
+                        switching.c, switching.ffi.new("board_fault_t *", glitches), n == 200
+                    )
                 if n in (150, 250):
-                    switching.lib.switching_harm(switching.c, switching.ffi.new("board_harm_t *", slip), False)
+                    switching.lib.switching_set_fault(switching.c, switching.ffi.new("board_fault_t *", slip), False)
                 switching.advance(switching.clock + chance.randrange(1, 8000))
                 if 50 <= n < 60:
                     switching.lib.switching_obstruct(switching.c, 0, (n % 2) * 5.0, 5.0)
                 if n in (400, 450):
                     switching.lib.switching_cut(switching.c, 0, 1, n == 400, True)
                 if keeps:
-                    kept += switching.take_kept(0, patience)
+                    kept += switching.take_deferred(0, allowed)
             switching.advance(switching.clock + 1)
-            kept += switching.take_kept(0, 0)
+            kept += switching.take_deferred(0, 0)
             assert switching.truth(0).omega < 0.0
             return sorted(switching.events), kept
 
@@ -485,7 +487,7 @@ class TestEncoder:
         assert late == prompt
         assert len(prompt) > 600
         assert none == 0
-        assert some > {3: -1, 12: 300, 100: 600}[patience]
+        assert some > {3: -1, 12: 300, 100: 600}[allowed]
 
     def test_same_seed_same_edges(self, switching_c: Native) -> None:
         runs = []
@@ -629,11 +631,12 @@ def test_vectors_lie_in_one_line_of_the_cache_each(switching_c: Native) -> None:
     """If the plant begins one. A vector across two costs time, and nothing else shows that."""
     ffi = switching_c.ffi
     axis = ffi.offsetof("switching_t", "axis")
-    vectors = [(name, 32) for name in ("amplifier", "drops")] + [(name, 16) for name in ("psi", "a", "i", "di")]
+    sizes = {"amplifier": 32, "drops": 32, "psi": 16, "switch_vector": 16, "i": 16, "di": 16}
     assert axis % 64 == 0
     assert ffi.sizeof("switching_axis_t") % 64 == 0
-    assert ffi.offsetof("switching_axis_t", "bridge") == ffi.offsetof("bridge_t", "frame") == 0
-    for name, size in vectors:
-        assert ffi.offsetof("bridge_t", name) % size == 0, name
-    for name in ("i", "di", "ddi", "v", "inverse", "drift", "push", "push_slope", "along", "bend", "hold"):
-        assert ffi.offsetof("bridge_frame_t", name) % 32 == 0, name
+    assert ffi.offsetof("switching_axis_t", "inverter") == ffi.offsetof("switched_inverter_t", "interval") == 0
+    for name, size in sizes.items():
+        assert ffi.offsetof("switched_inverter_t", name) % size == 0, name
+    vectors = ["i", "di", "ddi", "v", "inverse", "state_matrix", "emf_term", "emf_term_slope"]
+    for name in (*vectors, "di_per_volt", "ddi_per_volt", "minus_l_leg"):
+        assert ffi.offsetof("linear_interval_t", name) % 32 == 0, name

@@ -20,7 +20,7 @@ AMPERES = 2e-4
 """Bound on each phase current: a twentieth of a converter's step (4 mA)."""
 
 ANY_AMPERES = 1e-3
-"""The same in frames with gates that follow no modulation, shafts at up to 700 rad/s and currents of some amperes."""
+"""The same in linear intervals with random gates, shafts at up to 700 rad/s and currents of some amperes."""
 
 ROUGHNESS = 10.0
 """How many times the other bounds are as wide then: the largest of 600 runs were 2.4e-3 rad/s and 1.2e-4 V."""
@@ -179,7 +179,7 @@ def any_run(seed: int, longest: int | None) -> AnyRun:
 
 # Shafts that break loose while a current grows (6, 8, 22, 47, 132), gates that only seemed to make no difference (6 and
 # 70), a current that bends through zero at the end of a step (78), legs that only just begin to conduct (87 to 217),
-# the largest deviations of frames (221, 240, 276).
+# the largest deviations of linear intervals (221, 240, 276).
 @pytest.mark.parametrize(
     ("seed", "longest"),
     [
@@ -187,13 +187,13 @@ def any_run(seed: int, longest: int | None) -> AnyRun:
         *((seed, 2500) for seed in (87, 121, 201, 217, 276)),
     ],
 )
-@pytest.mark.parametrize("frames", [True, False])
-def test_any_gates(request: pytest.FixtureRequest, frames: bool, seed: int, longest: int | None) -> None:
-    native = request.getfixturevalue("switching_c" if frames else "stepping_c")
+@pytest.mark.parametrize("linear", [True, False])
+def test_any_gates(request: pytest.FixtureRequest, linear: bool, seed: int, longest: int | None) -> None:
+    native = request.getfixturevalue("switching_c" if linear else "stepping_c")
     run = any_run(seed, longest)
     switching, reference = Switching(native, run.config), Reference(run.config)
     for axis, omega in enumerate(run.speeds):
         switching.spin(axis, omega)
         reference.axes[axis].omega = omega
-    amperes = ANY_AMPERES if frames else AMPERES
+    amperes = ANY_AMPERES if linear else AMPERES
     compare(switching, reference, run.edges, 16_000, step=250, amperes=amperes, roughness=ROUGHNESS)

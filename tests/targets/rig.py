@@ -217,15 +217,15 @@ class Rig:
 
     def inject(self, harm: NativeHarm) -> None:
         """Break something."""
-        self._lib.board_inject(self._board, self._harm(harm))
+        self._lib.board_inject_fault(self._board, self._harm(harm))
 
     def heal(self, harm: NativeHarm) -> None:
         """Make it whole again."""
-        self._lib.board_heal(self._board, self._harm(harm))
+        self._lib.board_clear_fault(self._board, self._harm(harm))
 
     def _harm(self, harm: NativeHarm) -> Any:
         kind, *where = harm.raw()
-        return self._ffi.new("board_harm_t *", (getattr(self._lib, kind), *where))
+        return self._ffi.new("board_fault_t *", (getattr(self._lib, kind), *where))
 
     def disturb(self, *axes: int, one_in: int, seed: int = 1) -> None:
         """Replace one in so many analogue inputs and edges of some axes (0, 1) by random ones."""

@@ -85,7 +85,7 @@ static void latch_at(plant_encoder_t *encoder, uint64_t time_ns)
     encoder->latched = true;
 }
 
-PLANT_RARE double plant_encoder_eccentric(const plant_encoder_t *encoder, double theta)
+PLANT_COLD double plant_encoder_eccentric(const plant_encoder_t *encoder, double theta)
 {
     double sine;
     double cosine;
@@ -94,7 +94,7 @@ PLANT_RARE double plant_encoder_eccentric(const plant_encoder_t *encoder, double
 }
 
 /* How an eccentric disc moves with the shaft. */
-static PLANT_RARE plant_movement_t seen_from_disc(const plant_encoder_t *encoder, const plant_movement_t *movement)
+static PLANT_COLD plant_movement_t seen_from_disc(const plant_encoder_t *encoder, const plant_movement_t *movement)
 {
     plant_movement_t disc = *movement;
     double sine;
@@ -164,8 +164,8 @@ static inline void move_quickly(plant_encoder_t *encoder, const plant_movement_t
     encoder->edge += edges;
 }
 
-static PLANT_ONCE void move_to(plant_encoder_t *encoder, int64_t target, const plant_movement_t *movement,
-                               uint64_t reference_ns)
+static PLANT_NOINLINE void move_to(plant_encoder_t *encoder, int64_t target, const plant_movement_t *movement,
+                                   uint64_t reference_ns)
 {
     const int64_t edges = target - encoder->edge;
     if (edges == 0) {

@@ -115,7 +115,7 @@ static iron_state_t iron_rate(const plant_motor_t *m, single_vector_t u, double 
 }
 
 /* Runge-Kutta 4 of the fluxes; `direction` 0: the shaft stands. */
-static PLANT_RARE void turn_iron(plant_motor_t *m, plant_vector_t u, double h, double direction)
+static PLANT_COLD void turn_iron(plant_motor_t *m, plant_vector_t u, double h, double direction)
 {
     const single_vector_t v = seen_from_rotor(m, u);
     const iron_state_t x = {saturation_flux(m->iron_d, m->i_d), saturation_flux(m->iron_q, m->i_q),

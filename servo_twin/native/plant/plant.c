@@ -2,17 +2,17 @@
 
 #include "plant/inline.h"
 
-static inline plant_lane_t lane_of(plant_drive_t *axis) { return (plant_lane_t){&axis->inverter, &axis->motor}; }
+static inline motor_lane_t lane_of(plant_drive_t *axis) { return (motor_lane_t){&axis->inverter, &axis->motor}; }
 
 static void pair_up(plant_t *plant)
 {
-    const plant_lane_t lane[2] = {lane_of(&plant->axis[0]), lane_of(&plant->axis[1])};
-    plant_pair_init(&plant->pair, lane, plant->step);
+    const motor_lane_t lane[2] = {lane_of(&plant->axis[0]), lane_of(&plant->axis[1])};
+    motor_pair_init(&plant->pair, lane, plant->step);
 }
 
 void plant_init(plant_t *plant, const board_config_t *config)
 {
-    *plant = (plant_t){.u_noise = config->bus.u_noise, .u_noise_whole = config->bus.u_noise};
+    *plant = (plant_t){.u_noise = config->bus.u_noise, .u_noise_configured = config->bus.u_noise};
     plant->step_ns = (uint64_t)(0.5e9 / config->pwm_frequency + 0.5);
     const double step = (double)plant->step_ns * 1e-9;
     plant->step = step;
@@ -22,11 +22,11 @@ void plant_init(plant_t *plant, const board_config_t *config)
     for (int i = 0; i < BOARD_AXES; i++) {
         plant_drive_t *axis = &plant->axis[i];
         axis->config = config->axis[i];
-        plant_inverter_init(&axis->inverter, &config->axis[i], config->pwm_frequency, step);
+        averaged_inverter_init(&axis->inverter, &config->axis[i], config->pwm_frequency, step);
         plant_motor_init(&axis->motor, &config->axis[i]);
         plant_encoder_init(&axis->encoder, &config->axis[i]);
         plant_random_init(&axis->noise, config->seed, (uint64_t)i + 1u);
-        plant_harm_init(&axis->harm, &config->axis[i], config->seed, (uint64_t)i + 5u);
+        plant_faults_init(&axis->faults, &config->axis[i], config->seed, (uint64_t)i + 5u);
         plant_pins_init(&axis->pins, &config->axis[i]);
         thermal_init(&axis->sink, config->axis[i].sink_capacity, config->axis[i].sink_resistance, config->ambient);
         thermal_init(&axis->winding, config->axis[i].winding_capacity, config->axis[i].winding_resistance,
@@ -63,10 +63,10 @@ static bool follow_heat(plant_drive_t *axis)
 
 static void change_axis(plant_drive_t *axis, const plant_axis_t *config, double pwm_frequency, double step)
 {
-    const double noise = plant_harm_noise(&axis->harm.i_whole, axis->config.i_noise, config->i_noise);
+    const double noise = plant_faults_noise(&axis->faults.i_noise_configured, axis->config.i_noise, config->i_noise);
     axis->config = *config;
     axis->config.i_noise = noise;
-    plant_inverter_change(&axis->inverter, config, pwm_frequency, step);
+    averaged_inverter_change(&axis->inverter, config, pwm_frequency, step);
     plant_motor_change(&axis->motor, config);
     plant_pins_change(&axis->pins, config);
     axis->motor.friction = plant_pins_friction(&axis->pins);
@@ -88,7 +88,7 @@ void plant_change(plant_t *plant, const board_config_t *config)
     for (int i = 0; i < BOARD_AXES; i++) {
         change_axis(&plant->axis[i], &config->axis[i], config->pwm_frequency, plant->step);
     }
-    plant->u_noise = plant_harm_noise(&plant->u_noise_whole, plant->u_noise, config->bus.u_noise);
+    plant->u_noise = plant_faults_noise(&plant->u_noise_configured, plant->u_noise, config->bus.u_noise);
     plant->codes_per_volt = 4096.0 / config->bus.u_full_scale;
     supply_change(&plant->bus, &config->bus);
     plant->bus_step = supply_step_of(&plant->bus, plant->step);
@@ -104,7 +104,7 @@ static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, doubl
     while (done < step) {
         plant_movement_t movement = {.theta_0 = motor->theta, .omega_0 = motor->omega, .start_ns = start + done};
         const double rest = step - done;
-        const double used = 1e9 * plant_inverter_step(&axis->inverter, motor, u_dc, 1e-9 * rest, &charge);
+        const double used = 1e9 * averaged_inverter_step(&axis->inverter, motor, u_dc, 1e-9 * rest, &charge);
         movement.duration_ns = used;
         movement.theta_1 = motor->theta;
         movement.omega_1 = motor->omega;
@@ -118,7 +118,7 @@ static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, doubl
 }
 
 /* The same for all of a step in parts, each with the torque that shaft, cogging and end stops have in its middle. */
-static PLANT_RARE double fine_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, double step)
+static PLANT_COLD double fine_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, double step)
 {
     const double part = step / PLANT_SHAFT_STEPS;
     double charge = 0.0;
@@ -135,8 +135,8 @@ static PLANT_RARE double fine_step(plant_drive_t *axis, double u_dc, uint64_t no
 static void glitch(plant_drive_t *axis, double step, uint64_t now_ns)
 {
     for (int line = 0; line < PLANT_ENCODER_LINES; line++) {
-        const double rate = axis->harm.glitches[line];
-        if (rate > 0.0 && plant_harm_chance(&axis->harm) < rate * step) {
+        const double rate = axis->faults.glitches[line];
+        if (rate > 0.0 && plant_faults_uniform(&axis->faults) < rate * step) {
             plant_encoder_glitch(&axis->encoder, (plant_line_t)line, now_ns);
         }
     }
@@ -148,7 +148,7 @@ static void warm_up(plant_t *plant)
     bool warmer = false;
     for (int i = 0; i < BOARD_AXES; i++) {
         plant_drive_t *axis = &plant->axis[i];
-        if (!axis->harm.heated) {
+        if (!axis->faults.sink_held) {
             thermal_advance(&axis->sink, h, axis->inverter.heat);
         }
         axis->inverter.heat = 0.0;
@@ -165,10 +165,10 @@ static void warm_up(plant_t *plant)
     supply_warm(&plant->bus, h);
 }
 
-PLANT_ONCE void plant_step(plant_t *plant, uint64_t now_ns)
+PLANT_NOINLINE void plant_step(plant_t *plant, uint64_t now_ns)
 {
     plant_drive_t *drive = plant->axis;
-    const plant_lane_t lane[2] = {lane_of(&drive[0]), lane_of(&drive[1])};
+    const motor_lane_t lane[2] = {lane_of(&drive[0]), lane_of(&drive[1])};
     const double theta[2] = {drive[0].motor.theta, drive[1].motor.theta};
     const double omega[2] = {drive[0].motor.omega, drive[1].motor.omega};
     double charge;
@@ -178,7 +178,7 @@ PLANT_ONCE void plant_step(plant_t *plant, uint64_t now_ns)
         }
     }
     plant->u_step = plant->bus.u;
-    const unsigned taken = plant_pair_step(&plant->pair, lane, plant->bus.u, &charge);
+    const unsigned taken = motor_pair_step(&plant->pair, lane, plant->bus.u, &charge);
     for (int i = 0; i < BOARD_AXES; i++) {
         plant_drive_t *axis = &drive[i];
         if ((taken & (1u << i)) == 0u) {
@@ -194,7 +194,7 @@ PLANT_ONCE void plant_step(plant_t *plant, uint64_t now_ns)
                 plant_encoder_count(&axis->encoder, axis->motor.theta);
             }
         }
-        if (axis->harm.glitching) {
+        if (axis->faults.has_glitches) {
             glitch(axis, plant->step, now_ns);
         }
     }
@@ -210,16 +210,16 @@ void plant_set_load(plant_t *plant, int axis, double torque) { set_load(&plant->
 void plant_voltages(const plant_t *plant, int axis, double voltage[3])
 {
     const plant_drive_t *drive = &plant->axis[axis];
-    plant_inverter_voltages(&drive->inverter, &drive->motor, plant->u_step, voltage);
+    averaged_inverter_voltages(&drive->inverter, &drive->motor, plant->u_step, voltage);
 }
 
 bool plant_over_current(const plant_t *plant, int axis)
 {
     const plant_motor_t *motor = &plant->axis[axis].motor;
-    const plant_inverter_t *inverter = &plant->axis[axis].inverter;
+    const averaged_inverter_t *inverter = &plant->axis[axis].inverter;
     const double *phase = motor->phase;
     const double most = plant->axis[axis].config.i_break;
-    if (inverter->broken && plant_inverter_shorted(inverter)) { /* what flows there is beyond any threshold */
+    if (inverter->broken && averaged_inverter_shorted(inverter)) { /* what flows there is beyond any threshold */
         return true;
     }
     if (motor->i_d * motor->i_d + motor->i_q * motor->i_q < most * most) { /* no phase is larger than the vector */
@@ -240,7 +240,7 @@ uint16_t plant_sink_code(const plant_t *plant, int axis)
     return plant_code_unipolar(plant->axis[axis].sink.t, PLANT_SINK_FULL_SCALE);
 }
 
-void plant_hold(plant_t *plant, double now)
+void plant_update_holding_brakes(plant_t *plant, double now)
 {
     for (int i = 0; i < BOARD_AXES; i++) {
         plant_drive_t *axis = &plant->axis[i];
@@ -250,63 +250,64 @@ void plant_hold(plant_t *plant, double now)
     }
 }
 
-static void harm_converter(plant_drive_t *axis, const board_harm_t *harm, bool healed)
+static void set_converter_fault(plant_drive_t *axis, const board_fault_t *fault, bool cleared)
 {
-    axis->harm.stuck[harm->part] = !healed;
-    axis->harm.code[harm->part] = plant_code(harm->value);
+    axis->faults.stuck[fault->part] = !cleared;
+    axis->faults.code[fault->part] = plant_code(fault->value);
 }
 
-static void harm_supply(plant_t *plant, const board_harm_t *harm, bool healed)
+static void set_supply_fault(plant_t *plant, const board_fault_t *fault, bool cleared)
 {
-    if (healed) {
+    if (cleared) {
         supply_recover(&plant->bus);
     } else {
-        supply_dip(&plant->bus, harm->value, harm->seconds);
+        supply_dip(&plant->bus, fault->value, fault->seconds);
     }
 }
 
-void plant_harm(plant_t *plant, const board_harm_t *harm, bool healed)
+void plant_set_fault(plant_t *plant, const board_fault_t *fault, bool cleared)
 {
-    plant_drive_t *axis = &plant->axis[harm->axis];
-    switch ((board_harm_kind_t)harm->kind) {
+    plant_drive_t *axis = &plant->axis[fault->axis];
+    switch ((board_fault_kind_t)fault->kind) {
     case BOARD_OPEN_PHASE:
-        plant_inverter_open(&axis->inverter, &axis->motor, harm->part, !healed);
+        averaged_inverter_open(&axis->inverter, &axis->motor, fault->part, !cleared);
         break;
     case BOARD_SHORTED_PHASE:
-        plant_inverter_short(&axis->inverter, healed ? PLANT_WHOLE : harm->part, (int)harm->value);
+        averaged_inverter_short(&axis->inverter, cleared ? PLANT_NO_SHORT : fault->part, (int)fault->value);
         break;
     case BOARD_STUCK_CONVERTER:
-        harm_converter(axis, harm, healed);
+        set_converter_fault(axis, fault, cleared);
         break;
     case BOARD_STUCK_LINE:
-        plant_encoder_stick(&axis->encoder, (plant_line_t)harm->part, !healed, harm->value != 0.0);
+        plant_encoder_stick(&axis->encoder, (plant_line_t)fault->part, !cleared, fault->value != 0.0);
         break;
     case BOARD_LOCKED_ROTOR:
-        plant_motor_lock(&axis->motor, !healed);
+        plant_motor_lock(&axis->motor, !cleared);
         break;
     case BOARD_SUPPLY_DIP:
-        harm_supply(plant, harm, healed);
+        set_supply_fault(plant, fault, cleared);
         break;
     case BOARD_CURRENT_NOISE:
-        axis->config.i_noise = healed ? axis->harm.i_whole : harm->value;
+        axis->config.i_noise = cleared ? axis->faults.i_noise_configured : fault->value;
         break;
     case BOARD_BUS_NOISE:
-        plant->u_noise = healed ? plant->u_noise_whole : harm->value;
+        plant->u_noise = cleared ? plant->u_noise_configured : fault->value;
         break;
     case BOARD_ENCODER_GLITCHES:
-        axis->harm.glitches[harm->part] = healed ? 0.0 : harm->value;
-        axis->harm.glitching = axis->harm.glitches[PLANT_LINE_A] > 0.0 || axis->harm.glitches[PLANT_LINE_B] > 0.0;
+        axis->faults.glitches[fault->part] = cleared ? 0.0 : fault->value;
+        axis->faults.has_glitches =
+            axis->faults.glitches[PLANT_LINE_A] > 0.0 || axis->faults.glitches[PLANT_LINE_B] > 0.0;
         break;
     case BOARD_STALLED_CORE:
         break; /* nothing of the plant */
     case BOARD_HEAT:
-        axis->harm.heated = !healed;
-        axis->sink.t = healed ? axis->sink.t : harm->value;
+        axis->faults.sink_held = !cleared;
+        axis->sink.t = cleared ? axis->sink.t : fault->value;
         break;
     case BOARD_CUT_WIRE:
         break; /* the board's, which knows the time */
     case BOARD_SLIPPED_ENCODER:
-        plant_encoder_slip(&axis->encoder, healed ? 0 : (int)harm->value);
+        plant_encoder_slip(&axis->encoder, cleared ? 0 : (int)fault->value);
         break;
     }
 }

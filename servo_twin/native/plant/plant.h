@@ -6,12 +6,12 @@
 #include <stdint.h>
 
 #include "board.h"
+#include "plant/averaged_inverter.h"
 #include "plant/encoder.h"
 #include "plant/end_stop.h"
-#include "plant/harm.h"
-#include "plant/inverter.h"
+#include "plant/injected_faults.h"
 #include "plant/motor.h"
-#include "plant/pair.h"
+#include "plant/motor_pair.h"
 #include "plant/pins.h"
 #include "plant/sensors.h"
 #include "plant/shaft.h"
@@ -23,13 +23,13 @@
 
 typedef struct {
     plant_axis_t config;
-    plant_inverter_t inverter;
+    averaged_inverter_t inverter;
     plant_motor_t motor;
     end_stop_t stop;
     plant_encoder_t encoder;
     plant_random_t noise;
     double codes_per_ampere;
-    plant_harm_t harm;
+    plant_faults_t faults;
     thermal_t sink;        /* heatsink of the inverter */
     thermal_t winding; /* its resistance grows in its losses; in the motor if the configuration says so */
     plant_pins_t pins;
@@ -42,9 +42,9 @@ typedef struct {
     plant_drive_t axis[BOARD_AXES];
     supply_t bus;
     supply_step_t bus_step;
-    double u_noise, u_noise_whole; /* of a bus sample; as it should be [V] */
+    double u_noise, u_noise_configured; /* of a bus sample; as it should be [V] */
     plant_random_t bus_noise;
-    plant_pair_t pair;
+    motor_pair_t pair;
     double codes_per_volt;
     uint64_t step_ns;
     double step, steps_per_second;
@@ -87,7 +87,7 @@ static inline void plant_sample(plant_t *plant, int axis, const int phase[2], bo
     plant_drive_t *drive = &plant->axis[axis];
     samples->phase = phase;
     for (int k = 0; k < 2; k++) {
-        samples->current[k] = plant_inverter_shunt(&drive->inverter, &drive->motor, phase[k], low_side_centre);
+        samples->current[k] = averaged_inverter_shunt(&drive->inverter, &drive->motor, phase[k], low_side_centre);
     }
     samples->noise = plant_random_reserve(&drive->noise, 2);
 }
@@ -101,7 +101,7 @@ static inline void plant_sample_codes(const plant_t *plant, int axis, const plan
         const int phase = samples->phase[k];
         const double shown =
             samples->current[k] + drive->config.i_offset[phase] + drive->config.i_noise * plant_random_gauss(&noise);
-        code[k] = plant_harm_code(&drive->harm, phase, plant_code(2048.0 + shown * drive->codes_per_ampere));
+        code[k] = plant_faults_code(&drive->faults, phase, plant_code(2048.0 + shown * drive->codes_per_ampere));
     }
 }
 
@@ -112,9 +112,9 @@ uint16_t plant_bus_code(plant_t *plant);
 uint16_t plant_sink_code(const plant_t *plant, int axis);
 
 /* The holding brakes follow their coils. */
-void plant_hold(plant_t *plant, double now);
+void plant_update_holding_brakes(plant_t *plant, double now);
 
 /* Something breaks, or is whole again. */
-void plant_harm(plant_t *plant, const board_harm_t *harm, bool healed);
+void plant_set_fault(plant_t *plant, const board_fault_t *fault, bool cleared);
 
 #endif

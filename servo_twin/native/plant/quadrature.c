@@ -5,8 +5,8 @@
 #include "plant/trig.h"
 
 #define NEVER 1e9 /* [s] */
-#define MOST_JITTER 0.08 /* [pitches]: edges have to keep their order */
-#define MOST_DUTY_ERROR 0.12
+#define JITTER_MAX 0.08 /* [pitches]: edges have to keep their order */
+#define DUTY_ERROR_MAX 0.12
 
 /* Level of an edge's line above it. */
 static bool rises(int64_t n) { return ((n & 2) != 0) == ((n & 1) == 0); }
@@ -51,14 +51,14 @@ static inline double draw(quadrature_t *q, bool upwards)
 
 static double limit(double error)
 {
-    return (error > MOST_DUTY_ERROR) ? MOST_DUTY_ERROR : (error < -MOST_DUTY_ERROR) ? -MOST_DUTY_ERROR : error;
+    return (error > DUTY_ERROR_MAX) ? DUTY_ERROR_MAX : (error < -DUTY_ERROR_MAX) ? -DUTY_ERROR_MAX : error;
 }
 
 void quadrature_init(quadrature_t *q, const plant_axis_t *config, uint64_t seed, uint64_t stream)
 {
     *q = (quadrature_t){
         .pitch = 2.0 * PLANT_PI / (4.0 * config->encoder_lines),
-        .jitter = (config->encoder_jitter < MOST_JITTER) ? config->encoder_jitter : MOST_JITTER,
+        .jitter = (config->encoder_jitter < JITTER_MAX) ? config->encoder_jitter : JITTER_MAX,
         .early = 2.0 * limit(config->encoder_duty_error),
     };
     q->hysteresis = config->encoder_hysteresis * q->pitch;
@@ -113,15 +113,15 @@ void quadrature_slip(quadrature_t *q, bool upwards)
     q->level[(n & 1) == 0] = rises(n) == upwards;
 }
 
-quadrature_course_t quadrature_course(quadrature_t *q, double theta, double omega, double accel, double jerk,
-                                      double time)
+quadrature_trajectory_t quadrature_trajectory(quadrature_t *q, double theta, double omega, double accel, double jerk,
+                                              double time)
 {
     const double drive = (omega != 0.0) ? omega : accel;
     if (drive != 0.0) {
         q->upwards = drive > 0.0;
     }
     const double per_omega = (omega != 0.0) ? 1.0 / omega : 0.0;
-    const quadrature_course_t course = {
+    const quadrature_trajectory_t course = {
         .theta = theta,
         .omega = omega,
         .accel = accel,
@@ -134,7 +134,7 @@ quadrature_course_t quadrature_course(quadrature_t *q, double theta, double omeg
 }
 
 /* Root of way = omega t + accel t^2 / 2 in the form that does not cancel; NEVER if it turns back before. */
-double quadrature_slow_time(const quadrature_course_t *course, double way)
+double quadrature_slow_time(const quadrature_trajectory_t *course, double way)
 {
     const double omega = course->omega;
     const double drive = (omega != 0.0) ? omega : course->accel;

@@ -70,16 +70,16 @@ typedef struct {
     double per_omega;    /* 0 for a shaft that starts from rest */
     double bend, twist;  /* accel / omega, jerk / (6 omega) */
     double range;        /* more than the way within the time of interest [rad] */
-} quadrature_course_t;
+} quadrature_trajectory_t;
 
-quadrature_course_t quadrature_course(quadrature_t *encoder, double theta, double omega, double accel, double jerk,
-                                      double time);
+quadrature_trajectory_t quadrature_trajectory(quadrature_t *encoder, double theta, double omega, double accel,
+                                              double jerk, double time);
 
-double quadrature_slow_time(const quadrature_course_t *course, double way);
+double quadrature_slow_time(const quadrature_trajectory_t *course, double way);
 
 /* Time until the shaft reaches the next edge, which may be in the past or far away; huge if it never does on this course
  * [s]. */
-static inline double quadrature_time(const quadrature_t *encoder, const quadrature_course_t *course)
+static inline double quadrature_time(const quadrature_t *encoder, const quadrature_trajectory_t *course)
 {
     /* almost at constant speed: t = tau (1 - a tau / 2 + a^2 tau^2 / 2 - ...) - j tau^3 / (6 omega) */
     const double way = quadrature_target(encoder) - course->theta;

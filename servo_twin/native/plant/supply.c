@@ -33,7 +33,7 @@ void supply_switch(supply_t *supply, bool braking)
 
 void supply_set(supply_t *supply, double volts)
 {
-    supply->u_whole = volts;
+    supply->u_nominal = volts;
     if (supply->dip <= 0.0) {
         supply->u_source = volts;
     }
@@ -48,7 +48,7 @@ void supply_dip(supply_t *supply, double volts, double seconds)
 
 void supply_recover(supply_t *supply)
 {
-    supply->u_source = supply->u_whole;
+    supply->u_source = supply->u_nominal;
     supply->dip = 0.0;
     find_regular(supply);
 }

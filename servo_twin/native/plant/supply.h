@@ -14,7 +14,7 @@
 
 typedef struct {
     double u_source;  /* open-circuit voltage [V] */
-    double u_whole;   /* the same after a dip */
+    double u_nominal;   /* the same after a dip */
     double dip;       /* how long that lasts yet; 0: there is none [s] */
     double g_source;  /* [S] */
     double g_brake;   /* of the resistor [S]; 0: there is none */

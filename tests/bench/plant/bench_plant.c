@@ -94,9 +94,9 @@ static unsigned group(const switching_t *plant, double volts, uint64_t start, ed
     unsigned count = 0;
     for (unsigned n = 0; n < GROUP; n++) {
         for (int i = 0; i < 2; i++) {
-            const bridge_t *b = &plant->axis[i].bridge;
+            const switched_inverter_t *inverter = &plant->axis[i].inverter;
             double duty[3];
-            duties(b->pole_pairs * (b->theta + n * 62.5e-6 * b->omega), volts, duty);
+            duties(inverter->pole_pairs * (inverter->theta + n * 62.5e-6 * inverter->omega), volts, duty);
             count += cycle(edge + count, i, duty, start + n * PERIOD + (unsigned)i * (PERIOD / 2u));
         }
     }
@@ -171,7 +171,7 @@ static double run_averaged(const board_config_t *config, unsigned groups, case_t
         for (unsigned g = 0; g < GROUP; g++) {
             for (int half = 0; half < 2; half++) {
                 for (int i = 0; i < 2; i++) {
-                    plant_inverter_load(&plant.axis[i].inverter, duty[g][i], plant.bus.u);
+                    averaged_inverter_load(&plant.axis[i].inverter, duty[g][i], plant.bus.u);
                 }
                 plant_step(&plant, clock);
                 clock += plant.step_ns;

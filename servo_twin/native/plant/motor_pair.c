@@ -1,4 +1,4 @@
-#include "plant/pair.h"
+#include "plant/motor_pair.h"
 
 #include <math.h>
 #include <string.h>
@@ -38,7 +38,7 @@ static inline pair_t limit_pair(pair_t x, double low, double high)
 
 /* True for a driven axis that turns or stands all along, as far as can be told beforehand; `direction` of motion, 0 for one
  * that stands. */
-static bool plain_case(const plant_lane_t *lane, double *direction)
+static bool plain_case(const motor_lane_t *lane, double *direction)
 {
     plant_motor_t *motor = lane->motor;
     *direction = 0.0;
@@ -67,7 +67,7 @@ typedef struct {
     pair_t phase[3], share[3], leg[3], charge, heat;
 } ends_t;
 
-static inline void take(const ends_t *ends, const plant_lane_t *lane, int n)
+static inline void take(const ends_t *ends, const motor_lane_t *lane, int n)
 {
     plant_motor_t *motor = lane->motor;
     motor->i_d = ends->x.i_d[n];
@@ -88,7 +88,7 @@ static inline void take(const ends_t *ends, const plant_lane_t *lane, int n)
 #define MOTOR(member) ((pair_t){lane[0].motor->member, lane[1].motor->member})
 #define INVERTER(member) ((pair_t){lane[0].inverter->member, lane[1].inverter->member})
 
-unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], double u_dc, double *charge)
+unsigned motor_pair_step(const motor_pair_t *pair, const motor_lane_t lane[2], double u_dc, double *charge)
 {
     double ways[2];
     const bool plain[2] = {plain_case(&lane[0], &ways[0]), plain_case(&lane[1], &ways[1])};
@@ -158,7 +158,7 @@ unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], d
 
 #else
 
-unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], double u_dc, double *charge)
+unsigned motor_pair_step(const motor_pair_t *pair, const motor_lane_t lane[2], double u_dc, double *charge)
 {
     (void)pair;
     (void)lane;
@@ -169,7 +169,7 @@ unsigned plant_pair_step(const plant_pair_t *pair, const plant_lane_t lane[2], d
 
 #endif
 
-void plant_pair_init(plant_pair_t *pair, const plant_lane_t lane[2], double step)
+void motor_pair_init(motor_pair_t *pair, const motor_lane_t lane[2], double step)
 {
     for (int i = 0; i < 2; i++) {
         const plant_motor_t *m = lane[i].motor;

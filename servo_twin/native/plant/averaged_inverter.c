@@ -1,4 +1,4 @@
-#include "plant/inverter.h"
+#include "plant/averaged_inverter.h"
 
 #include <math.h>
 #include <string.h>
@@ -16,7 +16,8 @@
 
 static inline double larger(double x, double y) { return (x > y) ? x : y; }
 
-void plant_inverter_change(plant_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency, double step)
+void averaged_inverter_change(averaged_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency,
+                              double step)
 {
     const double l = (config->l_d < config->l_q) ? config->l_d : config->l_q;
     /* s(i) has the slope 1.5 / i_w at zero. Held constant over a step it must not carry a current past zero to more
@@ -31,13 +32,14 @@ void plant_inverter_change(plant_inverter_t *inverter, const plant_axis_t *confi
     inverter->floor_drop = reach * config->v_drop + 1e-6;
 }
 
-void plant_inverter_init(plant_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency, double step)
+void averaged_inverter_init(averaged_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency,
+                            double step)
 {
-    *inverter = (plant_inverter_t){.inv_i_w = 1.0, .short_from = PLANT_WHOLE};
-    plant_inverter_change(inverter, config, pwm_frequency, step);
+    *inverter = (averaged_inverter_t){.inv_i_w = 1.0, .short_from = PLANT_NO_SHORT};
+    averaged_inverter_change(inverter, config, pwm_frequency, step);
 }
 
-void plant_inverter_load(plant_inverter_t *inverter, const double duty[3], double u_dc)
+void averaged_inverter_load(averaged_inverter_t *inverter, const double duty[3], double u_dc)
 {
     for (int k = 0; k < 3; k++) {
         inverter->duty[k] = duty[k];
@@ -51,7 +53,7 @@ void plant_inverter_load(plant_inverter_t *inverter, const double duty[3], doubl
     inverter->inv_i_w = 1.0 / larger(band, floor);
 }
 
-static void drive_legs(plant_inverter_t *inverter, const plant_motor_t *motor, double u_dc)
+static void drive_legs(averaged_inverter_t *inverter, const plant_motor_t *motor, double u_dc)
 {
     for (int k = 0; k < 3; k++) {
         inverter->share[k] = single_drive_leg(motor->phase[k], inverter->inv_i_w, inverter->duty[k],
@@ -93,7 +95,7 @@ typedef struct {
 
 static bool floats(const terminals_t *t, int n, const double v[3]) { return v[n] > t->low[n] && v[n] < t->high[n]; }
 
-static void terminals_of(const plant_inverter_t *inverter, double u_dc, terminals_t *t)
+static void terminals_of(const averaged_inverter_t *inverter, double u_dc, terminals_t *t)
 {
     for (int k = 0; k < 3; k++) {
         t->of[k] = k;
@@ -106,10 +108,10 @@ static void terminals_of(const plant_inverter_t *inverter, double u_dc, terminal
     }
     const int from = inverter->short_from;
     const int to = inverter->short_to;
-    if (from == PLANT_WHOLE || inverter->open[from]) {
+    if (from == PLANT_NO_SHORT || inverter->open[from]) {
         return;
     }
-    if (to == PLANT_MINUS) {
+    if (to == PLANT_BUS_MINUS) {
         t->low[from] = 0.0;
         t->high[from] = 0.0;
     } else if (!inverter->open[to]) {
@@ -193,7 +195,7 @@ static bool all_zero(const plant_motor_t *motor) { return motor->i_d == 0.0 && m
 
 /* Open switches and no current: true if none begins, because there is a potential of the star point at which every
  * terminal is within its limits. */
-static bool blocked(const plant_inverter_t *inverter, const plant_motor_t *motor, const double emf[3], double u_dc,
+static bool blocked(const averaged_inverter_t *inverter, const plant_motor_t *motor, const double emf[3], double u_dc,
                     const terminals_t *t, double *star)
 {
     double least = -INFINITY;
@@ -214,8 +216,8 @@ static bool blocked(const plant_inverter_t *inverter, const plant_motor_t *motor
 
 /* What the motor gives and the diodes do not burn goes into the bus. Counting energy is right even where a current dies
  * within the step, because v is the mean of clamped and floating. */
-static void give_back(plant_inverter_t *inverter, const double mean[3], double u_dc, double used, const terminals_t *t,
-                      double *charge)
+static void give_back(averaged_inverter_t *inverter, const double mean[3], double u_dc, double used,
+                      const terminals_t *t, double *charge)
 {
     double energy = 0.0;
     double most = 0.0; /* the upper diodes carry no more than this */
@@ -235,7 +237,7 @@ static void give_back(plant_inverter_t *inverter, const double mean[3], double u
 }
 
 /* Power that the phase currents burn in the switches or diodes that they go through. */
-static double conduction_loss(const plant_inverter_t *inverter, const double phase[3])
+static double conduction_loss(const averaged_inverter_t *inverter, const double phase[3])
 {
     double power = 0.0;
     for (int k = 0; k < 3; k++) {
@@ -245,7 +247,7 @@ static double conduction_loss(const plant_inverter_t *inverter, const double pha
 }
 
 /* Six open switches, or a wire that is broken. */
-static double limited_step(plant_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge)
+static double limited_step(averaged_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge)
 {
     double emf[3];
     double star = 0.0;
@@ -295,13 +297,13 @@ static double limited_step(plant_inverter_t *inverter, plant_motor_t *motor, dou
     return used;
 }
 
-static void look_for_broken(plant_inverter_t *inverter)
+static void look_for_broken(averaged_inverter_t *inverter)
 {
     inverter->broken =
-        inverter->open[0] || inverter->open[1] || inverter->open[2] || inverter->short_from != PLANT_WHOLE;
+        inverter->open[0] || inverter->open[1] || inverter->open[2] || inverter->short_from != PLANT_NO_SHORT;
 }
 
-void plant_inverter_open(plant_inverter_t *inverter, plant_motor_t *motor, int phase, bool open)
+void averaged_inverter_open(averaged_inverter_t *inverter, plant_motor_t *motor, int phase, bool open)
 {
     if (open && !inverter->open[phase]) { /* half of it had come in through each of the others */
         double i[3] = {motor->phase[0], motor->phase[1], motor->phase[2]};
@@ -314,24 +316,24 @@ void plant_inverter_open(plant_inverter_t *inverter, plant_motor_t *motor, int p
     look_for_broken(inverter);
 }
 
-void plant_inverter_short(plant_inverter_t *inverter, int phase, int to)
+void averaged_inverter_short(averaged_inverter_t *inverter, int phase, int to)
 {
     inverter->short_from = phase;
     inverter->short_to = to;
     look_for_broken(inverter);
 }
 
-bool plant_inverter_shorted(const plant_inverter_t *inverter)
+bool averaged_inverter_shorted(const averaged_inverter_t *inverter)
 {
     const int from = inverter->short_from;
-    if (from == PLANT_WHOLE || !inverter->on) {
+    if (from == PLANT_NO_SHORT || !inverter->on) {
         return false;
     }
-    return (inverter->short_to == PLANT_MINUS) ? inverter->duty[from] > 0.0
-                                               : inverter->duty[from] != inverter->duty[inverter->short_to];
+    return (inverter->short_to == PLANT_BUS_MINUS) ? inverter->duty[from] > 0.0
+                                                   : inverter->duty[from] != inverter->duty[inverter->short_to];
 }
 
-void plant_inverter_plug(plant_inverter_t *inverter, plant_motor_t *motor, bool plugged)
+void averaged_inverter_plug(averaged_inverter_t *inverter, plant_motor_t *motor, bool plugged)
 {
     inverter->unplugged = !plugged;
     if (!plugged) {
@@ -340,7 +342,7 @@ void plant_inverter_plug(plant_inverter_t *inverter, plant_motor_t *motor, bool 
 }
 
 /* Legs without a load. */
-static double unplugged_step(plant_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt)
+static double unplugged_step(averaged_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt)
 {
     for (int k = 0; k < 3; k++) {
         inverter->share[k] = 0.0;
@@ -349,7 +351,8 @@ static double unplugged_step(plant_inverter_t *inverter, plant_motor_t *motor, d
     return plant_motor_coast(motor, dt);
 }
 
-double plant_inverter_step(plant_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge)
+double averaged_inverter_step(averaged_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt,
+                              double *charge)
 {
     if (inverter->unplugged) {
         return unplugged_step(inverter, motor, u_dc, dt);
@@ -370,8 +373,8 @@ double plant_inverter_step(plant_inverter_t *inverter, plant_motor_t *motor, dou
     return used;
 }
 
-void plant_inverter_voltages(const plant_inverter_t *inverter, const plant_motor_t *motor, double u_dc,
-                             double voltage[3])
+void averaged_inverter_voltages(const averaged_inverter_t *inverter, const plant_motor_t *motor, double u_dc,
+                                double voltage[3])
 {
     for (int k = 0; k < 3; k++) {
         voltage[k] = single_phase_voltage(inverter->leg[k], motor->phase[k], inverter->r_on, u_dc);
@@ -379,22 +382,22 @@ void plant_inverter_voltages(const plant_inverter_t *inverter, const plant_motor
 }
 
 /* What the leg gives to its phase; two that are shorted together give half of the sum each. */
-static double leg_current(const plant_inverter_t *inverter, const plant_motor_t *motor, int phase)
+static double leg_current(const averaged_inverter_t *inverter, const plant_motor_t *motor, int phase)
 {
     const int from = inverter->short_from;
     const int to = inverter->short_to;
-    if (from == PLANT_WHOLE || (phase != from && phase != to)) {
+    if (from == PLANT_NO_SHORT || (phase != from && phase != to)) {
         return motor->phase[phase];
     }
-    return (to == PLANT_MINUS) ? 0.0 : 0.5 * (motor->phase[from] + motor->phase[to]);
+    return (to == PLANT_BUS_MINUS) ? 0.0 : 0.5 * (motor->phase[from] + motor->phase[to]);
 }
 
-double plant_inverter_rare_shunt(const plant_inverter_t *inverter, const plant_motor_t *motor, int phase,
-                                 bool low_side_centre)
+double averaged_inverter_general_shunt(const averaged_inverter_t *inverter, const plant_motor_t *motor, int phase,
+                                       bool low_side_centre)
 {
     const double current = leg_current(inverter, motor, phase);
     if (!inverter->on) {
         return (current > 0.0) ? current : 0.0; /* only the lower diode passes the shunt */
     }
-    return plant_inverter_low_conducts(inverter, phase, low_side_centre) ? current : 0.0;
+    return averaged_inverter_low_conducts(inverter, phase, low_side_centre) ? current : 0.0;
 }

@@ -21,16 +21,16 @@
  * Broken wires: a phase that is open carries no current, whatever that takes; one that touches bus minus stays there; two
  * that touch each other share one terminal. The same solver, with other limits and terminals.
  */
-#ifndef PLANT_INVERTER_H
-#define PLANT_INVERTER_H
+#ifndef PLANT_AVERAGED_INVERTER_H
+#define PLANT_AVERAGED_INVERTER_H
 
 #include <stdbool.h>
 
 #include "board.h"
 #include "plant/motor.h"
 
-#define PLANT_WHOLE (-2)
-#define PLANT_MINUS (-1)
+#define PLANT_NO_SHORT (-2)
+#define PLANT_BUS_MINUS (-1)
 
 typedef struct {
     /* parameters */
@@ -44,7 +44,8 @@ typedef struct {
     bool unplugged;                 /* the motor's cable is off */
     bool broken;                    /* one of the following is the case */
     bool open[3];                   /* the wire of the phase is broken */
-    int short_from, short_to; /* phases that touch, or a phase and PLANT_MINUS; PLANT_WHOLE if there is no short */
+    int short_from,
+        short_to; /* phases that touch, or a phase and PLANT_BUS_MINUS; PLANT_NO_SHORT if there is no short */
     double duty[3];
     double dead_leg[3]; /* t_d f of the legs that switch */
     double inv_i_w; /* [1/A] */
@@ -52,39 +53,42 @@ typedef struct {
     double leg[3]; /* leg voltage above the negative rail, without the resistive drop [V] */
     double share[3]; /* part of each phase current that the bus delivers, 0..1 */
     double heat; /* burnt in switches and diodes since it was taken last [J] */
-} plant_inverter_t;
+} averaged_inverter_t;
 
 /* `step` is the longest step taken [s]. */
-void plant_inverter_init(plant_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency, double step);
+void averaged_inverter_init(averaged_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency,
+                            double step);
 
 /* Other parameters from now on. */
-void plant_inverter_change(plant_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency, double step);
+void averaged_inverter_change(averaged_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency,
+                              double step);
 
 /* Plug in the motor's cable, or pull it: the currents are gone at once. */
-void plant_inverter_plug(plant_inverter_t *inverter, plant_motor_t *motor, bool plugged);
+void averaged_inverter_plug(averaged_inverter_t *inverter, plant_motor_t *motor, bool plugged);
 
 /* Break the wire of a phase, or mend it: its current is gone at once. */
-void plant_inverter_open(plant_inverter_t *inverter, plant_motor_t *motor, int phase, bool open);
+void averaged_inverter_open(averaged_inverter_t *inverter, plant_motor_t *motor, int phase, bool open);
 
-/* A phase touches another, or bus minus; with PLANT_WHOLE there is no short any more. */
-void plant_inverter_short(plant_inverter_t *inverter, int phase, int to);
+/* A phase touches another, or bus minus; with PLANT_NO_SHORT there is no short any more. */
+void averaged_inverter_short(averaged_inverter_t *inverter, int phase, int to);
 
 /* True while the switches feed the short: its current rises within a microsecond beyond what the hardware allows. */
-bool plant_inverter_shorted(const plant_inverter_t *inverter);
+bool averaged_inverter_shorted(const averaged_inverter_t *inverter);
 
 /* New duties (0..1) at the beginning of a half cycle. */
-void plant_inverter_load(plant_inverter_t *inverter, const double duty[3], double u_dc);
+void averaged_inverter_load(averaged_inverter_t *inverter, const double duty[3], double u_dc);
 
 /* One step of at most `dt` [s] of inverter and motor at bus voltage `u_dc`; returns the time that has passed and adds
  * the charge drawn from the bus to `charge` [A s]. */
-double plant_inverter_step(plant_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge);
+double averaged_inverter_step(averaged_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt,
+                              double *charge);
 
 /* The phases' voltages against the midpoint of the bus at the end of a step [V]. */
-void plant_inverter_voltages(const plant_inverter_t *inverter, const plant_motor_t *motor, double u_dc,
-                             double voltage[3]);
+void averaged_inverter_voltages(const averaged_inverter_t *inverter, const plant_motor_t *motor, double u_dc,
+                                double voltage[3]);
 
 /* The switch of the other side takes the current away from the low one whenever it is on at all around a centre. */
-static inline bool plant_inverter_low_conducts(const plant_inverter_t *inverter, int phase, bool low_side_centre)
+static inline bool averaged_inverter_low_conducts(const averaged_inverter_t *inverter, int phase, bool low_side_centre)
 {
     const double share = inverter->share[phase];
     return low_side_centre ? share < 1.0 : share <= 0.0;
@@ -92,15 +96,15 @@ static inline bool plant_inverter_low_conducts(const plant_inverter_t *inverter,
 
 /* Current in the shunt of a phase at the centre of the low-side (or else the high-side) time: what the low switch or
  * its diode carries at that moment. The rare one is for switches that are open and for broken wires. */
-double plant_inverter_rare_shunt(const plant_inverter_t *inverter, const plant_motor_t *motor, int phase,
-                                 bool low_side_centre);
-static inline double plant_inverter_shunt(const plant_inverter_t *inverter, const plant_motor_t *motor, int phase,
-                                          bool low_side_centre)
+double averaged_inverter_general_shunt(const averaged_inverter_t *inverter, const plant_motor_t *motor, int phase,
+                                       bool low_side_centre);
+static inline double averaged_inverter_shunt(const averaged_inverter_t *inverter, const plant_motor_t *motor, int phase,
+                                             bool low_side_centre)
 {
     if (!inverter->on || inverter->broken) {
-        return plant_inverter_rare_shunt(inverter, motor, phase, low_side_centre);
+        return averaged_inverter_general_shunt(inverter, motor, phase, low_side_centre);
     }
-    return plant_inverter_low_conducts(inverter, phase, low_side_centre) ? motor->phase[phase] : 0.0;
+    return averaged_inverter_low_conducts(inverter, phase, low_side_centre) ? motor->phase[phase] : 0.0;
 }
 
 #endif
