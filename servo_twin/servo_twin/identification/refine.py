@@ -47,6 +47,9 @@ MODEL_ERROR: Final[Mapping[str, float]] = {
 """Relative standard uncertainty that the residuals do not show: what the errors of random motors spread beyond the
 jackknife's (doc/identify.md)."""
 
+BIAS_ERROR: Final[Mapping[str, float]] = {"friction": 0.1, "viscous": 0.1}
+"""Part of a bias that its correction may miss: ripple that the converters sample, as much as half the friction."""
+
 BATCH: Final = 4  # neighbouring samples whose residuals are not independent
 STEP: Final = 0.04
 """Of a numerical derivative: encoder and converters make simulated signals rough, so a small one shows nothing else."""
@@ -405,7 +408,9 @@ def refine(
     for k, name in enumerate(names):
         value = start[name] + x[k] * scale[name]
         sigma = math.sqrt(max(spread[k, k], 0.0)) * scale[name]
-        found[name] = Estimate(value, math.hypot(sigma, MODEL_ERROR.get(name, 0.0) * value, floor.get(name, 0.0)))
+        missed = BIAS_ERROR.get(name, 0.0) * (start[name] - first.values[name].value)
+        part = MODEL_ERROR.get(name, 0.0) * value
+        found[name] = Estimate(value, math.hypot(sigma, part, floor.get(name, 0.0), missed))
     final = values_of(x)
     shown_close = simulated(log, plant_of(base, log.axis, final, limits), final.get("load", 0.0), level)
     return Refinement(MotorEstimates(found, first.undetermined), before, difference.rms(shown_close), shown_close)
