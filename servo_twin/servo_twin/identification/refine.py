@@ -38,9 +38,9 @@ REFINED: Final = ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous"
 """What is refined, in the order of the parameters."""
 
 MODEL_ERROR: Final[Mapping[str, float]] = {
-    "r_s": 0.002,
+    "r_s": 0.0015,
     "l_d": 0.0005,
-    "l_q": 0.002,
+    "l_q": 0.0015,
     "friction": 0.01,
     "dead_voltage": 0.004,
 }
