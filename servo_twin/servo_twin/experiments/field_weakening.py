@@ -24,9 +24,9 @@ from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "field-weakening"
 HELP: Final = """\
-The drive at its rated 4000 rpm, where the back-EMF is all the voltage of 24 V, with the feature FIELD_WEAKENING and
-without: torque over speed, the voltage margin, load steps, a supply that sags and returns, a fault, motors that differ
-by 10 % from what the drive believes, and both axes at once. The reference design ends at 3000 rpm without it."""
+The drive at its rated 4000 rpm, where the back-EMF takes the whole voltage of 24 V, with and without the feature
+FIELD_WEAKENING: torque over speed, voltage margin, load steps, a supply that sags and returns, a fault, motors that
+differ by 10 % from their nominal data, and both axes at once. The reference design ends at 3000 rpm without it."""
 
 AXIS: Final = 0
 RATED: Final = 4000.0 * RPM
@@ -138,7 +138,7 @@ def _wandering(judge: Judge, recording: Recording) -> Iterator[Row]:
 
 
 def loaded(plant: PlantConfig, seed: int, load: float, *, weak: bool) -> Recording:
-    """The end of a run under a load that stays."""
+    """The end of a run under a constant load [N m]."""
     end = RUN_UP + SETTLE + MEASURED
     return run_with(plant, seed, {RUN_UP: _load(load)}, end, weak=weak)[AXIS].part(end - MEASURED)
 
@@ -206,7 +206,7 @@ def _dip_at(plant: PlantConfig, seed: int, speed: float) -> float:
 
 
 def sag(plant: PlantConfig, seed: int, volts: float, axes: Sequence[int] = (AXIS,)) -> Mapping[int, Recording]:
-    """The supply falls under load, and returns after SETTLE + MEASURED."""
+    """The supply falls to a voltage [V] under load, and returns after SETTLE + MEASURED."""
     events = {
         RUN_UP - MEASURED: _load(SAG_LOAD, axes),
         RUN_UP: _supply(volts),
