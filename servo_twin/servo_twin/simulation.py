@@ -34,7 +34,7 @@ class MoveResult:
         From the command until the shaft stays within the tolerance [s]; None when it does not.
     steady_state : int
         Largest distance from the target over the last quarter of the recording [counts].
-    speed_most, i_q_most : float
+    speed_max, i_q_max : float
         Largest magnitudes on the way [rad/s], [A].
     """
 
@@ -44,8 +44,8 @@ class MoveResult:
     overshoot: int
     settling_time: float | None
     steady_state: int
-    speed_most: float
-    i_q_most: float
+    speed_max: float
+    i_q_max: float
 
 
 def time_axis(log: NDArray[np.void]) -> NDArray[np.float64]:

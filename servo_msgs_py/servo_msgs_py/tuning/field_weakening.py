@@ -116,8 +116,8 @@ class Reserve(NamedTuple):
     torque: float
 
 
-def reserve_at(motor: Motor, limit: float, speed: float, voltage: float, i_d_least: float) -> Reserve:
-    """The most torque at a speed: ``|u| <= voltage``, ``|i| <= limit`` and ``i_d_least <= i_d <= 0``.
+def reserve_at(motor: Motor, limit: float, speed: float, voltage: float, i_d_min: float) -> Reserve:
+    """The most torque at a speed: ``|u| <= voltage``, ``|i| <= limit`` and ``i_d_min <= i_d <= 0``.
 
     Parameters
     ----------
@@ -129,12 +129,12 @@ def reserve_at(motor: Motor, limit: float, speed: float, voltage: float, i_d_lea
         Mechanical [rad/s].
     voltage : float
         Longest stator voltage [V].
-    i_d_least : float
+    i_d_min : float
         At most 0 [A]; 0: without field weakening.
     """
     p, psi, r_s, l_d, l_q = motor.pole_pairs, motor.psi_m, motor.r_s, motor.l_d, motor.l_q
     omega = p * speed
-    d = np.linspace(min(i_d_least, 0.0), 0.0, _STEPS)
+    d = np.linspace(min(i_d_min, 0.0), 0.0, _STEPS)
     # (R i_d - w L_q i_q)^2 + (R i_q + w (psi + L_d i_d))^2 = u^2, for i_q
     a = r_s**2 + (omega * l_q) ** 2
     b = r_s * omega * (psi + (l_d - l_q) * d)
@@ -148,12 +148,12 @@ def reserve_at(motor: Motor, limit: float, speed: float, voltage: float, i_d_lea
     return Reserve(float(d[best]), float(q[best]), float(torque[best]))
 
 
-def top_speed(motor: Motor, limit: float, voltage: float, i_d_least: float, torque: Callable[[float], float]) -> float:
+def top_speed(motor: Motor, limit: float, voltage: float, i_d_min: float, torque: Callable[[float], float]) -> float:
     """Highest speed at which more than a torque is left, which may depend on the speed [rad/s], to 0.1 %."""
     low, high = 0.0, 2.0 * voltage / (motor.pole_pairs * motor.psi_m)
     while high - low > 1e-3 * high:
         middle = 0.5 * (low + high)
-        if reserve_at(motor, limit, middle, voltage, i_d_least).torque > torque(middle):
+        if reserve_at(motor, limit, middle, voltage, i_d_min).torque > torque(middle):
             low = middle
         else:
             high = middle
