@@ -11,10 +11,10 @@ from servo_msgs_py.catalogue import Catalogue
 
 CATALOGUE = Catalogue.load()
 STATE, METHOD, RESULT = (CATALOGUE.enums[f"home_{name}_t"] for name in ("state", "method", "result"))
-HOMING_FAULT = next(flag.mask for flag in CATALOGUE.flags["faults"] if flag.name == "HOMING")
-NOT_HOMED = next(flag.mask for flag in CATALOGUE.flags["limits"] if flag.name == "NOT_HOMED")
-HOMING = next(flag.mask for flag in CATALOGUE.flags["features"] if flag.name == "HOMING")
-POSITION_LIMITS = next(flag.mask for flag in CATALOGUE.flags["features"] if flag.name == "POSITION_LIMITS")
+HOMING_FAULT = CATALOGUE.flag("faults", "HOMING").mask
+NOT_HOMED = CATALOGUE.flag("limits", "NOT_HOMED").mask
+HOMING = CATALOGUE.flag("features", "HOMING").mask
+POSITION_LIMITS = CATALOGUE.flag("features", "POSITION_LIMITS").mask
 INPUT_HOME, INPUT_LIMIT_MIN, INPUT_LIMIT_MAX, INPUT_BRAKE_OPEN = 1, 2, 4, 16
 
 

@@ -137,7 +137,7 @@ class Homing:
         self._catalogue = catalogue
         self._states = catalogue.enums["home_state_t"]
         self._methods = catalogue.enums["home_method_t"]
-        self._feature = next(flag.mask for flag in catalogue.flags["features"] if flag.name == "HOMING")
+        self._feature = catalogue.flag("features", "HOMING").mask
         self._lsb = catalogue["cmd.home_position"].lsb
         self._arbiter, self._dispatcher = arbiter, dispatcher
         self._read, self._post, self._say, self._warn = read, post, say, warn

@@ -49,7 +49,7 @@ class MotionServices:
         on_event: Callable[[str], None],
     ) -> None:
         self._catalogue = catalogue
-        self._input = next(flag.mask for flag in catalogue.flags["limits"] if flag.name == "INPUT")
+        self._input = catalogue.flag("limits", "INPUT").mask
         self._joints = list(joints)
         self._arbiter = arbiter
         self._dispatcher = dispatcher

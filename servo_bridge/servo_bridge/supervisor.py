@@ -208,7 +208,7 @@ class Supervisor:
         self._counts: dict[str, int] | None = None
         self._windings: list[Winding | None] = [None] * AXES
         self._counting = False
-        self._expired = next(flag.mask for flag in self._catalogue.flags["limits"] if flag.name == "EXPIRED")
+        self._expired = self._catalogue.flag("limits", "EXPIRED").mask
         self._board_parameters = BoardParameters(
             self._catalogue,
             self._link.read,

@@ -31,7 +31,7 @@ def path_limits(
     motors : sequence of Motor
         In the order of the axes; empty if they are not known: then the torque has no limit.
     """
-    confine = next(flag.mask for flag in catalogue.flags["features"] if flag.name == "POSITION_LIMITS")
+    confine = catalogue.flag("features", "POSITION_LIMITS").mask
     values = _si(catalogue, raw)
     limits: list[Limits] = []
     for axis, joint in enumerate(joints):

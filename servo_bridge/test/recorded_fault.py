@@ -15,7 +15,7 @@ NONE = bytes(SIZE)
 
 def recorded(fault: str, tick: int, i_q: int = 0) -> bytes:
     """Record of a spinning axis whose current `i_q` was constant (raw), and whose other samples are all different."""
-    flag = next(flag for flag in Catalogue.load().flags["faults"] if flag.name == fault)
+    flag = Catalogue.load().flag("faults", fault)
     head = struct.pack("<II6H", flag.mask, tick, flag.bit + 1, 3, 3, 5, 64, 0)
     rings = [[k - 32 for k in range(64)], [i_q] * 64, *([1000 * r + k for k in range(64)] for r in (3, 4, 5))]
     return head + struct.pack("<320h", *(sample for ring in rings for sample in ring))

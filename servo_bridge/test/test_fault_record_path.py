@@ -31,10 +31,7 @@ pytestmark = pytest.mark.realtime
 
 READ_MEMORY = 0x21
 TOPIC = topics.fault_record_topic("axis1")
-PHASE_LOST, OVER_VOLTAGE = (
-    next(flag.mask for flag in CATALOGUE.flags["faults"] if flag.name == name)
-    for name in ("PHASE_LOST", "OVER_VOLTAGE")
-)
+PHASE_LOST, OVER_VOLTAGE = (CATALOGUE.flag("faults", name).mask for name in ("PHASE_LOST", "OVER_VOLTAGE"))
 LOST = recorded("PHASE_LOST", 8003, i_q=4000)
 LATER = recorded("OVER_VOLTAGE", 90_001, i_q=-2000)
 
@@ -103,7 +100,7 @@ def test_snapshot_prints_fault_remedy_and_samples(
     assert run("snapshot") == 0
     first, cause, heads, *rows, second = capsys.readouterr().out.splitlines()
     assert first.startswith("axis1: first fault PHASE_LOST in RUN/SPIN, 0.5002 s after reset")
-    flag = next(flag for flag in CATALOGUE.flags["faults"] if flag.name == "PHASE_LOST")
+    flag = CATALOGUE.flag("faults", "PHASE_LOST")
     assert flag.cause in cause
     assert flag.remedy in cause
     assert heads.split()[::2][:1] == ["time"]

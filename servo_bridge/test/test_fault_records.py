@@ -17,8 +17,7 @@ from servo_msgs_py.fault_record import FaultRecord
 
 CATALOGUE = Catalogue.load()
 PHASE_LOST, OVER_CURRENT, OVER_VOLTAGE = (
-    next(flag.mask for flag in CATALOGUE.flags["faults"] if flag.name == name)
-    for name in ("PHASE_LOST", "OVER_CURRENT", "OVER_VOLTAGE")
+    CATALOGUE.flag("faults", name).mask for name in ("PHASE_LOST", "OVER_CURRENT", "OVER_VOLTAGE")
 )
 
 

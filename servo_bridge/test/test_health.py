@@ -54,7 +54,7 @@ def test_a_hot_winding_is_a_warning_with_what_it_leaves() -> None:
     hot = axis_status(Winding(115.0, 3.0), 4.0)
     assert (hot.level, hot.message) == (DiagnosticStatus.WARN, "RUN/SPIN; hot winding: 75 % of the current limit left")
     assert axis_status(Winding(115.0, 3.0), 2.5).level == DiagnosticStatus.OK, "the host allows less"
-    mask = next(flag.mask for flag in Catalogue.load().flags["faults"] if flag.name == "MOTOR_TEMPERATURE")
+    mask = Catalogue.load().flag("faults", "MOTOR_TEMPERATURE").mask
     assert axis_status(Winding(145.0, 2.0), 4.0, mask).level == DiagnosticStatus.ERROR
 
 

@@ -14,7 +14,7 @@ from servo_msgs_py.joints import Joint
 
 CATALOGUE = Catalogue.load()
 STATE, METHOD, RESULT = (CATALOGUE.enums[f"home_{name}_t"] for name in ("state", "method", "result"))
-FEATURE = next(flag.mask for flag in CATALOGUE.flags["features"] if flag.name == "HOMING")
+FEATURE = CATALOGUE.flag("features", "HOMING").mask
 LSB = CATALOGUE["cmd.home_position"].lsb
 
 

@@ -209,7 +209,7 @@ def test_the_same_message_again_renews_the_set_point_and_silence_writes_nothing(
 
 
 def test_a_set_point_that_expires_is_told_once_with_the_time_of_the_board(rig: Rig) -> None:
-    expired = next(flag.mask for flag in CATALOGUE.flags["limits"] if flag.name == "EXPIRED")
+    expired = CATALOGUE.flag("limits", "EXPIRED").mask
     rig.link.parameters["param.command_timeout"] = [CATALOGUE["param.command_timeout"].to_raw(0.25)]
     rig.ready()
     rig.until(lambda: rig.messages[topics.PARAMETERS])

@@ -23,7 +23,7 @@ VALUES = {
 def limits(*joints: Joint, confined: bool = True) -> list[Limits]:
     raw = {v.name: [0] * v.count for v in parameters(CATALOGUE)}
     raw |= {name: [CATALOGUE[name].to_raw(value)] * 2 for name, value in VALUES.items()}
-    flag = next(flag.mask for flag in CATALOGUE.flags["features"] if flag.name == "POSITION_LIMITS")
+    flag = CATALOGUE.flag("features", "POSITION_LIMITS").mask
     raw["param.features"] = [flag if confined else 0] * 2
     return path_limits(CATALOGUE, raw, joints, [Motor(0.05, 1e-5), Motor(0.04, 2e-5)])
 

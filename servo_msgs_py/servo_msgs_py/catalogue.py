@@ -343,6 +343,10 @@ class Catalogue:
         """Flags that are set in a flag word."""
         return [flag for flag in self.flags[flags] if raw & flag.mask] if raw else []
 
+    def flag(self, word: str, name: str) -> Flag:
+        """A flag of a word by its name, such as ``flag("faults", "WATCHDOG")``."""
+        return next(flag for flag in self.flags[word] if flag.name == name)
+
     def snapshot_variables(self) -> list[Variable]:
         """Variables that lie in the telemetry block, in the order of the table."""
         return [v for v in self.variables.values() if v.path.startswith("snapshot.")]

@@ -234,7 +234,7 @@ class TestPlant:
         board.write("cmd.position", [100.0, 100.0])
         board.run(1.0)
         assert board.truth(0).u_dc < 16.0
-        under_voltage = next(f.mask for f in board.catalogue.flags["faults"] if f.name == "UNDER_VOLTAGE")
+        under_voltage = board.catalogue.flag("faults", "UNDER_VOLTAGE").mask
         assert board.read_raw("axis1.faults")[0] & under_voltage
 
     def test_a_locked_shaft_stays(self, board: Board) -> None:

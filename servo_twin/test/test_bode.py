@@ -89,7 +89,7 @@ def test_other_gains_and_the_speed_observer_are_predicted_too(access: VirtualBoa
     assert half.figures.crossover is not None
     assert half.figures.crossover.value < 50.0
     send_configuration(access, {0: block})
-    observer = next(flag.mask for flag in access.catalogue.flags["features"] if flag.name == "SPEED_OBSERVER")
+    observer = access.catalogue.flag("features", "SPEED_OBSERVER").mask
     words = access.read("param.features")
     access.write("param.features", [words[0] + observer, words[1]])
     observed = measure(access, Request(0, "position"), enable=True)

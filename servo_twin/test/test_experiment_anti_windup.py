@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from servo_twin.experiments import anti_windup
-from servo_twin.experiments.anti_windup import Response
-from servo_twin.experiments.rig import TICK
+from servo_twin.experiments.rig import TICK, Recording
 from servo_twin.plant import PlantConfig
 
 
@@ -19,7 +18,7 @@ def test_agrees_with_the_reference_design() -> None:
 def test_bounds_notice_a_missing_anti_windup(monkeypatch: pytest.MonkeyPatch, swapped: bool) -> None:
     genuine = anti_windup.respond
 
-    def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) -> Response:
+    def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) -> Recording:
         return genuine(plant, seed, frequency, swapped)
 
     monkeypatch.setattr(anti_windup, "respond", respond)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from servo_twin.experiments import bus_ripple
-from servo_twin.experiments.bus_ripple import Ripple
-from servo_twin.experiments.rig import TICK
+from servo_twin.experiments.rig import TICK, Recording
 from servo_twin.plant import PlantConfig
 
 
@@ -18,7 +17,7 @@ def test_agrees() -> None:
 def test_bounds_notice_a_missing_compensation(monkeypatch: pytest.MonkeyPatch) -> None:
     genuine = bus_ripple.turn
 
-    def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> Ripple:
+    def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> Recording:
         return genuine(plant, seed, axis, False)
 
     monkeypatch.setattr(bus_ripple, "turn", turn)

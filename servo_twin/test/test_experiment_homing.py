@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from servo_twin.experiments import homing, rig
 from servo_twin.plant import PlantConfig
@@ -36,5 +37,7 @@ def test_without_a_switch_that_is_fitted_nothing_is_found(monkeypatch: pytest.Mo
 
 def test_an_axis_without_the_feature_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(homing, "features", lambda board, axis, **switches: None)
-    axes, _ = homing.unhomed(PlantConfig.load(), 6)
-    assert all(it.refused > 1000.0 and not it.named for it in axes)
+    it = homing.unhomed(PlantConfig.load(), 6)
+    for still in it.still.values():
+        assert np.ptp(still.shaft) > 1000.0
+        assert not still.limits[-1] & it.mask

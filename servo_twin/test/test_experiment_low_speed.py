@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 from servo_twin.experiments import low_speed
-from servo_twin.experiments.low_speed import Run
+from servo_twin.experiments.rig import Recording
 from servo_twin.plant import PlantConfig
 
 
@@ -14,7 +14,7 @@ def run(monkeypatch: pytest.MonkeyPatch, swapped: bool) -> dict[str, bool]:
     """The experiment at 5 rpm; `swapped`: the two methods change their names."""
     genuine = low_speed.hold_speed
 
-    def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Run:
+    def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Recording:
         return genuine(plant, seed, axis, speed, enhanced != swapped)
 
     monkeypatch.setattr(low_speed, "hold_speed", hold_speed)
@@ -35,9 +35,9 @@ def test_plain_is_not_better_than_enhanced(monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_wrong_mean_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     genuine = low_speed.hold_speed
 
-    def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Run:
+    def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Recording:
         right = genuine(plant, seed, axis, speed, enhanced)
-        return dataclasses.replace(right, mean=1.02 * right.mean)
+        return dataclasses.replace(right, omega=1.02 * right.omega)
 
     monkeypatch.setattr(low_speed, "hold_speed", hold_speed)
     monkeypatch.setattr(low_speed, "SPEEDS", (5.0,))

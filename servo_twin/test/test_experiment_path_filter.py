@@ -26,7 +26,7 @@ def test_agrees_with_the_reference_design() -> None:
 
 def wrong(recorded: tuple[Recording, float, int], path: NDArray[np.float64]) -> set[str]:
     recording, speed, distance = recorded
-    rows = path_filter.judge(dataclasses.replace(recording, position_ref=path), speed, distance, ABLE)
+    rows = path_filter.figures(dataclasses.replace(recording, position_ref=path), speed, distance, ABLE)
     return {row.name for row in rows if not row.agrees}
 
 

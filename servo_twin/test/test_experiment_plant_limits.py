@@ -14,7 +14,6 @@ from servo_twin.experiments.rig import (
     Recording,
     choose_mode,
     command_speed,
-    flag_mask,
     spinning,
     watch,
 )
@@ -125,7 +124,7 @@ def test_a_fault_is_not_measured(plant: PlantConfig, may_fail: bool) -> None:
         command_speed(board, 1, 200.0)
         if may_fail:
             words = watch(board, [1], 1.0, may_fail=True)[1].faults
-            assert words[-1] & flag_mask(board, "faults", "UNDER_VOLTAGE")
+            assert words[-1] & board.catalogue.flag("faults", "UNDER_VOLTAGE").mask
         else:
             with pytest.raises(SimulationError, match=r"axis\d ended in a fault. UNDER_VOLTAGE"):
                 watch(board, [1], 1.0)

@@ -115,5 +115,5 @@ def test_harms_are_told_apart_without_dead_time_compensation(plant: PlantConfig)
                 harm.do(board, axis)
             board.write("cmd.enable", [1, 1])
             board.run(1.2)
-            wanted = next(flag.mask for flag in board.catalogue.flags["faults"] if flag.name == harm.fault)
+            wanted = board.catalogue.flag("faults", harm.fault).mask
             assert board.read_raw("axis1.faults") == board.read_raw("axis2.faults") == [wanted]

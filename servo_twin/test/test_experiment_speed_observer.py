@@ -17,8 +17,8 @@ def run(monkeypatch: pytest.MonkeyPatch, swapped: bool) -> dict[str, bool]:
     genuine = speed_observer.both
 
     def both(plant: PlantConfig, seed: int, axis: int, play: Callable[[Board], Recording]) -> Pair:
-        pair = genuine(plant, seed, axis, play)
-        return Pair(pair.observed, pair.without) if swapped else pair
+        without, observed = genuine(plant, seed, axis, play)
+        return (observed, without) if swapped else (without, observed)
 
     monkeypatch.setattr(speed_observer, "both", both)
     monkeypatch.setattr(speed_observer, "SPEEDS", (5.0,))

@@ -20,10 +20,12 @@ def test_agrees() -> None:
 
 
 def test_supervision_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    def features(board: Board, axis: int, **switches: bool) -> None:
-        rig.features(board, axis, **dict.fromkeys(switches, False))
+    genuine = rig.features
 
-    monkeypatch.setattr(supervision, "features", features)
+    def features(board: Board, axis: int, **switches: bool) -> None:
+        genuine(board, axis, **dict.fromkeys(switches, False))
+
+    monkeypatch.setattr(rig, "features", features)
     names = wrong()
     for cause in CAUSES:
         for figure in ("outputs off after", "the fault's name is right", "time with over without"):
@@ -39,6 +41,6 @@ def test_a_false_alarm_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_late_fault_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """The bound leaves no room for a fault that comes some milliseconds after it could."""
     bench = Bench.of(PlantConfig.load(), 7)
-    for axis, event in enumerate(supervision.blocked(bench, True)):
+    for axis, event in enumerate(supervision.BLOCKED.accidents(bench, True)):
         assert event.time is not None
         assert event.time < supervision.blocked_most(bench, axis) < event.time + 0.004

@@ -55,9 +55,8 @@ def test_influence_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     def turn(
         plant: PlantConfig, seed: int, watched: int, reversals: Reversals | None, compensated: bool = True
     ) -> Pair:
-        pair = genuine(plant, seed, watched, reversals, compensated)
-        shaken = dataclasses.replace(pair.watched, omega=pair.watched.omega * (1.02 if reversals else 1.0))
-        return dataclasses.replace(pair, watched=shaken)
+        even, other = genuine(plant, seed, watched, reversals, compensated)
+        return dataclasses.replace(even, omega=even.omega * (1.02 if reversals else 1.0)), other
 
     monkeypatch.setattr(two_axes, "turn", turn)
     assert "axis1 turns, the other reverses: more deviation" in wrong(PlantConfig.load())

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from servo_twin.experiments import winding
+from servo_twin.experiments import rig, winding
+from servo_twin.experiments.outcome import Judge
 from servo_twin.experiments.winding import CASES, Motor, configured, courses
 from servo_twin.plant import PlantConfig
 
@@ -23,11 +24,11 @@ def test_other_motors_than_those_of_the_experiment_agree_too(monkeypatch: pytest
 
 def test_a_drive_that_does_not_derate_shows(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the feature nothing holds the current back."""
-    monkeypatch.setattr(winding, "features", lambda *_, **__: None)
+    monkeypatch.setattr(rig, "features", lambda *_, **__: None)
     world, text, believed, true = configured(PLANT, QUICK)
     found = courses(world, SEED, text, 2.5)
     for it, model, real in zip(found, believed, true, strict=True):
-        wrong = {row.name.split(": ")[1] for row in winding._rows("x", it, model, real) if not row.agrees}
+        wrong = {row.name for row in winding.figures(Judge(), it, model, real) if not row.agrees}
         assert {"time until derating", "current in the end", "winding in the end"} <= wrong
         assert it.current[-1] == pytest.approx(4.0, abs=0.01)
 

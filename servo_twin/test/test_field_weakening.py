@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from servo_twin.board import Board
-from servo_twin.experiments import field_weakening
+from servo_twin.experiments import field_weakening, rig
 from servo_twin.experiments.field_weakening import RATED, at_rated
 from servo_twin.experiments.rig import (
     RPM,
@@ -137,3 +137,12 @@ def test_a_fault_at_the_rated_speed_coasts(rated: Board) -> None:
     (first, *_) = np.nonzero(run.faults)[0]
     assert run.state[first] != run.state[0]
     assert float(np.hypot(run.i_d, run.i_q)[first + 1 :].max()) < 0.1
+
+
+def test_the_experiment_agrees_and_notices_that_nothing_is_switched(monkeypatch: pytest.MonkeyPatch) -> None:
+    def wrong() -> list[str]:
+        return [row.name for row in field_weakening.run(PlantConfig.load(), 3).rows if not row.agrees]
+
+    assert wrong() == []
+    monkeypatch.setattr(rig, "features", lambda board, axis, **switches: None)
+    assert any("speed gained" in name for name in wrong())

@@ -11,7 +11,7 @@ import pytest
 from servo_twin.board import Board
 from servo_twin.experiments import braking, fault_matrix, levels, rotor_search, start_up
 from servo_twin.experiments.command import run_experiments
-from servo_twin.experiments.rig import TICK, at_level, choose_mode, command_speed, flag_mask, spinning
+from servo_twin.experiments.rig import TICK, at_level, choose_mode, command_speed, spinning
 from servo_twin.harm import StalledCore
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
@@ -86,7 +86,7 @@ def test_a_core_that_stands_still_is_late_whatever_it_does_next() -> None:
         board.advance(before)
         board.inject(StalledCore(0.001))
         board.run(0.003)
-        assert board.read_raw("axis1.faults")[0] & flag_mask(board, "faults", "LATE_LOOP")
+        assert board.read_raw("axis1.faults")[0] & board.catalogue.flag("faults", "LATE_LOOP").mask
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -106,10 +106,10 @@ def test_shorted_windings_give_the_bus_nothing(level: Level) -> None:
     plant = PLANT.with_bus(capacitance=0.3e-3).with_axis(0, inertia=2.4e-5)
     motor = plant.axes[0]
     with at_level(level):
-        short = braking.short(plant, 3, 0, 120.0, 0.15)
-    speeds = np.abs(short.omega)
+        omega, current = braking.short(plant, 3, 0, 120.0, 0.15)
+    speeds = np.abs(omega)
     formula = np.array([braking.short_current(motor, w, drops=True) for w in speeds])
     settled = np.arange(speeds.size) * TICK > braking.SETTLED * motor.l_q / motor.r_s
     assert np.count_nonzero(settled) > 20
     harmonics = 4.0 / math.pi * motor.v_drop * (1.0 / 5.0 + 1.0 / 7.0) / (motor.r_s + motor.r_on)
-    assert np.abs(short.current - formula)[settled].max() < 0.05 * formula.max() + harmonics
+    assert np.abs(current - formula)[settled].max() < 0.05 * formula.max() + harmonics

@@ -152,7 +152,7 @@ def test_comes_back_after_the_watchdog(holding: Board) -> None:
     holding.poke(IPR_M1, holding.peek(IPR_M1) & ~0x0300)
     holding.run(0.1)
     assert holding.peek(0xE401) & COP_RESET
-    watchdog = next(fault.mask for fault in holding.catalogue.flags["faults"] if fault.name == "WATCHDOG")
+    watchdog = holding.catalogue.flag("faults", "WATCHDOG").mask
     assert [holding.read_raw(f"axis{n}.faults") for n in (1, 2)] == [[watchdog], [watchdog]]
     assert holding.peek(0xE6C0) == holding.peek(0xE7C0) == 0  # outputs off
     holding.write("cmd.clear_faults", [1, 1])

@@ -24,7 +24,7 @@ from twin_rig import CATALOGUE, COLUMNS, EPOCH_NS, TwinRig, apart, worst, worst_
 from servo_msgs_py import topics
 
 COUNT = CATALOGUE["axis1.position"].lsb
-STARVED = next(flag.mask for flag in CATALOGUE.flags["limits"] if flag.name == "STARVED")
+STARVED = CATALOGUE.flag("limits", "STARVED").mask
 CLOSE = 12.0  # counts: what sensor noise makes of a move or of a quick stop
 
 
@@ -558,7 +558,7 @@ def causes(pairs: list[Pair]) -> list[str]:
 
 
 def cause(name: str) -> str:
-    return f"{name}: {next(flag.cause for flag in CATALOGUE.flags['faults'] if flag.name == name)}"
+    return f"{name}: {CATALOGUE.flag('faults', name).cause}"
 
 
 def both(text: str) -> str:
@@ -692,7 +692,7 @@ class TestExpiry:
     """A board that stops because its set-point was not written again; here only its samples say so."""
 
     def test_lets_the_axis_come_to_rest_where_it_does(self, rig: TwinRig) -> None:
-        bit = next(flag.mask for flag in CATALOGUE.flags["limits"] if flag.name == "EXPIRED")
+        bit = CATALOGUE.flag("limits", "EXPIRED").mask
         expired = False
         original = rig.twin.samples
 

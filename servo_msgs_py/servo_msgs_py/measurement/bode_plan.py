@@ -345,7 +345,7 @@ def refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Ban
 
 def _refuse_brake(access: BoardAccess, axis: int) -> None:
     """Mode TEST looks for no rotor: behind a holding brake there may be a load that its current does not hold."""
-    brake = next(flag.mask for flag in access.catalogue.flags["inputs"] if flag.name == "BRAKE_OPEN")
+    brake = access.catalogue.flag("inputs", "BRAKE_OPEN").mask
     if read_block(access, axis)["pins.fitted"] & brake:
         raise MeasurementError(
             f"{axis_name(axis)} has a holding brake (pins.fitted), and mode TEST, in which a current loop is measured, "

@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from servo_msgs_py.catalogue import Catalogue
 
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import inertia_ratio
-from servo_twin.experiments.rig import (
-    RPM,
-    TICK,
-    Recording,
-    choose_mode,
-    command_speed,
-    features,
-    set_axis,
-    spinning,
-    watch,
-)
+from servo_twin.experiments.rig import RPM, TICK, Recording, command_speed, largest, set_up, spinning, watch
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "anti-windup"
@@ -48,31 +39,6 @@ LATER_LEAST: Final = 1.25
 """Lag without over the lag with it; friction takes some of the windup away."""
 
 
-@dataclass(frozen=True)
-class Response:
-    """What a sine run gave.
-
-    Attributes
-    ----------
-    peak : float
-        Largest speed feedback, the mean over the half periods [rad/s].
-    lag : float
-        Of the peaks of the speed feedback behind those of the set-point, the mean [degrees].
-    saturated : float
-        Part of the time with the current set-point at its limit.
-    recording : Recording
-        The last periods.
-    frequency : float
-        Of the sine [Hz].
-    """
-
-    peak: float
-    lag: float
-    saturated: float
-    recording: Recording
-    frequency: float
-
-
 def whole_ticks(frequency: float) -> float:
     """The nearest frequency whose quarter period is a whole number of slow ticks [Hz]."""
     return 0.25 / (TICK * max(round(0.25 / (TICK * frequency)), 1))
@@ -89,30 +55,17 @@ def top_frequency(axis: AxisPlant) -> float:
     return CURRENT_MOST * axis.torque_constant / (DEPTH * axis.inertia * AMPLITUDE * 2.0 * np.pi)
 
 
-def sine(time: float, frequency: float) -> float:
-    """Speed set-point at a time since the beginning [rad/s]."""
-    return float(AMPLITUDE * np.sin(2.0 * np.pi * frequency * time))
-
-
-def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) -> Response:
-    """Run the sine once."""
-    limit = current_limit(plant.axes[AXIS], frequency)
-    warm_up, measured = WARM_UP / frequency, MEASURED / frequency
+def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) -> Recording:
+    """Run the sine once; the last periods."""
+    limit, warm_up = current_limit(plant.axes[AXIS], frequency), WARM_UP / frequency
     with spinning(plant, seed) as board:
-        features(board, AXIS, ANTI_WINDUP=anti_windup)
-        set_axis(board, "param.i_q_limit", AXIS, limit)
-        set_axis(board, "param.acceleration_limit", AXIS, board.catalogue["param.acceleration_limit"].maximum)
-        choose_mode(board, AXIS, "SPEED")
+        parameters = {"i_q_limit": limit, "acceleration_limit": largest(board, "acceleration_limit")}
+        set_up(board, AXIS, "SPEED", parameters=parameters, ANTI_WINDUP=anti_windup)
 
         def act(k: int) -> None:
-            command_speed(board, AXIS, sine(k * TICK, frequency))
+            command_speed(board, AXIS, AMPLITUDE * np.sin(2.0 * np.pi * frequency * k * TICK))
 
-        whole = watch(board, [AXIS], warm_up + measured, act)[AXIS]
-        lsb = board.catalogue["param.i_q_limit"].lsb
-    part = whole.part(warm_up)
-    peaks, lags = half_waves(part.speed, frequency)
-    saturated = float(np.mean(np.abs(part.i_q_ref) >= limit - 2.0 * lsb))
-    return Response(float(np.mean(peaks)), float(np.mean(lags)), saturated, part, frequency)
+        return watch(board, [AXIS], warm_up + MEASURED / frequency, act)[AXIS].part(warm_up)
 
 
 def half_waves(speed: NDArray[np.float64], frequency: float) -> tuple[list[float], list[float]]:
@@ -130,40 +83,37 @@ def half_waves(speed: NDArray[np.float64], frequency: float) -> tuple[list[float
     return peaks, lags
 
 
-def sine_of(recording: Recording, frequency: float) -> NDArray[np.float64]:
-    """Set-points of a recording [rad/s]."""
-    return np.asarray(AMPLITUDE * np.sin(2.0 * np.pi * frequency * (recording.time - TICK)))
-
-
-def run(plant: PlantConfig, seed: int) -> Outcome:
-    """Both runs."""
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
+    """Both runs: the mean peak of the speed feedback, its lag, and the part of the time at the current limit."""
     frequency = whole_ticks(min(FREQUENCY / inertia_ratio(plant, seed, AXIS), top_frequency(plant.axes[AXIS])))
     limit = current_limit(plant.axes[AXIS], frequency)
-    with_it, without = (respond(plant, seed, frequency, anti_windup) for anti_windup in (True, False))
-    asked = AMPLITUDE / RPM
-    higher = Bound(HIGHER_LEAST * max(with_it.peak / RPM, asked))
-    rows = (
-        Row("peak with", "F21: almost no overshoot", with_it.peak / RPM, "rpm", Bound(0.95 * asked, 1.1 * asked)),
-        Row("lag with", "F21: small lag", with_it.lag, "deg", Bound(0.0, 20.0)),
-        Row("time at the limit with", "F21: at the limit while accelerating", with_it.saturated, "", Bound(0.05, 0.8)),
-        Row("peak without", "F22: overshoot at every peak", without.peak / RPM, "rpm", higher),
-        Row("lag without", "F22: clear lag", without.lag, "deg", Bound(LATER_LEAST * with_it.lag)),
-        Row("time at the limit without", "F22: longer at the limit", without.saturated, "", Bound(with_it.saturated)),
-    )
-    panels = tuple(
-        _panel(f"{figure}: {how} anti-windup", response)
-        for figure, how, response in (("F21", "with", with_it), ("F22", "without", without))
-    )
-    note = f"axis {AXIS + 1}, {frequency:.3g} Hz, i_q limit {limit:.2f} A, speeds are the feedback's, as in F21 and F22"
-    return Outcome(NAME, rows, panels, (note,))
+    both = with_it, without = [respond(plant, seed, frequency, anti_windup) for anti_windup in (True, False)]
+    waves = [half_waves(r.speed, frequency) for r in both]
+    peaks, lags = ([float(np.mean(wave[k])) for wave in waves] for k in range(2))
+    lsb = Catalogue.load()["param.i_q_limit"].lsb
+    saturated = [float(np.mean(np.abs(r.i_q_ref) >= limit - 2.0 * lsb)) for r in both]
+    asked, higher = AMPLITUDE / RPM, peaks[0] / RPM
+    judge = Judge()
+    yield judge("peak with", higher, "rpm", 0.95 * asked, 1.1 * asked, seed="F21: almost no overshoot")
+    yield judge("lag with", lags[0], "deg", 0.0, 20.0, seed="F21: small lag")
+    yield judge("time at the limit with", saturated[0], "", 0.05, 0.8, seed="F21: at the limit while accelerating")
+    least = HIGHER_LEAST * max(higher, asked)
+    yield judge("peak without", peaks[1] / RPM, "rpm", least, seed="F22: overshoot at every peak")
+    yield judge("lag without", lags[1], "deg", LATER_LEAST * lags[0], seed="F22: clear lag")
+    yield judge("time at the limit without", saturated[1], "", saturated[0], seed="F22: longer at the limit")
+    yield _panel("F21: with anti-windup", with_it, frequency)
+    yield _panel("F22: without anti-windup", without, frequency)
+    yield f"axis {AXIS + 1}, {frequency:.3g} Hz, i_q limit {limit:.2f} A, speeds are the feedback's, as in F21 and F22"
 
 
-def _panel(title: str, response: Response) -> Panel:
-    first = WARM_UP / response.frequency
-    part = response.recording.part(first, first + 3.0 / response.frequency)
+def _panel(title: str, recording: Recording, frequency: float) -> Panel:
+    first = WARM_UP / frequency
+    part = recording.part(first, first + 3.0 / frequency)
     time = 1e3 * (part.time - first)
+    asked = AMPLITUDE * np.sin(2.0 * np.pi * frequency * (part.time - TICK))
     curves = (
-        Curve("set-point", time, sine_of(part, response.frequency) / RPM),
+        Curve("set-point", time, asked / RPM),
         Curve("speed", time, part.speed / RPM),
         Curve("i_q* [A] x 500", time, part.i_q_ref * 500.0),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,9 +12,9 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 
 from servo_twin.board import Board
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.plant_limits import OVER_VOLTAGE, top_speed
-from servo_twin.experiments.rig import RPM, TICK, choose_mode, command_speed, set_axis, spinning
+from servo_twin.experiments.rig import RPM, TICK, command_speed, flags_of, largest, set_axis, set_up, spinning
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "braking"
@@ -51,24 +52,16 @@ SHORT: Final = 1.0  # stop category
 
 @dataclass(frozen=True)
 class Stop:
-    """Both axes from a speed to rest, one entry per slow tick.
-
-    Attributes
-    ----------
-    u_dc : ndarray
-        Bus [V].
-    omega : ndarray, shape (ticks, axes)
-        True speeds [rad/s].
-    burnt : ndarray
-        In the resistor so far [J].
-    flags : frozenset of str
-        Limits and faults that came up.
-    """
+    """Both axes from a speed to rest, one entry per slow tick."""
 
     u_dc: NDArray[np.float64]
+    """Bus [V]."""
     omega: NDArray[np.float64]
+    """True speeds, shape (ticks, axes) [rad/s]."""
     burnt: NDArray[np.float64]
+    """In the resistor so far [J]."""
     flags: frozenset[str]
+    """Limits and faults that came up."""
 
     @property
     def seconds(self) -> float | None:
@@ -78,28 +71,14 @@ class Stop:
         return None if last == self.u_dc.size else last * TICK
 
 
-def _flags(board: Board) -> set[str]:
-    found: set[str] = set()
-    for axis in range(AXES):
-        for word in ("limits", "faults"):
-            raw = board.read_raw(f"{axis_name(axis)}.{word}")[0]
-            found |= {flag.name for flag in board.catalogue.active(word, raw)}
-    return found
-
-
 def _run_up(board: Board, speed: float) -> None:
     """Both axes to a speed, and from there as hard as the drive can."""
-    most = Catalogue.load()["param.acceleration_limit"].maximum
-    limit = Catalogue.load()["param.speed_limit"].maximum
-    assert most is not None
-    assert limit is not None
     for axis in range(AXES):
-        set_axis(board, "param.speed_limit", axis, min(1.01 * speed, limit))
-        choose_mode(board, axis, "SPEED")
-        command_speed(board, axis, speed)
+        limit = min(1.01 * speed, largest(board, "speed_limit"))
+        set_up(board, axis, "SPEED", speed, parameters={"speed_limit": limit})
     board.run(RUN_UP)
     for axis in range(AXES):
-        set_axis(board, "param.acceleration_limit", axis, most)
+        set_axis(board, "param.acceleration_limit", axis, largest(board, "acceleration_limit"))
     board.run(10 * TICK)
 
 
@@ -114,13 +93,13 @@ def stop(plant: PlantConfig, seed: int, speed: float, resistor: float) -> Stop:
             command_speed(board, axis, 0.0)
         for _ in range(round(STOP_TIME / TICK)):
             board.run(TICK)
-            flags |= _flags(board)
+            flags.update(*(flags_of(board, axis, name) for axis in range(AXES) for name in ("limits", "faults")))
             one, other = board.truth(0), board.truth(1)
             rows.append((one.u_dc, one.omega_m, other.omega_m, one.e_brake))
             if max(abs(one.omega_m), abs(other.omega_m)) < 0.1 and len(rows) * TICK > 0.2:
                 break
-    course = np.array(rows)
-    return Stop(course[:, 0], course[:, 1:3], course[:, 3], frozenset(flags))
+    table = np.array(rows)
+    return Stop(table[:, 0], table[:, 1:3], table[:, 3], frozenset(flags))
 
 
 def kinetic(plant: PlantConfig, speed: float) -> float:
@@ -135,21 +114,14 @@ def lossless(plant: PlantConfig, speed: float) -> float:
 
 @dataclass(frozen=True)
 class Budget:
-    """What a supply above the switching voltage does to the resistor.
-
-    Attributes
-    ----------
-    burnt : float
-        Until it was switched off [J].
-    seconds : float
-        Until then [s].
-    rest : float
-        Until it was used again [s].
-    """
+    """What a supply above the switching voltage does to the resistor."""
 
     burnt: float
+    """Until it was switched off [J]."""
     seconds: float
+    """Until then [s]."""
     rest: float | None
+    """Until it was used again [s]."""
 
 
 def spend(plant: PlantConfig, seed: int, resistor: float) -> Budget:
@@ -195,25 +167,13 @@ def refusal_speed(axis: AxisPlant) -> float:
     return math.inf if rest <= 0.0 else SHORT_LIMIT * axis.r_s / math.sqrt(rest) / axis.pole_pairs
 
 
-@dataclass(frozen=True)
-class Short:
-    """One axis while its windings are shorted, one entry per slow tick."""
-
-    omega: NDArray[np.float64]
-    current: NDArray[np.float64]
-    state: int
-
-    @property
-    def accepted(self) -> bool:
-        return bool(self.current.max() > 0.0)
-
-
-def short(plant: PlantConfig, seed: int, axis: int, speed: float, seconds: float) -> Short:
-    """Drive an axis to a speed and withdraw its drive with the windings shorted."""
+def short(
+    plant: PlantConfig, seed: int, axis: int, speed: float, seconds: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Drive an axis to a speed and withdraw its drive with the windings shorted: speed [rad/s] and current [A]."""
     with spinning(plant.with_axis(axis, inertia=HEAVY * plant.axes[axis].inertia), seed) as board:
         board.write("param.on_disable", [SHORT] * AXES)
-        choose_mode(board, axis, "SPEED")
-        command_speed(board, axis, speed)
+        set_up(board, axis, "SPEED", speed)
         board.run(RUN_UP)
         board.write("cmd.enable", [0.0] * AXES)
         board.run(2 * TICK)
@@ -224,35 +184,43 @@ def short(plant: PlantConfig, seed: int, axis: int, speed: float, seconds: float
             rows.append((truth.omega_m, math.hypot(truth.i_d, truth.i_q)))
             if truth.omega_m == 0.0:
                 break
-        omega, current = np.array(rows).T
-        return Short(omega, current, board.read_raw(f"{axis_name(axis)}.state")[0])
+    omega, current = np.array(rows).T
+    return omega, current
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+# ---- figures ---------------------------------------------------------------------------------------------------------
+
+
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """The bus with both axes, the budget, and each axis' winding short."""
     speed = top_speed(plant.with_bus(capacitance=1.0), range(AXES), BRAKE_FROM)  # whatever the bus can take
     resistor = plant.bus.r_brake or RESISTOR
     without, with_one = stop(plant, seed, speed, 0.0), stop(plant, seed, speed, resistor)
     budget = spend(plant, seed, resistor)
-    rows = [
-        *_rows_bus(plant, speed, "no resistor", without, OVER_VOLTAGE),
-        *_rows_bus(plant, speed, "resistor", with_one, _with_resistor(plant, speed, resistor)),
-        Row("resistor: burnt in it", "not shown", float(with_one.burnt[-1]), "J", Bound(0.0, kinetic(plant, speed))),
-        *_rows_budget(budget, RESISTOR / resistor),
-    ]
-    panels = [_panel_bus(without, with_one)]
+    yield from _rows_bus(Judge("no resistor: ", NOT_SHOWN), plant, speed, without, OVER_VOLTAGE)
+    judge = Judge("resistor: ", NOT_SHOWN)
+    yield from _rows_bus(judge, plant, speed, with_one, _with_resistor(plant, speed, resistor))
+    yield judge("burnt in it", with_one.burnt[-1], "J", 0.0, kinetic(plant, speed))
+    judge = Judge("budget: ", NOT_SHOWN)
+    allowed = (BUDGET + POWER * budget.seconds) * (RESISTOR / resistor)  # computed with the one that is believed in
+    rest = (1.0 - RESTED) * BUDGET / POWER
+    yield judge("burnt until off", budget.burnt, "J", 0.95 * allowed, 1.05 * allowed)
+    yield judge("rest until used again", budget.rest, "s", 0.95 * rest, 1.05 * rest)
+    curves: list[Curve] = []
+    for name, it in (("no resistor", without), ("resistor", with_one)):
+        time = TICK * np.arange(1, it.u_dc.size + 1, dtype=np.float64)
+        curves.append(Curve(f"bus, {name} [V]", time, it.u_dc))
+        speeds = [(f"{axis_name(axis)}, {name} [100 rpm]", it.omega[:, axis]) for axis in range(AXES)]
+        curves += [Curve(label, time, omega / RPM / 100.0, "--") for label, omega in speeds]
+    yield Panel("both axes brake at once", "time [s]", "bus [V], speed [100 rpm]", curves)
     for axis in range(AXES):
-        more, panel = _short(plant, seed, axis)
-        rows.extend(more)
-        panels.append(panel)
-    flags = ", ".join(sorted(without.flags)) or "none"
+        yield from _short(plant, seed, axis)
+    yield f"from {speed / RPM:.4g} rpm: {kinetic(plant, speed):.3g} J, {lossless(plant, speed):.3g} V without losses"
+    yield f"resistor {resistor:g} ohm; without it the limits were {', '.join(sorted(without.flags)) or 'none'}"
     carried = [short_current(plant.axes[0], SLIDE_SPEED, drops=drops) for drops in (False, True)]
-    notes = (
-        f"from {speed / RPM:.4g} rpm: {kinetic(plant, speed):.3g} J, {lossless(plant, speed):.3g} V without losses",
-        f"resistor {resistor:g} ohm; without it the limits were {flags}",
-        f"axis 1 short at {SLIDE_SPEED / RPM:g} rpm: {carried[0]:.3g} A by the formula, {carried[1]:.3g} A with drops",
-    )
-    return Outcome(NAME, tuple(rows), tuple(panels), notes)
+    what = f"axis 1 short at {SLIDE_SPEED / RPM:g} rpm"
+    yield f"{what}: {carried[0]:.3g} A by the formula, {carried[1]:.3g} A with drops"
 
 
 def _with_resistor(plant: PlantConfig, speed: float, resistor: float) -> float:
@@ -271,14 +239,11 @@ def _returned(axis: AxisPlant, speed: float) -> float:
     return 1.5 * CURRENT * max(emf - lost, 0.0)
 
 
-def _rows_bus(plant: PlantConfig, speed: float, name: str, it: Stop, most: float) -> list[Row]:
+def _rows_bus(judge: Judge, plant: PlantConfig, speed: float, it: Stop, most: float) -> Iterator[Row]:
     faults = {flag.name for flag in Catalogue.load().flags["faults"]}
-    highest = float(it.u_dc.max())
-    return [
-        Row(f"{name}: highest bus voltage", "below the limit, 33 V", highest, "V", Bound(plant.bus.u_source, most)),
-        Row(f"{name}: faults", "none", float(len(it.flags & faults)), "", Bound(0.0, 0.0)),
-        Row(f"{name}: both stand after", "not shown", it.seconds, "s", Bound(0.0, _longest(plant, speed))),
-    ]
+    yield judge("highest bus voltage", it.u_dc.max(), "V", plant.bus.u_source, most, seed="below the limit, 33 V")
+    yield judge.none("faults", len(it.flags & faults), seed="none")
+    yield judge("both stand after", it.seconds, "s", 0.0, _longest(plant, speed))
 
 
 def _longest(plant: PlantConfig, speed: float) -> float:
@@ -291,73 +256,29 @@ def _longest(plant: PlantConfig, speed: float) -> float:
     return 0.1 + 1.5 * max(times)
 
 
-def _rows_budget(it: Budget, scale: float) -> list[Row]:
-    """The firmware computes with the resistor that it believes in."""
-    allowed = (BUDGET + POWER * it.seconds) * scale
-    rest = (1.0 - RESTED) * BUDGET / POWER
-    return [
-        Row("budget: burnt until off", "not shown", it.burnt, "J", Bound(0.95 * allowed, 1.05 * allowed)),
-        Row("budget: rest until used again", "not shown", it.rest, "s", Bound(0.95 * rest, 1.05 * rest)),
-    ]
-
-
-def _off(axis: AxisPlant, formula: NDArray[np.float64]) -> float:
-    """Allowed deviation, of the largest current: the drops are square waves; 5th and 7th harmonic add up."""
-    harmonics = 4.0 / math.pi * axis.v_drop * (1.0 / 5.0 + 1.0 / 7.0)
-    return AGREE + harmonics / (axis.r_s + axis.r_on) / float(formula.max())
-
-
-def _short(plant: PlantConfig, seed: int, axis: int) -> tuple[list[Row], Panel]:
-    name, motor = axis_name(axis), plant.axes[axis]
+def _short(plant: PlantConfig, seed: int, axis: int) -> Iterator[Row | Panel]:
+    motor, judge = plant.axes[axis], Judge(f"{axis_name(axis)}: ")
     refused = refusal_speed(PlantConfig.load().axes[axis])  # the firmware judges by what it believes
     below, above = (1.0 - NEAR) * refused, (1.0 + NEAR) * refused
-    it = short(plant, seed, axis, below, COAST_TIME)
-    no = short(plant, seed, axis, above, 0.01)
-    speeds = np.abs(it.omega)
-    formula = np.array([short_current(motor, w, drops=True) for w in speeds])
-    slide = np.array([short_current(motor, w, drops=False) for w in speeds])
+    omega, current = short(plant, seed, axis, below, COAST_TIME)
+    _, beyond = short(plant, seed, axis, above, 0.01)
+    speeds = np.abs(omega)
+    formula, slide = (np.array([short_current(motor, w, drops=drops) for w in speeds]) for drops in (True, False))
     begun = SETTLED * motor.l_q / motor.r_s  # the current that was there has gone
     moving = (speeds > 0.1 * below) & (TICK * np.arange(speeds.size) > begun)
-    off = float(np.abs(it.current - formula)[moving].max() / formula.max())
-    rows = [
-        Row(f"{name}: short at {below / RPM:.0f} rpm", "allowed", float(it.accepted), "", Bound(1.0, 1.0)),
-        Row(
-            f"{name}: short at {above / RPM:.0f} rpm",
-            "refused above some 1450 rpm",
-            float(no.accepted),
-            "",
-            Bound(0, 0),
-        ),
-        Row(
-            f"{name}: current off the formula",
-            "K_e w / sqrt(R^2 + w^2 L^2)",
-            off,
-            "of largest",
-            Bound(most=_off(motor, formula)),
-        ),
-        Row(
-            f"{name}: current over the slide's",
-            "an upper bound: it has no drops",
-            float((it.current[moving] / slide[moving]).max()),
-            "",
-            Bound(0.3, 1.02),
-        ),
-        Row(f"{name}: speed after the short", "rest", float(speeds[-1] / RPM), "rpm", Bound(0.0, 1.0)),
-    ]
+    off = float(np.abs(current - formula)[moving].max() / formula.max())
+    # Deviation that is allowed: the drops are square waves; 5th and 7th harmonic add up.
+    harmonics = 4.0 / math.pi * motor.v_drop * (1.0 / 5.0 + 1.0 / 7.0)
+    most = AGREE + harmonics / (motor.r_s + motor.r_on) / float(formula.max())
+    over, law = (current[moving] / slide[moving]).max(), "K_e w / sqrt(R^2 + w^2 L^2)"
+    yield judge.true(f"short at {below / RPM:.0f} rpm", current.max() > 0.0, seed="allowed")
+    yield judge.none(f"short at {above / RPM:.0f} rpm", beyond.max() > 0.0, seed="refused above some 1450 rpm")
+    yield judge("current off the formula", off, "of largest", most=most, seed=law)
+    yield judge("current over the slide's", over, "", 0.3, 1.02, seed="an upper bound: it has no drops")
+    yield judge("speed after the short", speeds[-1] / RPM, "rpm", 0.0, 1.0, seed="rest")
     curves = (
-        Curve("measured", speeds / RPM, it.current, "."),
+        Curve("measured", speeds / RPM, current, "."),
         Curve("formula with drops", speeds / RPM, formula),
         Curve("formula of the slide", speeds / RPM, slide),
     )
-    return rows, Panel(f"{name}: windings shorted", "speed [rpm]", "current [A]", curves)
-
-
-def _panel_bus(without: Stop, with_one: Stop) -> Panel:
-    curves = []
-    for name, it in (("no resistor", without), ("resistor", with_one)):
-        time = TICK * np.arange(1, it.u_dc.size + 1, dtype=np.float64)
-        curves += [Curve(f"bus, {name} [V]", time, it.u_dc)]
-        curves += [
-            Curve(f"{axis_name(k)}, {name} [100 rpm]", time, it.omega[:, k] / RPM / 100.0, "--") for k in range(AXES)
-        ]
-    return Panel("both axes brake at once", "time [s]", "bus [V], speed [100 rpm]", tuple(curves))
+    yield Panel(f"{axis_name(axis)}: windings shorted", "speed [rpm]", "current [A]", curves)

@@ -3,25 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.rig import (
-    RPM,
-    TICK,
-    Recording,
-    choose_mode,
-    command_speed,
-    features,
-    set_axis,
-    spinning,
-    watch,
-)
+from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
+from servo_twin.experiments.rig import RPM, TICK, Recording, set_up, spinning, watch
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "bus-ripple"
@@ -45,27 +35,6 @@ NOMINAL: Final = 2.0  # [A]
 RIPPLE_MOST: Final = 0.01  # of the nominal current
 
 
-@dataclass(frozen=True)
-class Ripple:
-    """Amplitudes at the frequency of the ripple.
-
-    Attributes
-    ----------
-    current, speed, bus : float
-        Of the true torque current [A], the true speed [rad/s] and the bus [V].
-    noise : float
-        Standard deviation of the true torque current, all frequencies [A].
-    recording : Recording
-        The measured part.
-    """
-
-    current: float
-    speed: float
-    bus: float
-    noise: float
-    recording: Recording
-
-
 def capacitance(plant: PlantConfig, axis: int) -> float:
     """Capacitor that the load can empty as fast as the supply falls, at most the plant's [F]."""
     current = LOAD * plant.axes[axis].torque_constant * SPEED / plant.bus.u_source
@@ -79,77 +48,52 @@ def amplitude(signal: NDArray[np.float64], frequency: float) -> float:
     return float(2.0 * abs(np.mean((signal - signal.mean()) * wave)))
 
 
-def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> Ripple:
+def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> Recording:
     """Turn an axis under load on a rippling bus."""
     plant = plant.with_bus(capacitance=capacitance(plant, axis))
     volts = plant.bus.u_source
+    acceleration = {"acceleration_limit": 4.0 * SPEED / SETTLE}
     with spinning(plant, seed) as board:
-        features(board, axis, BUS_COMPENSATION=compensated)
-        set_axis(board, "param.acceleration_limit", axis, 4.0 * SPEED / SETTLE)
-        choose_mode(board, axis, "SPEED")
-        command_speed(board, axis, SPEED)
+        set_up(board, axis, "SPEED", SPEED, parameters=acceleration, BUS_COMPENSATION=compensated)
         board.set_load(axis, LOAD * plant.axes[axis].torque_constant)  # braking would lift a bus that is so small
         watch(board, [axis], 0.5 * SETTLE)
-        swings = SWING * volts
 
         def act(k: int) -> None:
-            board.set_supply(volts + swings * math.sin(2.0 * math.pi * FREQUENCY * k * TICK))
+            board.set_supply(volts + SWING * volts * math.sin(2.0 * math.pi * FREQUENCY * k * TICK))
 
-        whole = watch(board, [axis], 0.5 * SETTLE + MEASURED, act)[axis]
-    part = whole.part(0.5 * SETTLE)
-    return Ripple(
-        current=amplitude(part.i_q_true, FREQUENCY),
-        speed=amplitude(part.omega, FREQUENCY),
-        bus=amplitude(part.u_dc, FREQUENCY),
-        noise=float(part.i_q_true.std()),
-        recording=part,
-    )
+        return watch(board, [axis], 0.5 * SETTLE + MEASURED, act)[axis].part(0.5 * SETTLE)
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
-    """Both axes, with and without."""
-    rows: list[Row] = []
-    panels: list[Panel] = []
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
+    """Both axes, with and without: true current, true speed and bus at the frequency of the ripple."""
     smallest = 1e3 * min(capacitance(plant, axis) for axis in range(AXES))
-    notes = [f"{SPEED / RPM:g} rpm, load of {LOAD:g} A, bus capacitor {smallest:.2g} mF, ripple at {FREQUENCY:g} Hz"]
+    yield f"{SPEED / RPM:g} rpm, load of {LOAD:g} A, bus capacitor {smallest:.2g} mF, ripple at {FREQUENCY:g} Hz"
     for axis in range(AXES):
         name = axis_name(axis)
-        with_it, without = turn(plant, seed, axis, True), turn(plant, seed, axis, False)
-        rows.extend(_rows(name, plant.bus.u_source, with_it, without))
-        notes.append(
-            f"{name}: i_q ripple {1e3 * with_it.current:.3g} mA with, {1e3 * without.current:.3g} mA without; "
-            f"speed ripple {with_it.speed / RPM:.3g} and {without.speed / RPM:.3g} rpm"
+        with_it, without = both = [turn(plant, seed, axis, compensated) for compensated in (True, False)]
+        bus = 100.0 * amplitude(with_it.u_dc, FREQUENCY) / plant.bus.u_source
+        currents = [amplitude(r.i_q_true, FREQUENCY) for r in both]
+        speeds = [amplitude(r.omega, FREQUENCY) / RPM for r in both]
+        ratio, part = currents[0] / max(currents[1], 1e-9), 100.0 * currents[0] / NOMINAL
+        judge = Judge(f"{name}, ", "F7: compensated")
+        yield judge("ripple of the bus", bus, "%", 80.0 * SWING, 110.0 * SWING, seed="10 %")
+        yield judge("current ripple, with over without", ratio, most=LEFT_MOST)
+        yield judge("current ripple with", part, "% of 2 A", most=100.0 * RIPPLE_MOST)
+        yield (
+            f"{name}: i_q ripple {1e3 * currents[0]:.3g} mA with, {1e3 * currents[1]:.3g} mA without; "
+            f"speed ripple {speeds[0]:.3g} and {speeds[1]:.3g} rpm"
         )
-        panels.append(_panel(name, with_it, without))
-    bus = with_it.recording.part(0.5 * SETTLE, 0.5 * SETTLE + SHOWN)
-    time = 1e3 * (bus.time - bus.time[0])
-    panels.append(Panel("the bus", "time [ms]", "bus [V]", (Curve("bus", time, bus.u_dc),)))
-    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+        shown = {"without": _shown(without), "with compensation": _shown(with_it)}
+        curves = [Curve(label, _milliseconds(r), r.i_q_true) for label, r in shown.items()]
+        yield Panel(f"{name}: true i_q", "time [ms]", "i_q [A]", curves)
+    last = _shown(with_it)
+    yield Panel("the bus", "time [ms]", "bus [V]", [Curve("bus", _milliseconds(last), last.u_dc)])
 
 
-def _rows(name: str, volts: float, with_it: Ripple, without: Ripple) -> tuple[Row, ...]:
-    return (
-        Row(f"{name}, ripple of the bus", "10 %", 100.0 * with_it.bus / volts, "%", Bound(80.0 * SWING, 110.0 * SWING)),
-        Row(
-            f"{name}, current ripple, with over without",
-            "F7: compensated",
-            with_it.current / max(without.current, 1e-9),
-            "",
-            Bound(most=LEFT_MOST),
-        ),
-        Row(
-            f"{name}, current ripple with",
-            "F7: compensated",
-            100.0 * with_it.current / NOMINAL,
-            "% of 2 A",
-            Bound(most=100.0 * RIPPLE_MOST),
-        ),
-    )
+def _shown(recording: Recording) -> Recording:
+    return recording.part(0.5 * SETTLE, 0.5 * SETTLE + SHOWN)
 
 
-def _panel(name: str, with_it: Ripple, without: Ripple) -> Panel:
-    curves: list[Curve] = []
-    for label, ripple in (("without", without), ("with compensation", with_it)):
-        part = ripple.recording.part(0.5 * SETTLE, 0.5 * SETTLE + SHOWN)
-        curves.append(Curve(label, 1e3 * (part.time - part.time[0]), part.i_q_true))
-    return Panel(f"{name}: true i_q", "time [ms]", "i_q [A]", tuple(curves))
+def _milliseconds(part: Recording) -> NDArray[np.float64]:
+    return np.asarray(1e3 * (part.time - part.time[0]))

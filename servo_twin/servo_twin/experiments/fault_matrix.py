@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -22,7 +22,7 @@ from servo_twin.experiments.named_faults import (
     place,
     word,
 )
-from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import Curve, Item, Judge, Outcome, Panel, Row, experiment
 from servo_twin.experiments.rig import TICK, fresh_board
 from servo_twin.harm import (
     CurrentNoise,
@@ -101,29 +101,19 @@ def _both(board: Board) -> None:
     _wait(board, 0.2)
 
 
-def _stop(board: Board) -> None:
-    _both(board)
+def _reach(where: str, seconds: float) -> Callable[[Board], None]:
+    """Enable axis 1 as well; so long after a sub-state has been reached [s]."""
+
+    def prepare(board: Board) -> None:
+        _both(board)
+        board.write("cmd.enable", [1, 1])
+        _until(board, where, lambda: place(board, 0) == where)
+        _wait(board, seconds)
+
+    return prepare
 
 
-def _calib(board: Board) -> None:
-    _both(board)
-    board.write("cmd.enable", [1, 1])
-    _until(board, "CALIB", lambda: place(board, 0) == "CALIB")
-    board.run(0.005)
-
-
-def _align(board: Board) -> None:
-    _both(board)
-    board.write("cmd.enable", [1, 1])
-    _until(board, "ALIGN", lambda: place(board, 0) == "ALIGN")
-    board.run(0.05)
-
-
-def _hold(board: Board) -> None:
-    _both(board)
-    board.write("cmd.enable", [1, 1])
-    _until(board, "SPIN", lambda: place(board, 0) == "SPIN")
-    _wait(board, 0.1)
+_hold: Final = _reach("SPIN", 0.1)
 
 
 def _speed(speed: float) -> Callable[[Board], None]:
@@ -154,9 +144,9 @@ def _coast(board: Board) -> None:
 
 
 STATES: Final[Mapping[str, Callable[[Board], None]]] = {
-    "STOP": _stop,
-    "CALIB": _calib,
-    "ALIGN": _align,
+    "STOP": _both,
+    "CALIB": _reach("CALIB", 0.005),
+    "ALIGN": _reach("ALIGN", 0.05),
     "hold": _hold,
     "20 rad/s": _speed(20.0),
     "100 rad/s": _speed(100.0),
@@ -178,30 +168,20 @@ def _provoke(board: Board) -> None:
 # ---- damage
 @dataclass(frozen=True)
 class Damage:
-    """One kind of damage.
-
-    Attributes
-    ----------
-    name : str
-    harm : Harm
-        For the plant.
-    faults : tuple of str
-        Names that are right; `NOTHING` for what is no fault.
-    most : int or None
-        Outputs off after so many PWM periods in a turning motor; None: it takes what it takes.
-    provoked : bool
-        It has to be found when the axis moves.
-    apart : float or None
-        Part of the time until it shows by itself by which the levels of a board may differ, beside the slow tick that
-        the supervision may come later; None: it is not the same twice.
-    """
+    """One kind of damage."""
 
     name: str
     harm: Harm
+    """For the plant."""
     faults: tuple[str, ...]
+    """Names that are right; `NOTHING` for what is no fault."""
     most: int | None = SOON
+    """Outputs off after so many PWM periods in a turning motor; None: it takes what it takes."""
     provoked: bool = True
+    """It has to be found when the axis moves."""
     apart: float | None = None
+    """Part of the time until it shows by itself by which the levels of a board may differ, beside the slow tick that
+    the supervision may come later; None: it is not the same twice."""
 
 
 def damages(plant: PlantConfig) -> list[Damage]:
@@ -230,31 +210,20 @@ def damages(plant: PlantConfig) -> list[Damage]:
 # ---- one case
 @dataclass(frozen=True)
 class Case:
-    """What one damage did in one state.
-
-    Attributes
-    ----------
-    damage : Damage
-    state : str
-    name : str
-        First fault, once it is final; empty without one.
-    periods : int or None
-        PWM periods from the cause to the fault, None if the axis had to be asked to move, or there was none.
-    gained : float
-        Speed that the shaft gained after the outputs were off [rad/s].
-    gain_most : float
-        What the current that is left in the winding may give it [rad/s].
-    other : bool
-        Axis 2 did what it should.
-    """
+    """What one damage did in one state."""
 
     damage: Damage
     state: str
     name: str
+    """First fault, once it is final; empty without one."""
     periods: int | None
+    """PWM periods from the cause to the fault; None if the axis had to be asked to move, or there was none."""
     gained: float
+    """Speed that the shaft gained after the outputs were off [rad/s]."""
     gain_most: float
+    """What the current that is left in the winding may give it [rad/s]."""
     other: bool
+    """Axis 2 did what it should."""
 
     @property
     def named(self) -> bool:
@@ -326,51 +295,38 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
     return judge(cases(plant, seed))
 
 
-def judge(found: Sequence[Case]) -> Outcome:
+@experiment(NAME)
+def judge(found: Sequence[Case]) -> Iterator[Item]:
     """Rows, notes with the matrix, and a picture of the times."""
-    by_damage = {damage: [c for c in found if c.damage == damage] for damage in dict.fromkeys(c.damage for c in found)}
-    rows = [row for damage, mine in by_damage.items() for row in (*_right(damage, mine), *_times(damage, mine))]
-    curves = [curve for damage, mine in by_damage.items() for curve in _curve(damage, mine)]
-    notes = [f"{damage.name}: " + ", ".join(_text(c) for c in mine) for damage, mine in by_damage.items()]
+    curves: list[Curve] = []
+    for damage in dict.fromkeys(c.damage for c in found):
+        mine = [c for c in found if c.damage == damage]
+        yield from _rows(Judge(f"{damage.name}: "), damage, mine)
+        yield f"{damage.name}: " + ", ".join(_text(c) for c in mine)
+        times = [(k, c.periods) for k, c in enumerate(mine) if c.periods is not None]
+        if times:  # something has shown by itself
+            x, y = (np.array(numbers, dtype=np.float64) for numbers in zip(*times, strict=True))
+            curves.append(Curve(damage.name, x, np.log10(np.maximum(y, 1.0)), "o"))
     title = "from cause to fault, by state: " + ", ".join(dict.fromkeys(c.state for c in found))
-    panel = Panel(title, "state", "log10 of PWM periods", tuple(curves))
-    return Outcome(NAME, tuple(rows), (panel,), tuple(notes))
+    yield Panel(title, "state", "log10 of PWM periods", curves)
 
 
-def _right(damage: Damage, mine: Sequence[Case]) -> list[Row]:
-    return [
-        _share(f"{damage.name}: {' or '.join(damage.faults) or 'no fault'}", [c.named for c in mine]),
-        _share(f"{damage.name}: no motion after", [c.gained <= c.gain_most for c in mine]),
-        _share(f"{damage.name}: axis 2 as it should", [c.other for c in mine]),
-    ]
-
-
-def _times(damage: Damage, mine: Sequence[Case]) -> list[Row]:
-    """The slowest in a turning motor, and the slowest that showed by itself, where that is bounded."""
-    rows: list[Row] = []
-    turning = [c.periods for c in mine if c.state in TURNING and c.periods is not None]
+def _rows(judge: Judge, damage: Damage, mine: Sequence[Case]) -> Iterator[Row]:
+    """What is right; the slowest in a turning motor, and the slowest that showed by itself, where that is bounded."""
+    for name, right in (
+        (" or ".join(damage.faults) or "no fault", [c.named for c in mine]),
+        ("no motion after", [c.gained <= c.gain_most for c in mine]),
+        ("axis 2 as it should", [c.other for c in mine]),
+    ):
+        yield judge(name, sum(right) / len(right), "of all", 1.0, 1.0)
+    shown = [c for c in mine if c.periods is not None]
+    turning = [c.periods for c in shown if c.state in TURNING and c.periods is not None]
     if damage.most is not None and NOTHING not in damage.faults and turning:
-        bound = Bound(0.0, float(damage.most))
-        rows.append(Row(f"{damage.name}: outputs off, turning", BEYOND, float(max(turning)), "PWM periods", bound))
-    shown = [c.periods for c in mine if c.periods is not None]
+        yield judge("outputs off, turning", max(turning), "PWM periods", 0.0, damage.most)
     if damage.apart is not None and shown:
-        latest, within = float(max(shown)), Bound(0.0, round(WAIT * 1e9 / PERIOD_NS))
-        name, apart = f"{damage.name}: latest by itself", damage.apart * latest + SLOW_PERIODS
-        rows.append(Row(name, BEYOND, latest, "PWM periods", within, apart=apart))
-    return rows
-
-
-def _curve(damage: Damage, mine: Sequence[Case]) -> list[Curve]:
-    """Times by state; none where nothing showed by itself."""
-    times = [(k, c.periods) for k, c in enumerate(mine) if c.periods is not None]
-    if not times:
-        return []
-    x, y = (np.array(numbers, dtype=np.float64) for numbers in zip(*times, strict=True))
-    return [Curve(damage.name, x, np.log10(np.maximum(y, 1.0)), "o")]
-
-
-def _share(name: str, right: Sequence[bool]) -> Row:
-    return Row(name, BEYOND, sum(right) / len(right), "of all", Bound(1.0, 1.0))
+        latest, within = max(c.periods for c in shown if c.periods is not None), round(WAIT * 1e9 / PERIOD_NS)
+        apart = damage.apart * latest + SLOW_PERIODS
+        yield judge("latest by itself", latest, "PWM periods", 0.0, within, apart=apart)
 
 
 def _text(it: Case) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,17 +12,20 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.experiments.dead_time_torque import whole_counts
-from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.plant_limits import believed, move_speeds
 from servo_twin.experiments.rig import (
     COUNT,
+    TICK,
     Recording,
+    arrives,
+    at,
     command_position,
     features,
+    overshoot,
     position_of,
     set_axis,
     spinning,
-    stays_from,
     watch,
 )
 from servo_twin.plant import AxisPlant, PlantConfig
@@ -64,30 +67,17 @@ SEED_OVERSHOOT: Final = "2.7.3: position must not overshoot"
 
 @dataclass(frozen=True)
 class Move:
-    """One move of one axis.
+    """One move of one axis."""
 
-    Attributes
-    ----------
-    error : float
-        Largest distance of the true shaft from the shaped set-point [counts].
-    overshoot : float
-        Farthest beyond the target [counts].
-    settling : float or None
-        From the command until the shaft stays within 2 counts of the target, and what it swerves [s].
-    speed : float
-        Highest true speed [rad/s].
-    recording : Recording
-        All of it.
-    swerve : float
-        What current that the inverter keeps back moves the shaft once the set-point has arrived [counts].
-    """
-
-    error: float
-    overshoot: float
-    settling: float | None
-    speed: float
     recording: Recording
-    swerve: float = 0.0
+    error: float
+    """Largest distance of the true shaft from the shaped set-point [counts]."""
+    overshoot: float
+    """Farthest beyond the target [counts]."""
+    settling: float | None
+    """From the command until the shaft stays within 2 counts of the target, and what it swerves [s]."""
+    swerve: float
+    """What current that the inverter keeps back moves the shaft once the set-point has arrived [counts]."""
 
     @property
     def window(self) -> float:
@@ -100,18 +90,11 @@ class Move:
 
 def measure(recording: Recording, target: int, shaft: AxisPlant) -> Move:
     """Judge a move of a shaft that began at rest with the recording; `target` in counts."""
-    direction = 1.0 if target >= recording.position[0] else -1.0
     near = np.abs(recording.position_ref - target) <= ARRIVED
     swerve = whole_counts(recording, shaft, float(recording.time[int(np.argmax(near))])) if near.any() else 0.0
-    window = ARRIVED + swerve
-    return Move(
-        error=float(np.abs(recording.position_ref - recording.shaft).max()),
-        overshoot=max(float((direction * (recording.position - target)).max()), 0.0) + 0.0,
-        settling=stays_from(recording, recording.position, target - window, target + window),
-        speed=float(np.abs(recording.omega).max()),
-        recording=recording,
-        swerve=swerve,
-    )
+    error = float(np.abs(recording.position_ref - recording.shaft).max())
+    settling = arrives(recording, target, ARRIVED + swerve, 0.0)
+    return Move(recording, error, overshoot(recording, target), settling, swerve)
 
 
 def travel(
@@ -119,19 +102,17 @@ def travel(
 ) -> list[Move]:
     """Both axes at once, from rest, with speed limits [rad/s]."""
     with spinning(plant, seed) as board:
-        targets: list[int] = []
         for axis in range(AXES):
             features(board, axis, **switches)
             set_axis(board, "param.speed_limit", axis, speeds[axis])
-            targets.append(position_of(board, axis) + round(turns * COUNTS_PER_TURN))
+        targets = [position_of(board, axis) + round(turns * COUNTS_PER_TURN) for axis in range(AXES)]
 
-        def act(k: int) -> None:
-            if k == 1:
-                for axis, target in enumerate(targets):
-                    command_position(board, axis, target)
+        def go() -> None:
+            for axis, target in enumerate(targets):
+                command_position(board, axis, target)
 
         seconds = turns * COUNTS_PER_TURN * COUNT / min(speeds) + REST
-        both = watch(board, range(AXES), seconds, act)
+        both = watch(board, range(AXES), seconds, at({TICK: go}))
     return [measure(both[axis], target, plant.axes[axis]) for axis, target in enumerate(targets)]
 
 
@@ -158,61 +139,57 @@ class Mismatch:
         return abs(self.there - self.believed) / self.there
 
 
-def error_bound(speed: Move, inertia: Mismatch) -> float:
+def error_bound(speed_error: float, inertia: Mismatch) -> float:
     """Following error that may be left with the acceleration fed forward, too [counts].
 
-    A part of the error with the speed alone, for the torque that comes late; the error that a wrong belief of the
-    inertia brings back; three counts.
+    A part of the error with the speed alone [counts], for the torque that comes late; the error that a wrong belief of
+    the inertia brings back; three counts.
     """
-    return (ACCELERATION_LEFT_MOST * inertia.lighter + inertia.wrong) * speed.error + ARRIVED + 1.0
+    return (ACCELERATION_LEFT_MOST * inertia.lighter + inertia.wrong) * speed_error + ARRIVED + 1.0
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Every distance, every choice, both axes at once."""
     speeds, lowered = move_speeds(plant, seed, together=True)
-    beliefs = believed(plant, seed)
-    inertias = [Mismatch(e.inertia, b.inertia) for e, b in zip(plant.axes, beliefs, strict=True)]
-    frictions = [Mismatch(e.friction, b.friction) for e, b in zip(plant.axes, beliefs, strict=True)]
-    rows: list[Row] = []
-    panels: list[Panel] = []
-    notes = [lowered] if lowered else []
+    beliefs = list(zip(plant.axes, believed(plant, seed), strict=True))
+    inertias = [Mismatch(entry.inertia, belief.inertia) for entry, belief in beliefs]
+    frictions = [Mismatch(entry.friction, belief.friction) for entry, belief in beliefs]
+    yield lowered
     for turns in DISTANCES:
         moves = {choice: travel(plant, seed, turns, on, speeds) for choice, on in CHOICES.items()}
         for axis in range(AXES):
             of_axis = {choice: both[axis] for choice, both in moves.items()}
-            rows.extend(_rows(f"{axis_name(axis)} {turns:g} turns", of_axis, inertias[axis], frictions[axis]))
-        notes.append(_note(turns, moves))
-        panels.extend(_panel(f"{axis_name(axis)}, {turns:g} turns", axis, moves) for axis in range(AXES))
-    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+            judge = Judge(f"{axis_name(axis)} {turns:g} turns, ")
+            yield from _rows(judge, of_axis, inertias[axis], frictions[axis])
+            curves = [
+                Curve(choice, r.time, np.abs(r.position_ref - r.shaft) + 0.1)
+                for choice, r in ((choice, move.recording) for choice, move in of_axis.items())
+            ]
+            title = f"{axis_name(axis)}, {turns:g} turns: following error"
+            yield Panel(title, "time [s]", "set-point - shaft [counts]", curves, log_y=True)
+        errors = {choice: " and ".join(f"{move.error:.3g}" for move in both) for choice, both in moves.items()}
+        text = ", ".join(f"{choice} {both}" for choice, both in errors.items())
+        yield f"{turns:g} turns, largest following error of both axes [counts]: {text}"
 
 
-def _rows(what: str, moves: Mapping[str, Move], inertia: Mismatch, friction: Mismatch) -> list[Row]:
+def _rows(judge: Judge, moves: Mapping[str, Move], inertia: Mismatch, friction: Mismatch) -> Iterator[Row]:
     none, speed = moves["none"], moves["speed"]
-    left = speed.error / max(none.error, 1e-9)
-    most = SPEED_LEFT_MOST * inertia.heavier
-    rows = [Row(f"{what}, following error, speed over none", SEED_LAG, left, "", Bound(most=most))]
+    left, most = speed.error / max(none.error, 1e-9), SPEED_LEFT_MOST * inertia.heavier
+    yield judge("following error, speed over none", left, most=most, seed=SEED_LAG)
     for choice in ("speed, acceleration", "all"):
-        bound = Bound(most=error_bound(speed, inertia))
-        rows.append(Row(f"{what}, following error, {choice}", BEYOND, moves[choice].error, "counts", bound))
+        most = error_bound(speed.error, inertia)
+        yield judge(f"following error, {choice}", moves[choice].error, "counts", most=most)
     forward = [move for choice, move in moves.items() if choice != "none"]
-    lag = none.error * COUNT / max(none.speed, 1e-9)
-    wider = math.log(max(move.window for move in moves.values()) / ARRIVED)
-    overshoot = max(move.overshoot for move in forward)
     pushed = OVERSHOOT_OF_FRICTION * (friction.lighter - 1.0)
     swerve = max(move.swerve for move in forward)
-    beyond = Bound(most=ARRIVED + swerve + OVERSHOOT_OF_WRONG * inertia.wrong * speed.error + pushed)
-    rows.append(Row(f"{what}, overshoot, worst", SEED_OVERSHOOT, overshoot, "counts", beyond))
-    rows.append(
-        Row(
-            f"{what}, settling, latest less none",
-            BEYOND,
-            _later(none.settling, [move.settling for move in forward]),
-            "s",
-            Bound(most=SETTLE_WORSE_MOST),
-            apart=SETTLE_WORSE_MOST + lag * wider,
-        )
-    )
-    return rows
+    most = ARRIVED + swerve + OVERSHOOT_OF_WRONG * inertia.wrong * speed.error + pushed
+    beyond = max(move.overshoot for move in forward)
+    yield judge("overshoot, worst", beyond, "counts", most=most, seed=SEED_OVERSHOOT)
+    later = _later(none.settling, [move.settling for move in forward])
+    lag = none.error * COUNT / max(float(np.abs(none.recording.omega).max()), 1e-9)
+    apart = SETTLE_WORSE_MOST + lag * math.log(max(move.window for move in moves.values()) / ARRIVED)
+    yield judge("settling, latest less none", later, "s", most=SETTLE_WORSE_MOST, apart=apart)
 
 
 def _later(without: float | None, forward: list[float | None]) -> float | None:
@@ -221,18 +198,3 @@ def _later(without: float | None, forward: list[float | None]) -> float | None:
     if without is None or len(settled) < len(forward):
         return None
     return max(settled) - without
-
-
-def _note(turns: float, moves: Mapping[str, list[Move]]) -> str:
-    errors = ", ".join(
-        f"{choice} {' and '.join(f'{move.error:.3g}' for move in both)}" for choice, both in moves.items()
-    )
-    return f"{turns:g} turns, largest following error of both axes [counts]: {errors}"
-
-
-def _panel(title: str, axis: int, moves: Mapping[str, list[Move]]) -> Panel:
-    curves = tuple(
-        Curve(choice, r.time, np.abs(r.position_ref - r.shaft) + 0.1)
-        for choice, r in ((choice, both[axis].recording) for choice, both in moves.items())
-    )
-    return Panel(f"{title}: following error", "time [s]", "set-point - shaft [counts]", curves, log_y=True)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
+import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -15,19 +16,9 @@ from servo_msgs_py.tuning.field_weakening import reserve_at
 from servo_msgs_py.tuning.field_weakening import top_speed as speed_left
 
 from servo_twin.board import Board
-from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import BEYOND, Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.plant_limits import MODULATION
-from servo_twin.experiments.rig import (
-    RPM,
-    TICK,
-    Recording,
-    choose_mode,
-    command_speed,
-    features,
-    set_axis,
-    spinning,
-    watch,
-)
+from servo_twin.experiments.rig import RPM, TICK, Recording, at, command_speed, set_up, spinning, watch
 from servo_twin.harm import HotPowerStage
 from servo_twin.plant import AxisPlant, PlantConfig
 
@@ -71,45 +62,13 @@ BEYOND_RATED: Final = 0.04  # of the speed, after a load has gone
 WORSE: Final = 1.25  # speed that a load step takes at the rated speed, over that at half of it
 DEVIATION: Final = 0.1  # of the motors, up and down
 
-Event = tuple[float, Callable[[Board], None]]
-
-
-@dataclass(frozen=True)
-class Steady:
-    """Means of a part of a recording.
-
-    Attributes
-    ----------
-    speed, wander : float
-        True speed, and its standard deviation [rad/s].
-    i_d, i_d_wander : float
-        [A].
-    free : float
-        Stator voltage below its limit [V].
-    """
-
-    speed: float
-    wander: float
-    i_d: float
-    i_d_wander: float
-    free: float
+Events = Mapping[float, Callable[[Board], object]]
+"""What happens at which time from the set-point on [s]."""
 
 
 def free_voltage(recording: Recording) -> NDArray[np.float64]:
     """What the stator voltage leaves of its limit [V]."""
     return np.asarray(MODULATION * recording.u_dc - np.hypot(recording.u_d, recording.u_q))
-
-
-def steady(recording: Recording, start: float, end: float | None = None) -> Steady:
-    """Means from `start` to `end` [s]."""
-    part = recording.part(start, end)
-    return Steady(
-        speed=float(part.omega.mean()),
-        wander=float(part.omega.std()),
-        i_d=float(part.i_d.mean()),
-        i_d_wander=float(part.i_d.std()),
-        free=float(free_voltage(part).mean()),
-    )
 
 
 def formula(axis: AxisPlant, volts: float, load: float, *, weak: bool) -> float:
@@ -127,83 +86,77 @@ def at_rated(plant: PlantConfig, seed: int, axes: Sequence[int], *, weak: bool) 
     """A board whose axes are told to turn at the rated speed; they are on their way."""
     with spinning(plant, seed) as board:
         for axis in axes:
-            features(board, axis, FIELD_WEAKENING=weak)
-            set_axis(board, "param.speed_limit", axis, RATED)
-            choose_mode(board, axis, "SPEED")
-            command_speed(board, axis, RATED)
+            set_up(board, axis, "SPEED", RATED, parameters={"speed_limit": RATED}, FIELD_WEAKENING=weak)
         yield board
 
 
 def run_with(
     plant: PlantConfig,
     seed: int,
-    events: Sequence[Event],
+    events: Events,
     seconds: float,
     axes: Sequence[int] = (AXIS,),
     *,
     weak: bool = True,
     may_fail: bool = False,
 ) -> Mapping[int, Recording]:
-    """Run up to the rated speed, with events at their times from the set-point on [s]."""
-    at = [(round(time / TICK), act) for time, act in events]
-
-    def act(k: int) -> None:
-        for tick, happen in at:
-            if tick == k:
-                happen(board)
-
+    """Run up to the rated speed, with events."""
     with at_rated(plant, seed, axes, weak=weak) as board:
+        act = at({time: functools.partial(do, board) for time, do in events.items()})
         return watch(board, axes, seconds, act, may_fail=may_fail)
 
 
-def _load(torque: float, axis: int = AXIS) -> Callable[[Board], None]:
-    return lambda board: board.set_load(axis, torque)
+def _load(torque: float, axes: Sequence[int] = (AXIS,)) -> Callable[[Board], object]:
+    def do(board: Board) -> None:
+        for axis in axes:
+            board.set_load(axis, torque)
+
+    return do
 
 
-def _supply(volts: float) -> Callable[[Board], None]:
+def _supply(volts: float) -> Callable[[Board], object]:
     return lambda board: board.set_supply(volts)
+
+
+def _speed(judge: Judge, recording: Recording, aim: float) -> Row:
+    """Mean speed against the one on paper [rad/s]."""
+    says, aim = f"{BEYOND}; {aim / RPM:.0f} rpm on paper", aim / RPM
+    speed = float(recording.omega.mean()) / RPM
+    return judge("speed", speed, "rpm", (1.0 - FORMULA) * aim, (1.0 + FORMULA) * aim, seed=says)
+
+
+def _free(judge: Judge, recording: Recording, most: float | None = None) -> Row:
+    return judge("voltage kept free", free_voltage(recording).mean(), "V", MARGIN - FREE, most)
+
+
+def _wandering(judge: Judge, recording: Recording) -> Iterator[Row]:
+    yield judge("wandering speed", recording.omega.std() / RPM, "rpm", 0.0, RESTLESS / RPM)
+    yield judge("wandering i_d", recording.i_d.std(), "A", 0.0, I_D_RESTLESS)
 
 
 # ---- torque over speed -----------------------------------------------------------------------------------------------
 
 
-def loaded(plant: PlantConfig, seed: int, load: float, *, weak: bool) -> Steady:
-    """The speed under a load that stays."""
+def loaded(plant: PlantConfig, seed: int, load: float, *, weak: bool) -> Recording:
+    """The end of a run under a load that stays."""
     end = RUN_UP + SETTLE + MEASURED
-    recording = run_with(plant, seed, [(RUN_UP, _load(load))], end, weak=weak)[AXIS]
-    return steady(recording, end - MEASURED)
+    return run_with(plant, seed, {RUN_UP: _load(load)}, end, weak=weak)[AXIS].part(end - MEASURED)
 
 
-def _load_rows(plant: PlantConfig, seed: int) -> tuple[list[Row], Panel]:
+def _load_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
     axis, volts = plant.axes[AXIS], plant.bus.u_source
-    rows: list[Row] = []
     speeds: dict[bool, list[float]] = {False: [], True: []}
-    for load in LOADS:
-        for weak in (True, False):
-            result = loaded(plant, seed, load, weak=weak)
-            name = f"{1e3 * load:g} mN m {'with' if weak else 'without'}"
-            aim = formula(axis, volts, load, weak=weak) / RPM
-            bound = Bound((1.0 - FORMULA) * aim, (1.0 + FORMULA) * aim)
-            rows.append(Row(f"{name}: speed", f"{BEYOND}; {aim:.0f} rpm on paper", result.speed / RPM, "rpm", bound))
-            speeds[weak].append(result.speed)
-            if weak:
-                free = Bound(MARGIN - FREE, MARGIN + FREE)
-                rows += [
-                    Row(f"{name}: voltage kept free", BEYOND, result.free, "V", free),
-                    Row(f"{name}: wandering speed", BEYOND, result.wander / RPM, "rpm", Bound(0.0, RESTLESS / RPM)),
-                    Row(f"{name}: wandering i_d", BEYOND, result.i_d_wander, "A", Bound(0.0, I_D_RESTLESS)),
-                ]
-    gained = speeds[True][1] - speeds[False][1]
-    rows.append(Row(f"{1e3 * STEP:g} mN m: speed gained", BEYOND, gained / RPM, "rpm", Bound(_gain(axis, volts) / RPM)))
-    return rows, _torque_panel(axis, volts, speeds)
-
-
-def _gain(axis: AxisPlant, volts: float) -> float:
-    """Half of what field weakening gains on paper."""
-    return 0.5 * (formula(axis, volts, STEP, weak=True) - formula(axis, volts, STEP, weak=False))
-
-
-def _torque_panel(axis: AxisPlant, volts: float, speeds: Mapping[bool, Sequence[float]]) -> Panel:
+    for load, weak in itertools.product(LOADS, (True, False)):
+        recording = loaded(plant, seed, load, weak=weak)
+        judge = Judge(f"{1e3 * load:g} mN m {'with' if weak else 'without'}: ")
+        yield _speed(judge, recording, formula(axis, volts, load, weak=weak))
+        speeds[weak].append(float(recording.omega.mean()))
+        if weak:
+            yield _free(judge, recording, MARGIN + FREE)
+            yield from _wandering(judge, recording)
+    on_paper = formula(axis, volts, STEP, weak=True) - formula(axis, volts, STEP, weak=False)
+    gained = (speeds[True][1] - speeds[False][1]) / RPM
+    yield Judge(f"{1e3 * STEP:g} mN m: ")("speed gained", gained, "rpm", 0.5 * on_paper / RPM)
     grid = np.linspace(0.5 * RATED, 1.1 * RATED, 121)
     curves: list[Curve] = []
     for weak, how in ((False, "without"), (True, "with")):
@@ -212,34 +165,32 @@ def _torque_panel(axis: AxisPlant, volts: float, speeds: Mapping[bool, Sequence[
         rest = np.maximum(np.array(torques) - axis.friction - axis.viscous * grid, 0.0)
         curves.append(Curve(f"{how}, on paper", grid / RPM, 1e3 * rest))
         curves.append(Curve(f"{how}, measured", np.array(speeds[weak]) / RPM, 1e3 * np.array(LOADS), "o"))
-    return Panel(f"torque at the shaft, {volts:g} V", "speed [rpm]", "torque [mN m]", tuple(curves))
+    yield Panel(f"torque at the shaft, {volts:g} V", "speed [rpm]", "torque [mN m]", curves)
 
 
 # ---- run-up, load step -----------------------------------------------------------------------------------------------
 
 
-def _step_rows(plant: PlantConfig, seed: int) -> tuple[list[Row], Panel]:
+def _step_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """A load comes and goes, and the shaft returns to rest."""
     rest = RUN_UP + 2.0 * SETTLE
-    events = [
-        (RUN_UP, _load(STEP)),
-        (RUN_UP + SETTLE, _load(0.0)),
-        (rest, lambda board: command_speed(board, AXIS, 0.0)),
-    ]
+    events: Events = {
+        RUN_UP: _load(STEP),
+        RUN_UP + SETTLE: _load(0.0),
+        rest: lambda board: command_speed(board, AXIS, 0.0),
+    }
     whole = run_with(plant, seed, events, rest + SETTLE + MEASURED)[AXIS]
-    idle, high = steady(whole, RUN_UP - MEASURED, RUN_UP), float(whole.part(0.0, rest).omega.max())
+    idle, high = whole.part(RUN_UP - MEASURED, RUN_UP), float(whole.part(0.0, rest).omega.max())
     dip = RATED - float(whole.part(RUN_UP, RUN_UP + DIP).omega.min())
-    slow = _dip_at(plant, seed, 0.5 * RATED)
-    last = whole.part(rest + SETTLE)
-    near = Bound(RATED * (1.0 - REACHED) / RPM, RATED * (1.0 + REACHED) / RPM)
-    rows = [
-        Row("run-up without load: speed", BEYOND, idle.speed / RPM, "rpm", near),
-        Row("run-up without load: voltage kept free", BEYOND, idle.free, "V", Bound(MARGIN - FREE, MARGIN + FREE)),
-        Row("load step: speed lost over that at 2000 rpm", BEYOND, dip / slow, "", Bound(0.0, WORSE)),
-        Row("highest speed, load gone", BEYOND, high / RPM, "rpm", Bound(0.0, (1.0 + BEYOND_RATED) * RATED / RPM)),
-        Row("at rest again: i_d", BEYOND, float(np.abs(last.i_d).mean()), "A", Bound(0.0, 0.1)),
-    ]
-    return rows, _panel("run-up, load step, stop", whole)
+    near = RATED * (1.0 - REACHED) / RPM, RATED * (1.0 + REACHED) / RPM
+    judge = Judge("run-up without load: ")
+    yield judge("speed", float(idle.omega.mean()) / RPM, "rpm", *near)
+    yield _free(judge, idle, MARGIN + FREE)
+    judge, at_rest = Judge(), whole.part(rest + SETTLE)
+    yield judge("load step: speed lost over that at 2000 rpm", dip / _dip_at(plant, seed, 0.5 * RATED), "", 0.0, WORSE)
+    yield judge("highest speed, load gone", high / RPM, "rpm", 0.0, (1.0 + BEYOND_RATED) * RATED / RPM)
+    yield judge("at rest again: i_d", np.abs(at_rest.i_d).mean(), "A", 0.0, 0.1)
+    yield _panel("run-up, load step, stop", whole)
 
 
 def _dip_at(plant: PlantConfig, seed: int, speed: float) -> float:
@@ -256,108 +207,66 @@ def _dip_at(plant: PlantConfig, seed: int, speed: float) -> float:
 
 def sag(plant: PlantConfig, seed: int, volts: float, axes: Sequence[int] = (AXIS,)) -> Mapping[int, Recording]:
     """The supply falls under load, and returns after SETTLE + MEASURED."""
-    events = [(RUN_UP - MEASURED, _load(SAG_LOAD, axis)) for axis in axes]
-    events += [(RUN_UP, _supply(volts)), (RUN_UP + SETTLE + MEASURED, _supply(plant.bus.u_source))]
+    events = {
+        RUN_UP - MEASURED: _load(SAG_LOAD, axes),
+        RUN_UP: _supply(volts),
+        RUN_UP + SETTLE + MEASURED: _supply(plant.bus.u_source),
+    }
     return run_with(plant, seed, events, RUN_UP + 2.0 * (SETTLE + MEASURED), axes)
 
 
-def _sag_rows(axis: AxisPlant, recording: Recording, volts: float, name: str) -> list[Row]:
+def _sag_rows(judge: Judge, axis: AxisPlant, recording: Recording, volts: float) -> Iterator[Row]:
     back = RUN_UP + SETTLE + MEASURED
-    low = steady(recording, back - MEASURED, back)
-    aim = formula(axis, volts, SAG_LOAD, weak=True) / RPM
-    after = recording.part(back)
+    low, after = recording.part(back - MEASURED, back), recording.part(back)
     again = after.time[np.abs(after.omega - RATED) > 2.0 * REACHED * RATED]
     time = float(again[-1]) - back if again.size else 0.0
-    return [
-        Row(
-            f"{name}: speed",
-            f"{BEYOND}; {aim:.0f} rpm on paper",
-            low.speed / RPM,
-            "rpm",
-            Bound((1.0 - FORMULA) * aim, (1.0 + FORMULA) * aim),
-        ),
-        Row(f"{name}: voltage kept free", BEYOND, low.free, "V", Bound(MARGIN - FREE)),
-        Row(f"{name}: wandering speed", BEYOND, low.wander / RPM, "rpm", Bound(0.0, RESTLESS / RPM)),
-        Row(f"{name}: wandering i_d", BEYOND, low.i_d_wander, "A", Bound(0.0, I_D_RESTLESS)),
-        Row(f"{name}: back after its return", BEYOND, time, "s", Bound(0.0, RETURN)),
-        Row(
-            f"{name}: highest speed then",
-            BEYOND,
-            float(after.omega.max()) / RPM,
-            "rpm",
-            Bound(0.0, (1.0 + 2.0 * REACHED) * RATED / RPM),
-        ),
-    ]
-
-
-def _sags(plant: PlantConfig, seed: int) -> tuple[list[Row], list[Panel]]:
-    rows: list[Row] = []
-    panels: list[Panel] = []
-    for volts in SAGS:
-        recording = sag(plant, seed, volts)[AXIS]
-        rows += _sag_rows(plant.axes[AXIS], recording, volts, f"sag to {volts:g} V")
-        panels.append(_panel(f"supply sags to {volts:g} V", recording))
-    both = sag(plant, seed, BOTH_SAG, range(AXES))
-    for axis in range(AXES):
-        rows += _sag_rows(
-            plant.axes[axis], both[axis], BOTH_SAG, f"both axes, sag to {BOTH_SAG:g} V, {axis_name(axis)}"
-        )
-    return rows, panels[1:2]
+    yield _speed(judge, low, formula(axis, volts, SAG_LOAD, weak=True))
+    yield _free(judge, low)
+    yield from _wandering(judge, low)
+    yield judge("back after its return", time, "s", 0.0, RETURN)
+    most = (1.0 + 2.0 * REACHED) * RATED / RPM
+    yield judge("highest speed then", float(after.omega.max()) / RPM, "rpm", 0.0, most)
 
 
 # ---- a fault ---------------------------------------------------------------------------------------------------------
 
 
-def _fault_rows(plant: PlantConfig, seed: int) -> list[Row]:
+def _fault_rows(plant: PlantConfig, seed: int) -> Iterator[Row]:
     """The outputs go off in field weakening under load, for a fault that coasts: at a whole bus and a sagging one."""
-    rows: list[Row] = []
+    hot = RUN_UP + MEASURED
     for volts in (plant.bus.u_source, BOTH_SAG):
-        hot = RUN_UP + MEASURED
-        events = [
-            (RUN_UP - MEASURED, _load(STEP)),
-            (RUN_UP + 0.5 * MEASURED, _supply(volts)),
-            (hot, lambda board: board.inject(HotPowerStage(AXIS, HOT))),
-        ]
+        events: Events = {
+            RUN_UP - MEASURED: _load(STEP),
+            RUN_UP + 0.5 * MEASURED: _supply(volts),
+            hot: lambda board: board.inject(HotPowerStage(AXIS, HOT)),
+        }
         recording = run_with(plant, seed, events, hot + FAULT_SEEN, may_fail=True)[AXIS]
-        name, found = f"fault at {volts:g} V", np.nonzero(recording.faults)[0]
+        judge, found = Judge(f"fault at {volts:g} V: "), np.nonzero(recording.faults)[0]
         after = recording.part(float(recording.time[found[0]])) if found.size else recording
         # The capacitor may still be above a supply that has just sagged.
         charged = float(recording.part(hot - TICK, hot).u_dc.max())
         emf = math.sqrt(3.0) * plant.axes[AXIS].pole_pairs * plant.axes[AXIS].psi_m * RATED
+        yield judge.true("noticed", found.size > 0)
+        yield judge.none("in RUN in that tick", after.state[0] == recording.state[0])
+        yield judge("current from the next tick on", np.hypot(after.i_d, after.i_q)[1:].max(), "A", 0.0, 0.1)
         most = min(max(charged, emf) + NOISE, OVER_VOLTAGE)
-        current = float(np.hypot(after.i_d, after.i_q)[1:].max())
-        rows += [
-            Row(f"{name}: noticed", BEYOND, float(found.size > 0), "", Bound(1.0, 1.0)),
-            Row(
-                f"{name}: in RUN in that tick", BEYOND, float(after.state[0] == recording.state[0]), "", Bound(0.0, 0.0)
-            ),
-            Row(f"{name}: current from the next tick on", BEYOND, current, "A", Bound(0.0, 0.1)),
-            Row(f"{name}: highest bus voltage", BEYOND, float(after.u_dc.max()), "V", Bound(0.0, most)),
-        ]
-    return rows
+        yield judge("highest bus voltage", after.u_dc.max(), "V", 0.0, most)
 
 
 # ---- other motors ----------------------------------------------------------------------------------------------------
 
 
-def _motor_rows(plant: PlantConfig, seed: int) -> list[Row]:
+def _motor_rows(plant: PlantConfig, seed: int) -> Iterator[Row]:
     """The plant's motor is not what the drive believes."""
-    rows: list[Row] = []
     axis, volts = plant.axes[AXIS], plant.bus.u_source
-    for what, names in (("psi_m", ("psi_m",)), ("L", ("l_d", "l_q"))):
-        for sign in (-1.0, 1.0):
-            factor = 1.0 + sign * DEVIATION
-            other = plant.with_axis(AXIS, **{name: factor * getattr(axis, name) for name in names})
-            result = loaded(other, seed, LOADS[0], weak=True)
-            aim = formula(other.axes[AXIS], volts, LOADS[0], weak=True) / RPM
-            name = f"{what} {100.0 * sign * DEVIATION:+.0f} %"
-            bound = Bound((1.0 - FORMULA) * aim, (1.0 + FORMULA) * aim)
-            rows += [
-                Row(f"{name}: speed", f"{BEYOND}; {aim:.0f} rpm on paper", result.speed / RPM, "rpm", bound),
-                Row(f"{name}: voltage kept free", BEYOND, result.free, "V", Bound(MARGIN - FREE)),
-                Row(f"{name}: wandering speed", BEYOND, result.wander / RPM, "rpm", Bound(0.0, RESTLESS / RPM)),
-            ]
-    return rows
+    for (what, names), sign in itertools.product((("psi_m", ("psi_m",)), ("L", ("l_d", "l_q"))), (-1.0, 1.0)):
+        factor = 1.0 + sign * DEVIATION
+        other = plant.with_axis(AXIS, **{name: factor * getattr(axis, name) for name in names})
+        recording = loaded(other, seed, LOADS[0], weak=True)
+        judge = Judge(f"{what} {100.0 * sign * DEVIATION:+.0f} %: ")
+        yield _speed(judge, recording, formula(other.axes[AXIS], volts, LOADS[0], weak=True))
+        yield _free(judge, recording)
+        yield next(_wandering(judge, recording))
 
 
 def _panel(title: str, recording: Recording) -> Panel:
@@ -371,11 +280,19 @@ def _panel(title: str, recording: Recording) -> Panel:
     return Panel(title, "time [ms]", "", curves)
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Run the experiment."""
-    load_rows, torque = _load_rows(plant, seed)
-    step_rows, step = _step_rows(plant, seed)
-    sag_rows, sags = _sags(plant, seed)
-    rows = [*load_rows, *step_rows, *sag_rows, *_fault_rows(plant, seed), *_motor_rows(plant, seed)]
-    note = f"axis {AXIS + 1}; i_d down to -{I_D_MOST:g} A of {CURRENT:g} A, {MARGIN:g} V kept free"
-    return Outcome(NAME, tuple(rows), (torque, step, *sags), (note,))
+    yield from _load_items(plant, seed)
+    yield from _step_items(plant, seed)
+    for volts in SAGS:
+        recording = sag(plant, seed, volts)[AXIS]
+        yield from _sag_rows(Judge(f"sag to {volts:g} V: "), plant.axes[AXIS], recording, volts)
+        if volts == SAGS[1]:
+            yield _panel(f"supply sags to {volts:g} V", recording)
+    for axis, recording in sag(plant, seed, BOTH_SAG, range(AXES)).items():
+        judge = Judge(f"both axes, sag to {BOTH_SAG:g} V, {axis_name(axis)}: ")
+        yield from _sag_rows(judge, plant.axes[axis], recording, BOTH_SAG)
+    yield from _fault_rows(plant, seed)
+    yield from _motor_rows(plant, seed)
+    yield f"axis {AXIS + 1}; i_d down to -{I_D_MOST:g} A of {CURRENT:g} A, {MARGIN:g} V kept free"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,18 +13,17 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.experiments.dead_time_torque import answer, pushed
-from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import believed
 from servo_twin.experiments.rig import (
     COUNT,
     RPM,
     TICK,
     Recording,
-    choose_mode,
     command_position,
     command_speed,
-    features,
     position_of,
+    set_up,
     spinning,
     watch,
 )
@@ -56,16 +55,6 @@ START_HIDDEN: Final = 2.0
 HIDDEN: Final = 0.75
 """What the encoder's counts leave, root mean square [counts]."""
 
-FORWARD: Final[Mapping[str, bool]] = {"SPEED_FORWARD": True, "ACCELERATION_FORWARD": True}
-
-
-@dataclass(frozen=True)
-class Pair:
-    """The same run without and with the feature, of one axis."""
-
-    without: Recording
-    compensated: Recording
-
 
 @dataclass(frozen=True)
 class Shaft:
@@ -86,61 +75,49 @@ def behind(recording: Recording) -> NDArray[np.float64]:
     return np.asarray((asked - (recording.theta - recording.theta[0])) / COUNT)
 
 
-def reverse_speed(plant: PlantConfig, seed: int) -> list[Pair]:
-    """Sine of the speed, both axes at once."""
-
-    def once(on: bool) -> dict[int, Recording]:
-        with spinning(plant, seed) as board:
-            for axis in range(AXES):
-                features(board, axis, FRICTION=on)
-                choose_mode(board, axis, "SPEED")
-
-            def act(k: int) -> None:
-                for axis in range(AXES):
-                    command_speed(board, axis, SPEED * math.sin(2.0 * math.pi * SPEED_FREQUENCY * k * TICK))
-
-            return watch(board, range(AXES), SETTLE + MEASURED, act)
-
-    return _pairs(once(False), once(True))
+# ---- what the axes do, both at once, without the feature and with it -------------------------------------------------
 
 
-def reverse_position(plant: PlantConfig, seed: int) -> list[Pair]:
-    """Sine of the position, speed and acceleration fed forward in both runs."""
-
-    def once(on: bool) -> dict[int, Recording]:
-        with spinning(plant, seed) as board:
-            starts = [position_of(board, axis) for axis in range(AXES)]
-            for axis in range(AXES):
-                features(board, axis, FRICTION=on, **FORWARD)
-
-            def act(k: int) -> None:
-                way = 0.5 * (1.0 - math.cos(2.0 * math.pi * WAY_FREQUENCY * k * TICK))
-                for axis, start in enumerate(starts):
-                    command_position(board, axis, round(start + 2.0 * WAY * COUNTS_PER_TURN * way))
-
-            return watch(board, range(AXES), SETTLE + MEASURED, act)
-
-    return _pairs(once(False), once(True))
-
-
-def start(plant: PlantConfig, seed: int) -> list[Pair]:
+def start(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recording]:
     """From rest to a low speed."""
+    with spinning(plant, seed) as board:
+        for axis in range(AXES):
+            set_up(board, axis, "SPEED", FRICTION=on)
+        watch(board, [0], 10 * TICK)
+        for axis in range(AXES):
+            command_speed(board, axis, START)
+        return watch(board, range(AXES), START_WATCHED)
 
-    def once(on: bool) -> dict[int, Recording]:
-        with spinning(plant, seed) as board:
+
+def reverse_speed(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recording]:
+    """Sine of the speed."""
+    with spinning(plant, seed) as board:
+        for axis in range(AXES):
+            set_up(board, axis, "SPEED", FRICTION=on)
+
+        def act(k: int) -> None:
             for axis in range(AXES):
-                features(board, axis, FRICTION=on)
-                choose_mode(board, axis, "SPEED")
-            watch(board, [0], 10 * TICK)
-            for axis in range(AXES):
-                command_speed(board, axis, START)
-            return watch(board, range(AXES), START_WATCHED)
+                command_speed(board, axis, SPEED * math.sin(2.0 * math.pi * SPEED_FREQUENCY * k * TICK))
 
-    return _pairs(once(False), once(True))
+        return watch(board, range(AXES), SETTLE + MEASURED, act)
 
 
-def _pairs(without: dict[int, Recording], compensated: dict[int, Recording]) -> list[Pair]:
-    return [Pair(without[axis], compensated[axis]) for axis in range(AXES)]
+def reverse_position(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recording]:
+    """Sine of the position, speed and acceleration fed forward in both runs."""
+    with spinning(plant, seed) as board:
+        starts = [position_of(board, axis) for axis in range(AXES)]
+        for axis in range(AXES):
+            set_up(board, axis, FRICTION=on, SPEED_FORWARD=True, ACCELERATION_FORWARD=True)
+
+        def act(k: int) -> None:
+            way = 0.5 * (1.0 - math.cos(2.0 * math.pi * WAY_FREQUENCY * k * TICK))
+            for axis, start in enumerate(starts):
+                command_position(board, axis, round(start + 2.0 * WAY * COUNTS_PER_TURN * way))
+
+        return watch(board, range(AXES), SETTLE + MEASURED, act)
+
+
+# ---- what is measured ------------------------------------------------------------------------------------------------
 
 
 def _rms(signal: NDArray[np.float64]) -> float:
@@ -175,15 +152,55 @@ def following_error(recording: Recording, shaft: Shaft) -> float:
     return _rms((recording.position_ref - recording.shaft + cost)[round(SETTLE / TICK) :])
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+@dataclass(frozen=True)
+class Task:
+    """What the axes do, what is measured of it, and how it is drawn."""
+
+    name: str
+    note: str
+    """Its name in the notes."""
+    run: Callable[[PlantConfig, int, bool], dict[int, Recording]]
+    """Both axes, without the feature or with it."""
+    figure: str
+    measure: Callable[[Recording, Shaft], float]
+    """Root mean square [counts]."""
+    label: str
+    signal: Callable[[Recording], NDArray[np.float64]]
+    """What is drawn [counts]."""
+    shown: float
+    """The picture begins so late [s]."""
+
+
+END: Final = SETTLE + MEASURED
+TASKS: Final = (
+    Task("start from rest", "start", start, "lost way", lost_at_start, "behind", behind, 0.0),
+    Task(
+        "reversals of speed", "reversals of speed", reverse_speed, "lost way", lost_at_reversals,
+        "behind", behind, END - 1.0 / SPEED_FREQUENCY,
+    ),
+    Task(
+        "reversals of position", "of position", reverse_position, "following error", following_error,
+        "following error", lambda r: np.asarray(r.position_ref - r.shaft), END - 1.0 / WAY_FREQUENCY,
+    ),
+)  # fmt: skip
+
+
+def most(task: Task, without: Recording, shaft: Shaft, rest: float) -> float:
+    """What may be left of an error [counts]: the part of the friction that is, and what the encoder hides.
+
+    The loop is slower, and what it does not see grows, as much as the shaft is heavier than the controller believes.
+    """
+    if task.run is start:
+        return expected_at_start(shaft, rest) + START_HIDDEN
+    return rest * task.measure(without, shaft) + HIDDEN * shaft.heavier
+
+
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Three frictions, three tasks, without and with."""
     beliefs = believed(plant, seed)
-    rows: list[Row] = []
-    notes: list[str] = [
-        "the friction of the plant is set, Coulomb only, from what the controller believes: "
-        + ", ".join(f"{axis_name(axis)} {1e3 * belief.friction:.3g} mN m" for axis, belief in enumerate(beliefs))
-    ]
-    panels: list[Panel] = []
+    torques = ", ".join(f"{axis_name(axis)} {1e3 * belief.friction:.3g} mN m" for axis, belief in enumerate(beliefs))
+    yield f"the friction of the plant is set, Coulomb only, from what the controller believes: {torques}"
     for times in TIMES:
         changed = plant
         for axis, belief in enumerate(beliefs):
@@ -192,59 +209,34 @@ def run(plant: PlantConfig, seed: int) -> Outcome:
             Shaft(entry, max(entry.inertia / belief.inertia, 1.0))
             for entry, belief in zip(changed.axes, beliefs, strict=True)
         ]
-        tasks = start(changed, seed), reverse_speed(changed, seed), reverse_position(changed, seed)
-        for axis in range(AXES):
-            what = f"{axis_name(axis)}, friction x {times:g}"
-            rows.extend(_rows(what, left(times), shafts[axis], *(task[axis] for task in tasks)))
-            if times == 1.0:
-                panels.extend(_panels(axis_name(axis), *(task[axis] for task in tasks)))
-        notes.append(_note(times, shafts, *tasks))
-    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+        found = [(task, task.run(changed, seed, False), task.run(changed, seed, True)) for task in TASKS]
+        for axis, shaft in enumerate(shafts):
+            judge = Judge(f"{axis_name(axis)}, friction x {times:g}, ")
+            for task, without, with_it in found:
+                value, bound = task.measure(with_it[axis], shaft), most(task, without[axis], shaft, left(times))
+                yield judge(f"{task.name}, {task.figure}, rms", value, "counts", most=bound)
+                if times == 1.0:
+                    shown = {"without": without[axis], "with friction compensation": with_it[axis]}
+                    yield _panel(f"{axis_name(axis)}: {task.name}", task, shown)
+        yield _note(times, shafts, found)
 
 
-def _rows(what: str, rest: float, shaft: Shaft, begin: Pair, speed: Pair, position: Pair) -> tuple[Row, ...]:
-    """What is left of each error is the part of the friction that compensation leaves, and what the encoder hides.
-
-    The loop is slower, and what it does not see grows, as much as the shaft is heavier than the controller believes.
-    """
-    hidden = HIDDEN * shaft.heavier
-
-    def row(name: str, figure: Callable[[Recording, Shaft], float], pair: Pair, most: float) -> Row:
-        return Row(f"{what}, {name}, rms", BEYOND, figure(pair.compensated, shaft), "counts", Bound(most=most))
-
-    return (
-        row("start from rest, lost way", lost_at_start, begin, expected_at_start(shaft, rest) + START_HIDDEN),
-        row(
-            "reversals of speed, lost way",
-            lost_at_reversals,
-            speed,
-            rest * lost_at_reversals(speed.without, shaft) + hidden,
-        ),
-        row(
-            "reversals of position, following error",
-            following_error,
-            position,
-            rest * following_error(position.without, shaft) + hidden,
-        ),
-    )
-
-
-def _note(times: float, shafts: list[Shaft], begin: list[Pair], speed: list[Pair], position: list[Pair]) -> str:
+def _note(
+    times: float, shafts: list[Shaft], found: list[tuple[Task, dict[int, Recording], dict[int, Recording]]]
+) -> str:
     """The figures, and how much of it the current costs that the inverter kept back."""
     parts = [
-        f"{label} "
+        f"{task.note} "
         + " and ".join(
-            f"{figure(p.without, s):.3g} -> {figure(p.compensated, s):.3g}" for p, s in zip(pairs, shafts, strict=True)
+            f"{task.measure(without[axis], shaft):.3g} -> {task.measure(with_it[axis], shaft):.3g}"
+            for axis, shaft in enumerate(shafts)
         )
-        for label, figure, pairs in (
-            ("start", lost_at_start, begin),
-            ("reversals of speed", lost_at_reversals, speed),
-            ("of position", following_error, position),
-        )
+        for task, without, with_it in found
     ]
+    last = found[-1][2]
     costs = " and ".join(
-        f"{_rms(pushed(p.compensated, s.axis, position=True, heavier=s.heavier)[round(SETTLE / TICK) :]):.2g}"
-        for p, s in zip(position, shafts, strict=True)
+        f"{_rms(pushed(last[axis], s.axis, position=True, heavier=s.heavier)[round(SETTLE / TICK) :]):.2g}"
+        for axis, s in enumerate(shafts)
     )
     return (
         f"friction x {times:g}, both axes, without -> with, rms [counts]: "
@@ -253,27 +245,7 @@ def _note(times: float, shafts: list[Shaft], begin: list[Pair], speed: list[Pair
     )
 
 
-def _panels(name: str, begin: Pair, speed: Pair, position: Pair) -> tuple[Panel, ...]:
-    end = SETTLE + MEASURED
-    return (
-        _panel(f"{name}: start from rest", "behind [counts]", begin, behind, 0.0),
-        _panel(f"{name}: reversals of speed", "behind [counts]", speed, behind, end - 1.0 / SPEED_FREQUENCY),
-        _panel(
-            f"{name}: reversals of position",
-            "following error [counts]",
-            position,
-            lambda r: r.position_ref - r.shaft,
-            end - 1.0 / WAY_FREQUENCY,
-        ),
-    )
-
-
-def _panel(
-    title: str, label: str, pair: Pair, signal: Callable[[Recording], NDArray[np.float64]], after: float
-) -> Panel:
-    first = round(after / TICK)
-    curves = tuple(
-        Curve(how, recording.time[first:], signal(recording)[first:])
-        for how, recording in (("without", pair.without), ("with friction compensation", pair.compensated))
-    )
-    return Panel(title, "time [s]", label, curves)
+def _panel(title: str, task: Task, shown: Mapping[str, Recording]) -> Panel:
+    first = round(task.shown / TICK)
+    curves = [Curve(how, r.time[first:], task.signal(r)[first:]) for how, r in shown.items()]
+    return Panel(title, "time [s]", f"{task.label} [counts]", curves)

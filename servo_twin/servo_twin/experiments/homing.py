@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -15,22 +15,23 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
-from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.pins import fit
 from servo_twin.experiments.plant_limits import ripple
 from servo_twin.experiments.rig import (
     COUNT,
     TICK_NS,
-    choose_mode,
+    Recording,
     command_position,
-    command_speed,
     features,
-    flag_mask,
+    flags_of,
     position_of,
     prepared,
     set_axis,
+    set_up,
     spinning,
     watch,
+    word,
 )
 from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import STIFFEST, PlantConfig
@@ -106,29 +107,20 @@ class Stop:
 
 @dataclass(frozen=True)
 class Contact:
-    """What two homings of an axis to the same stop have shown.
-
-    Attributes
-    ----------
-    done : bool
-        Both have succeeded.
-    spread : float
-        Larger one of both [counts].
-    repeats, place : float
-        Distance of the two references, and of the first from where the current holds the shaft against the stop, beyond
-        what friction may hold back [counts].
-    current : float
-        Largest true current over the limit, without the ripple.
-    force : float
-        Largest torque of the stop over what the current and the moving shaft can do to an ideal spring.
-    """
+    """What two homings of an axis to the same stop have shown."""
 
     done: bool
+    """Both have succeeded."""
     spread: float
+    """Larger one of both [counts]."""
     repeats: float
+    """Distance of the two references, beyond what friction may hold back [counts]."""
     place: float
+    """Distance of the first one from where the current holds the shaft against the stop, likewise."""
     current: float
+    """Largest true current over the limit, without the ripple."""
     force: float
+    """Largest torque of the stop over what the current and the moving shaft can do to an ideal spring."""
 
 
 def stops_of(plant: PlantConfig, seed: int, kind: str, trial: int) -> tuple[PlantConfig, list[Stop]]:
@@ -158,43 +150,46 @@ def ask(board: Board, axis: int, method: str, position: float = 0.0) -> None:
     set_axis(board, "cmd.home", axis, board.catalogue.enums["home_method_t"][method])
 
 
-def label(board: Board, axis: int, what: str) -> str:
-    """``home_state`` or ``home_result`` of an axis in words."""
-    return board.catalogue.label(f"{what}_t", board.read_raw(f"{axis_name(axis)}.{what}")[0])
+def _labels(board: Board, what: str) -> list[str]:
+    """``home_state`` or ``home_result`` of both axes in words."""
+    return [board.catalogue.label(f"{what}_t", word(board, axis, what)) for axis in range(AXES)]
 
 
-@dataclass
-class _Worst:
-    """Of an axis during a homing: current [A], torque of the stop [N m]."""
-
-    current: float = 0.0
-    torque: float = 0.0
-
-
-def _home(board: Board, method: str, stops: list[Stop]) -> list[_Worst]:
-    """Home both axes; looks closely while a shaft hits its stop."""
+def _home(board: Board, method: str, stops: list[Stop]) -> tuple[list[float], list[float]]:
+    """Home both axes: largest current [A] and torque of the stop [N m] of each; looks closely while a shaft hits."""
     for axis in range(AXES):
         ask(board, axis, method)
-    worst = [_Worst() for _ in range(AXES)]
+    currents, torques = [0.0] * AXES, [0.0] * AXES
     end = board.time_ns + round(LONGEST * 1e9)
     begun = False
     while board.time_ns < end:
-        truths = [board.truth(axis) for axis in range(AXES)]
         close = False
-        for axis, truth in enumerate(truths):
-            entry = board.plant.axes[axis]
+        for axis, entry in enumerate(board.plant.axes):
+            truth = board.truth(axis)
             deep = max(truth.theta_m - entry.stop_max, entry.stop_min - truth.theta_m)
-            pushed = max(deep, 0.0) * stops[axis].stiffness
-            worst[axis].torque = max(worst[axis].torque, pushed)
-            worst[axis].current = max(worst[axis].current, abs(truth.i_q))
+            torques[axis] = max(torques[axis], max(deep, 0.0) * stops[axis].stiffness)
+            currents[axis] = max(currents[axis], abs(truth.i_q))
             close = close or (deep > -NEAR and abs(truth.omega_m) > 0.1)
         board.advance(board.time_ns + (CLOSELY if close else TICK_NS))
-        states = [label(board, axis, "home_state") for axis in range(AXES)]
+        states = _labels(board, "home_state")
         begun = begun or "HOMING" in states
         if begun and "HOMING" not in states:
             break
     board.run(0.1)
-    return worst
+    return currents, torques
+
+
+def _wait(board: Board, longest: float) -> None:
+    """Until no axis is homing, at most `longest` [s]."""
+    board.run(0.01)
+    end = board.time_ns + round(longest * 1e9)
+    while board.time_ns < end and "HOMING" in _labels(board, "home_state"):
+        board.write("cmd.enable", [1.0] * AXES)  # the host is there
+        board.run(0.1)
+
+
+def _spreads(board: Board) -> list[float]:
+    return [float(word(board, axis, "home_spread")) for axis in range(AXES)]
 
 
 def _zeros(board: Board) -> list[float]:
@@ -209,18 +204,16 @@ def contacts(plant: PlantConfig, seed: int, kind: str, trial: int) -> list[Conta
     method = "STOP_POSITIVE" if way > 0.0 else "STOP_NEGATIVE"
     with spinning(plant, seed) as board:
         home = Settings.of(board)
-        first = _home(board, method, stops)
-        zeros = [_zeros(board)]
-        results = [[label(board, axis, "home_result") for axis in range(AXES)]]
-        spreads = [[float(board.read_raw(f"{axis_name(axis)}.home_spread")[0]) for axis in range(AXES)]]
-        for axis in range(AXES):
-            if label(board, axis, "home_state") == "KNOWN":
+        currents, torques = _home(board, method, stops)
+        zeros, results, spreads = [_zeros(board)], [_labels(board, "home_result")], [_spreads(board)]
+        for axis, state in enumerate(_labels(board, "home_state")):
+            if state == "KNOWN":
                 command_position(board, axis, round(-way * min(ELSEWHERE, stops[axis].away) / COUNT))
         board.run(1.0)
         _home(board, method, stops)
         zeros.append(_zeros(board))
-        results.append([label(board, axis, "home_result") for axis in range(AXES)])
-        spreads.append([float(board.read_raw(f"{axis_name(axis)}.home_spread")[0]) for axis in range(AXES)])
+        results.append(_labels(board, "home_result"))
+        spreads.append(_spreads(board))
     found: list[Contact] = []
     for axis, entry in enumerate(plant.axes):
         push = home.current * entry.torque_constant
@@ -235,8 +228,8 @@ def contacts(plant: PlantConfig, seed: int, kind: str, trial: int) -> list[Conta
                 spread=max(spread[axis] for spread in spreads),
                 repeats=max(abs(zeros[0][axis] - zeros[1][axis]) / COUNT - stick, 0.0),
                 place=max(abs(zeros[0][axis] - rest) / COUNT - stick, 0.0),
-                current=(first[axis].current - ripple(plant, axis, home.current)) / home.current,
-                force=first[axis].torque / hit,
+                current=(currents[axis] - ripple(plant, axis, home.current)) / home.current,
+                force=torques[axis] / hit,
             )
         )
     return found
@@ -268,82 +261,54 @@ def to_switches(plant: PlantConfig, seed: int, trial: int) -> list[Switch]:
     with prepared(lambda board: fit(board, "home")), spinning(plant, seed) as board:
         for axis in range(AXES):
             ask(board, axis, "SWITCH_POSITIVE" if way > 0.0 else "SWITCH_NEGATIVE")
-        board.run(0.01)
-        end = board.time_ns + round(LONGEST * 1e9)
-        while board.time_ns < end and any(label(board, axis, "home_state") == "HOMING" for axis in range(AXES)):
-            board.write("cmd.enable", [1.0] * AXES)  # the host is there
-            board.run(0.1)
-        zeros = _zeros(board)
+        _wait(board, LONGEST)
+        zeros, results, spreads = _zeros(board), _labels(board, "home_result"), _spreads(board)
         return [
-            Switch(
-                label(board, axis, "home_result") == "DONE",
-                way * (zeros[axis] - edges[axis]) / COUNT,
-                float(board.read_raw(f"{axis_name(axis)}.home_spread")[0]),
-            )
-            for axis in range(AXES)
+            Switch(result == "DONE", way * (zero - edge) / COUNT, spread)
+            for result, zero, edge, spread in zip(results, zeros, edges, spreads, strict=True)
         ]
 
 
 # ---- what cannot be found --------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Missing:
-    """A homing without a stop: result, whether the fault has its name, how far the shaft turned, and may [turns]."""
-
-    result: str
-    named: bool
-    turned: float
-    most: float
-
-
-def missing(plant: PlantConfig, seed: int) -> list[Missing]:
+def missing(plant: PlantConfig, seed: int) -> Iterator[Row]:
     """Send both axes to stops that are not there."""
     with spinning(plant, seed) as board:
-        mask, home = flag_mask(board, "faults", "HOMING"), Settings.of(board)
+        home = Settings.of(board)
         starts = [board.truth(axis).theta_m for axis in range(AXES)]
         for axis in range(AXES):
             ask(board, axis, "STOP_NEGATIVE")
-        board.run(0.01)
-        longest = 2.0 * math.pi * home.turns_max / home.speed + 1.0
-        end = board.time_ns + round(longest * 1e9)
-        while board.time_ns < end and any(label(board, axis, "home_state") == "HOMING" for axis in range(AXES)):
-            board.write("cmd.enable", [1.0] * AXES)  # the host is there
-            board.run(0.1)
+        _wait(board, 2.0 * math.pi * home.turns_max / home.speed + 1.0)
         board.run(0.2)
-        return [
-            Missing(
-                label(board, axis, "home_result"),
-                board.read_raw(f"{axis_name(axis)}.faults")[0] == mask,
-                abs(board.truth(axis).theta_m - starts[axis]) / (2.0 * math.pi),
-                home.turns_max,
-            )
-            for axis in range(AXES)
-        ]
+        for axis, result in enumerate(_labels(board, "home_result")):
+            judge = Judge(f"{axis_name(axis)}, no stop: ")
+            turned = abs(board.truth(axis).theta_m - starts[axis]) / (2.0 * math.pi)
+            yield judge.true("NOT_FOUND", result == "NOT_FOUND")
+            yield judge.true("fault HOMING alone", flags_of(board, axis, "faults") == {"HOMING"})
+            yield judge("turned", turned, "turns", home.turns_max, home.turns_max + 0.1)
 
 
 @dataclass(frozen=True)
 class Unhomed:
-    """An axis with the feature that is not homed.
+    """Axes with the feature that are not homed, sent away by a far position and by a speed."""
 
-    Attributes
-    ----------
-    refused, turned, reach : float
-        Way after a far set-point and with a speed, and how far it may turn [counts].
-    named : bool
-        The limit has named itself.
-    """
-
-    refused: float
-    turned: float
+    here: list[int]
+    """Where they were enabled [counts]."""
+    still: dict[int, Recording]
+    """After the far position."""
+    turning: dict[int, Recording]
+    """With the speed."""
     reach: float
-    named: bool
+    """How far they may turn [counts]."""
+    mask: int
+    """Of the limit that has to name itself."""
 
 
-def unhomed(plant: PlantConfig, seed: int) -> tuple[list[Unhomed], Panel]:
+def unhomed(plant: PlantConfig, seed: int) -> Unhomed:
     """Send both axes away, by a far position and by a speed."""
     with spinning(plant, seed) as board:
-        mask, home = flag_mask(board, "limits", "NOT_HOMED"), Settings.of(board)
+        mask, reach = board.catalogue.flag("limits", "NOT_HOMED").mask, Settings.of(board).reach / COUNT
         here = [position_of(board, axis) for axis in range(AXES)]
         for axis in range(AXES):
             features(board, axis, HOMING=True)
@@ -352,77 +317,49 @@ def unhomed(plant: PlantConfig, seed: int) -> tuple[list[Unhomed], Panel]:
             command_position(board, axis, here[axis] + round(FAR / COUNT))
         still = watch(board, range(AXES), 0.3)
         for axis in range(AXES):
-            choose_mode(board, axis, "SPEED")
-            command_speed(board, axis, SPEED)
-        turning = watch(board, range(AXES), 1.0)
-    found = [
-        Unhomed(
-            float(np.ptp(still[axis].shaft)),
-            float((turning[axis].shaft - here[axis]).max()),
-            home.reach / COUNT,
-            bool((still[axis].limits[-1] & mask) and (turning[axis].limits[-1] & mask)),
-        )
-        for axis in range(AXES)
-    ]
-    curves = [
-        Curve(axis_name(axis), turning[axis].time, (turning[axis].shaft - here[axis]) / COUNTS_PER_TURN)
-        for axis in range(AXES)
-    ]
-    return found, Panel("speed set-point, not homed", "time [s]", "from where it was enabled [turns]", tuple(curves))
+            set_up(board, axis, "SPEED", SPEED)
+        return Unhomed(here, still, watch(board, range(AXES), 1.0), reach, mask)
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+# ---- the experiment --------------------------------------------------------------------------------------------------
+
+
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """All kinds of stops, none, and an axis that is not homed."""
-    rows: list[Row] = []
-    curves: list[Curve] = []
+    places: list[Curve] = []
     for kind in KINDS:
         found = [c for trial in range(TRIALS) for c in contacts(plant, seed, kind, trial)]
-        rows.extend(_rows_kind(kind, found))
-        numbers = np.arange(1.0, len(found) + 1.0)
-        curves.append(Curve(kind, numbers, np.array([c.place for c in found]), "o"))
+        judge = Judge(f"{kind}: ")
+        yield judge.none("homings that fail", sum(not c.done for c in found))
+        yield judge("spread", max(c.spread for c in found), "counts", most=SPREAD_MOST)
+        yield judge("repeats within", max(c.repeats for c in found), "counts", most=PLACE_MOST)
+        yield judge("place", max(c.place for c in found), "counts", most=PLACE_MOST)
+        yield judge("largest current", max(c.current for c in found), "of the limit", most=CURRENT_MOST)
+        yield judge("largest force", max(c.force for c in found), "of an ideal spring", 0.3, 1.0)
+        places.append(_places(kind, [c.place for c in found], "o"))
     switches = [one for trial in range(TRIALS) for one in to_switches(plant, seed, trial)]
-    rows.extend(_rows_switch(switches))
-    curves.append(Curve("switch", np.arange(1.0, len(switches) + 1.0), np.array([s.place for s in switches]), "x"))
-    for axis, lost in enumerate(missing(plant, seed)):
-        what = f"{axis_name(axis)}, no stop"
-        named = Bound(1.0, 1.0)
-        rows.append(Row(f"{what}: NOT_FOUND", BEYOND, float(lost.result == "NOT_FOUND"), "", named))
-        rows.append(Row(f"{what}: fault HOMING alone", BEYOND, float(lost.named), "", named))
-        rows.append(Row(f"{what}: turned", BEYOND, lost.turned, "turns", Bound(lost.most, lost.most + 0.1)))
-    axes, panel = unhomed(plant, seed)
-    for axis, it in enumerate(axes):
-        what = f"{axis_name(axis)}, not homed"
-        rows.append(Row(f"{what}: moves for a far set-point", BEYOND, it.refused, "counts", Bound(most=2.0)))
-        rows.append(
-            Row(f"{what}: turns by a speed", BEYOND, it.turned, "counts", Bound(0.9 * it.reach, it.reach + 4.0))
-        )
-        rows.append(Row(f"{what}: names itself", BEYOND, float(it.named), "", Bound(1.0, 1.0)))
+    judge, off = Judge("switch: "), [s.place for s in switches]
+    yield judge.none("homings that fail", sum(not s.done for s in switches))
+    yield judge("spread", max(s.spread for s in switches), "counts", most=SWITCH_SPREAD)
+    yield judge("earliest beyond its edge", min(off), "counts", *BEYOND_EDGE)
+    yield judge("latest beyond its edge", max(off), "counts", *BEYOND_EDGE)
+    places.append(_places("switch", off, "x"))
+    yield from missing(plant, seed)
+    it = unhomed(plant, seed)
+    curves: list[Curve] = []
+    for axis, (still, turning) in enumerate(zip(it.still.values(), it.turning.values(), strict=True)):
+        judge, way = Judge(f"{axis_name(axis)}, not homed: "), turning.shaft - it.here[axis]
+        named = still.limits[-1] & turning.limits[-1] & it.mask
+        yield judge("moves for a far set-point", np.ptp(still.shaft), "counts", most=2.0)
+        yield judge("turns by a speed", way.max(), "counts", 0.9 * it.reach, it.reach + 4.0)
+        yield judge.true("names itself", bool(named))
+        curves.append(Curve(axis_name(axis), turning.time, way / COUNTS_PER_TURN))
     beyond = "beyond what friction over stiffness may hold back, or beyond the edge of a switch"
-    notes = (f"{2 * TRIALS} pairs of homings each; places: {beyond}",)
-    places = Panel("place of the reference", "homing", "off, beyond friction [counts]", tuple(curves))
-    return Outcome(NAME, tuple(rows), (places, panel), notes)
+    yield f"{2 * TRIALS} pairs of homings each; places: {beyond}"
+    yield Panel("place of the reference", "homing", "off, beyond friction [counts]", places)
+    yield Panel("speed set-point, not homed", "time [s]", "from where it was enabled [turns]", curves)
 
 
-def _rows_switch(found: list[Switch]) -> list[Row]:
-    failed = float(sum(not s.done for s in found))
-    places = [s.place for s in found]
-    return [
-        Row("switch: homings that fail", BEYOND, failed, "", Bound(0.0, 0.0)),
-        Row("switch: spread", BEYOND, max(s.spread for s in found), "counts", Bound(most=SWITCH_SPREAD)),
-        Row("switch: earliest beyond its edge", BEYOND, min(places), "counts", Bound(*BEYOND_EDGE)),
-        Row("switch: latest beyond its edge", BEYOND, max(places), "counts", Bound(*BEYOND_EDGE)),
-    ]
-
-
-def _rows_kind(kind: str, found: list[Contact]) -> list[Row]:
-    failed = float(sum(not c.done for c in found))
-    return [
-        Row(f"{kind}: homings that fail", BEYOND, failed, "", Bound(0.0, 0.0)),
-        Row(f"{kind}: spread", BEYOND, max(c.spread for c in found), "counts", Bound(most=SPREAD_MOST)),
-        Row(f"{kind}: repeats within", BEYOND, max(c.repeats for c in found), "counts", Bound(most=PLACE_MOST)),
-        Row(f"{kind}: place", BEYOND, max(c.place for c in found), "counts", Bound(most=PLACE_MOST)),
-        Row(
-            f"{kind}: largest current", BEYOND, max(c.current for c in found), "of the limit", Bound(most=CURRENT_MOST)
-        ),
-        Row(f"{kind}: largest force", BEYOND, max(c.force for c in found), "of an ideal spring", Bound(0.3, 1.0)),
-    ]
+def _places(label: str, places: list[float], style: str) -> Curve:
+    return Curve(label, np.arange(1.0, len(places) + 1.0), np.array(places), style)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_twin.experiments.outcome import Bound, Outcome, Row
+from servo_twin.experiments.report import columns
 from servo_twin.level import Level
 
 __all__ = ["FILE", "HELP", "LEVELS", "Pair", "overview", "pairs", "table", "write"]
@@ -127,9 +128,7 @@ def _text(value: float | None) -> str:
 def table(name: str, every: Sequence[Pair]) -> str:
     """Figures of one experiment for people; where each level has its own bound, that of the ideal one comes first."""
     lines = [_HEAD, *(_cells(pair) for pair in every if pair.name.startswith(f"{name}: "))]
-    widths = [max(len(line[k]) for line in lines) for k in range(len(_HEAD))]
-    rows = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
-    return "\n".join([name, "", *(f"  {row}" for row in rows)]) + "\n"
+    return "\n".join([name, "", *(f"  {row.rstrip()}" for row in columns(lines))]) + "\n"
 
 
 def overview(every: Sequence[Pair]) -> str:
@@ -148,9 +147,7 @@ def overview(every: Sequence[Pair]) -> str:
         else:
             worst = ("", "", "")
         lines.append((name, str(len(mine)), str(agree), *worst))
-    widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
-    rows = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines]
-    return "\n".join(f"  {row}" for row in rows) + "\n"
+    return "\n".join(f"  {row.rstrip()}" for row in columns(lines)) + "\n"
 
 
 def write(folder: Path, every: Sequence[Pair]) -> Path:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import Board
-from servo_twin.experiments.minimum_speed import let_go
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
+from servo_twin.experiments.plant_limits import current_limits
 from servo_twin.experiments.rig import RPM, command_speed
-from servo_twin.experiments.sensorless import Trace, fault_names, follow, limits_of, started, substate
+from servo_twin.experiments.sensorless import Trace, ended, follow, let_go, limits_of, started
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "load-step"
@@ -44,27 +44,18 @@ BACK: Final = 0.1  # Deviation of the mean speed from the set-point at the end o
 
 @dataclass(frozen=True)
 class Borne:
-    """One speed.
-
-    Attributes
-    ----------
-    speed : float
-        [rad/s]
-    torque : float
-        Largest step that was borne, as all smaller ones were [N m].
-    lost : float
-        Speed that it took [rad/s].
-    end : str
-        What the next one did; empty when there was none.
-    trace : Trace or None
-        Of the largest step that was borne.
-    """
+    """One speed."""
 
     speed: float
-    torque: float
-    lost: float
-    end: str
-    trace: Trace | None
+    """[rad/s]"""
+    torque: float = 0.0
+    """Largest step that was borne, as all smaller ones were [N m]."""
+    lost: float = 0.0
+    """Speed that it took [rad/s]."""
+    trace: Trace | None = None
+    """Of that step."""
+    end: str = ""
+    """What the next one did; empty when there was none."""
 
 
 def lost_on_paper(motor: AxisPlant, torque: float) -> float:
@@ -80,85 +71,55 @@ def bear(plant: PlantConfig, seed: int, axis: int, part: float, steps: Sequence[
         speed = part * limit
         command_speed(board, axis, speed)
         follow(board, [], SETTLE)
-        best = Borne(speed, 0.0, 0.0, "", None)
+        best = Borne(speed)
         for step in steps:
             torque = step * current * plant.axes[axis].torque_constant
             trace, end = _loaded(board, axis, torque, speed)
             if end:
-                return Borne(speed, best.torque, best.lost, end, best.trace)
-            best = Borne(speed, torque, speed - float(trace.omega.min()), "", trace)
+                return replace(best, end=end)
+            best = Borne(speed, torque, speed - float(trace.omega.min()), trace)
         return best
 
 
 def _loaded(board: Board, axis: int, torque: float, speed: float) -> tuple[Trace, str]:
     """A load comes and goes; why it was not borne."""
-    spin = substate(board, "SPIN")
-    trace, end = None, ""
+    traces: list[Trace] = []
+    end = ""
     for load in (torque, 0.0):
         board.set_load(axis, load)
-        part = follow(board, [axis], LOADED, lambda _: let_go(board, axis, spin))[axis]
-        trace = trace or part
-        end = end or _ended(board, axis, part, spin, speed)
-    assert trace is not None
-    return trace, end
+        traces.append(follow(board, [axis], LOADED, lambda _: let_go(board, axis))[axis])
+        end = end or ended(board, axis) or _slow(traces[-1], speed)
+    return traces[0], end
 
 
-def _ended(board: Board, axis: int, trace: Trace, spin: int, speed: float) -> str:
-    word = board.read_raw(f"{axis_name(axis)}.faults")[0]
-    if word:
-        return fault_names(board, word)
-    if board.read_raw(f"{axis_name(axis)}.substate")[0] != spin:
-        return "the axis has switched off"
+def _slow(trace: Trace, speed: float) -> str:
     mean = float(trace.part(0.7 * LOADED).omega.mean())
     return f"a mean of {mean / RPM:.3g} rpm" if abs(mean / speed - 1.0) > BACK else ""
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Both axes, every speed."""
-    rows: list[Row] = []
-    notes: list[str] = []
-    panels: list[Panel] = []
+    currents = current_limits(plant, seed)
     for axis in range(AXES):
         name, motor = axis_name(axis), plant.axes[axis]
         found = [bear(plant, seed, axis, part, STEPS) for part in SPEEDS]
-        rows.extend(_rows(name, motor, found, _most(plant, seed, axis)))
-        notes.extend(_notes(name, motor, found))
-        panels.append(_over_speed(name, motor, found))
-        slow = found[0]
-        if slow.trace is not None:
-            time = slow.trace.time
-            curves = (Curve("true", time, slow.trace.omega / RPM), Curve("observed", time, slow.trace.speed / RPM))
+        most = 1e3 * HELD * currents[axis] * motor.torque_constant
+        paper = [1e3 * it.speed / lost_on_paper(motor, 1.0) for it in found]
+        for it, step in zip(found, paper, strict=True):
+            at = f"{name} at {it.speed / RPM:.0f} rpm"
+            yield Judge(f"{at}, ", NOT_SHOWN)("step borne", 1e3 * it.torque, "mN m", min(step, most))
+            after = f"the next one: {it.end}" if it.end else "the largest that was tried"
+            yield (
+                f"{at}: {1e3 * it.torque:.0f} mN m take {it.lost / RPM:.0f} rpm, on paper "
+                f"{lost_on_paper(motor, it.torque) / RPM:.0f} rpm; {after}"
+            )
+        x, borne = np.array([it.speed / RPM for it in found]), np.array([1e3 * it.torque for it in found])
+        on_paper = Curve(f"loses all speed on paper, {PAPER:g} Hz", x, np.array(paper), "--")
+        curves = Curve("borne", x, borne, "o-"), on_paper
+        yield Panel(f"{name}: largest load step", "speed [rpm]", "torque [mN m]", curves, log_x=True)
+        slow, trace = found[0], found[0].trace
+        if trace is not None:
+            curves = Curve("true", trace.time, trace.omega / RPM), Curve("observed", trace.time, trace.speed / RPM)
             title = f"{name}: {1e3 * slow.torque:.0f} mN m at {slow.speed / RPM:.0f} rpm"
-            panels.append(Panel(title, "time [s]", "speed [rpm]", curves))
-    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
-
-
-def _most(plant: PlantConfig, seed: int, axis: int) -> float:
-    """Torque at the current limit [N m]."""
-    with started(plant, seed, {}) as board:
-        return limits_of(board, axis)[1] * plant.axes[axis].torque_constant
-
-
-def _rows(name: str, motor: AxisPlant, found: Sequence[Borne], most: float) -> Iterator[Row]:
-    for it in found:
-        paper = it.speed / lost_on_paper(motor, 1.0)
-        least = 1e3 * min(paper, HELD * most)
-        yield Row(f"{name} at {it.speed / RPM:.0f} rpm, step borne", "not shown", 1e3 * it.torque, "mN m", Bound(least))
-
-
-def _notes(name: str, motor: AxisPlant, found: Sequence[Borne]) -> Iterator[str]:
-    for it in found:
-        after = f"the next one: {it.end}" if it.end else "the largest that was tried"
-        paper = lost_on_paper(motor, it.torque)
-        yield (
-            f"{name} at {it.speed / RPM:.0f} rpm: {1e3 * it.torque:.0f} mN m take {it.lost / RPM:.0f} rpm, on paper "
-            f"{paper / RPM:.0f} rpm; {after}"
-        )
-
-
-def _over_speed(name: str, motor: AxisPlant, found: Sequence[Borne]) -> Panel:
-    x = np.array([it.speed / RPM for it in found])
-    paper = np.array([1e3 * it.speed / lost_on_paper(motor, 1.0) for it in found])
-    borne = np.array([1e3 * it.torque for it in found])
-    curves = (Curve("borne", x, borne, "o-"), Curve(f"loses all speed on paper, {PAPER:g} Hz", x, paper, "--"))
-    return Panel(f"{name}: largest load step", "speed [rpm]", "torque [mN m]", curves, log_x=True)
+            yield Panel(title, "time [s]", "speed [rpm]", curves)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.rig import COUNT, RPM, Recording, choose_mode, command_speed, features, spinning, watch
+from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
+from servo_twin.experiments.rig import COUNT, RPM, Recording, set_up, spinning, watch
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "low-speed"
@@ -36,75 +36,49 @@ WAY_MOST: Final = 8.0
 """The shaft is so far from where the set-point wants it, at the most, after the time measured [counts]."""
 
 
-@dataclass(frozen=True)
-class Run:
-    """One run at one speed.
-
-    Attributes
-    ----------
-    mean : float
-        True mean speed [rad/s].
-    rms : float
-        Root mean square of the deviation from the set-point, over the set-point.
-    recording : Recording
-        The measured part.
-    """
-
-    mean: float
-    rms: float
-    recording: Recording
-
-
-def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Run:
-    """Closed loop at a constant set-point [rad/s]."""
+def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Recording:
+    """Closed loop at a constant set-point [rad/s], once it has settled."""
     with spinning(plant, seed) as board:
-        features(board, axis, ENHANCED_MT=enhanced)
-        choose_mode(board, axis, "SPEED")
-        command_speed(board, axis, speed)
-        recording = watch(board, [axis], SETTLE + MEASURED)[axis].part(SETTLE)
-    rms = float(np.sqrt(np.mean((recording.omega - speed) ** 2)) / speed)
-    return Run(float(recording.omega.mean()), rms, recording)
+        set_up(board, axis, "SPEED", speed, ENHANCED_MT=enhanced)
+        return watch(board, [axis], SETTLE + MEASURED)[axis].part(SETTLE)
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+def deviation(recording: Recording, speed: float) -> float:
+    """Root mean square of the true speed's deviation from the set-point, over the set-point."""
+    return float(np.sqrt(np.mean((recording.omega - speed) ** 2)) / speed)
+
+
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Every speed, both axes, both methods."""
-    rows: list[Row] = []
-    notes = ["deviation: root mean square of true speed - set-point, over the set-point; the same gains in both runs"]
-    panels: list[Panel] = []
+    yield "deviation: root mean square of true speed - set-point, over the set-point; the same gains in both runs"
     for axis in range(AXES):
         rare: list[float] = []
         for rpm in SPEEDS:
-            plain, better = (hold_speed(plant, seed, axis, rpm * RPM, enhanced) for enhanced in (False, True))
-            what = f"{axis_name(axis)} {rpm:g} rpm"
-            ratio = better.rms / max(plain.rms, 1e-9)
+            what, speed = f"{axis_name(axis)} {rpm:g} rpm", rpm * RPM
+            plain, better = both = [hold_speed(plant, seed, axis, speed, enhanced) for enhanced in (False, True)]
+            rms, means = [deviation(r, speed) for r in both], [float(r.omega.mean()) for r in both]
+            ratio = rms[1] / max(rms[0], 1e-9)
             if rpm < RARE:
                 rare.append(ratio)
-            rows.extend(_rows(what, rpm, ratio, better))
-            notes.append(
-                f"{what}: deviation {100 * plain.rms:.3g} % plain, {100 * better.rms:.3g} % enhanced; true mean "
-                f"{plain.mean / RPM:.3g} and {better.mean / RPM:.3g} rpm"
+            says = "2.4.6: better" if rpm < RARE else "2.4.6: no difference when edges come often"
+            lost = abs(means[1] - speed) * MEASURED / COUNT
+            judge = Judge(f"{what}, ", NOT_SHOWN)
+            yield judge("deviation enhanced over plain", ratio, most=CHANCE, seed=says)
+            yield judge("way lost with enhanced", lost, "counts", most=WAY_MOST)
+            yield (
+                f"{what}: deviation {100 * rms[0]:.3g} % plain, {100 * rms[1]:.3g} % enhanced; true mean "
+                f"{means[0] / RPM:.3g} and {means[1] / RPM:.3g} rpm"
             )
             if axis == 0:
-                panels.append(_panel(what, rpm, plain, better))
-        best = f"{axis_name(axis)}, where it helps most, deviation enhanced over plain"
-        rows.append(Row(best, "2.4.6: better when edges are rare", min(rare), "", Bound(most=BETTER_MOST)))
-    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+                yield _panel(what, rpm, plain, better)
+        judge = Judge(f"{axis_name(axis)}, where it helps most, ", "2.4.6: better when edges are rare")
+        yield judge("deviation enhanced over plain", min(rare), most=BETTER_MOST)
 
 
-def _rows(what: str, rpm: float, ratio: float, better: Run) -> tuple[Row, Row]:
-    says = "2.4.6: better" if rpm < RARE else "2.4.6: no difference when edges come often"
-    lost = abs(better.mean - rpm * RPM) * MEASURED / COUNT
-    return (
-        Row(f"{what}, deviation enhanced over plain", says, ratio, "", Bound(most=CHANCE)),
-        Row(f"{what}, way lost with enhanced", "not shown", lost, "counts", Bound(most=WAY_MOST)),
-    )
-
-
-def _panel(title: str, rpm: float, plain: Run, better: Run) -> Panel:
-    curves: list[Curve] = []
-    for label, ripple in (("plain M/T", plain), ("enhanced M/T", better)):
-        part = ripple.recording.part(SETTLE, SETTLE + 1.0)
-        curves.append(Curve(label, part.time - SETTLE, part.omega / RPM))
+def _panel(title: str, rpm: float, plain: Recording, better: Recording) -> Panel:
+    parts = {"plain M/T": plain.part(SETTLE, SETTLE + 1.0), "enhanced M/T": better.part(SETTLE, SETTLE + 1.0)}
+    curves = [Curve(label, part.time - SETTLE, part.omega / RPM) for label, part in parts.items()]
     time = curves[0].x
     curves.append(Curve("set-point", time, np.full(time.size, rpm), "k--"))
-    return Panel(f"{title}: true speed", "time [s]", "speed [rpm]", tuple(curves))
+    return Panel(f"{title}: true speed", "time [s]", "speed [rpm]", curves)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,17 +10,17 @@ import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import Board
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.rig import RPM, TICK, command_speed
 from servo_twin.experiments.sensorless import (
     Trace,
     back_emf,
     dead_voltage,
-    fault_names,
+    ended,
     follow,
+    let_go,
     limits_of,
     started,
-    substate,
 )
 from servo_twin.plant import PlantConfig
 
@@ -57,30 +57,16 @@ AWAY_MOST: Final = 1.5
 
 @dataclass(frozen=True)
 class Descent:
-    """One axis on its way down.
-
-    Attributes
-    ----------
-    speeds : tuple of float
-        Speeds that were held [rad/s].
-    ripple : float
-        Standard deviation of the lowest of them, over it.
-    error : float
-        Largest error of the angle at that speed [deg].
-    end : str
-        What ended it.
-    fastest : float
-        Largest true speed in the direction of the set-point or against it [rad/s].
-    trace : Trace
-        The lowest speed that was held.
-    """
+    """One axis on its way down."""
 
     speeds: tuple[float, ...]
-    ripple: float
-    error: float
+    """Speeds that were held [rad/s]."""
     end: str
+    """What ended it."""
     fastest: float
+    """Largest true speed in the direction of the set-point or against it [rad/s]."""
     trace: Trace
+    """The lowest speed that was held."""
 
 
 def loaded(board: Board, axis: int, torque: float) -> None:
@@ -97,40 +83,24 @@ def descend(plant: PlantConfig, seed: int, axis: int, load: float, steps: Sequen
         command_speed(board, axis, steps[0] * limit)
         follow(board, [], SETTLE)
         loaded(board, axis, load * current * motor.torque_constant)
-        spin = substate(board, "SPIN")
         held: list[float] = []
-        last, fastest, end = None, 0.0, ""
+        last, fastest, end = None, 0.0, "the last step"
         for part in steps:
             speed = part * limit
             command_speed(board, axis, speed)
-            trace = follow(board, [axis], SETTLE + MEASURED, lambda _: let_go(board, axis, spin))[axis]
+            trace = follow(board, [axis], SETTLE + MEASURED, lambda _: let_go(board, axis))[axis]
             fastest = max(fastest, float(np.abs(trace.omega).max()))
-            end = _ended(board, trace, spin, speed)
-            if end:
+            if why := ended(board, axis) or _not_held(trace, speed):
+                end = why
                 break
             held.append(speed)
             last = trace.part(SETTLE)
-        if last is None:
-            return Descent((), np.nan, np.nan, end, fastest, trace)
         board.set_load(axis, 0.0)
-    ripple = float(last.omega.std()) / held[-1]
-    return Descent(tuple(held), ripple, float(np.abs(last.error).max()), end or "the last step", fastest, last)
+    return Descent(tuple(held), end, fastest, last or trace)
 
 
-def let_go(board: Board, axis: int, spin: int) -> bool:
-    """Whether an axis has ended; its load, which would turn the shaft back, ends with it."""
-    if board.read_raw(f"{axis_name(axis)}.substate")[0] == spin and not board.read_raw(f"{axis_name(axis)}.faults")[0]:
-        return False
-    board.set_load(axis, 0.0)
-    return True
-
-
-def _ended(board: Board, trace: Trace, spin: int, speed: float) -> str:
+def _not_held(trace: Trace, speed: float) -> str:
     """Why a speed is not held; empty when it is."""
-    if trace.faults.any():
-        return fault_names(board, int(trace.faults[-1]))
-    if (trace.substate != spin).any():
-        return "the axis has switched off"
     omega = trace.part(SETTLE).omega
     mean = float(omega.mean())
     if abs(mean / speed - 1.0) > MEAN_MOST:
@@ -138,37 +108,31 @@ def _ended(board: Board, trace: Trace, spin: int, speed: float) -> str:
     return "a shaft that stood" if float(omega.min()) <= 0.0 else ""
 
 
-def _most(plant: PlantConfig, axis: int, it: Descent, top: float) -> float:
-    """The reference design's figure, or what a weak back-EMF allows [% of the limit]."""
-    if not it.speeds:
-        return SEED_MOST
-    least = LOST * dead_voltage(plant, axis) / back_emf(plant.axes[axis], it.speeds[0] / top)
+def _most(plant: PlantConfig, axis: int, limit: float) -> float:
+    """The reference design's figure, or what a weak back-EMF allows [% of the limit of the speed, in rad/s]."""
+    least = LOST * dead_voltage(plant, axis) / back_emf(plant.axes[axis], limit)
     return max(SEED_MOST, 100.0 * least)
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Both axes, every load."""
-    rows: list[Row] = []
-    notes: list[str] = []
-    panels: list[Panel] = []
     for axis in range(AXES):
-        name = axis_name(axis)
-        curves: list[Curve] = []
+        name, curves = axis_name(axis), []
         for load in LOADS:
             it = descend(plant, seed, axis, load, STEPS)
-            with_load = f"{name}, load {100.0 * load:.0f} %" if load else f"{name}, no load"
-            top = STEPS[0]
-            lowest = 100.0 * it.speeds[-1] / (it.speeds[0] / top) if it.speeds else None
-            bound = Bound(most=_most(plant, axis, it, top))
-            rows.append(Row(f"{with_load}, lowest speed", "5 % of the maximum", lowest, "% of limit", bound))
-            if it.speeds:
-                away = it.fastest / it.speeds[0]
-                rows.append(Row(f"{with_load}, largest speed", "not shown", away, "", Bound(most=AWAY_MOST)))
-                notes.append(
-                    f"{with_load}: down to {it.speeds[-1] / RPM:.3g} rpm, ripple {100.0 * it.ripple:.2g} %, "
-                    f"angle error up to {it.error:.2g} deg; ended by {it.end}"
-                )
-                shown = it.trace
-                curves.append(Curve(f"load {100.0 * load:.0f} %", shown.time, shown.omega / RPM))
-        panels.append(Panel(f"{name}: true speed at the lowest set-points", "time [s]", "speed [rpm]", tuple(curves)))
-    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+            what = f"{name}, load {100.0 * load:.0f} %" if load else f"{name}, no load"
+            judge, says = Judge(f"{what}, ", NOT_SHOWN), "5 % of the maximum"
+            if not it.speeds:
+                yield judge("lowest speed", None, "% of limit", most=SEED_MOST, seed=says)
+                continue
+            limit, lowest, r = it.speeds[0] / STEPS[0], it.speeds[-1], it.trace
+            part = 100.0 * lowest / limit
+            yield judge("lowest speed", part, "% of limit", most=_most(plant, axis, limit), seed=says)
+            yield judge("largest speed", it.fastest / it.speeds[0], most=AWAY_MOST)
+            yield (
+                f"{what}: down to {lowest / RPM:.3g} rpm, ripple {100.0 * float(r.omega.std()) / lowest:.2g} %, "
+                f"angle error up to {float(np.abs(r.error).max()):.2g} deg; ended by {it.end}"
+            )
+            curves.append(Curve(f"load {100.0 * load:.0f} %", r.time, r.omega / RPM))
+        yield Panel(f"{name}: true speed at the lowest set-points", "time [s]", "speed [rpm]", curves)

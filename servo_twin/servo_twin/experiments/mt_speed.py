@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording, edge_shift, features, fresh_board, watch
 from servo_twin.plant import PlantConfig
 
@@ -147,34 +147,25 @@ def doubt_of(
 
 @dataclass(frozen=True)
 class Methods:
-    """Speeds [rad/s] at every slow tick, by method, and what the methods saw.
-
-    Attributes
-    ----------
-    m, t, mt, enhanced : ndarray
-        M and T from the true edges; M/T and enhanced M/T from the firmware.
-    m2 : ndarray
-        Timer ticks between the last two captured edges (M/T).
-    age : ndarray
-        Timer ticks since the last captured edge.
-    from_edges : ndarray
-        What E33 and F19 give for these edges [rad/s].
-    t_m2, t_age : ndarray
-        The same for the pulses of the T method.
-    doubt : Doubt
-        What the encoder leaves open of `m2` and `age`.
-    """
+    """Speeds [rad/s] at every slow tick, by method, and what the methods saw."""
 
     m: NDArray[np.float64]
+    """From the true edges; T likewise."""
     t: NDArray[np.float64]
     mt: NDArray[np.float64]
+    """From the firmware; enhanced M/T likewise."""
     enhanced: NDArray[np.float64]
     m2: NDArray[np.float64]
+    """Timer ticks between the last two captured edges (M/T)."""
     age: NDArray[np.float64]
+    """Timer ticks since the last captured edge."""
     from_edges: NDArray[np.float64]
+    """What E33 and F19 give for these edges [rad/s]."""
     t_m2: NDArray[np.float64]
+    """As `m2`, for the pulses of the T method; `t_age` likewise."""
     t_age: NDArray[np.float64]
     doubt: Doubt
+    """What the encoder leaves open of `m2` and `age`."""
 
 
 def drive(plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float, enhanced: bool) -> Recording:
@@ -315,15 +306,7 @@ def stagnation(speed: NDArray[np.float64], overdue: NDArray[np.bool_]) -> float:
 
 @dataclass(frozen=True)
 class Slowing:
-    """A shaft that slows down.
-
-    Attributes
-    ----------
-    t, mt, enhanced : float
-        Longest stagnation [s].
-    deviation : float
-        Largest deviation of the firmware from E33 and F19 [timer ticks].
-    """
+    """A shaft that slows down: longest stagnation by method [s]; largest deviation from E33 and F19 [timer ticks]."""
 
     t: float
     mt: float
@@ -347,81 +330,45 @@ def slowing(brake: Recording, slow: Methods) -> Slowing:
     )
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Errors from 0.5 to 3500 rpm, stagnation while the shaft slows down, and the worked example."""
     found = {rpm: steady(plant, seed, rpm * RPM) for rpm in SPEEDS}
     low, high = found[SPEEDS[0]], found[SPEEDS[-1]]
+    at_low, at_high = (f"error at {rpm:g} rpm" for rpm in (SPEEDS[0], SPEEDS[-1]))
+    m_floor = 100.0 * COUNT / TICK / (SPEEDS[-1] * RPM)  # one count per slow loop
+    judge, exact_edges = Judge(), "E33: time stamps of one tick, edges in their places"
+    mt, enhanced = max(s.mt_times for s in found.values()), max(s.enhanced_times for s in found.values())
+    yield judge(f"M, {at_low}", 100 * low.m, "%", 100.0, seed="2.4.4: M is poor at low speed")
+    yield judge(f"M, {at_high}", 100 * high.m, "%", most=m_floor, seed="2.4.4: M is good at high speed")
+    yield judge(f"T, {at_low}", 100 * low.t, "%", most=0.1, seed="2.4.4: T is good at low speed")
+    yield judge(f"T, {at_high}", 100 * high.t, "%", 5.0, seed="2.4.4: T is poor at high speed")
+    yield judge("M/T, largest error over 1/M2", mt, "1/M2", most=FLOOR, seed=exact_edges)
+    yield judge("enhanced M/T, largest error over 1/M2", enhanced, "1/M2", most=FLOOR, seed="as M/T at steady speed")
+    m2_says = "781.25 kHz, 1000 lines: 46875"
+    yield judge(f"M2 at {SPEEDS[0]:g} rpm", low.m2, "ticks", 46874.0, 46876.0, seed=m2_says)
     exact = sum(a == b for a, b in zip(worked_example(), F19_FACTORS, strict=True))
-    seconds = 0.1 + BRAKE_TIME + BRAKE_REST
-    brake, slow = methods(plant, seed, braking, seconds)
-    braked = slowing(brake, slow)
-    lowest, highest = (f"{rpm:g} rpm" for rpm in (SPEEDS[0], SPEEDS[-1]))
-    rows = (
-        Row(f"M, error at {lowest}", "2.4.4: M is poor at low speed", 100 * low.m, "%", Bound(least=100.0)),
-        Row(
-            f"M, error at {highest}",
-            "2.4.4: M is good at high speed",
-            100 * high.m,
-            "%",
-            Bound(most=_m_floor(SPEEDS[-1])),
-        ),
-        Row(f"T, error at {lowest}", "2.4.4: T is good at low speed", 100 * low.t, "%", Bound(most=0.1)),
-        Row(f"T, error at {highest}", "2.4.4: T is poor at high speed", 100 * high.t, "%", Bound(least=5.0)),
-        Row(
-            "M/T, largest error over 1/M2",
-            "E33: time stamps of one tick, edges in their places",
-            max(s.mt_times for s in found.values()),
-            "1/M2",
-            Bound(most=FLOOR),
-        ),
-        Row(
-            "enhanced M/T, largest error over 1/M2",
-            "as M/T at steady speed",
-            max(s.enhanced_times for s in found.values()),
-            "1/M2",
-            Bound(most=FLOOR),
-        ),
-        Row(f"M2 at {lowest}", "781.25 kHz, 1000 lines: 46875", low.m2, "ticks", Bound(46874.0, 46876.0)),
-        Row("F19, values exact", "1, 4/5, 4/8, 4/11, then 1/3", exact, "of 5", Bound(5.0, 5.0)),
-        Row(
-            "firmware against E33 and F19 while braking",
-            "F19: M2 / TMR3",
-            braked.deviation,
-            "ticks",
-            Bound(most=2.0),
-        ),
-        Row("T, stagnation", "2.4.5: until the next pulse", 1e3 * braked.t, "ms", Bound(least=5.0)),
-        Row("M/T, stagnation", "F18: until the next pulse", 1e3 * braked.mt, "ms", Bound(least=5.0)),
-        Row(
-            "enhanced M/T, stagnation",
-            "F19: none beyond the slow loop",
-            1e3 * braked.enhanced,
-            "ms",
-            Bound(most=1e3 * TICK),
-        ),
-    )
-    notes = (
-        f"axis {AXIS + 1}; M over {1e3 * TICK:g} ms, {COUNTS_PER_TURN} counts",
-        f"braking from {BRAKE_FROM / RPM:g} rpm to a stop in {BRAKE_TIME:g} s",
-        "stagnation: longest time at one value after the next edge has become overdue",
-    )
-    return Outcome(NAME, rows, (_error_panel(found), _brake_panel(brake, slow)), notes)
-
-
-def _m_floor(rpm: float) -> float:
-    """One count per slow loop [percent of a speed]."""
-    return 100.0 * COUNT / TICK / (rpm * RPM)
+    yield judge("F19, values exact", exact, "of 5", 5.0, 5.0, seed="1, 4/5, 4/8, 4/11, then 1/3")
+    brake, slow = methods(plant, seed, braking, 0.1 + BRAKE_TIME + BRAKE_REST)
+    it, what, most = slowing(brake, slow), "firmware against E33 and F19 while braking", 1e3 * TICK
+    yield judge(what, it.deviation, "ticks", most=2.0, seed="F19: M2 / TMR3")
+    yield judge("T, stagnation", 1e3 * it.t, "ms", 5.0, seed="2.4.5: until the next pulse")
+    yield judge("M/T, stagnation", 1e3 * it.mt, "ms", 5.0, seed="F18: until the next pulse")
+    says = "F19: none beyond the slow loop"
+    yield judge("enhanced M/T, stagnation", 1e3 * it.enhanced, "ms", most=most, seed=says)
+    yield _error_panel(found)
+    yield _brake_panel(brake, slow)
+    yield f"axis {AXIS + 1}; M over {1e3 * TICK:g} ms, {COUNTS_PER_TURN} counts"
+    yield f"braking from {BRAKE_FROM / RPM:g} rpm to a stop in {BRAKE_TIME:g} s"
+    yield "stagnation: longest time at one value after the next edge has become overdue"
 
 
 def _error_panel(found: dict[float, Steady]) -> Panel:
-    x = np.array(list(found))
     lines = {"M": "m", "T": "t", "M/T": "mt", "enhanced M/T": "enhanced", "floor 1/M2": "floor"}
-    curves = tuple(
-        Curve(
-            label, x, 100.0 * np.array([getattr(s, field) for s in found.values()]), "k--" if field == "floor" else "o-"
-        )
-        for label, field in lines.items()
-    )
+    curves: list[Curve] = []
+    for label, field in lines.items():
+        errors = 100.0 * np.array([getattr(s, field) for s in found.values()])
+        curves.append(Curve(label, np.array(list(found)), errors, "k--" if field == "floor" else "o-"))
     return Panel("largest error at steady speed", "speed [rpm]", "error [%]", curves, log_x=True, log_y=True)
 
 
@@ -429,5 +376,5 @@ def _brake_panel(brake: Recording, slow: Methods) -> Panel:
     part = slice(round((0.1 + 0.7 * BRAKE_TIME) / TICK), None)
     time = 1e3 * brake.time[part]
     named = {"true": brake.omega, "T": slow.t, "M/T": slow.mt, "enhanced M/T": slow.enhanced}
-    curves = tuple(Curve(label, time, y[part] / RPM, "k-" if label == "true" else "-") for label, y in named.items())
+    curves = [Curve(label, time, y[part] / RPM, "k-" if label == "true" else "-") for label, y in named.items()]
     return Panel("slowing down to a stop (M: multiples of 30 rpm)", "time [ms]", "speed [rpm]", curves)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Final
 
-from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.fault_record import FaultRecord, record_variable
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
+from servo_twin.experiments.rig import flags_of, word
 from servo_twin.plant import AxisPlant
 
 __all__ = [
@@ -41,11 +41,6 @@ GAIN: Final = 0.5
 """Of speed meanwhile, by the load of the friction or the end of a count [rad/s]."""
 
 
-def word(board: Board, axis: int, name: str) -> int:
-    """A variable of an axis as it stands in memory."""
-    return board.read_raw(f"{axis_name(axis)}.{name}")[0]
-
-
 def place(board: Board, axis: int) -> str:
     """Sub-state of an axis in RUN, or its state."""
     state = board.catalogue.label("state_t", word(board, axis, "state"))
@@ -54,7 +49,7 @@ def place(board: Board, axis: int) -> str:
 
 def faults(board: Board, axis: int) -> set[str]:
     """Faults of an axis by their names."""
-    return {fault.name for fault in board.catalogue.active("faults", word(board, axis, "faults"))}
+    return flags_of(board, axis, "faults")
 
 
 def first_fault(board: Board, axis: int) -> str:

@@ -11,8 +11,8 @@ import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import Board
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.rig import RPM, choose_mode, command_speed, features, spinning
+from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, Row, experiment
+from servo_twin.experiments.rig import RPM, command_speed, set_up, spinning
 from servo_twin.experiments.sensorless import (
     Trace,
     back_emf,
@@ -70,33 +70,25 @@ MEASURED: Final = 0.3  # and then [s]
 
 @dataclass(frozen=True)
 class Point:
-    """One speed with one load.
-
-    Attributes
-    ----------
-    speed : float
-        [rad/s]
-    i_q : float
-        Mean of the true current [A].
-    mean, deviation, amplitude : float
-        Of the error of the observed angle: mean, standard deviation, largest distance from the mean [deg].
-    trace : Trace
-        What was measured.
-    """
+    """One speed with one load."""
 
     speed: float
+    """[rad/s]"""
     i_q: float
+    """Mean of the true current [A]."""
     mean: float
+    """Of the error of the observed angle [deg]; the following ones likewise."""
     deviation: float
+    """Standard deviation."""
     amplitude: float
+    """Largest distance from the mean."""
     trace: Trace
 
 
 def beside(board: Board, axis: int) -> None:
     """Let the observer run beside the encoder; what it says of it stops nothing."""
     without_fault(board, axis, "ANGLE_MISMATCH")
-    features(board, axis, ANGLE_CHECK=True, DEAD_TIME=True)
-    choose_mode(board, axis, "SPEED")
+    set_up(board, axis, "SPEED", ANGLE_CHECK=True, DEAD_TIME=True)
 
 
 def offset(board: Board, axis: int) -> float:
@@ -154,23 +146,34 @@ def paper(motor: AxisPlant, belief: AxisPlant, speed: float, i_q: float) -> floa
     return math.degrees(math.atan2((motor.l_q - believed) * i_q, emf))
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Both axes."""
-    rows: list[Row] = []
-    notes: list[str] = []
-    panels: list[Panel] = []
     for axis in range(AXES):
         name = axis_name(axis)
         points = measure(plant, seed, axis, SPEEDS, CURRENTS)
-        rows.append(_worst(plant, axis, points))
-        notes.extend(_errors(name, points))
-        rows.extend(_sensitivity(plant, seed, axis, points))
+        beyond, allowed = _worst(plant, axis, points)
+        yield Judge(f"{name}, ", NOT_SHOWN)("largest mean error", beyond, "deg", most=allowed)
+        for point in points.values():
+            yield (
+                f"{name} at {point.speed / RPM:.0f} rpm, {point.i_q:.2f} A: mean error {point.mean:+.2f} deg, "
+                f"deviation {point.deviation:.2f} deg, amplitude {point.amplitude:.2g} deg"
+            )
+        yield from _sensitivity(plant, seed, axis, points)
         slow, doubled = points[SPEEDS[0], 0.5], _uncompensated(plant, seed, axis)
-        rows.extend(_ripple(f"{name} at {slow.speed / RPM:.0f} rpm", slow, doubled))
-        notes.append(f"{name} at {slow.speed / RPM:.0f} rpm, not made up: amplitude {doubled.amplitude:.3g} deg")
-        panels.append(_over_speed(name, points))
-        panels.append(_ripple_panel(name, slow, doubled))
-    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+        what = f"{name} at {slow.speed / RPM:.0f} rpm"
+        judge = Judge(f"{what}, ", NOT_SHOWN)
+        ratio = doubled.amplitude / max(slow.amplitude, 1e-9)
+        yield judge("amplitude, made up", slow.amplitude, "deg", most=RIPPLE)
+        yield judge("amplitude, not made up over made up", ratio, "", BETTER)
+        yield f"{what}, not made up: amplitude {doubled.amplitude:.3g} deg"
+        yield _over_speed(name, points)
+        errors = {"dead time made up": slow, "not made up": doubled}
+        curves = [
+            Curve(label, it.trace.time, degrees(it.trace.angle - it.trace.used) - it.mean)
+            for label, it in errors.items()
+        ]
+        yield Panel(f"{what}, {slow.i_q:.2g} A: error less its mean", "time [s]", "error [deg]", curves)
 
 
 def _uncompensated(plant: PlantConfig, seed: int, axis: int) -> Point:
@@ -180,24 +183,14 @@ def _uncompensated(plant: PlantConfig, seed: int, axis: int) -> Point:
     return measure(worse, seed, axis, SPEEDS[:1], (0.5,))[SPEEDS[0], 0.5]
 
 
-def _worst(plant: PlantConfig, axis: int, points: Mapping[tuple[float, float], Point]) -> Row:
-    """The point whose error is the largest part of what is allowed there."""
+def _worst(plant: PlantConfig, axis: int, points: Mapping[tuple[float, float], Point]) -> tuple[float, float]:
+    """Error of the point whose error is the largest part of what is allowed there, and that [deg]."""
     motor, lost = plant.axes[axis], dead_voltage(plant, axis)
-    found: list[tuple[float, float, float]] = []
+    found: list[tuple[float, float]] = []
     for point in points.values():
         beyond = max(abs(point.mean) - abs(paper(motor, motor, point.speed, point.i_q)), 0.0)
-        allowed = max(ERROR_MOST, math.degrees(LEFT * lost / back_emf(motor, point.speed)))
-        found.append((beyond / allowed, beyond, allowed))
-    _, beyond, allowed = max(found)
-    return Row(f"{axis_name(axis)}, largest mean error", "not shown", beyond, "deg", Bound(most=allowed))
-
-
-def _errors(name: str, points: Mapping[tuple[float, float], Point]) -> Iterator[str]:
-    for point in points.values():
-        yield (
-            f"{name} at {point.speed / RPM:.0f} rpm, {point.i_q:.2f} A: mean error {point.mean:+.2f} deg, "
-            f"deviation {point.deviation:.2f} deg, amplitude {point.amplitude:.2g} deg"
-        )
+        found.append((beyond, max(ERROR_MOST, math.degrees(LEFT * lost / back_emf(motor, point.speed)))))
+    return max(found, key=lambda pair: (pair[0] / pair[1], pair))
 
 
 def _sensitivity(
@@ -209,32 +202,24 @@ def _sensitivity(
         changes = {"r_s": r_s * motor.r_s, "l_d": inductance * motor.l_d, "l_q": inductance * motor.l_q}
         other = plant.with_axis(axis, **changes)
         speeds = tuple(speed for speed in SENSITIVE if _observable(motor, nominal[speed, SENSITIVE_CURRENT]))
-        points = measure(other, seed, axis, speeds, (SENSITIVE_CURRENT,))
         away, largest = 0.0, 0.0
-        for (speed, part), point in points.items():
-            change = point.mean - nominal[speed, part].mean
-            expected = paper(other.axes[axis], motor, point.speed, point.i_q) - paper(
-                motor, motor, point.speed, nominal[speed, part].i_q
-            )
+        for (speed, part), point in measure(other, seed, axis, speeds, (SENSITIVE_CURRENT,)).items():
+            before = nominal[speed, part]
+            change, believed = point.mean - before.mean, paper(motor, motor, point.speed, before.i_q)
+            expected = paper(other.axes[axis], motor, point.speed, point.i_q) - believed
             away, largest = max(away, abs(change - expected)), max(largest, abs(change))
-        what = f"Rs x {r_s:g}" if r_s != 1.0 else f"Ls x {inductance:g}"
-        says = "not very sensitive to Rs" if r_s != 1.0 else "moderately sensitive to Ls"
-        name = f"{axis_name(axis)}, {what}"
+        what, says = f"Ls x {inductance:g}", "moderately sensitive to Ls"
         if r_s != 1.0:
-            yield Row(f"{name}, error changes by", says, largest, "deg", Bound(most=PAPER_MOST))
-        yield Row(f"{name}, change less that on paper", says, away, "deg", Bound(most=PAPER_MOST))
+            what, says = f"Rs x {r_s:g}", "not very sensitive to Rs"
+        judge = Judge(f"{axis_name(axis)}, {what}, ", says)
+        if r_s != 1.0:
+            yield judge("error changes by", largest, "deg", most=PAPER_MOST)
+        yield judge("change less that on paper", away, "deg", most=PAPER_MOST)
 
 
 def _observable(motor: AxisPlant, point: Point) -> bool:
     """Whether half of the resistance takes no more than half of the back-EMF."""
     return motor.r_s * abs(point.i_q) <= back_emf(motor, point.speed)
-
-
-def _ripple(name: str, compensated: Point, uncompensated: Point) -> Iterator[Row]:
-    ratio = uncompensated.amplitude / max(compensated.amplitude, 1e-9)
-    says = "not shown"
-    yield Row(f"{name}, amplitude, made up", says, compensated.amplitude, "deg", Bound(most=RIPPLE))
-    yield Row(f"{name}, amplitude, not made up over made up", says, ratio, "", Bound(least=BETTER))
 
 
 def _over_speed(name: str, points: Mapping[tuple[float, float], Point]) -> Panel:
@@ -245,13 +230,4 @@ def _over_speed(name: str, points: Mapping[tuple[float, float], Point]) -> Panel
         label = f"{np.mean([point.i_q for point in chosen]):.2g} A"
         curves.append(Curve(f"mean, {label}", x, np.array([point.mean for point in chosen]), "o-"))
         curves.append(Curve(f"deviation, {label}", x, np.array([point.deviation for point in chosen]), "x--"))
-    return Panel(f"{name}: error of the observed angle", "speed [rpm]", "error [deg]", tuple(curves), log_x=True)
-
-
-def _ripple_panel(name: str, compensated: Point, uncompensated: Point) -> Panel:
-    curves = tuple(
-        Curve(label, point.trace.time, degrees(point.trace.angle - point.trace.used) - point.mean)
-        for label, point in (("dead time made up", compensated), ("not made up", uncompensated))
-    )
-    title = f"{name} at {compensated.speed / RPM:.0f} rpm, {compensated.i_q:.2g} A: error less its mean"
-    return Panel(title, "time [s]", "error [deg]", curves)
+    return Panel(f"{name}: error of the observed angle", "speed [rpm]", "error [deg]", curves, log_x=True)

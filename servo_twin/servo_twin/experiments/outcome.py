@@ -1,18 +1,28 @@
-"""What an experiment hands back: judged figures and the curves of its picture. Plain data, no drawing."""
+"""What an experiment hands back: judged figures and the curves of its picture. Plain data, no drawing.
+
+An experiment is a function that yields what it has found, in the order of its table and picture: a `Row` for every
+figure with its bound, a `Panel` for every coordinate system, a string for every note. `experiment` makes it return an
+`Outcome`; `Judge` writes the rows of one subject.
+"""
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, ParamSpec
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BEYOND", "Bound", "Curve", "Outcome", "Panel", "Row"]
+__all__ = ["BEYOND", "NOT_SHOWN", "Bound", "Curve", "Item", "Judge", "Outcome", "Panel", "Row", "experiment"]
 
 BEYOND: Final = "beyond the reference design"
 """`Row.seed` of what it does not have."""
+
+NOT_SHOWN: Final = "not shown"
+"""`Row.seed` of what it has, without a figure."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +99,49 @@ class Row:
 
 
 @dataclass(frozen=True)
+class Judge:
+    """Writes the rows of one subject, whose name comes before that of each figure.
+
+    Attributes
+    ----------
+    subject : str
+        With the punctuation that separates it, such as ``"axis1, "``.
+    seed : str
+        What the reference design says, where a row says nothing else.
+    """
+
+    subject: str = ""
+    seed: str = BEYOND
+
+    def __call__(
+        self,
+        name: str,
+        measured: float | np.floating[Any] | None,
+        unit: str = "",
+        least: float | None = None,
+        most: float | None = None,
+        *,
+        seed: str | None = None,
+        apart: float | None = None,
+    ) -> Row:
+        """A figure that has to lie within least .. most, both in `unit`; None leaves an end open."""
+        value = None if measured is None else float(measured)
+        return Row(self.subject + name, self.seed if seed is None else seed, value, unit, Bound(least, most), apart)
+
+    def near(self, name: str, measured: float, unit: str, aim: float, off: float, *, seed: str | None = None) -> Row:
+        """A figure that may be `off` from `aim`, both in `unit`."""
+        return self(name, measured, unit, aim - off, aim + off, seed=seed)
+
+    def none(self, name: str, count: float, *, seed: str | None = None) -> Row:
+        """A number of events that has to be zero."""
+        return self(name, count, "", 0.0, 0.0, seed=seed)
+
+    def true(self, name: str, holds: bool, *, seed: str | None = None) -> Row:
+        """A condition that has to hold."""
+        return self(name, holds, "", 1.0, 1.0, seed=seed)
+
+
+@dataclass(frozen=True)
 class Curve:
     """One line of a panel; `style` is a matplotlib format string such as ``"o"``."""
 
@@ -105,7 +158,7 @@ class Panel:
     title: str
     x_label: str
     y_label: str
-    curves: tuple[Curve, ...]
+    curves: Sequence[Curve]
     log_x: bool = False
     log_y: bool = False
 
@@ -144,3 +197,25 @@ class Outcome:
             if row.name == name:
                 return row
         raise KeyError(f"{self.name} has no row {name!r}: {[row.name for row in self.rows]}")
+
+
+Item = Row | Panel | str
+"""A figure, a coordinate system, or a note; an empty note says nothing."""
+
+_P = ParamSpec("_P")
+
+
+def experiment(name: str) -> Callable[[Callable[_P, Iterable[Item]]], Callable[_P, Outcome]]:
+    """Make a function that yields what it finds an experiment of that name, which returns its `Outcome`."""
+
+    def decorate(find: Callable[_P, Iterable[Item]]) -> Callable[_P, Outcome]:
+        @functools.wraps(find)
+        def run(*args: _P.args, **kwargs: _P.kwargs) -> Outcome:
+            items = list(find(*args, **kwargs))
+            rows = tuple(item for item in items if isinstance(item, Row))
+            panels = tuple(item for item in items if isinstance(item, Panel))
+            return Outcome(name, rows, panels, tuple(item for item in items if isinstance(item, str) and item))
+
+        return run
+
+    return decorate

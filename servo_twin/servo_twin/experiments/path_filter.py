@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.units import COUNTS_PER_TURN
 
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.plant_limits import current_limits, move_speeds
-from servo_twin.experiments.rig import COUNT, TICK, Recording, command_position, position_of, set_axis, spinning, watch
+from servo_twin.experiments.rig import (
+    COUNT,
+    TICK,
+    Recording,
+    at,
+    command_position,
+    get_axis,
+    largest,
+    position_of,
+    set_up,
+    spinning,
+    watch,
+)
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "path-filter"
@@ -65,23 +78,15 @@ def fit_omega_n(time: NDArray[np.float64], path: NDArray[np.float64], speed: flo
 def record(plant: PlantConfig, seed: int, limit: float) -> tuple[Recording, float, int]:
     """One long move with a speed limit [rad/s]: recording, that limit [counts/s] and distance [counts]."""
     with spinning(plant, seed) as board:
-        start = position_of(board, AXIS)
-        distance = round(TURNS * COUNTS_PER_TURN)
-        set_axis(board, "param.speed_limit", AXIS, limit)
-        set_axis(board, "param.acceleration_limit", AXIS, board.catalogue["param.acceleration_limit"].maximum)
-        limits = board.read("param.speed_limit")
-        assert isinstance(limits, list)
-        speed = limits[AXIS] / COUNT
-
-        def act(k: int) -> None:
-            if k == 0:
-                command_position(board, AXIS, start + distance)
-
-        recording = watch(board, [AXIS], distance / speed + REST, act)[AXIS]
-    return recording, speed, distance
+        target = position_of(board, AXIS) + round(TURNS * COUNTS_PER_TURN)
+        parameters = {"speed_limit": limit, "acceleration_limit": largest(board, "acceleration_limit")}
+        set_up(board, AXIS, parameters=parameters)
+        speed, distance = get_axis(board, "param.speed_limit", AXIS) / COUNT, target - position_of(board, AXIS)
+        move = at({0.0: lambda: command_position(board, AXIS, target)})
+        return watch(board, [AXIS], distance / speed + REST, move)[AXIS], speed, distance
 
 
-def judge(recording: Recording, speed: float, distance: int, axis_limit: float) -> tuple[Row, ...]:
+def figures(recording: Recording, speed: float, distance: int, axis_limit: float) -> Iterator[Row]:
     """Rows for a path; `axis_limit` is the acceleration that the drive can give [counts/s^2]."""
     duration = distance / speed
     path = recording.position_ref - (recording.position_ref[-1] - distance)
@@ -90,47 +95,20 @@ def judge(recording: Recording, speed: float, distance: int, axis_limit: float) 
     ramp = np.minimum(speed * recording.time, float(distance))
     # The set-point comes in whole counts: its slope over five ticks is as fine as a fifth of a count per tick.
     slope = (path[5:] - path[:-5]) / (5.0 * TICK)
-    misfit = float(np.abs(ideal - path).max())
-    return (
-        Row(
-            "largest jump of the ramp's speed per slow loop",
-            "F24: steps at both ends",
-            _jump(ramp, speed),
-            "of v",
-            Bound(0.5, 1.0 + 1e-6),
-        ),
-        Row(
-            "largest jump of the S curve's speed per slow loop",
-            "F24: changes evenly",
-            _jump(path, speed),
-            "of v",
-            Bound(most=0.1),
-        ),
-        Row("S curve against E38", "E38, damping 1", misfit / distance, "of the way", Bound(most=0.01)),
-        Row(
-            "overshoot of the S curve",
-            "E38: damping 1",
-            float(max(path.max() - distance, 0.0)),
-            "counts",
-            Bound(0.0, 0.0),
-        ),
-        Row("end of the S curve", "F23: arrives", float(abs(path[-1] - distance)), "counts", Bound(0.0, 0.0)),
-        Row("steps backwards", "F23: monotonous", float(np.count_nonzero(np.diff(path) < 0.0)), "", Bound(0.0, 0.0)),
-        Row(
-            "highest speed of the S curve",
-            "F24: that of the ramp",
-            float(slope.max() / speed),
-            "of v",
-            Bound(0.95, 1.02),
-        ),
-        Row(
-            "acceleration asked for",
-            "E38: v omega_n / e",
-            speed * omega_n / np.e / axis_limit,
-            "of the drive's",
-            Bound(most=1.0),
-        ),
+    misfit, over = np.abs(ideal - path).max() / distance, max(path.max() - distance, 0.0)
+    backwards, asked = int(np.count_nonzero(np.diff(path) < 0.0)), speed * omega_n / np.e / axis_limit
+    jumps, jump = (_jump(which, speed) for which in (ramp, path))
+    judge, slow_loop = Judge(), "speed per slow loop"
+    yield judge(
+        f"largest jump of the ramp's {slow_loop}", jumps, "of v", 0.5, 1.0 + 1e-6, seed="F24: steps at both ends"
     )
+    yield judge(f"largest jump of the S curve's {slow_loop}", jump, "of v", most=0.1, seed="F24: changes evenly")
+    yield judge("S curve against E38", misfit, "of the way", most=0.01, seed="E38, damping 1")
+    yield judge("overshoot of the S curve", over, "counts", 0.0, 0.0, seed="E38: damping 1")
+    yield judge("end of the S curve", abs(path[-1] - distance), "counts", 0.0, 0.0, seed="F23: arrives")
+    yield judge.none("steps backwards", backwards, seed="F23: monotonous")
+    yield judge("highest speed of the S curve", slope.max() / speed, "of v", 0.95, 1.02, seed="F24: that of the ramp")
+    yield judge("acceleration asked for", asked, "of the drive's", most=1.0, seed="E38: v omega_n / e")
 
 
 def _jump(path: NDArray[np.float64], speed: float) -> float:
@@ -139,38 +117,22 @@ def _jump(path: NDArray[np.float64], speed: float) -> float:
     return float(np.abs(np.diff(steps)).max() / (speed * TICK))
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """One long move."""
     axis = plant.axes[AXIS]
     speeds, lowered = move_speeds(plant, seed, together=False)
-    recording, speed, distance = record(plant, seed, speeds[AXIS])
+    r, speed, distance = record(plant, seed, speeds[AXIS])
     most = current_limits(plant, seed)[AXIS]
     able = (axis.torque_constant * most - axis.friction) / axis.inertia / COUNT
-    rows = judge(recording, speed, distance, able)
-    start = recording.position_ref[-1] - distance
-    ramp = np.minimum(speed * recording.time, float(distance))
-    path = recording.position_ref - start
-    turn = float(COUNTS_PER_TURN)
-    panels = (
-        Panel(
-            "F23: path",
-            "time [s]",
-            "position [turns]",
-            (
-                Curve("ramp", recording.time, ramp / turn),
-                Curve("S curve", recording.time, path / turn),
-                Curve("shaft", recording.time, (recording.position - start) / turn, "--"),
-            ),
-        ),
-        Panel(
-            "F24: speed",
-            "time [s]",
-            "speed [turns/s]",
-            (
-                Curve("ramp", recording.time, np.gradient(ramp, TICK) / turn),
-                Curve("S curve", recording.time, np.gradient(path, TICK) / turn),
-                Curve("shaft", recording.time, recording.omega / (2.0 * np.pi), "--"),
-            ),
-        ),
-    )
-    return Outcome(NAME, rows, panels, (f"axis {AXIS + 1}, {TURNS:g} turns", *([lowered] if lowered else [])))
+    yield from figures(r, speed, distance, able)
+    start, turn = r.position_ref[-1] - distance, float(COUNTS_PER_TURN)
+    ramp, path = np.minimum(speed * r.time, float(distance)), r.position_ref - start
+    ways = {"ramp": ramp / turn, "S curve": path / turn, "shaft": (r.position - start) / turn}
+    slopes = [np.gradient(way, TICK) / turn for way in (ramp, path)]
+    speeds_ = dict(zip(ways, (*slopes, r.omega / (2.0 * np.pi)), strict=True))
+    for title, label, lines in (("F23: path", "position [turns]", ways), ("F24: speed", "speed [turns/s]", speeds_)):
+        curves = [Curve(name, r.time, y, "--" if name == "shaft" else "-") for name, y in lines.items()]
+        yield Panel(title, "time [s]", label, curves)
+    yield f"axis {AXIS + 1}, {TURNS:g} turns"
+    yield lowered

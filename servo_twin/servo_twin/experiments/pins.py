@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -14,15 +15,17 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
-from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.rig import (
     COUNT,
     TICK,
     choose_mode,
     command_position,
-    command_speed,
+    flags_of,
     fresh_board,
     position_of,
+    set_up,
+    word,
 )
 from servo_twin.harm import CutWire, Pin
 from servo_twin.lockstep.replica import Replica
@@ -79,6 +82,15 @@ def fit(board: Board, *pins: Pin) -> None:
     board.run(10.0 * TICK)
 
 
+@contextmanager
+def fitted(plant: PlantConfig, seed: int, *pins: Pin) -> Iterator[Board]:
+    """A fresh board in STOP whose axes have these pins."""
+    with fresh_board(plant, seed) as board:
+        board.run(0.03)
+        fit(board, *pins)
+        yield board
+
+
 def wired(plant: PlantConfig, **pins: float) -> PlantConfig:
     """The plant with something at the pins of both axes."""
     for axis, entry in enumerate(plant.axes):
@@ -86,17 +98,12 @@ def wired(plant: PlantConfig, **pins: float) -> PlantConfig:
     return plant
 
 
-def _word(board: Board, axis: int, flags: str) -> set[str]:
-    raw = board.read_raw(f"{axis_name(axis)}.{flags}")[0]
-    return {flag.name for flag in board.catalogue.active(flags, raw)}
-
-
 def _in(board: Board, axis: int, state: str, substate: str | None = None) -> bool:
     enums = board.catalogue.enums
-    found = board.read_raw(f"{axis_name(axis)}.state")[0] == enums["state_t"][state]
+    found = word(board, axis, "state") == enums["state_t"][state]
     if substate is None:
         return found
-    return found and board.read_raw(f"{axis_name(axis)}.substate")[0] == enums["substate_t"][substate]
+    return found and word(board, axis, "substate") == enums["substate_t"][substate]
 
 
 def _until(board: Board, what: str, holds: Callable[[int], bool], seconds: float = 3.0) -> None:
@@ -122,35 +129,24 @@ def _ready(board: Board, axis: int) -> bool:
 
 @dataclass(frozen=True)
 class Hang:
-    """How far loads have dropped, by axis [rad].
+    """How far loads have dropped, and their ways while the drive was enabled for the first time."""
 
-    Attributes
-    ----------
-    first, again, off, fault : tuple of float
-        While the drive was enabled for the first time and again, disabled, and switched off by its enable input.
-    time : ndarray
-        Of the first one [s].
-    course : tuple of ndarray
-        Shafts meanwhile [rad].
-    """
-
-    first: tuple[float, ...]
-    again: tuple[float, ...]
-    off: tuple[float, ...]
-    fault: tuple[float, ...]
+    drops: list[tuple[float, ...]]
+    """By axis: enabled for the first time, again, disabled, and switched off by the enable input [rad]."""
     time: NDArray[np.float64]
-    course: tuple[NDArray[np.float64], ...]
+    """Of the first enabling [s]."""
+    ways: NDArray[np.float64]
+    """Shafts meanwhile, one row per axis [rad]."""
 
 
-def _largest(board: Board, seconds: float) -> tuple[tuple[float, ...], NDArray[np.float64]]:
-    """Farthest from where the shafts are now, and their ways, one row per axis, every millisecond [rad]."""
+def _ways(board: Board, seconds: float) -> NDArray[np.float64]:
+    """Ways of the shafts from where they are now, one row per axis, every millisecond [rad]."""
     start = [board.truth(axis).theta_m for axis in range(AXES)]
     ways = []
     for _ in range(round(seconds / 0.001)):
         board.run(0.001)
         ways.append([board.truth(axis).theta_m - start[axis] for axis in range(AXES)])
-    way = np.array(ways).T
-    return tuple(float(np.abs(row).max()) for row in way), way
+    return np.asarray(np.array(ways).T)
 
 
 def load_of(plant: PlantConfig, axis: int) -> float:
@@ -168,25 +164,24 @@ def hang(plant: PlantConfig, seed: int, angle: float) -> Hang:
             brake_close_time=CLOSE_TIME,
         )
         plant = plant.with_axis(axis, theta_start=angle / entry.pole_pairs, pins=pins)
-    with fresh_board(plant, seed) as board:
-        board.run(0.03)
-        fit(board, "brake", "enable")
+    with fitted(plant, seed, "brake", "enable") as board:
         for axis in range(AXES):
             board.set_load(axis, load_of(plant, axis))
         board.write("cmd.enable", [1] * AXES)
-        first, course = _largest(board, 1.2)
+        first = _ways(board, 1.2)
         _until(board, "SPIN after the search", lambda axis: _ready(board, axis))
         board.write("cmd.enable", [0] * AXES)
-        off, _ = _largest(board, 0.3)
+        off = _ways(board, 0.3)
         _until(board, "STOP", lambda axis: _in(board, axis, "STOP"))
         board.run(0.3)  # an axis waits for a shaft that rests
         board.write("cmd.enable", [1] * AXES)
-        again, _ = _largest(board, 0.4)
+        again = _ways(board, 0.4)
         _until(board, "SPIN again", lambda axis: _ready(board, axis))
         for axis in range(AXES):
             board.inject(CutWire(axis, "enable"))
-        fault, _ = _largest(board, 0.2)
-    return Hang(first, again, off, fault, 0.001 * np.arange(1, course.shape[1] + 1), tuple(course))
+        fault = _ways(board, 0.2)
+    drops = [tuple(float(np.abs(ways[axis]).max()) for ways in (first, again, off, fault)) for axis in range(AXES)]
+    return Hang(drops, 0.001 * np.arange(1, first.shape[1] + 1), first)
 
 
 def fault_drop(plant: PlantConfig, axis: int) -> float:
@@ -215,12 +210,9 @@ def open_enable(plant: PlantConfig, seed: int) -> tuple[float, bool]:
     named : bool
         ENABLE_INPUT, and nothing else, 5 ms later.
     """
-    with fresh_board(plant, seed) as board:
-        board.run(0.03)
-        fit(board, "enable")
+    with fitted(plant, seed, "enable") as board:
         _enable(board)
-        choose_mode(board, 0, "SPEED")
-        command_speed(board, 0, FULL_SPEED)
+        set_up(board, 0, "SPEED", FULL_SPEED)
         board.run(0.4)
         now = board.time_ns + PERIOD_NS
         before = board.trace(now)["clock"]
@@ -229,7 +221,7 @@ def open_enable(plant: PlantConfig, seed: int) -> tuple[float, bool]:
         gates = log["clock"][(log["kind"] == _TRACE_GATES) & (log["a"] < 3)]
         board.run(0.001)
         periods = (int(gates[-1]) - int(before[-1])) * _CLOCK_NS / PERIOD_NS if gates.size else 0.0
-        return periods, _word(board, 0, "faults") == {"ENABLE_INPUT"}
+        return periods, flags_of(board, 0, "faults") == {"ENABLE_INPUT"}
 
 
 # ---- a limit switch at speed ---------------------------------------------------------------------------------------
@@ -237,22 +229,16 @@ def open_enable(plant: PlantConfig, seed: int) -> tuple[float, bool]:
 
 @dataclass(frozen=True)
 class Overrun:
-    """A switch that both axes reach at speed.
-
-    Attributes
-    ----------
-    beyond : float
-        Way past the switch [rad].
-    named : bool
-        LIMIT_SWITCH, and nothing else.
-    into, off : float
-        Way after a set-point beyond the switch, and after one back [counts].
-    """
+    """A switch that an axis reaches at speed."""
 
     beyond: float
+    """Way past the switch [rad]."""
     named: bool
+    """LIMIT_SWITCH, and nothing else."""
     into: float
+    """Way after a set-point beyond the switch [counts]."""
     off: float
+    """Way after one back [counts]."""
 
 
 def overrun(plant: PlantConfig, seed: int) -> list[Overrun]:
@@ -262,16 +248,13 @@ def overrun(plant: PlantConfig, seed: int) -> list[Overrun]:
     for axis, entry in enumerate(plant.axes):
         pins = replace(entry.pins, limit_max=at[axis])
         plant = plant.with_axis(axis, theta_start=start[axis], pins=pins)
-    with fresh_board(plant, seed) as board:
-        board.run(0.03)
-        fit(board, "limit_min", "limit_max")
+    with fitted(plant, seed, "limit_min", "limit_max") as board:
         _enable(board)
         for axis in range(AXES):
-            choose_mode(board, axis, "SPEED")
-            command_speed(board, axis, FULL_SPEED)
+            set_up(board, axis, "SPEED", FULL_SPEED)
         _until(board, "the stop at the switches", lambda axis: _in(board, axis, "FAULT"))
         beyond = [board.truth(axis).theta_m - at[axis] for axis in range(AXES)]
-        named = [_word(board, axis, "faults") == {"LIMIT_SWITCH"} for axis in range(AXES)]
+        named = [flags_of(board, axis, "faults") == {"LIMIT_SWITCH"} for axis in range(AXES)]
         board.run(0.2)
         board.write("cmd.clear_faults", [1] * AXES)
         board.run(0.1)
@@ -302,24 +285,22 @@ def cut_wires(plant: PlantConfig, seed: int) -> dict[str, bool]:
         "enable": {"ENABLE_INPUT"},
     }
     for pin, faults in wanted.items():
-        with fresh_board(plant, seed) as board:
-            board.run(0.03)
-            fit(board, "home", "limit_min", "limit_max", "enable")
+        with fitted(plant, seed, "home", "limit_min", "limit_max", "enable") as board:
             _enable(board)
             board.run(0.1)
             board.inject(CutWire(0, pin))
             board.run(0.1)
             inputs = {"home": "HOME", "enable": "ENABLE"}.get(pin, pin.upper())
-            seen = (inputs in _word(board, 0, "inputs")) == pin.startswith("limit")
-            said[f"{pin}, holding"] = _word(board, 0, "faults") == faults and seen and not _word(board, 1, "faults")
-    with fresh_board(plant, seed) as board:
-        board.run(0.03)
-        fit(board, "enable")
+            seen = (inputs in flags_of(board, 0, "inputs")) == pin.startswith("limit")
+            said[f"{pin}, holding"] = (
+                flags_of(board, 0, "faults") == faults and seen and not flags_of(board, 1, "faults")
+            )
+    with fitted(plant, seed, "enable") as board:
         board.inject(CutWire(0, "enable"))
         board.run(0.01)
         board.write("cmd.enable", [1, 0])
         board.run(0.1)
-        refused = _in(board, 0, "STOP") and not _word(board, 0, "faults") and "INPUT" in _word(board, 0, "limits")
+        refused = _in(board, 0, "STOP") and not flags_of(board, 0, "faults") and "INPUT" in flags_of(board, 0, "limits")
         board.heal()
         board.run(0.1)
         said["enable, at rest: refused without a fault"] = refused and _in(board, 0, "STOP")
@@ -332,46 +313,35 @@ def cut_wires(plant: PlantConfig, seed: int) -> dict[str, bool]:
 # ---- the experiment ------------------------------------------------------------------------------------------------
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Hanging loads from several angles, the enable input and a limit switch at speed, cut wires."""
     hangs = [hang(plant, seed, 2.0 * math.pi * (k + 0.5) / ANGLES) for k in range(ANGLES)]
-    rows: list[Row] = []
     for axis in range(AXES):
-        name = f"{axis_name(axis)}, load of {load_of(plant, axis) * 1e3:.0f} mN m"
-        fault = fault_drop(plant, axis)
-        rows += [
-            _row(f"{name}: drop, first enabling", [h.first[axis] for h in hangs], FIRST_DROP, apart=0.1),
-            _row(f"{name}: drop, enabled again", [h.again[axis] for h in hangs], HELD_DROP),
-            _row(f"{name}: drop, disabled", [h.off[axis] for h in hangs], HELD_DROP),
-            _row(f"{name}: drop, enable input opened", [h.fault[axis] for h in hangs], fault),
-        ]
+        judge = Judge(f"{axis_name(axis)}, load of {load_of(plant, axis) * 1e3:.0f} mN m: drop, ")
+        first, again, off, fault = (max(drops) for drops in zip(*(h.drops[axis] for h in hangs), strict=True))
+        yield judge("first enabling", first, "rad", most=FIRST_DROP, apart=0.1)
+        yield judge("enabled again", again, "rad", most=HELD_DROP)
+        yield judge("disabled", off, "rad", most=HELD_DROP)
+        yield judge("enable input opened", fault, "rad", most=fault_drop(plant, axis))
     switches, named = open_enable(plant, seed)
-    rows += [
-        Row("enable input at full speed: switches open after", BEYOND, switches, "PWM periods", Bound(0.0, 1.0)),
-        Row("enable input at full speed: named", BEYOND, float(named), "", Bound(1.0, 1.0)),
-    ]
+    judge = Judge("enable input at full speed: ")
+    yield judge("switches open after", switches, "PWM periods", 0.0, 1.0)
+    yield judge.true("named", named)
     most = FULL_SPEED**2 / (2.0 * ACCELERATION) + FULL_SPEED * (SEEN + LAG)
     for axis, found in enumerate(overrun(plant, seed)):
-        what = f"{axis_name(axis)}, limit switch at {FULL_SPEED:.0f} rad/s"
-        rows += [
-            Row(f"{what}: beyond", BEYOND, found.beyond, "rad", Bound(0.0, most)),
-            Row(f"{what}: named", BEYOND, float(found.named), "", Bound(1.0, 1.0)),
-            Row(f"{what}: sent on, moves", BEYOND, found.into, "counts", Bound(most=2.0)),
-            Row(f"{what}: sent back, moves", BEYOND, found.off, "counts", Bound(3990.0, 4010.0)),
-        ]
-    rows += [
-        Row(f"wire cut: {what}", BEYOND, float(right), "", Bound(1.0, 1.0))
-        for what, right in cut_wires(plant, seed).items()
-    ]
-    curves = tuple(
-        Curve(f"{axis_name(axis)}, {360.0 * (k + 0.5) / ANGLES:.0f} deg", h.time, np.degrees(h.course[axis]))
+        judge = Judge(f"{axis_name(axis)}, limit switch at {FULL_SPEED:.0f} rad/s: ")
+        yield judge("beyond", found.beyond, "rad", 0.0, most)
+        yield judge.true("named", found.named)
+        yield judge("sent on, moves", found.into, "counts", most=2.0)
+        yield judge("sent back, moves", found.off, "counts", 3990.0, 4010.0)
+    for what, right in cut_wires(plant, seed).items():
+        yield Judge("wire cut: ").true(what, right)
+    curves = [
+        Curve(f"{axis_name(axis)}, {360.0 * (k + 0.5) / ANGLES:.0f} deg", h.time, np.degrees(h.ways[axis]))
         for k, h in enumerate(hangs)
         for axis in range(AXES)
-    )
-    panel = Panel("a load hangs on the shaft: first enabling", "time [s]", "shaft [deg]", curves)
-    times = f"brake: opens in {OPEN_TIME * 1e3:.0f} ms, closes in {CLOSE_TIME * 1e3:.0f} ms"
-    return Outcome(NAME, tuple(rows), (panel,), (times, f"drops: the largest of {ANGLES} angles of the rotor"))
-
-
-def _row(name: str, drops: Sequence[float], most: float, apart: float | None = None) -> Row:
-    return Row(name, BEYOND, max(drops), "rad", Bound(most=most), apart=apart)
+    ]
+    yield Panel("a load hangs on the shaft: first enabling", "time [s]", "shaft [deg]", curves)
+    yield f"brake: opens in {OPEN_TIME * 1e3:.0f} ms, closes in {CLOSE_TIME * 1e3:.0f} ms"
+    yield f"drops: the largest of {ANGLES} angles of the rotor"

@@ -18,14 +18,14 @@ from servo_twin.experiments.rig import (
     COUNT,
     TICK,
     at_level,
-    choose_mode,
     command_position,
     command_speed,
     features,
-    flag_mask,
+    get_axis,
+    largest,
     level,
     position_of,
-    set_axis,
+    set_up,
     spinning,
     watch,
 )
@@ -81,34 +81,22 @@ PROBE_SLOPE: Final = 10  # [slow ticks] between two points of its speed
 
 @dataclass(frozen=True)
 class Belief:
-    """What the controller believes of one axis, expressed by the torque that its current makes on the plant's motor.
-
-    Attributes
-    ----------
-    friction : float
-        Of a slowly turning shaft [N m].
-    inertia : float
-        [kg m^2].
-    """
+    """What the controller believes of one axis, expressed by the torque that its current makes on the plant's motor."""
 
     friction: float
+    """Of a slowly turning shaft [N m]."""
     inertia: float
+    """[kg m^2]"""
 
 
 @dataclass(frozen=True)
 class Demand:
-    """What a set-point asks of an axis.
-
-    Attributes
-    ----------
-    acceleration : float
-        The largest, per speed: the path filter asks for it in proportion to the speed of its ramp [1/s].
-    current : float
-        The limit [A].
-    """
+    """What a set-point asks of an axis."""
 
     acceleration: float
+    """The largest, per speed: the path filter asks for it in proportion to the speed of its ramp [1/s]."""
     current: float
+    """The limit [A]."""
 
 
 def believed(plant: PlantConfig, seed: int) -> tuple[Belief, ...]:
@@ -170,15 +158,14 @@ def _first_current(plant: PlantConfig, seed: int, switch: str | None, speed: flo
     """
     with at_level("ideal"), spinning(plant, seed) as board:
         for axis in range(AXES):
-            set_axis(board, "param.acceleration_limit", axis, board.catalogue["param.acceleration_limit"].maximum)
-            choose_mode(board, axis, "SPEED")
+            set_up(board, axis, "SPEED", parameters={"acceleration_limit": largest(board, "acceleration_limit")})
         watch(board, [0], 10 * TICK)
         for axis in range(AXES):
             if switch is not None:
                 features(board, axis, **{switch: True})
             command_speed(board, axis, speed)
         both = watch(board, range(AXES), 5 * TICK)
-        limited = flag_mask(board, "limits", "CURRENT")
+        limited = board.catalogue.flag("limits", "CURRENT").mask
     currents: list[float] = []
     for recording in both.values():
         k = int(np.argmax(recording.speed_ref > 0.5 * speed))
@@ -190,29 +177,27 @@ def _first_current(plant: PlantConfig, seed: int, switch: str | None, speed: flo
 
 def speed_limits(plant: PlantConfig, seed: int) -> list[float]:
     """``param.speed_limit`` after reset [rad/s]."""
-    return _parameter(plant, seed, "param.speed_limit")
+    return _parameter(plant, seed, "speed_limit")
 
 
 def current_limits(plant: PlantConfig, seed: int) -> list[float]:
     """``param.i_q_limit`` after reset [A]."""
-    return _parameter(plant, seed, "param.i_q_limit")
+    return _parameter(plant, seed, "i_q_limit")
 
 
 def _parameter(plant: PlantConfig, seed: int, name: str) -> list[float]:
     with spinning(plant, seed) as board:
-        values = board.read(name)
-    assert isinstance(values, list)
-    return [float(value) for value in values]
+        return [get_axis(board, f"param.{name}", axis) for axis in range(AXES)]
 
 
 def path_demands(plant: PlantConfig, seed: int) -> list[Demand]:
     """What the path filter asks for on the way to a far target, by its output, without a limit of acceleration."""
     with spinning(plant, seed) as board:
-        speeds, currents = board.read("param.speed_limit"), board.read("param.i_q_limit")
-        assert isinstance(speeds, list)
-        assert isinstance(currents, list)
+        speeds, currents = (
+            [get_axis(board, f"param.{name}", axis) for axis in range(AXES)] for name in ("speed_limit", "i_q_limit")
+        )
         for axis in range(AXES):
-            set_axis(board, "param.acceleration_limit", axis, board.catalogue["param.acceleration_limit"].maximum)
+            set_up(board, axis, parameters={"acceleration_limit": largest(board, "acceleration_limit")})
             command_position(board, axis, position_of(board, axis) + round(10.0 * PROBE_PATH * speeds[axis] / COUNT))
         both = watch(board, range(AXES), PROBE_PATH)
     demands: list[Demand] = []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,17 +13,19 @@ from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
 from servo_twin.experiments.dead_time_torque import pushed, whole_counts
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import move_speeds, path_settles
 from servo_twin.experiments.rig import (
     COUNT,
     TICK,
     Recording,
+    arrives,
     command_position,
+    get_axis,
+    overshoot,
     position_of,
     set_axis,
     spinning,
-    stays_from,
     watch,
 )
 from servo_twin.plant import AxisPlant, PlantConfig
@@ -49,51 +53,36 @@ SEED_NONE: Final = "no figure given"
 
 @dataclass(frozen=True)
 class Move:
-    """What one move gave; counts unless it says otherwise.
+    """What one move gave [counts], unless it says otherwise."""
 
-    Attributes
-    ----------
-    overshoot : float
-        Farthest beyond the target.
-    cycle : float
-        From the lowest to the highest position after arrival, over the last half second.
-    error : float
-        Mean distance from the target over that time.
-    settling : float or None
-        From the end of the set-point's ramp until the shaft stays within 2 counts, and what it swerves [s].
-    recording : Recording
-        All of it.
-    swerve, swing : float
-        What current that the inverter keeps back moves the shaft once the set-point has arrived: from where it would
-        be, and over the last half second from the lowest to the highest.
-    """
-
-    overshoot: float
-    cycle: float
-    error: float
-    settling: float | None
     recording: Recording
-    swerve: float = 0.0
-    swing: float = 0.0
+    overshoot: float
+    """Farthest beyond the target."""
+    cycle: float
+    """From the lowest to the highest position after arrival, over the last half second."""
+    error: float
+    """Mean distance from the target over that time."""
+    settling: float | None
+    """From the end of the set-point's ramp until the shaft stays within 2 counts, and what it swerves [s]."""
+    swerve: float
+    """What current that the inverter keeps back moves the shaft from where it would be, the set-point arrived."""
+    swing: float
+    """The same, from the lowest to the highest, over the last half second."""
 
 
 def measure(recording: Recording, target: int, ramp_end: float, shaft: AxisPlant) -> Move:
     """Judge a move of a shaft that began with the recording; `target` in counts, `ramp_end` in seconds."""
-    position = recording.position
     last = recording.part(recording.time[-1] - REST / 2.0).position
     near = np.abs(recording.position_ref - target) <= MOST_COUNTS
     after = float(recording.time[int(np.argmax(near))]) if near.any() else float(recording.time[-1])
     swerve = whole_counts(recording, shaft, after)
     swing = pushed(recording, shaft, position=True)[-last.size :]
-    window = MOST_COUNTS + swerve
-    direction = 1.0 if target >= position[0] else -1.0
-    arrived = stays_from(recording, position, target - window, target + window)
     return Move(
-        overshoot=max(float((direction * (position - target)).max()), 0.0) + 0.0,
+        recording,
+        overshoot=overshoot(recording, target),
         cycle=float(np.ptp(last)),
         error=float(np.abs(last - target).mean()),
-        settling=None if arrived is None else max(arrived - ramp_end, 0.0),
-        recording=recording,
+        settling=arrives(recording, target, MOST_COUNTS + swerve, ramp_end),
         swerve=swerve,
         swing=float(round(np.ptp(swing))),
     )
@@ -101,13 +90,10 @@ def measure(recording: Recording, target: int, ramp_end: float, shaft: AxisPlant
 
 def travel(board: Board, axis: int, turns: float, ramp: bool, settle: float = SETTLE) -> Move:
     """Move one axis by some turns from where it is; it may take `settle` to arrive [s]."""
-    limits = board.read("param.speed_limit")
-    assert isinstance(limits, list)
-    most = limits[axis]
-    start = position_of(board, axis)
+    limit, start = get_axis(board, "param.speed_limit", axis), position_of(board, axis)
     target = start + round(turns * COUNTS_PER_TURN)
     distance = abs(target - start) * COUNT
-    duration = max(distance / (RAMP_SPEED * most), RAMP_LEAST) if ramp else distance / most
+    duration = max(distance / (RAMP_SPEED * limit), RAMP_LEAST) if ramp else distance / limit
 
     def act(k: int) -> None:
         if ramp and k * TICK <= duration + TICK:
@@ -115,53 +101,40 @@ def travel(board: Board, axis: int, turns: float, ramp: bool, settle: float = SE
         elif not ramp and k == 0:
             command_position(board, axis, target)
 
-    shaft = board.plant.axes[axis]
-    return measure(watch(board, [axis], duration + settle + REST, act)[axis], target, duration, shaft)
+    recording = watch(board, [axis], duration + settle + REST, act)[axis]
+    return measure(recording, target, duration, board.plant.axes[axis])
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Every distance as step and as ramp, there and back, each axis by itself."""
-    rows: list[Row] = []
-    panels: list[Panel] = []
     speeds, lowered = move_speeds(plant, seed, together=False)
     settles = path_settles(plant, seed, SETTLE)
     with spinning(plant, seed) as board:
         for axis, speed in enumerate(speeds):
             set_axis(board, "param.speed_limit", axis, speed)
-        for distance in DISTANCES:
-            for ramp in (False, True):
-                how = f"{'ramp' if ramp else 'step'} of {distance:g} turns"
-                way = -distance if ramp else distance
-                moves = [travel(board, axis, way, ramp, settle) for axis, settle in enumerate(settles)]
-                for axis, (move, settle) in enumerate(zip(moves, settles, strict=True)):
-                    rows.extend(_rows(f"{axis_name(axis)} {how}", move, settle))
-                if not ramp:
-                    panels.extend(_panels(how, moves))
-    notes = ["settling: after the end of the speed-limited set-point", *([lowered] if lowered else [])]
-    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+        for distance, ramp in itertools.product(DISTANCES, (False, True)):
+            how, way = f"{'ramp' if ramp else 'step'} of {distance:g} turns", -distance if ramp else distance
+            moves = [travel(board, axis, way, ramp, settle) for axis, settle in enumerate(settles)]
+            for axis, (move, settle) in enumerate(zip(moves, settles, strict=True)):
+                judge, within = Judge(f"{axis_name(axis)} {how}, ", SEED_NONE), MOST_COUNTS + move.swerve
+                calm = MOST_COUNTS + move.swing
+                yield judge("overshoot", move.overshoot, "counts", most=within, seed=SEED_OVERSHOOT)
+                yield judge("limit cycle", move.cycle, "counts", most=calm, seed=SEED_CYCLE)
+                yield judge("steady-state error", move.error, "counts", most=within)
+                yield judge("settling", move.settling, "s", most=settle)
+            if not ramp:
+                yield from _panels(how, [move.recording for move in moves])
+    yield "settling: after the end of the speed-limited set-point"
+    yield lowered
 
 
-def _rows(what: str, move: Move, settle: float) -> tuple[Row, ...]:
-    within, calm = Bound(most=MOST_COUNTS + move.swerve), Bound(most=MOST_COUNTS + move.swing)
-    return (
-        Row(f"{what}, overshoot", SEED_OVERSHOOT, move.overshoot, "counts", within),
-        Row(f"{what}, limit cycle", SEED_CYCLE, move.cycle, "counts", calm),
-        Row(f"{what}, steady-state error", SEED_NONE, move.error, "counts", within),
-        Row(f"{what}, settling", SEED_NONE, move.settling, "s", Bound(most=settle)),
-    )
-
-
-def _panels(how: str, moves: list[Move]) -> tuple[Panel, Panel]:
+def _panels(how: str, recordings: list[Recording]) -> Iterator[Panel]:
     whole: list[Curve] = []
-    error: list[Curve] = []
-    for axis, move in enumerate(moves):
-        r, colour = move.recording, f"C{axis}"
-        turns = (r.position - r.position[0]) / COUNTS_PER_TURN
-        shaped = (r.position_ref - r.position[0]) / COUNTS_PER_TURN
-        whole.append(Curve(axis_name(axis), r.time, turns, colour))
-        whole.append(Curve(f"{axis_name(axis)} set-point", r.time, shaped, f"{colour}--"))
-        error.append(Curve(axis_name(axis), r.time, r.position_ref - r.position))
-    return (
-        Panel(how, "time [s]", "position [turns]", tuple(whole)),
-        Panel(f"{how}: shaped set-point - position", "time [s]", "difference [counts]", tuple(error)),
-    )
+    for axis, r in enumerate(recordings):
+        for what, y, style in (("", r.position, ""), (" set-point", r.position_ref, "--")):
+            turns = (y - r.position[0]) / COUNTS_PER_TURN
+            whole.append(Curve(axis_name(axis) + what, r.time, turns, f"C{axis}{style}"))
+    yield Panel(how, "time [s]", "position [turns]", whole)
+    error = [Curve(axis_name(axis), r.time, r.position_ref - r.position) for axis, r in enumerate(recordings)]
+    yield Panel(f"{how}: shaped set-point - position", "time [s]", "difference [counts]", error)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,8 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
-from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.rig import TICK, choose_mode, command_speed, set_axis, spinning, watch
+from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
+from servo_twin.experiments.rig import TICK, Recording, choose_mode, set_axis, set_up, spinning, watch
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "real-shaft"
@@ -43,48 +43,31 @@ FINE: Final = PERIOD_NS * 1e-9  # [s]
 
 @dataclass(frozen=True)
 class Seen:
-    """One figure.
-
-    Attributes
-    ----------
-    value, expected : float
-        What the drive shows and what the equation says, in the unit of the effect.
-    x, y : ndarray
-        Its curve.
-    """
+    """One figure with its curve."""
 
     value: float
+    """What the drive shows, in the unit of the effect."""
     expected: float
+    """What the equation says, likewise."""
     x: NDArray[np.float64]
     y: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One part of the plant.
-
-    Attributes
-    ----------
-    name : str
-        Of its figure.
-    unit : str
-        Of the figure.
-    tolerance : float
-        Of the figure, relative to what the equation says.
-    changes : callable
-        Values of the plant for a motor.
-    measure : callable
-        The figure of an axis on a board that spins.
-    labels : tuple of str
-        Of the curve's axes.
-    """
+    """One part of the plant."""
 
     name: str
+    """Of its figure."""
     unit: str
     tolerance: float
+    """Of the figure, relative to what the equation says."""
     changes: Callable[[AxisPlant], Mapping[str, float]]
+    """Values of the plant for a motor."""
     measure: Callable[[Board, int], Seen]
-    labels: tuple[str, str]
+    """The figure of an axis on a board that spins."""
+    x_label: str
+    y_label: str
 
 
 # ---- measurements ----------------------------------------------------------------------------------------------------
@@ -114,10 +97,9 @@ def ringing(board: Board, axis: int) -> Seen:
     return Seen(float(frequencies[np.argmin([left(f) for f in frequencies])]), shaft.resonance, part.time, part.speed)
 
 
-def held_speed(board: Board, axis: int, speed: float, seconds: float) -> Any:
+def held_speed(board: Board, axis: int, speed: float, seconds: float) -> Recording:
     """Recording at a speed."""
-    choose_mode(board, axis, "SPEED")
-    command_speed(board, axis, speed)
+    set_up(board, axis, "SPEED", speed)
     watch(board, [axis], SETTLE)
     return watch(board, [axis], seconds)[axis]
 
@@ -229,52 +211,48 @@ def second_mass(shaft: AxisPlant, frequency: float) -> dict[str, float]:
 
 EFFECTS: Final = (
     Effect(
-        "resonance in the speed", "Hz", 0.03, lambda a: second_mass(a, RESONANCE), ringing,
-        ("time [s]", "speed [rad/s]"),
+        "resonance in the speed", "Hz", 0.03,
+        lambda a: second_mass(a, RESONANCE), ringing, "time [s]", "speed [rad/s]",
     ),
     Effect(
         "lost motion of the load", "rad", 0.05,
-        lambda a: {**second_mass(a, 4.0 * RESONANCE), "backlash": GAP}, lost_motion,
-        ("time [s]", "load - rotor [rad]"),
+        lambda a: {**second_mass(a, 4.0 * RESONANCE), "backlash": GAP}, lost_motion, "time [s]", "load - rotor [rad]",
     ),
     Effect(
-        "ripple of the true speed, once per turn", "rad/s", 0.2, lambda a: {"disc_eccentricity": ECCENTRICITY},
-        speed_ripple, ("time [s]", "speed [rad/s]"),
+        "ripple of the true speed, once per turn", "rad/s", 0.2,
+        lambda a: {"disc_eccentricity": ECCENTRICITY}, speed_ripple, "time [s]", "speed [rad/s]",
     ),
     Effect(
         "current that answers the cogging", "A", 0.1,
-        lambda a: {"cogging_torque": COGGING * a.torque_constant, "cogging_periods": PERIODS}, current_ripple,
-        ("angle [rad]", "i_q [A]"),
+        lambda a: {"cogging_torque": COGGING * a.torque_constant, "cogging_periods": PERIODS},
+        current_ripple, "angle [rad]", "i_q [A]",
     ),
     Effect(
-        "L_q at the saturation's current", "mH", 0.1, lambda a: {"i_saturation_q": I_SATURATION}, inductance,
-        ("time [ms]", "u_q [V]"),
+        "L_q at the saturation's current", "mH", 0.1,
+        lambda a: {"i_saturation_q": I_SATURATION}, inductance, "time [ms]", "u_q [V]",
     ),
     Effect(
-        "R of a warm winding", "ohm", 0.05, lambda a: {"winding_warms": 1.0, "winding_capacity": 1e6}, resistance,
-        ("time [ms]", "u_q [V]"),
+        "R of a warm winding", "ohm", 0.05,
+        lambda a: {"winding_warms": 1.0, "winding_capacity": 1e6}, resistance, "time [ms]", "u_q [V]",
     ),
     Effect(
-        "psi_m of a warm magnet", "mV s", 0.03, lambda a: {"magnet_coefficient": WEAKER, "magnet_time": 1e6}, magnet,
-        ("time [s]", "u_q [V]"),
+        "psi_m of a warm magnet", "mV s", 0.03,
+        lambda a: {"magnet_coefficient": WEAKER, "magnet_time": 1e6}, magnet, "time [s]", "u_q [V]",
     ),
 )  # fmt: skip
 """Each part alone."""
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Every part on both axes."""
-    rows: list[Row] = []
-    panels: list[Panel] = []
     for effect in EFFECTS:
         curves: list[Curve] = []
         for axis in range(AXES):
             changed = plant.with_axis(axis, **effect.changes(plant.axes[axis]))
             with spinning(changed, seed) as board:
                 seen = effect.measure(board, axis)
-            most = effect.tolerance * seen.expected
-            bound = Bound(seen.expected - most, seen.expected + most)
-            rows.append(Row(f"{axis_name(axis)}, {effect.name}", BEYOND, seen.value, effect.unit, bound))
+            judge, off = Judge(f"{axis_name(axis)}, "), effect.tolerance * seen.expected
+            yield judge.near(effect.name, seen.value, effect.unit, seen.expected, off)
             curves.append(Curve(axis_name(axis), seen.x, seen.y))
-        panels.append(Panel(effect.name, *effect.labels, tuple(curves)))
-    return Outcome(NAME, tuple(rows), tuple(panels))
+        yield Panel(effect.name, effect.x_label, effect.y_label, curves)

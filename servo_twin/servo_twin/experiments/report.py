@@ -12,7 +12,7 @@ from typing import Any, Final
 from servo_twin.experiments.outcome import Outcome, Panel
 from servo_twin.figure import new_figure
 
-__all__ = ["SUMMARY", "draw", "summary", "table", "update_summary"]
+__all__ = ["SUMMARY", "columns", "draw", "summary", "table", "update_summary"]
 
 SUMMARY: Final = "summary.json"
 _HEAD: Final = ("figure", "measured", "unit", "bound", "agrees", "the reference design")
@@ -25,6 +25,12 @@ def _number(value: float | None) -> str:
     return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
 
 
+def columns(lines: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of cells, every column as wide as its widest cell."""
+    widths = [max(map(len, cells)) for cells in zip(*lines, strict=True)]
+    return ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
+
+
 def table(outcome: Outcome) -> str:
     """Rows of an outcome for people."""
     lines = [
@@ -34,10 +40,8 @@ def table(outcome: Outcome) -> str:
             for r in outcome.rows
         ),
     ]
-    widths = [max(len(line[k]) for line in lines) for k in range(len(_HEAD) - 1)]
     text = [f"{outcome.name}, level {outcome.level}" if outcome.level else outcome.name, ""]
-    for line in lines:
-        cells = "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=False))
+    for cells, line in zip(columns([line[:-1] for line in lines]), lines, strict=True):
         wrapped = textwrap.wrap(line[-1], _WIDTH) or [""]
         text.append(f"  {cells}  {wrapped[0]}".rstrip())
         text.extend(" " * (len(cells) + 4) + more for more in wrapped[1:])

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,22 +27,29 @@ __all__ = [
     "TICK",
     "TICK_NS",
     "Recording",
+    "arrives",
+    "at",
     "at_level",
     "choose_mode",
     "command_position",
     "command_speed",
     "edge_shift",
     "features",
-    "flag_mask",
+    "flags_of",
     "fresh_board",
+    "get_axis",
+    "largest",
     "level",
+    "overshoot",
     "position_of",
     "positive",
     "prepared",
     "set_axis",
+    "set_up",
     "spinning",
     "stays_from",
     "watch",
+    "word",
 ]
 
 TICK_NS: Final = PERIOD_NS * SLOW_PERIODS
@@ -66,41 +73,31 @@ SLOW: Final = 0.2 * COUNT / TICK  # hardly moves between what truth and snapshot
 
 @dataclass(frozen=True)
 class Recording:
-    """One axis over time, one entry per slow tick.
-
-    Attributes
-    ----------
-    time : ndarray
-        Since the beginning of the recording [s].
-    position : ndarray
-        What the firmware reports [counts].
-    position_ref, speed_ref, speed, i_q_ref, i_q, i_d, u_d, u_q : ndarray
-        What the firmware reports [counts], [rad/s], [A], [V].
-    limits, faults, state, substate : ndarray
-        Words of the firmware.
-    theta, omega, i_q_true, torque, u_dc : ndarray
-        Truth of the plant: mechanical angle [rad] and speed [rad/s], current [A], air-gap torque [N m], bus [V].
-    """
+    """One axis over time, one entry per slow tick."""
 
     time: NDArray[np.float64]
+    """Since the beginning of the recording [s]."""
     position: NDArray[np.float64]
-    position_ref: NDArray[np.float64]
-    speed_ref: NDArray[np.float64]
-    speed: NDArray[np.float64]
-    i_q_ref: NDArray[np.float64]
-    i_q: NDArray[np.float64]
-    i_d: NDArray[np.float64]
-    u_d: NDArray[np.float64]
-    u_q: NDArray[np.float64]
+    """What the firmware reports [counts]; the following ones likewise."""
+    position_ref: NDArray[np.float64]  # [counts]
+    speed_ref: NDArray[np.float64]  # [rad/s]
+    speed: NDArray[np.float64]  # [rad/s]
+    i_q_ref: NDArray[np.float64]  # [A]
+    i_q: NDArray[np.float64]  # [A]
+    i_d: NDArray[np.float64]  # [A]
+    u_d: NDArray[np.float64]  # [V]
+    u_q: NDArray[np.float64]  # [V]
     limits: NDArray[np.int64]
+    """Words of the firmware; the following ones likewise."""
     faults: NDArray[np.int64]
     state: NDArray[np.int64]
     substate: NDArray[np.int64]
     theta: NDArray[np.float64]
-    omega: NDArray[np.float64]
-    i_q_true: NDArray[np.float64]
-    torque: NDArray[np.float64]
-    u_dc: NDArray[np.float64]
+    """Truth of the plant: mechanical angle [rad]; the following ones likewise."""
+    omega: NDArray[np.float64]  # mechanical speed [rad/s]
+    i_q_true: NDArray[np.float64]  # [A]
+    torque: NDArray[np.float64]  # of the air gap [N m]
+    u_dc: NDArray[np.float64]  # of the bus [V]
 
     @property
     def shaft(self) -> NDArray[np.float64]:
@@ -243,30 +240,16 @@ def _refuse_faults(board: Board, log: NDArray[np.void]) -> None:
 def _recording(
     board: Board, log: NDArray[np.void], axis: int, truths: list[tuple[float, float, float, float, float]]
 ) -> Recording:
-    name = axis_name(axis)
-    si = board.si(log)
-    theta, omega, i_q_true, torque, u_dc = np.array(truths).T
-    return Recording(
-        time=TICK * np.arange(1, log.size + 1, dtype=np.float64),
-        position=log[f"{name}.position"].astype(np.float64),
-        position_ref=log[f"{name}.position_ref"].astype(np.float64),
-        speed_ref=si[f"{name}.speed_ref"],
-        speed=si[f"{name}.speed"],
-        i_q_ref=si[f"{name}.i_q_ref"],
-        i_q=si[f"{name}.i_q"],
-        i_d=si[f"{name}.i_d"],
-        u_d=si[f"{name}.u_d"],
-        u_q=si[f"{name}.u_q"],
-        limits=log[f"{name}.limits"].astype(np.int64),
-        faults=log[f"{name}.faults"].astype(np.int64),
-        state=log[f"{name}.state"].astype(np.int64),
-        substate=log[f"{name}.substate"].astype(np.int64),
-        theta=theta,
-        omega=omega,
-        i_q_true=i_q_true,
-        torque=torque,
-        u_dc=u_dc,
-    )
+    name, si = axis_name(axis), board.si(log)
+    columns: dict[str, Any] = {"time": TICK * np.arange(1, log.size + 1, dtype=np.float64)}
+    for signal in ("position", "position_ref"):
+        columns[signal] = log[f"{name}.{signal}"].astype(np.float64)
+    for signal in ("speed_ref", "speed", "i_q_ref", "i_q", "i_d", "u_d", "u_q"):
+        columns[signal] = si[f"{name}.{signal}"]
+    for signal in ("limits", "faults", "state", "substate"):
+        columns[signal] = log[f"{name}.{signal}"].astype(np.int64)
+    true = ("theta", "omega", "i_q_true", "torque", "u_dc")
+    return Recording(**columns, **dict(zip(true, np.array(truths).T, strict=True)))
 
 
 def set_axis(board: Board, name: str, axis: int, value: float) -> None:
@@ -281,6 +264,11 @@ def _write_element(board: Board, name: str, axis: int, raw: int) -> None:
     board.write_memory(board.address(name) + axis * variable.element_size, data)
 
 
+def get_axis(board: Board, name: str, axis: int) -> float:
+    """One element of an array variable [SI]."""
+    return float(np.asarray(board.read(name))[axis])
+
+
 def features(board: Board, axis: int, **switches: bool) -> None:
     """Switch parts of the control on or off by the names of the catalogue, e.g. ``ANTI_WINDUP=False``."""
     masks = {flag.name: flag.mask for flag in board.catalogue.flags["features"]}
@@ -290,19 +278,76 @@ def features(board: Board, axis: int, **switches: bool) -> None:
     _write_element(board, "param.features", axis, word)
 
 
-def flag_mask(board: Board, word: str, name: str) -> int:
-    """Mask of a flag by the names of the catalogue, e.g. ``flag_mask(board, "limits", "SPEED")``."""
-    return next(flag.mask for flag in board.catalogue.flags[word] if flag.name == name)
-
-
 def choose_mode(board: Board, axis: int, mode: str) -> None:
     """Write the mode of one axis by its name: POSITION, SPEED or TORQUE."""
     _write_element(board, "cmd.mode", axis, board.catalogue.enums["control_mode_t"][mode])
 
 
+def set_up(
+    board: Board,
+    axis: int,
+    mode: str | None = None,
+    speed: float | None = None,
+    *,
+    parameters: Mapping[str, float] | None = None,
+    **switches: bool,
+) -> None:
+    """Prepare one axis.
+
+    Parameters
+    ----------
+    board, axis
+        Which one (index).
+    mode : str, optional
+        POSITION, SPEED or TORQUE.
+    speed : float, optional
+        Set-point [rad/s].
+    parameters : mapping, optional
+        Values [SI] of parameters, by their names without ``param.``.
+    **switches : bool
+        As for `features`.
+    """
+    if switches:
+        features(board, axis, **switches)
+    for name, value in (parameters or {}).items():
+        set_axis(board, f"param.{name}", axis, value)
+    if mode is not None:
+        choose_mode(board, axis, mode)
+    if speed is not None:
+        command_speed(board, axis, speed)
+
+
+def largest(board: Board, parameter: str) -> float:
+    """The most that a parameter can be set to [SI]."""
+    most = board.catalogue[f"param.{parameter}"].maximum
+    assert most is not None
+    return most
+
+
+def at(events: Mapping[float, Callable[[], object]]) -> Callable[[int], None]:
+    """For `watch`: what happens at which time since the beginning [s]."""
+    due = {round(time / TICK): do for time, do in events.items()}
+
+    def act(k: int) -> None:
+        if k in due:
+            due[k]()
+
+    return act
+
+
+def word(board: Board, axis: int, name: str) -> int:
+    """A variable of an axis as it stands in memory."""
+    return board.read_raw(f"{axis_name(axis)}.{name}")[0]
+
+
+def flags_of(board: Board, axis: int, name: str) -> set[str]:
+    """Flags that are set in a word of an axis, such as ``faults``, by their names."""
+    return {flag.name for flag in board.catalogue.active(name, word(board, axis, name))}
+
+
 def position_of(board: Board, axis: int) -> int:
     """Position that the firmware reports now [counts]."""
-    return board.read_raw(f"{axis_name(axis)}.position")[0]
+    return word(board, axis, "position")
 
 
 def command_position(board: Board, axis: int, counts: int) -> None:
@@ -322,6 +367,18 @@ def stays_from(recording: Recording, signal: NDArray[np.float64], low: float, hi
         return 0.0
     last = int(outside[-1])
     return float(recording.time[last]) if last + 1 < recording.time.size else None
+
+
+def arrives(recording: Recording, target: float, within: float, since: float) -> float | None:
+    """Time from `since` until the position stays within so many counts of a target [s]; None when it does not."""
+    time = stays_from(recording, recording.position, target - within, target + within)
+    return None if time is None else max(time - since, 0.0)
+
+
+def overshoot(recording: Recording, target: float) -> float:
+    """Farthest position beyond the target of a move that begins with the recording [counts]."""
+    direction = 1.0 if target >= recording.position[0] else -1.0
+    return max(float((direction * (recording.position - target)).max()), 0.0) + 0.0
 
 
 def positive(text: str) -> int:

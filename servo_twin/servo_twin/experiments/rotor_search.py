@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import Board
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.rig import COUNT, TICK, TICK_NS, fresh_board, level
 from servo_twin.level import Level
 from servo_twin.plant import AxisPlant, PlantConfig
@@ -59,24 +59,15 @@ REST_TICKS: Final = 5  # shortest pause between two vectors, in slow ticks; nois
 
 @dataclass(frozen=True)
 class Harm:
-    """What keeps a search from succeeding.
-
-    Attributes
-    ----------
-    name : str
-        For people.
-    fault : str
-        Name that the firmware has to give it.
-    do : callable
-        Does it to an axis of a board.
-    most : float
-        Time until the fault is named [s].
-    """
+    """What keeps a search from succeeding."""
 
     name: str
     fault: str
+    """Name that the firmware has to give it."""
     do: Callable[[Board, int], None]
+    """Does it to an axis of a board."""
     most: float = NAMED_MOST
+    """Time until the fault is named [s]."""
 
 
 HELD: Final = Harm("shaft held", "ROTOR_SEARCH", lambda board, axis: board.lock_shaft(axis))
@@ -104,44 +95,37 @@ against 1.4 V. Without any friction only the viscous one would be left, with a t
 18 vectors that it takes to recognise an encoder that counts backwards; the search gives up after 5 s (ROTOR_SEARCH).
 With this part of the friction the shaft rests within 0.1 s.
 """
-PLAY: Final = (3.6, 0.5)
-"""An obstructed shaft that can twitch, by so many counts to both sides: held, or found where it is."""
+TWITCHING: Final = Harm(
+    "twitching from stop to stop",
+    "ROTOR_SEARCH",
+    lambda board, axis: board.obstruct_shaft(axis, 3.6 * COUNT, 0.5 * COUNT),
+    NAMED_LATE,
+)
+"""An obstructed shaft that can twitch, by some counts to both sides: held, or found where it is."""
 UNDER_WAY: Final = (0.08, 0.10, 0.12, 0.14, 0.16, 0.18)
 """Times after the enable at which a search is harmed under way [s]; the first vector begins to pull after 0.06 s."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """One search of one axis.
-
-    Attributes
-    ----------
-    error : float or None
-        Found minus true electrical angle [degrees]; None when nothing was found.
-    searches : int
-        Vectors tried.
-    time : float
-        Length of ALIGN [s].
-    movement : float
-        From the lowest to the highest position of the shaft [degrees mechanical].
-    current : float
-        Largest current [A].
-    faults : frozenset of str
-        Names of the faults at the end.
-    counts : ndarray
-        Position over time [counts].
-    theta_m : ndarray
-        Angle of the current vector over time [degrees electrical], NaN while none pulls; empty unless traced.
-    """
+    """One search of one axis."""
 
     error: float | None
+    """Found minus true electrical angle [degrees]; None when nothing was found."""
     searches: int
+    """Vectors tried."""
     time: float
+    """Length of ALIGN [s]."""
     movement: float
+    """From the lowest to the highest position of the shaft [degrees mechanical]."""
     current: float
+    """Largest current [A]."""
     faults: frozenset[str]
+    """Names of the faults at the end."""
     counts: NDArray[np.float64]
+    """Position over time [counts]."""
     theta_m: NDArray[np.float64]
+    """Angle of the current vector over time [degrees electrical], NaN while none pulls; empty unless traced."""
 
 
 def wrapped(degrees: float) -> float:
@@ -182,7 +166,6 @@ def find(
     trace : bool
         Also keep the angle of the current vector, which only the plant knows.
     """
-    harmed = tuple(axes) if harm is not None else ()
     with fresh_board(plant, seed) as board:
         board.advance(BOOT_NS)
         board.write("cmd.enable", [1] * AXES)
@@ -190,14 +173,14 @@ def find(
         vectors: list[list[float]] = [[] for _ in range(AXES)]
         found: list[float | None] = [None] * AXES
         spins, done = [False] * AXES, [False] * AXES
-        spin = board.catalogue.enums["substate_t"]["SPIN"]
-        run = board.catalogue.enums["state_t"]["RUN"]
-        looks = round(SEARCH_MOST / (TICK if trace else LOOK))
-        for look in range(looks):
-            if harm is not None and look == round(after / (TICK if trace else LOOK)):
-                for axis in harmed:
+        enums = board.catalogue.enums
+        closed_loop = enums["state_t"]["RUN"], enums["substate_t"]["SPIN"]
+        pause = TICK if trace else LOOK
+        for look in range(round(SEARCH_MOST / pause)):
+            if harm is not None and look == round(after / pause):
+                for axis in axes:
                     harm.do(board, axis)
-            rows = board.record(board.time_ns + (TICK_NS if trace else round(LOOK / TICK) * TICK_NS))
+            rows = board.record(board.time_ns + round(pause / TICK) * TICK_NS)
             logs.append(rows.tobytes())
             last = rows[-1]
             for axis in range(AXES):
@@ -206,11 +189,10 @@ def find(
                     vectors[axis].append(_vector(board, axis))
                 if spins[axis] and found[axis] is None:
                     done[axis] = True
-                    pole_pairs = plant.axes[axis].pole_pairs
-                    true = math.degrees(pole_pairs * board.truth(axis).theta_m)
+                    true = math.degrees(plant.axes[axis].pole_pairs * board.truth(axis).theta_m)
                     found[axis] = wrapped(180.0 / 32768.0 * float(last[f"{name}.theta_e"]) - true)
                 # Seen in this look, read in the next one: the fast loop has then used the angle.
-                spins[axis] = last[f"{name}.state"] == run and last[f"{name}.substate"] == spin
+                spins[axis] = (last[f"{name}.state"], last[f"{name}.substate"]) == closed_loop
                 done[axis] = done[axis] or bool(last[f"{name}.faults"])
             if all(done):
                 break
@@ -246,15 +228,10 @@ def _search(board: Board, log: NDArray[np.void], axis: int, error: float | None,
         time=TICK * counts.size,
         movement=float(np.degrees(np.ptp(counts) * COUNT)) if counts.size else 0.0,
         current=float(current.max(initial=0.0)),
-        faults=_named(board, int(log[f"{name}.faults"][-1])),
+        faults=frozenset(flag.name for flag in board.catalogue.active("faults", int(log[f"{name}.faults"][-1]))),
         counts=counts,
         theta_m=theta_m,
     )
-
-
-def _named(board: Board, word: int) -> frozenset[str]:
-    """Names of the bits of a fault word."""
-    return frozenset(flag.name for flag in board.catalogue.flags["faults"] if flag.mask & word)
 
 
 def _driven(current: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -286,142 +263,105 @@ def movement_bound(searches: int) -> float:
     return math.degrees((TWITCH_COUNTS * searches + TURN_COUNTS) * COUNT)
 
 
-def everywhere(plant: PlantConfig, seed: int) -> list[list[Search]]:
-    """Searches from every 5 degrees, by axis."""
-    found = [find(start_at(plant, degrees), seed + k) for k, degrees in enumerate(range(-180, 180, EVERY))]
-    return [[both[axis] for both in found] for axis in range(AXES)]
+def every(found: Iterable[list[Search]]) -> list[list[Search]]:
+    """Searches by axis."""
+    return [list(searches) for searches in zip(*found, strict=True)]
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+def _scaled(plant: PlantConfig, **factors: float) -> PlantConfig:
+    for axis, entry in enumerate(plant.axes):
+        plant = plant.with_axis(axis, **{name: factor * getattr(entry, name) for name, factor in factors.items()})
+    return plant
+
+
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """F16, every 5 degrees under three conditions, the trap, and what has to end in a fault."""
-    rows: list[Row] = []
     first = find(start_at(plant, START_F16), seed, trace=True)
-    rows.extend(_rows_f16(plant, first))
-    rows.extend(_rows_of("from the plant's own angle", plant, [[s] for s in find(plant, seed)]))
+    for axis, search in enumerate(first):
+        judge, halvings = Judge(f"{axis_name(axis)} from 30 degrees, "), search.searches - VERIFICATIONS
+        yield judge("searches", halvings, "", 1.0, SEARCHES_F16, seed="F16: 8")
+        yield from _rows("from 30 degrees", plant, axis, [search])
+    for axis, search in enumerate(find(plant, seed)):
+        yield from _rows("from the plant's own angle", plant, axis, [search])
+    yield _panel_f16("counter", "position [counts]", [s.counts for s in first])
+    yield _panel_f16("vector", "theta_M [degrees electrical]", [s.theta_m for s in first])
+    yield from _everywhere(plant, seed)
+    for axis, search in enumerate(find(start_at(plant, 180.0), seed)):
+        yield next(_rows("rotor at 180 degrees", plant, axis, [search]))
+    yield from _rows_fault(plant, seed)
+    yield "error: 0.7 degrees + asin(Tc / (Kt I)) + 2 counts, electrical"
+    yield f"movement: {TWITCH_COUNTS} counts for every vector, {TURN_COUNTS} more for the last one"
+
+
+def _everywhere(plant: PlantConfig, seed: int) -> Iterator[Item]:
     conditions = {
         "from everywhere": (plant, TIME_F16),
-        "three times the friction": (_scaled(plant, "friction", 3.0), TIME_F16),
-        "three times the inertia": (_scaled(plant, "inertia", 3.0), TIME_F16),
-        "heavy and light-running": (_scaled(_scaled(plant, "inertia", 10.0), "friction", 0.1), TIME_HEAVY),
+        "three times the friction": (_scaled(plant, friction=3.0), TIME_F16),
+        "three times the inertia": (_scaled(plant, inertia=3.0), TIME_F16),
+        "heavy and light-running": (_scaled(plant, inertia=10.0, friction=0.1), TIME_HEAVY),
     }
     errors: list[Curve] = []
     times: list[Curve] = []
     degrees = np.arange(-180, 180, EVERY, dtype=np.float64)
     for condition, (changed, time_max) in conditions.items():
-        by_axis = everywhere(changed, seed)
-        rows.extend(_rows_of(condition, changed, by_axis, time_max))
+        by_axis = every(find(start_at(changed, angle), seed + k) for k, angle in enumerate(range(-180, 180, EVERY)))
         for axis, searches in enumerate(by_axis):
-            label = f"{axis_name(axis)} {condition}"
-            errors.append(
-                Curve(label, degrees, np.array([np.nan if s.error is None else s.error for s in searches]), ".-")
-            )
+            yield from _rows(condition, changed, axis, searches, time_max)
+            label, found = f"{axis_name(axis)} {condition}", [np.nan if s.error is None else s.error for s in searches]
+            errors.append(Curve(label, degrees, np.array(found), ".-"))
             times.append(Curve(label, degrees, np.array([s.time for s in searches]), ".-"))
-    trap = find(start_at(plant, 180.0), seed)
-    rows.extend(_rows_of("rotor at 180 degrees", plant, [[s] for s in trap])[:: len(_FIGURES)])
-    rows.extend(_rows_fault(plant, seed))
-    panels = (
-        _panel_f16("counter", "position [counts]", [s.counts for s in first]),
-        _panel_f16("vector", "theta_M [degrees electrical]", [s.theta_m for s in first]),
-        Panel("final error", "start [degrees electrical]", "error [degrees electrical]", tuple(errors)),
-        Panel("time", "start [degrees electrical]", "time [s]", tuple(times)),
-    )
-    return Outcome(
-        NAME,
-        tuple(rows),
-        panels,
-        (
-            "error: 0.7 degrees + asin(Tc / (Kt I)) + 2 counts, electrical",
-            f"movement: {TWITCH_COUNTS} counts for every vector, {TURN_COUNTS} more for the last one",
-        ),
-    )
+    yield Panel("final error", "start [degrees electrical]", "error [degrees electrical]", errors)
+    yield Panel("time", "start [degrees electrical]", "time [s]", times)
 
 
-def _scaled(plant: PlantConfig, name: str, factor: float) -> PlantConfig:
-    for axis, entry in enumerate(plant.axes):
-        plant = plant.with_axis(axis, **{name: factor * getattr(entry, name)})
-    return plant
+def _rows(
+    condition: str, plant: PlantConfig, axis: int, searches: Sequence[Search], time_max: float = TIME_F16
+) -> Iterator[Row]:
+    """Worst figures of an axis."""
+    judge = Judge(f"{axis_name(axis)} {condition}, ")
+    errors = [s.error for s in searches if s.error is not None]
+    worst = max(map(abs, errors)) if len(errors) == len(searches) else None
+    bound = error_bound(plant.axes[axis], max(s.current for s in searches))
+    yield judge("error", worst, "deg el", most=bound, seed="F16: theta_M is the rotor's angle")
+    yield judge("time", max(s.time for s in searches), "s", most=time_max, seed="F16: within 1.2 s")
+    # The longest movement; but if one is too long for the number of its vectors, that one.
+    longest = max(searches, key=lambda s: (s.movement > movement_bound(s.searches), s.movement))
+    gentle = movement_bound(longest.searches)
+    yield judge("movement", longest.movement, "deg", most=gentle, seed="2.4.3: a tiny shift")
 
 
-_FIGURES: Final = ("error", "time", "movement")
-
-
-def _rows_f16(plant: PlantConfig, searches: Sequence[Search]) -> list[Row]:
-    rows: list[Row] = []
-    for axis, search in enumerate(searches):
-        what = f"{axis_name(axis)} from 30 degrees"
-        halvings = search.searches - VERIFICATIONS
-        rows.append(Row(f"{what}, searches", "F16: 8", halvings, "", Bound(1.0, SEARCHES_F16)))
-        rows.extend(_rows_of("from 30 degrees", plant, [[s] for s in searches])[axis * 3 : axis * 3 + 3])
-    return rows
-
-
-def _rows_of(
-    condition: str, plant: PlantConfig, by_axis: Sequence[Sequence[Search]], time_max: float = TIME_F16
-) -> list[Row]:
-    """Worst figures of each axis."""
-    rows: list[Row] = []
-    for axis, searches in enumerate(by_axis):
-        what = f"{axis_name(axis)} {condition}"
-        errors = [s.error for s in searches if s.error is not None]
-        worst = max(map(abs, errors)) if len(errors) == len(searches) else None
-        bound = error_bound(plant.axes[axis], max(s.current for s in searches))
-        rows.append(Row(f"{what}, error", "F16: theta_M is the rotor's angle", worst, "deg el", Bound(most=bound)))
-        time = max(s.time for s in searches)
-        rows.append(Row(f"{what}, time", "F16: within 1.2 s", time, "s", Bound(most=time_max)))
-        # The longest movement; but if one is too long for the number of its vectors, that one.
-        longest = max(searches, key=lambda s: (s.movement > movement_bound(s.searches), s.movement))
-        gentle = Bound(most=movement_bound(longest.searches))
-        rows.append(Row(f"{what}, movement", "2.4.3: a tiny shift", longest.movement, "deg", gentle))
-    return rows
-
-
-def _rows_fault(plant: PlantConfig, seed: int) -> list[Row]:
+def _rows_fault(plant: PlantConfig, seed: int) -> Iterator[Row]:
     """The named fault, and no other, in time: from many angles, with and without friction, heavy; and under way."""
-    loose = _scaled(plant, "friction", LOOSE[level()])
-    stiff = _scaled(_scaled(plant, "friction", 3.0), "inertia", 3.0)
+    loose, stiff = _scaled(plant, friction=LOOSE[level()]), _scaled(plant, friction=3.0, inertia=3.0)
     starts = [(changed, degrees) for changed in (plant, loose, stiff) for degrees in range(-170, 180, HARM_EVERY)]
-    rows: list[Row] = []
+
+    def from_everywhere(harm: Harm) -> list[list[Search]]:
+        return every(find(start_at(changed, d), seed + k, harm=harm) for k, (changed, d) in enumerate(starts))
+
     for harm in HARMS:
-        found = [find(start_at(changed, d), seed + k, harm=harm) for k, (changed, d) in enumerate(starts)]
-        rows.extend(_rows_named(harm, "", [[both[axis] for both in found] for axis in range(AXES)]))
+        yield from _rows_named(harm, "", from_everywhere(harm))
     for harm in (HELD, UNPLUGGED):
-        found = [
-            find(start_at(plant, d), seed + k, harm=harm, after=after)
-            for k, (d, after) in enumerate(itertools.product((-101.0, 64.0), UNDER_WAY))
-        ]
-        rows.extend(_rows_named(harm, " under way", [[both[axis] for both in found] for axis in range(AXES)]))
-    twitches = Harm("twitching from stop to stop", "ROTOR_SEARCH", _leave_play, NAMED_LATE)
-    found = [find(start_at(changed, d), seed + k, harm=twitches) for k, (changed, d) in enumerate(starts)]
-    for axis in range(AXES):
-        searches = [both[axis] for both in found]
+        when = enumerate(itertools.product((-101.0, 64.0), UNDER_WAY))
+        found = every(find(start_at(plant, d), seed + k, harm=harm, after=after) for k, (d, after) in when)
+        yield from _rows_named(harm, " under way", found)
+    for axis, searches in enumerate(from_everywhere(TWITCHING)):
+        judge = Judge(f"{axis_name(axis)} {TWITCHING.name}: ", NOT_SHOWN)
         bound = error_bound(plant.axes[axis], max(s.current for s in searches))
-        true = [s.faults == {twitches.fault} or (s.error is not None and abs(s.error) <= bound) for s in searches]
-        what = f"{axis_name(axis)} {twitches.name}"
-        rows.append(Row(f"{what}: held or found true", "not shown", sum(true) / len(true), "of all", Bound(1.0, 1.0)))
-        rows.append(Row(f"{what}: time", "not shown", max(s.time for s in searches), "s", Bound(most=twitches.most)))
-    return rows
+        true = [s.faults == {TWITCHING.fault} or (s.error is not None and abs(s.error) <= bound) for s in searches]
+        yield judge("held or found true", sum(true) / len(true), "of all", 1.0, 1.0)
+        yield judge("time", max(s.time for s in searches), "s", most=TWITCHING.most)
 
 
-def _leave_play(board: Board, axis: int) -> None:
-    below, above = PLAY
-    board.obstruct_shaft(axis, below * COUNT, above * COUNT)
-
-
-def _rows_named(harm: Harm, when: str, by_axis: Sequence[Sequence[Search]]) -> list[Row]:
+def _rows_named(harm: Harm, when: str, by_axis: Sequence[Sequence[Search]]) -> Iterator[Row]:
     """How many of the searches end in the fault that belongs to the harm."""
-    rows: list[Row] = []
     for axis, searches in enumerate(by_axis):
-        what = f"{axis_name(axis)} {harm.name}{when}"
+        judge = Judge(f"{axis_name(axis)} {harm.name}{when}: ", NOT_SHOWN)
         share = sum(s.faults == {harm.fault} and s.error is None for s in searches) / len(searches)
-        rows.append(Row(f"{what}: {harm.fault}", "not shown", share, "of all", Bound(1.0, 1.0)))
-        rows.append(Row(f"{what}: named", "not shown", max(s.time for s in searches), "s", Bound(most=harm.most)))
-    return rows
+        yield judge(harm.fault, share, "of all", 1.0, 1.0)
+        yield judge("named", max(s.time for s in searches), "s", most=harm.most)
 
 
-def _panel_f16(title: str, label: str, curves: Sequence[NDArray[np.float64]]) -> Panel:
-    return Panel(
-        f"F16, from 30 degrees electrical: {title}",
-        "time [s]",
-        label,
-        tuple(Curve(axis_name(axis), TICK * np.arange(y.size, dtype=np.float64), y) for axis, y in enumerate(curves)),
-    )
+def _panel_f16(title: str, label: str, lines: Sequence[NDArray[np.float64]]) -> Panel:
+    curves = [Curve(axis_name(axis), TICK * np.arange(y.size, dtype=np.float64), y) for axis, y in enumerate(lines)]
+    return Panel(f"F16, from 30 degrees electrical: {title}", "time [s]", label, curves)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import Board
-from servo_twin.experiments.rig import TICK, TICK_NS, choose_mode, command_speed, fresh_board
+from servo_twin.experiments.rig import TICK, TICK_NS, choose_mode, command_speed, fresh_board, get_axis, word
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -21,8 +21,10 @@ __all__ = [
     "back_emf",
     "dead_voltage",
     "degrees",
+    "ended",
     "fault_names",
     "follow",
+    "let_go",
     "limits_of",
     "observing",
     "started",
@@ -38,35 +40,23 @@ LOOK: Final = 0.01  # between two looks at the state [s]
 
 @dataclass(frozen=True)
 class Trace:
-    """One axis over time, one entry per slow tick.
-
-    Attributes
-    ----------
-    time : ndarray
-        Since the beginning [s].
-    theta_e, omega, i_d, i_q : ndarray
-        Truth of the plant: electrical angle [rad], mechanical speed [rad/s], currents [A].
-    angle, speed : ndarray
-        What the observer sees: electrical angle [rad], mechanical speed [rad/s].
-    used : ndarray
-        Electrical angle that the controllers use [rad].
-    speed_ref : ndarray
-        [rad/s]
-    reliable, substate, faults : ndarray
-        Words of the firmware.
-    """
+    """One axis over time, one entry per slow tick."""
 
     time: NDArray[np.float64]
+    """Since the beginning [s]."""
     theta_e: NDArray[np.float64]
-    omega: NDArray[np.float64]
-    i_d: NDArray[np.float64]
-    i_q: NDArray[np.float64]
+    """Truth of the plant: electrical angle [rad]; the following ones likewise."""
+    omega: NDArray[np.float64]  # mechanical speed [rad/s]
+    i_d: NDArray[np.float64]  # [A]
+    i_q: NDArray[np.float64]  # [A]
     angle: NDArray[np.float64]
-    speed: NDArray[np.float64]
+    """What the observer sees: electrical angle [rad]."""
+    speed: NDArray[np.float64]  # mechanical speed [rad/s]
+    reliable: NDArray[np.int64]  # word of the firmware
     used: NDArray[np.float64]
-    speed_ref: NDArray[np.float64]
-    reliable: NDArray[np.int64]
-    substate: NDArray[np.int64]
+    """Electrical angle that the controllers use [rad]."""
+    speed_ref: NDArray[np.float64]  # [rad/s]
+    substate: NDArray[np.int64]  # words of the firmware
     faults: NDArray[np.int64]
 
     def part(self, start: float, end: float | None = None) -> Trace:
@@ -108,15 +98,29 @@ def substate(board: Board, name: str) -> int:
 
 def without_fault(board: Board, axis: int, name: str) -> None:
     """Take a fault out of those that may stop an axis."""
-    mask = next(flag.mask for flag in board.catalogue.flags["faults"] if flag.name == name)
     words = board.read_raw("param.faults_enabled")
-    words[axis] &= ~mask
+    words[axis] &= ~board.catalogue.flag("faults", name).mask
     board.write_raw("param.faults_enabled", words)
 
 
 def fault_names(board: Board, word: int) -> str:
     """Faults of a word by their names; empty when there is none."""
     return "+".join(fault.name for fault in board.catalogue.active("faults", word))
+
+
+def ended(board: Board, axis: int) -> str:
+    """Why an axis no longer turns in closed loop; empty while it does."""
+    if faults := word(board, axis, "faults"):
+        return fault_names(board, faults)
+    return "" if word(board, axis, "substate") == substate(board, "SPIN") else "the axis has switched off"
+
+
+def let_go(board: Board, axis: int) -> bool:
+    """Whether an axis has ended; its load, which would turn the shaft back, ends with it."""
+    if not ended(board, axis):
+        return False
+    board.set_load(axis, 0.0)
+    return True
 
 
 @contextmanager
@@ -145,14 +149,12 @@ def started(plant: PlantConfig, seed: int, speeds: Mapping[int, float]) -> Itera
     with observing(plant, seed) as board:
         for axis, part in speeds.items():
             command_speed(board, axis, part * limits_of(board, axis)[0] / 3.0)
-        spin = substate(board, "SPIN")
         for _ in range(round(START_MOST / LOOK)):
             board.run(LOOK)
             for axis in speeds:
-                word = board.read_raw(f"{axis_name(axis)}.faults")[0]
-                if word:
-                    raise SimulationError(f"{axis_name(axis)} does not start: {fault_names(board, word)}")
-            if all(board.read_raw(f"{axis_name(axis)}.substate")[0] == spin for axis in speeds):
+                if faults := word(board, axis, "faults"):
+                    raise SimulationError(f"{axis_name(axis)} does not start: {fault_names(board, faults)}")
+            if not any(ended(board, axis) for axis in speeds):
                 yield board
                 return
         raise SimulationError(f"no start within {START_MOST:g} s")
@@ -183,8 +185,8 @@ def follow(
             break
         rows.append(board.record(start + (k + 1) * TICK_NS).tobytes())
         for axis, kept in seen.items():
-            truth, name = board.truth(axis), axis_name(axis)
-            raw = [board.read_raw(f"{name}.estimate_{what}")[0] for what in ("theta_e", "speed", "reliable")]
+            truth = board.truth(axis)
+            raw = [word(board, axis, f"estimate_{what}") for what in ("theta_e", "speed", "reliable")]
             kept.append((poles[axis] * truth.theta_m, truth.omega_m, truth.i_d, truth.i_q, *raw))
     log = np.frombuffer(b"".join(rows), board.snapshot_dtype)
     return {axis: _trace(board, log, axis, np.array(kept).reshape(-1, 7).T) for axis, kept in seen.items()}
@@ -192,26 +194,16 @@ def follow(
 
 def _trace(board: Board, log: NDArray[np.void], axis: int, seen: NDArray[np.float64]) -> Trace:
     name = axis_name(axis)
-    theta_e, omega, i_d, i_q, angle, speed, reliable = seen
-    return Trace(
-        time=TICK * np.arange(1, log.size + 1, dtype=np.float64),
-        theta_e=theta_e,
-        omega=omega,
-        i_d=i_d,
-        i_q=i_q,
-        angle=angle * float(board.catalogue[f"{name}.estimate_theta_e"].lsb),
-        speed=speed * float(board.catalogue[f"{name}.estimate_speed"].lsb),
-        used=log[f"{name}.theta_e"] * float(board.catalogue[f"{name}.theta_e"].lsb),
-        speed_ref=log[f"{name}.speed_ref"] * float(board.catalogue[f"{name}.speed_ref"].lsb),
-        reliable=reliable.astype(np.int64),
-        substate=log[f"{name}.substate"].astype(np.int64),
-        faults=log[f"{name}.faults"].astype(np.int64),
-    )
+    columns: dict[str, Any] = dict(zip(list(Trace.__dataclass_fields__)[1:8], seen, strict=True))
+    for column, variable in (("angle", "estimate_theta_e"), ("speed", "estimate_speed")):
+        columns[column] = columns[column] * float(board.catalogue[f"{name}.{variable}"].lsb)
+    for column, variable in (("used", "theta_e"), ("speed_ref", "speed_ref")):
+        columns[column] = log[f"{name}.{variable}"] * float(board.catalogue[f"{name}.{variable}"].lsb)
+    columns |= {flags: log[f"{name}.{flags}"].astype(np.int64) for flags in ("substate", "faults")}
+    columns["reliable"] = columns["reliable"].astype(np.int64)
+    return Trace(time=TICK * np.arange(1, log.size + 1, dtype=np.float64), **columns)
 
 
 def limits_of(board: Board, axis: int) -> tuple[float, float]:
     """Limits of speed [rad/s] and current [A] after reset."""
-    speeds, currents = board.read("param.speed_limit"), board.read("param.i_q_limit")
-    assert isinstance(speeds, list)
-    assert isinstance(currents, list)
-    return float(speeds[axis]), float(currents[axis])
+    return get_axis(board, "param.speed_limit", axis), get_axis(board, "param.i_q_limit", axis)

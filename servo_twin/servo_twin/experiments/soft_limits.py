@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+import itertools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,19 +13,18 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
-from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.plant_limits import move_speeds, path_settles, ripple
 from servo_twin.experiments.rig import (
     COUNT,
     TICK,
     Recording,
-    choose_mode,
+    at,
     command_position,
     command_speed,
-    features,
-    flag_mask,
     position_of,
     set_axis,
+    set_up,
     spinning,
     watch,
 )
@@ -72,55 +73,14 @@ CURRENT_MOST: Final = 1.15
 """Of the limit, the true current, mean over a slow loop; ripple of dead time and noise."""
 
 
-@dataclass(frozen=True)
-class Visit:
-    """A run towards a limit of the position and back.
-
-    Attributes
-    ----------
-    limit : int
-        [counts].
-    out, back : Recording
-        Towards it and, commanded back, away from it.
-    named : float
-        Part of the last half second, before the way back, in which the limit named itself.
-    """
-
-    limit: int
-    out: Recording
-    back: Recording
-    named: float
-
-    @property
-    def beyond(self) -> float:
-        """Farthest true position beyond the limit [counts]; below zero when it was never reached."""
-        return float((self.out.shaft - self.limit).max())
-
-    @property
-    def short(self) -> float:
-        """From where the true shaft ends to the limit [counts]."""
-        return float(self.limit - self.out.shaft[-1])
-
-    @property
-    def returned(self) -> float:
-        """Way back after the command [counts]."""
-        return float(self.out.shaft[-1] - self.back.shaft[-1])
-
-
 Ask = Callable[[Board, int, int], None]
 """Command an axis (index) in view of a limit [counts]."""
 
-
-def _position_out(board: Board, axis: int, limit: int) -> None:
-    command_position(board, axis, limit + round((FAR - AWAY) * COUNTS_PER_TURN))
-
-
-def _position_back(board: Board, axis: int, limit: int) -> None:
-    command_position(board, axis, limit - COUNTS_PER_TURN)
-
-
 MODES: Final[dict[str, tuple[Ask, Ask]]] = {
-    "POSITION": (_position_out, _position_back),
+    "POSITION": (
+        lambda board, axis, limit: command_position(board, axis, limit + round((FAR - AWAY) * COUNTS_PER_TURN)),
+        lambda board, axis, limit: command_position(board, axis, limit - COUNTS_PER_TURN),
+    ),
     "SPEED": (
         lambda board, axis, limit: command_speed(board, axis, SPEED_ASKED),
         lambda board, axis, limit: command_speed(board, axis, -BACK_SPEED),
@@ -133,34 +93,46 @@ MODES: Final[dict[str, tuple[Ask, Ask]]] = {
 """Every mode, with what sends the shaft past the limit and what brings it back."""
 
 
-def visit(plant: PlantConfig, seed: int, mode: str, limited: bool, speeds: list[float]) -> list[Visit]:
-    """Both axes at once towards their limits, the speed limited to `speeds` [rad/s], and back."""
-    go, come = MODES[mode]
+@dataclass(frozen=True)
+class Run:
+    """One axis that was sent into a limit: recording, and the part of the time in which the limit named itself."""
+
+    limit: int
+    """Of the position [counts]."""
+    out: Recording
+    named: float
+    back: Recording | None = None
+    """Commanded back, away from the limit."""
+
+    @property
+    def beyond(self) -> float:
+        """Farthest true position beyond the limit [counts]; below zero when it was never reached."""
+        return float((self.out.shaft - self.limit).max())
+
+
+def _named(recording: Recording, mask: int, seconds: float = FLAG_LAST) -> float:
+    words = recording.limits[-round(seconds / TICK) :]
+    return float(np.mean((words & mask) != 0))
+
+
+def visit(plant: PlantConfig, seed: int, mode: str, limited: bool, speeds: list[float]) -> list[Run]:
+    """Both axes at once towards limits of their positions, the speed limited to `speeds` [rad/s], and back."""
     with spinning(plant, seed) as board:
         limits = [position_of(board, axis) + round(AWAY * COUNTS_PER_TURN) for axis in range(AXES)]
         for axis, limit in enumerate(limits):
-            features(board, axis, POSITION_LIMITS=limited)
-            set_axis(board, "param.position_max", axis, limit * COUNT)
-            set_axis(board, "param.speed_limit", axis, speeds[axis])
-            choose_mode(board, axis, mode)
+            parameters = {"position_max": limit * COUNT, "speed_limit": speeds[axis]}
+            set_up(board, axis, mode, parameters=parameters, POSITION_LIMITS=limited)
 
-        def once(ask: Ask) -> Callable[[int], None]:
-            def act(k: int) -> None:
-                if k == 0:
-                    for axis, limit in enumerate(limits):
-                        ask(board, axis, limit)
+        def all_at_once(ask: Ask) -> None:
+            for axis, limit in enumerate(limits):
+                ask(board, axis, limit)
 
-            return act
-
-        out = watch(board, range(AXES), OUT, once(go))
-        back = watch(board, range(AXES), BACK, once(come))
-        mask = flag_mask(board, "limits", "POSITION")
-    return [Visit(limit, out[a], back[a], _named(out[a], mask)) for a, limit in enumerate(limits)]
-
-
-def _named(recording: Recording, mask: int) -> float:
-    words = recording.limits[-round(FLAG_LAST / TICK) :]
-    return float(np.mean((words & mask) != 0))
+        out, back = (
+            watch(board, range(AXES), seconds, at({0.0: functools.partial(all_at_once, ask)}))
+            for seconds, ask in zip((OUT, BACK), MODES[mode], strict=True)
+        )
+        mask = board.catalogue.flag("limits", "POSITION").mask
+    return [Run(limit, out[axis], _named(out[axis], mask), back[axis]) for axis, limit in enumerate(limits)]
 
 
 def lean(plant: PlantConfig, seed: int, limited: bool) -> list[float]:
@@ -168,173 +140,112 @@ def lean(plant: PlantConfig, seed: int, limited: bool) -> list[float]:
     with spinning(plant, seed) as board:
         limits = [position_of(board, axis) + round(LEAN_AWAY * COUNTS_PER_TURN) for axis in range(AXES)]
         for axis, limit in enumerate(limits):
-            features(board, axis, POSITION_LIMITS=limited)
-            set_axis(board, "param.position_max", axis, limit * COUNT)
-            set_axis(board, "param.speed_limit", axis, LEAN_SPEED)
-            choose_mode(board, axis, "TORQUE")
+            parameters = {"position_max": limit * COUNT, "speed_limit": LEAN_SPEED}
+            set_up(board, axis, "TORQUE", parameters=parameters, POSITION_LIMITS=limited)
             board.set_load(axis, -LEAN * plant.axes[axis].torque_constant)  # a load opposes positive motion
         both = watch(board, range(AXES), LEAN_TIME)
     return [float((both[axis].shaft - limit).max()) for axis, limit in enumerate(limits)]
 
 
-@dataclass(frozen=True)
-class Behind:
-    """A limit that is set behind a shaft at rest.
-
-    Attributes
-    ----------
-    moved, farther, nearer : float
-        Way after the limit has been set, after a target farther out, and after one inside [counts].
-    """
-
-    moved: float
-    farther: float
-    nearer: float
-
-
-def set_behind(plant: PlantConfig, seed: int) -> list[Behind]:
-    """Set the upper limit a little below where both shafts are."""
+def set_behind(plant: PlantConfig, seed: int) -> list[dict[int, Recording]]:
+    """Set the upper limit a little below where both shafts are; then a target farther out, and one inside."""
     settle = max(path_settles(plant, seed, SETTLE))
     with spinning(plant, seed) as board:
         here = [position_of(board, axis) for axis in range(AXES)]
         step = round(BEHIND * COUNTS_PER_TURN)
         for axis, position in enumerate(here):
-            features(board, axis, POSITION_LIMITS=True)
-            set_axis(board, "param.position_max", axis, (position - step) * COUNT)
-        alone = watch(board, range(AXES), settle)
-        for axis, position in enumerate(here):
-            command_position(board, axis, position + step)
-        farther = watch(board, range(AXES), settle)
-        for axis, position in enumerate(here):
-            command_position(board, axis, position - 2 * step)
-        nearer = watch(board, range(AXES), settle)
-    return [
-        Behind(
-            moved=float(np.ptp(alone[axis].shaft)),
-            farther=float(np.ptp(farther[axis].shaft)),
-            nearer=float(nearer[axis].shaft[0] - nearer[axis].shaft[-1]),
-        )
-        for axis in range(AXES)
-    ]
+            parameters = {"position_max": (position - step) * COUNT}
+            set_up(board, axis, parameters=parameters, POSITION_LIMITS=True)
+        found = [watch(board, range(AXES), settle)]
+        for target in (step, -2 * step):
+            for axis, position in enumerate(here):
+                command_position(board, axis, position + target)
+            found.append(watch(board, range(AXES), settle))
+    return found
 
 
-@dataclass(frozen=True)
-class Bounded:
-    """A run into a limit of speed or current: largest true value, and whether the limit named itself."""
-
-    most: float
-    named: float
-    recording: Recording
-
-
-def turn(plant: PlantConfig, seed: int, mode: str, limit: float | None) -> list[Bounded]:
+def turn(plant: PlantConfig, seed: int, mode: str, limit: float | None) -> list[Run]:
     """Both axes are asked for more speed than the limit [rad/s], in speed or torque mode."""
     with spinning(plant, seed) as board:
         for axis in range(AXES):
-            set_axis(board, "param.speed_limit", axis, SPEED_ASKED if limit is None else limit)
-            set_axis(board, "param.acceleration_limit", axis, ACCELERATION)
-            choose_mode(board, axis, mode)
+            speed = SPEED_ASKED if limit is None else limit
+            set_up(board, axis, mode, parameters={"speed_limit": speed, "acceleration_limit": ACCELERATION})
             MODES[mode][0](board, axis, 0)
         both = watch(board, range(AXES), OUT)
-        mask = flag_mask(board, "limits", "SPEED")
-    return [Bounded(float(np.abs(r.omega).max()), _named(r, mask), r) for r in both.values()]
+        mask = board.catalogue.flag("limits", "SPEED").mask
+    return [Run(0, r, _named(r, mask)) for r in both.values()]
 
 
-def push(plant: PlantConfig, seed: int, limit: float | None) -> list[Bounded]:
+def push(plant: PlantConfig, seed: int, limit: float | None) -> list[Run]:
     """Both axes are asked for more current than the limit [A], in torque mode."""
     with spinning(plant, seed) as board:
         for axis in range(AXES):
-            set_axis(board, "param.speed_limit", axis, SPEED_LIMIT)
-            if limit is not None:
-                set_axis(board, "param.i_q_limit", axis, limit)
-            choose_mode(board, axis, "TORQUE")
+            parameters = {"speed_limit": SPEED_LIMIT} | ({} if limit is None else {"i_q_limit": limit})
+            set_up(board, axis, "TORQUE", parameters=parameters)
             board.lock_shaft(axis)
             set_axis(board, "cmd.i_q", axis, 2.0 * CURRENT_LIMIT)
         both = watch(board, range(AXES), SETTLE)
-        mask = flag_mask(board, "limits", "CURRENT")
-    return [Bounded(float(np.abs(r.i_q_true).max()), float(np.mean((r.limits & mask) != 0)), r) for r in both.values()]
+        mask = board.catalogue.flag("limits", "CURRENT").mask
+    return [Run(0, r, _named(r, mask, SETTLE)) for r in both.values()]
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Every limit, without and with, both axes at once."""
     speeds, lowered = move_speeds(plant, seed, together=True)
-    notes = ["beyond: true shaft past the limit", *([lowered] if lowered else [])]
-    rows: list[Row] = []
-    panels: list[Panel] = []
+    yield "beyond: true shaft past the limit"
+    yield lowered
+    names = [axis_name(axis) for axis in range(AXES)]
     for mode in MODES:
         free, limited = (visit(plant, seed, mode, on, speeds) for on in (False, True))
-        most = BEYOND_MOST if mode == "POSITION" else BEYOND_UNHELD_MOST
-        for axis in range(AXES):
-            rows.extend(
-                _rows_visit(f"{axis_name(axis)}, position, {mode.lower()} mode", most, free[axis], limited[axis])
-            )
-        panels.append(_panel(f"limit of the position, {mode.lower()} mode", free, limited))
-    for axis, (free_way, way) in enumerate(zip(lean(plant, seed, False), lean(plant, seed, True), strict=True)):
-        rows.extend(_rows_lean(f"{axis_name(axis)}, position, a load leans on it", free_way, way))
-    for axis, behind in enumerate(set_behind(plant, seed)):
-        rows.extend(_rows_behind(f"{axis_name(axis)}, limit set behind the shaft", behind))
+        for name, *pair in zip(names, free, limited, strict=True):
+            most = BEYOND_MOST if mode == "POSITION" else BEYOND_UNHELD_MOST
+            yield from _rows_visit(Judge(f"{name}, position, {mode.lower()} mode: "), most, *pair)
+        yield _panel(f"limit of the position, {mode.lower()} mode", free, limited)
+    for name, way, limited_way in zip(names, lean(plant, seed, False), lean(plant, seed, True), strict=True):
+        judge = Judge(f"{name}, position, a load leans on it: ")
+        yield judge("beyond without", way, "counts", PASSES_LEAST)
+        yield judge("beyond with", limited_way, "counts", most=BEYOND_UNHELD_MOST)
+    alone, farther, nearer = set_behind(plant, seed)
+    for axis, name in enumerate(names):
+        judge, back = Judge(f"{name}, limit set behind the shaft"), nearer[axis].shaft
+        moved, off = 2.0 * BEHIND * COUNTS_PER_TURN, BEYOND_MOST + 1.0
+        yield judge(": moves", np.ptp(alone[axis].shaft), "counts", most=BEYOND_MOST)
+        yield judge(", target farther out: moves", np.ptp(farther[axis].shaft), "counts", most=BEYOND_MOST)
+        yield judge.near(", target inside: moves", back[0] - back[-1], "counts", moved, off)
     for mode in ("SPEED", "TORQUE"):
-        rows.extend(_rows_speed(mode, turn(plant, seed, mode, None), turn(plant, seed, mode, SPEED_LIMIT)))
-    rows.extend(_rows_current(plant, push(plant, seed, None), push(plant, seed, CURRENT_LIMIT)))
-    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+        free, limited = (turn(plant, seed, mode, limit) for limit in (None, SPEED_LIMIT))
+        for name, *pair in zip(names, free, limited, strict=True):
+            most, least = SPEED_MOST * SPEED_LIMIT, 1.2 * SPEED_LIMIT
+            without, with_it = (float(np.abs(it.out.omega).max()) for it in pair)
+            judge = Judge(f"{name}, speed, {mode.lower()} mode: ")
+            yield judge("highest without", without, "rad/s", least)
+            yield judge("highest with", with_it, "rad/s", most=most)
+            yield judge("names itself", pair[1].named, "of the time", 1.0, 1.0)
+    free, limited = (push(plant, seed, limit) for limit in (None, CURRENT_LIMIT))
+    for axis, name in enumerate(names):
+        judge, pair = Judge(f"{name}, current, torque mode: "), [free[axis], limited[axis]]
+        without, with_it = (float(np.abs(it.out.i_q_true).max()) for it in pair)
+        most = CURRENT_MOST * CURRENT_LIMIT + ripple(plant, axis, CURRENT_LIMIT)
+        yield judge("largest without", without, "A", 1.5 * CURRENT_LIMIT)
+        yield judge("largest with", with_it, "A", most=most)
+        yield judge("names itself", pair[1].named, "of the time", 0.9, 1.0)
 
 
-def _rows_visit(what: str, most: float, free: Visit, limited: Visit) -> tuple[Row, ...]:
-    return (
-        Row(f"{what}: beyond without", BEYOND, free.beyond, "counts", Bound(PASSES_LEAST)),
-        Row(f"{what}: beyond with", BEYOND, limited.beyond, "counts", Bound(most=most), apart=most + NEAR_MOST),
-        Row(f"{what}: stops before", BEYOND, limited.short, "counts", Bound(-most, NEAR_MOST)),
-        Row(f"{what}: names itself", BEYOND, limited.named, "of the time", Bound(1.0, 1.0)),
-        Row(f"{what}: comes back", BEYOND, limited.returned, "counts", Bound(BACK_LEAST)),
-    )
+def _rows_visit(judge: Judge, most: float, free: Run, limited: Run) -> Iterator[Row]:
+    assert limited.back is not None
+    last = limited.out.shaft[-1]
+    yield judge("beyond without", free.beyond, "counts", PASSES_LEAST)
+    yield judge("beyond with", limited.beyond, "counts", most=most, apart=most + NEAR_MOST)
+    yield judge("stops before", limited.limit - last, "counts", -most, NEAR_MOST)
+    yield judge("names itself", limited.named, "of the time", 1.0, 1.0)
+    yield judge("comes back", last - limited.back.shaft[-1], "counts", BACK_LEAST)
 
 
-def _rows_lean(what: str, free: float, limited: float) -> tuple[Row, ...]:
-    return (
-        Row(f"{what}: beyond without", BEYOND, free, "counts", Bound(PASSES_LEAST)),
-        Row(f"{what}: beyond with", BEYOND, limited, "counts", Bound(most=BEYOND_UNHELD_MOST)),
-    )
-
-
-def _rows_behind(what: str, behind: Behind) -> tuple[Row, ...]:
-    still = Bound(most=BEYOND_MOST)
-    step = BEHIND * COUNTS_PER_TURN
-    inside = Bound(2.0 * step - BEYOND_MOST - 1.0, 2.0 * step + BEYOND_MOST + 1.0)
-    return (
-        Row(f"{what}: moves", BEYOND, behind.moved, "counts", still),
-        Row(f"{what}, target farther out: moves", BEYOND, behind.farther, "counts", still),
-        Row(f"{what}, target inside: moves", BEYOND, behind.nearer, "counts", inside),
-    )
-
-
-def _rows_speed(mode: str, free: list[Bounded], limited: list[Bounded]) -> list[Row]:
-    rows: list[Row] = []
-    for axis in range(AXES):
-        what = f"{axis_name(axis)}, speed, {mode.lower()} mode"
-        most = Bound(most=SPEED_MOST * SPEED_LIMIT)
-        rows.append(Row(f"{what}: highest without", BEYOND, free[axis].most, "rad/s", Bound(1.2 * SPEED_LIMIT)))
-        rows.append(Row(f"{what}: highest with", BEYOND, limited[axis].most, "rad/s", most))
-        rows.append(Row(f"{what}: names itself", BEYOND, limited[axis].named, "of the time", Bound(1.0, 1.0)))
-    return rows
-
-
-def _rows_current(plant: PlantConfig, free: list[Bounded], limited: list[Bounded]) -> list[Row]:
-    rows: list[Row] = []
-    for axis in range(AXES):
-        what = f"{axis_name(axis)}, current, torque mode"
-        most = Bound(most=CURRENT_MOST * CURRENT_LIMIT + ripple(plant, axis, CURRENT_LIMIT))
-        rows.append(Row(f"{what}: largest without", BEYOND, free[axis].most, "A", Bound(1.5 * CURRENT_LIMIT)))
-        rows.append(Row(f"{what}: largest with", BEYOND, limited[axis].most, "A", most))
-        rows.append(Row(f"{what}: names itself", BEYOND, limited[axis].named, "of the time", Bound(0.9, 1.0)))
-    return rows
-
-
-def _panel(title: str, free: list[Visit], limited: list[Visit]) -> Panel:
+def _panel(title: str, free: list[Run], limited: list[Run]) -> Panel:
     curves: list[Curve] = []
-    for axis in range(AXES):
-        for label, v in (("without", free[axis]), ("with", limited[axis])):
-            ticks = v.out.shaft < v.limit + 1.5 * COUNTS_PER_TURN
-            curves.append(
-                Curve(f"{axis_name(axis)} {label}", v.out.time[ticks], (v.out.shaft - v.limit)[ticks] / COUNTS_PER_TURN)
-            )
-    return Panel(title, "time [s]", "beyond the limit [turns]", tuple(curves))
+    for axis, (label, runs) in itertools.product(range(AXES), (("without", free), ("with", limited))):
+        time, beyond = runs[axis].out.time, runs[axis].out.shaft - runs[axis].limit
+        shown = beyond < 1.5 * COUNTS_PER_TURN
+        curves.append(Curve(f"{axis_name(axis)} {label}", time[shown], beyond[shown] / COUNTS_PER_TURN))
+    return Panel(title, "time [s]", "beyond the limit [turns]", curves)

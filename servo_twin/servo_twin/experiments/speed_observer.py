@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from typing import Final
 
 import numpy as np
@@ -13,17 +12,17 @@ from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
 from servo_twin.experiments.dead_time_torque import pushed, whole_counts
-from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import Belief, believed
 from servo_twin.experiments.rig import (
     COUNT,
     RPM,
     TICK,
     Recording,
-    choose_mode,
     command_position,
-    command_speed,
     features,
+    position_of,
+    set_up,
     spinning,
     watch,
 )
@@ -63,31 +62,26 @@ MEAN_MOST: Final = 1.0
 BETTER: Final = 1.0
 
 
-@dataclass(frozen=True)
-class Pair:
-    """The same run with the M/T method and with the observer."""
-
-    without: Recording
-    observed: Recording
+Pair = tuple[Recording, Recording]
+"""The same run with the M/T method and with the observer."""
 
 
 def both(plant: PlantConfig, seed: int, axis: int, play: Callable[[Board], Recording]) -> Pair:
-    """Play something to a fresh board, once with and once without the observer."""
+    """Play something to a fresh board, once without and once with the observer."""
 
     def once(observer: bool) -> Recording:
         with spinning(plant, seed) as board:
             features(board, axis, SPEED_OBSERVER=observer)
             return play(board)
 
-    return Pair(once(False), once(True))
+    return once(False), once(True)
 
 
 def creep(plant: PlantConfig, seed: int, axis: int, speed: float) -> Pair:
     """A constant speed [rad/s], once it has settled."""
 
     def play(board: Board) -> Recording:
-        choose_mode(board, axis, "SPEED")
-        command_speed(board, axis, speed)
+        set_up(board, axis, "SPEED", speed)
         return watch(board, [axis], SETTLE + MEASURED)[axis].part(SETTLE)
 
     return both(plant, seed, axis, play)
@@ -103,8 +97,7 @@ def move(plant: PlantConfig, seed: int, axis: int) -> Pair:
 
     def play(board: Board) -> Recording:
         features(board, axis, SPEED_FORWARD=True, ACCELERATION_FORWARD=True)
-        start = board.read_raw(f"{axis_name(axis)}.position")[0]
-        command_position(board, axis, start + round(MOVE * COUNTS_PER_TURN))
+        command_position(board, axis, position_of(board, axis) + round(MOVE * COUNTS_PER_TURN))
         return watch(board, [axis], ARRIVED + HELD)[axis]
 
     return both(plant, seed, axis, play)
@@ -112,10 +105,9 @@ def move(plant: PlantConfig, seed: int, axis: int) -> Pair:
 
 def push(plant: PlantConfig, seed: int, axis: int) -> Pair:
     """A load step at standstill, within what the motor can hold."""
-    motor = plant.axes[axis]
 
     def play(board: Board) -> Recording:
-        board.set_load(axis, 1.5 * motor.pole_pairs * motor.psi_m * LOAD)
+        board.set_load(axis, LOAD * plant.axes[axis].torque_constant)
         return watch(board, [axis], HELD)[axis]
 
     return both(plant, seed, axis, play)
@@ -126,7 +118,7 @@ def rms(recording: Recording, speed: float) -> float:
     return float(np.sqrt(np.mean((recording.omega - speed) ** 2)))
 
 
-def chance(pair: Pair, axis: AxisPlant, speed: float) -> float:
+def chance(without: Recording, axis: AxisPlant, speed: float) -> float:
     """What the ratio of two deviations may be off by chance.
 
     The current that the inverter keeps back disturbs both runs alike. Of its part of the deviation each run shows
@@ -134,8 +126,8 @@ def chance(pair: Pair, axis: AxisPlant, speed: float) -> float:
     relative standard deviation of sqrt(1 / 2 n), and the ratio of two one of sqrt(1 / n).
     """
     edges = MEASURED * speed / COUNT / 2.0
-    disturbed = np.gradient(pushed(pair.without, axis, position=False) * COUNT, TICK)
-    share = min(float(np.mean(disturbed**2)) / rms(pair.without, speed) ** 2, 1.0)
+    disturbed = np.gradient(pushed(without, axis, position=False) * COUNT, TICK)
+    share = min(float(np.mean(disturbed**2)) / rms(without, speed) ** 2, 1.0)
     return share / math.sqrt(edges)
 
 
@@ -149,69 +141,56 @@ def held(recording: Recording) -> float:
     return float(np.ptp(recording.part(ARRIVED).theta)) / COUNT
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Everything on both axes, with and without."""
-    rows: list[Row] = []
-    notes: list[str] = []
-    panels: list[Panel] = []
     for axis, belief in enumerate(believed(plant, seed)):
-        name = axis_name(axis)
-        known = shaft(plant, axis, belief)
+        name, known = axis_name(axis), shaft(plant, axis, belief)
         for rpm in SPEEDS:
-            pair = creep(known, seed, axis, rpm * RPM)
-            what = f"{name} at {rpm:g} rpm"
-            error = 100.0 * abs(float(pair.observed.omega.mean()) / (rpm * RPM) - 1.0)
-            ratio = rms(pair.observed, rpm * RPM) / rms(pair.without, rpm * RPM)
-            better = Bound(most=BETTER + chance(pair, known.axes[axis], rpm * RPM))
-            rows.append(Row(f"{what}, error of the true mean", BEYOND, error, "%", Bound(most=MEAN_MOST)))
-            rows.append(Row(f"{what}, deviation with over without", BEYOND, ratio, "", better))
-            panels.extend([_creep_panel(what, pair, rpm)] if axis == 0 else [])
-        pair = move(known, seed, axis)
-        ratio = following(pair.observed) / following(pair.without)
-        rows.append(Row(f"{name}, following error with over without", BEYOND, ratio, "", Bound(most=BETTER)))
-        panels.extend([_move_panel(name, pair)] if axis == 0 else [])
+            speed, judge = rpm * RPM, Judge(f"{name} at {rpm:g} rpm, ")
+            without, observed = creep(known, seed, axis, speed)
+            error = 100.0 * abs(float(observed.omega.mean()) / speed - 1.0)
+            better = BETTER + chance(without, known.axes[axis], speed)
+            yield judge("error of the true mean", error, "%", most=MEAN_MOST)
+            yield judge("deviation with over without", rms(observed, speed) / rms(without, speed), most=better)
+            if axis == 0:
+                yield _creep_panel(f"{name} at {rpm:g} rpm", without, observed, rpm)
+        judge = Judge(f"{name}, ")
+        moved = without, observed = move(known, seed, axis)
+        ratio = following(observed) / following(without)
+        yield judge("following error with over without", ratio, most=BETTER)
+        if axis == 0:
+            yield _move_panel(name, without, observed)
         for inertia, friction in HOLDS:
             other = shaft(plant, axis, belief, inertia, friction)
-            rest = move(other, seed, axis)
-            what = f"{name} holds, inertia x {inertia:g}, friction x {friction:g}, movement"
-            pushed_most = whole_counts(rest.observed, other.axes[axis], ARRIVED, inertia)
-            calm = Bound(most=max(CYCLE_MOST + 2.0 * pushed_most, held(rest.without)))
-            rows.append(Row(what, BEYOND, held(rest.observed), "counts", calm))
-        notes.extend(_costs(known, seed, axis, pair))
-    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+            without, observed = move(other, seed, axis)
+            pushed_most = whole_counts(observed, other.axes[axis], ARRIVED, inertia)
+            calm = max(CYCLE_MOST + 2.0 * pushed_most, held(without))
+            what = f"{name} holds, inertia x {inertia:g}, friction x {friction:g}, "
+            yield Judge(what)("movement", held(observed), "counts", most=calm)
+        yield from _costs(known, seed, axis, moved)
 
 
-def _costs(plant: PlantConfig, seed: int, axis: int, moved: Pair) -> list[str]:
+def _costs(plant: PlantConfig, seed: int, axis: int, moved: Pair) -> Iterator[str]:
     name = axis_name(axis)
-    pushed = push(plant, seed, axis)
-    angles = [float(np.degrees(np.abs(r.theta - r.theta[0]).max())) for r in (pushed.without, pushed.observed)]
-    crept = creep(plant, seed, axis, COST_SPEED * RPM)
-    rough = [rms(r, COST_SPEED * RPM) / RPM for r in (crept.without, crept.observed)]
-    errors = [following(r) for r in (moved.without, moved.observed)]
-    return [
-        f"{name}: following error {errors[0]:.0f} counts without, {errors[1]:.0f} with it",
-        f"{name}: gives way {angles[0]:.2g} deg to the torque of {LOAD:g} A without, {angles[1]:.2g} deg with it",
-        f"{name} at {COST_SPEED:g} rpm: deviation {rough[0]:.2g} rpm without, {rough[1]:.2g} rpm with it",
-    ]
+    angles = [float(np.degrees(np.abs(r.theta - r.theta[0]).max())) for r in push(plant, seed, axis)]
+    rough = [rms(r, COST_SPEED * RPM) / RPM for r in creep(plant, seed, axis, COST_SPEED * RPM)]
+    errors = [following(r) for r in moved]
+    yield f"{name}: following error {errors[0]:.0f} counts without, {errors[1]:.0f} with it"
+    yield f"{name}: gives way {angles[0]:.2g} deg to the torque of {LOAD:g} A without, {angles[1]:.2g} deg with it"
+    yield f"{name} at {COST_SPEED:g} rpm: deviation {rough[0]:.2g} rpm without, {rough[1]:.2g} rpm with it"
 
 
-def _creep_panel(title: str, pair: Pair, rpm: float) -> Panel:
-    curves = [
-        Curve(label, r.time, r.omega / RPM)
-        for label, r in (
-            ("M/T", pair.without.part(SETTLE, SETTLE + 1.0)),
-            ("observer", pair.observed.part(SETTLE, SETTLE + 1.0)),
-        )
-    ]
+def _creep_panel(title: str, without: Recording, observed: Recording, rpm: float) -> Panel:
+    parts = {"M/T": without.part(SETTLE, SETTLE + 1.0), "observer": observed.part(SETTLE, SETTLE + 1.0)}
+    curves = [Curve(label, r.time, r.omega / RPM) for label, r in parts.items()]
     time = curves[0].x
     curves.append(Curve("set-point", time, np.full(time.size, rpm), "k--"))
-    return Panel(f"{title}: true speed", "time [s]", "speed [rpm]", tuple(curves))
+    return Panel(f"{title}: true speed", "time [s]", "speed [rpm]", curves)
 
 
-def _move_panel(name: str, pair: Pair) -> Panel:
-    curves = [
-        Curve(label, r.time, r.position_ref - r.position)
-        for label, r in (("M/T", pair.without.part(0.0, 0.4)), ("observer", pair.observed.part(0.0, 0.4)))
-    ]
+def _move_panel(name: str, without: Recording, observed: Recording) -> Panel:
+    parts = {"M/T": without.part(0.0, 0.4), "observer": observed.part(0.0, 0.4)}
+    curves = [Curve(label, r.time, r.position_ref - r.position) for label, r in parts.items()]
     title = f"{name}, {MOVE:g} turn with feed-forward: shaped set-point - position"
-    return Panel(title, "time [s]", "difference [counts]", tuple(curves))
+    return Panel(title, "time [s]", "difference [counts]", curves)

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import Board
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.rig import RPM, TICK, command_speed, level
+from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
+from servo_twin.experiments.rig import RPM, TICK, command_speed, level, word
 from servo_twin.experiments.sensorless import Trace, fault_names, follow, limits_of, started, without_fault
 from servo_twin.plant import PlantConfig
 
@@ -68,23 +67,14 @@ LOAD_STEP: Final = 0.25
 
 @dataclass(frozen=True)
 class Stall:
-    """A shaft that was caught.
-
-    Attributes
-    ----------
-    noticed : float or None
-        From the stall to outputs off [s].
-    faults : str
-        What the drive called it.
-    by_variance : float or None
-        When the variance of the observed speed would have told, had nothing else watched [s].
-    trace : Trace
-        Of the axis.
-    """
+    """A shaft that was caught."""
 
     noticed: float | None
+    """From the stall to outputs off [s]."""
     faults: str
+    """What the drive called it."""
     by_variance: float | None
+    """When the variance of the observed speed would have told, had nothing else watched [s]."""
     trace: Trace
 
 
@@ -124,57 +114,46 @@ def _caught(
         command_speed(board, axis, part * limits_of(board, axis)[0])
         follow(board, [], BEFORE)
         caught = round(BEFORE / TICK)
-        spring = _Spring(board, axis, frequency)
+        pull = _spring(board, axis, frequency or 0.0)
 
         def act(k: int) -> bool:
             if k == caught and frequency is None:
                 board.lock_shaft(axis)
             elif k >= caught and frequency is not None:
-                spring.pull((k - caught) * TICK)
-            return k > caught and board.read_raw(f"{axis_name(axis)}.faults")[0] != 0
+                pull((k - caught) * TICK)
+            return k > caught and word(board, axis, "faults") != 0
 
         trace = follow(board, [axis], BEFORE + WATCHED, act)[axis]
         return trace, fault_names(board, int(trace.faults[-1]))
 
 
-class _Spring:
-    """Holds a shaft at an angle that swings, against friction of its own."""
+def _spring(board: Board, axis: int, frequency: float) -> Callable[[float], None]:
+    """Hold a shaft at an angle that swings, against friction of its own, at times since it was caught [s]."""
+    inertia, stiff, omega = board.plant.axes[axis].inertia, 2.0 * math.pi * STIFF, 2.0 * math.pi * frequency
+    stiffness, friction = inertia * stiff**2, 1.4 * inertia * stiff
+    middle: float | None = None
 
-    def __init__(self, board: Board, axis: int, frequency: float | None) -> None:
-        self._board, self._axis = board, axis
-        self._omega = 2.0 * math.pi * (frequency or 0.0)
-        inertia, stiff = board.plant.axes[axis].inertia, 2.0 * math.pi * STIFF
-        self._stiffness, self._friction = inertia * stiff**2, 1.4 * inertia * stiff
-        self._middle: float | None = None
+    def pull(time: float) -> None:
+        nonlocal middle
+        truth = board.truth(axis)
+        if middle is None:
+            middle = truth.theta_m
+        swing, slope = SWING * math.sin(omega * time), SWING * omega * math.cos(omega * time)
+        board.set_load(axis, stiffness * (truth.theta_m - middle - swing) + friction * (truth.omega_m - slope))
 
-    def pull(self, time: float) -> None:
-        """Set the torque for the time since the shaft was caught [s]."""
-        truth = self._board.truth(self._axis)
-        if self._middle is None:
-            self._middle = truth.theta_m
-        swing = SWING * math.sin(self._omega * time)
-        slope = SWING * self._omega * math.cos(self._omega * time)
-        torque = self._stiffness * (truth.theta_m - self._middle - swing) + self._friction * (truth.omega_m - slope)
-        self._board.set_load(self._axis, torque)
+    return pull
 
 
 @dataclass(frozen=True)
 class Operation:
-    """A long run.
-
-    Attributes
-    ----------
-    false : tuple of str
-        Faults of shafts that turned.
-    true : tuple of str
-        Faults of shafts that had come to a stand: load and ramps were too much for the speed controller.
-    ran : float
-        Simulated time [s].
-    """
+    """A long run."""
 
     false: tuple[str, ...]
+    """Faults of shafts that turned."""
     true: tuple[str, ...]
+    """Faults of shafts that had come to a stand: load and ramps were too much for the speed controller."""
     ran: float
+    """Simulated time [s]."""
 
 
 def operate(plant: PlantConfig, seed: int, seconds: float) -> Operation:
@@ -184,10 +163,10 @@ def operate(plant: PlantConfig, seed: int, seconds: float) -> Operation:
     true: list[str] = []
     ran = 0.0
     while ran < seconds:
-        word, stood, time = _until_fault(plant, seed + len(false) + len(true), source, seconds - ran)
+        fault, stood, time = _until_fault(plant, seed + len(false) + len(true), source, seconds - ran)
         ran += max(time, TICK)
-        if word:
-            (true if stood else false).append(word)
+        if fault:
+            (true if stood else false).append(fault)
     return Operation(tuple(false), tuple(true), ran)
 
 
@@ -206,9 +185,9 @@ def _until_fault(plant: PlantConfig, seed: int, source: random.Random, seconds: 
                 if ways[axis] * board.truth(axis).omega_m < slow[axis]:
                     stood[axis] = board.time_ns
             for axis in range(AXES):
-                if word := board.read_raw(f"{axis_name(axis)}.faults")[0]:
+                if faults := word(board, axis, "faults"):
                     recently = stood[axis] > 0 and board.time_ns - stood[axis] < RECENT_NS
-                    name = f"{axis_name(axis)} {fault_names(board, word)}"
+                    name = f"{axis_name(axis)} {fault_names(board, faults)}"
                     return name, recently, (board.time_ns - begun) * 1e-9
         return "", False, (board.time_ns - begun) * 1e-9
 
@@ -231,49 +210,30 @@ def _operator(board: Board, axis: int, way: float, source: random.Random) -> Cal
     return act
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Both axes: held fast, oscillating, and a long time without a stall."""
-    rows: list[Row] = []
-    notes: list[str] = []
-    panels: list[Panel] = []
     for axis in range(AXES):
-        name = axis_name(axis)
-        fast = [stall(plant, seed, axis, part, None) for part in SPEEDS]
-        for part, it in zip(SPEEDS, fast, strict=True):
-            what = f"{name}, held fast from {100.0 * part:.0f} %"
-            rows.extend(_rows(what, "a fault by the variance", NOTICED_MOST, it))
-            notes.append(_note(what, it))
-        loose = [stall(plant, seed, axis, SPEEDS[1], frequency) for frequency in FREQUENCIES]
-        for frequency, it in zip(FREQUENCIES, loose, strict=True):
-            what = f"{name}, oscillating with {frequency:g} Hz"
-            rows.extend(_rows(what, "not noticed", OSCILLATING_MOST, it))
-            notes.append(_note(what, it))
-        panels.append(_panel(name, [fast[-1], *loose]))
-    seconds = LONG if level() == "ideal" else LONG_SLOWLY
-    long = operate(plant, seed, seconds)
-    rows.append(Row("false alarms of both axes, random operation", "not shown", len(long.false), "", Bound(most=0.0)))
-    notes.append(f"random operation for {long.ran:.3g} s: false alarms {', '.join(long.false) or 'none'}")
-    notes.extend(f"there the load brought a shaft to a stand: {word}" for word in long.true)
-    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
-
-
-def _rows(what: str, says: str, most: float, it: Stall) -> Iterator[Row]:
-    time = None if it.noticed is None else 1e3 * it.noticed
-    named = float(it.faults == "SPEED_FEEDBACK")
-    yield Row(f"{what}, outputs off after", says, time, "ms", Bound(most=1e3 * most))
-    yield Row(f"{what}, is called SPEED_FEEDBACK", "error on speed feedback", named, "", Bound(1.0, 1.0))
-
-
-def _note(what: str, it: Stall) -> str:
-    alone = f"nothing in {WATCHED:g} s" if it.by_variance is None else f"after {1e3 * it.by_variance:.0f} ms"
-    return f"{what}: {it.faults or 'nothing'}; the variance alone tells {alone}"
-
-
-def _panel(name: str, stalls: list[Stall]) -> Panel:
-    curves: list[Curve] = []
-    labels = ("held fast", *(f"{frequency:g} Hz" for frequency in FREQUENCIES))
-    for label, it in zip(labels, stalls, strict=True):
-        shown: NDArray[np.bool_] = it.trace.time > BEFORE - 0.05
-        time = 1e3 * (it.trace.time[shown] - BEFORE)
-        curves.append(Curve(f"observed, {label}", time, it.trace.speed[shown] / RPM))
-    return Panel(f"{name}: observed speed until the outputs are off", "time [ms]", "speed [rpm]", tuple(curves))
+        name, shown = axis_name(axis), {}
+        cases: list[tuple[str, float, float | None, str, float]] = [
+            *((f"held fast from {100.0 * p:.0f} %", p, None, "a fault by the variance", NOTICED_MOST) for p in SPEEDS),
+            *((f"oscillating with {f:g} Hz", SPEEDS[1], f, "not noticed", OSCILLATING_MOST) for f in FREQUENCIES),
+        ]
+        for what, part, frequency, says, most in cases:
+            it, judge = stall(plant, seed, axis, part, frequency), Judge(f"{name}, {what}, ", says)
+            time = None if it.noticed is None else 1e3 * it.noticed
+            yield judge("outputs off after", time, "ms", most=1e3 * most)
+            named, error = it.faults == "SPEED_FEEDBACK", "error on speed feedback"
+            yield judge.true("is called SPEED_FEEDBACK", named, seed=error)
+            alone = f"nothing in {WATCHED:g} s" if it.by_variance is None else f"after {1e3 * it.by_variance:.0f} ms"
+            yield f"{name}, {what}: {it.faults or 'nothing'}; the variance alone tells {alone}"
+            shown["held fast" if frequency is None else f"{frequency:g} Hz"] = it.trace
+        curves: list[Curve] = []
+        for label, trace in shown.items():
+            late = trace.time > BEFORE - 0.05
+            curves.append(Curve(f"observed, {label}", 1e3 * (trace.time[late] - BEFORE), trace.speed[late] / RPM))
+        yield Panel(f"{name}: observed speed until the outputs are off", "time [ms]", "speed [rpm]", curves)
+    long = operate(plant, seed, LONG if level() == "ideal" else LONG_SLOWLY)
+    yield Judge("", NOT_SHOWN)("false alarms of both axes, random operation", len(long.false), most=0.0)
+    yield f"random operation for {long.ran:.3g} s: false alarms {', '.join(long.false) or 'none'}"
+    yield from (f"there the load brought a shaft to a stand: {fault}" for fault in long.true)

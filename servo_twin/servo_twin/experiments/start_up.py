@@ -8,16 +8,15 @@ import itertools
 import math
 import random
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
-from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 
 from servo_twin.board import Board
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.rig import RPM, TICK, at_level, command_speed, fresh_board, level, positive
+from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Outcome, Panel, experiment
+from servo_twin.experiments.rig import RPM, TICK, at_level, command_speed, level, positive, word
 from servo_twin.experiments.sensorless import Trace, fault_names, follow, limits_of, observing, substate
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
@@ -68,24 +67,16 @@ SPEED_MOST: Final = 0.1  # deviation of the true speed from the set-point then, 
 
 @dataclass(frozen=True)
 class Start:
-    """One start of one axis.
-
-    Attributes
-    ----------
-    criterion : float or None
-        From the beginning of the start-up to the closed loop [s].
-    converged : float or None
-        Until the error of the angle stays small [s].
-    end : str
-        What went wrong; empty when nothing did.
-    what : str
-        Conditions, for people.
-    """
+    """One start of one axis."""
 
     criterion: float | None
+    """From the beginning of the start-up to the closed loop [s]."""
     converged: float | None
+    """Until the error of the angle stays small [s]."""
     end: str
+    """What went wrong; empty when nothing did."""
     what: str = ""
+    """Conditions, for people."""
 
     @property
     def succeeded(self) -> bool:
@@ -94,22 +85,16 @@ class Start:
 
 @dataclass(frozen=True)
 class Draw:
-    """Conditions of one start.
-
-    Attributes
-    ----------
-    inertia, friction : float
-        Over the nominal ones.
-    load : float
-        Torque at the set-point, over that of half of the current limit.
-    set_point : float
-        Part of the speed limit, with sign.
-    """
+    """Conditions of one start."""
 
     inertia: float
+    """Over the nominal one."""
     friction: float
+    """Likewise."""
     load: float
+    """Torque at the set-point, over that of half of the current limit."""
     set_point: float
+    """Part of the speed limit, with sign."""
 
     def __str__(self) -> str:
         return (
@@ -211,25 +196,19 @@ class _Watch:
         for axis in range(AXES):
             omega = self._board.truth(axis).omega_m
             self._board.set_load(axis, self._fans[axis] * omega * abs(omega))
-            name = axis_name(axis)
-            ended = self._board.read_raw(f"{name}.faults")[0] != 0
-            self._spinning[axis] += self._board.read_raw(f"{name}.substate")[0] == self._spin
-            over = over and (ended or self._spinning[axis] * TICK >= SETTLED)
+            self._spinning[axis] += word(self._board, axis, "substate") == self._spin
+            over = over and (word(self._board, axis, "faults") != 0 or self._spinning[axis] * TICK >= SETTLED)
         return over
 
 
-def _judged(board: Board, trace: Trace, start_: Start, speed: float, what: str) -> Start:
+def _judged(board: Board, trace: Trace, found: Start, speed: float, what: str) -> Start:
     """A start, together with how it has ended."""
     if trace.faults.any():
         first = int(trace.faults[int(np.argmax(trace.faults != 0))])
-        return Start(start_.criterion, start_.converged, fault_names(board, first), what)
-    end = start_.end
+        return replace(found, end=fault_names(board, first), what=what)
     mean = float(trace.omega[-round(0.05 / TICK) :].mean())
-    if not end and abs(mean / speed - 1.0) > SPEED_MOST:
-        end = f"{mean / RPM:.0f} rpm instead of {speed / RPM:.0f}"
-    if not end and start_.converged is None:
-        end = "a wrong angle"
-    return Start(start_.criterion, start_.converged, end, what)
+    slow = f"{mean / RPM:.0f} rpm instead of {speed / RPM:.0f}" if abs(mean / speed - 1.0) > SPEED_MOST else ""
+    return replace(found, end=found.end or slow or ("a wrong angle" if found.converged is None else ""), what=what)
 
 
 def many(plant: PlantConfig, seed: int, count: int, runner: Runner) -> list[Start]:
@@ -240,25 +219,52 @@ def many(plant: PlantConfig, seed: int, count: int, runner: Runner) -> list[Star
     return list(itertools.chain.from_iterable(results))[:count]
 
 
-def run(plant: PlantConfig, seed: int, count: int | None = None, runner: Runner = HERE) -> Outcome:
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int, count: int | None = None, runner: Runner = HERE) -> Iterator[Item]:
     """The nominal starts, then the random ones."""
-    rows: list[Row] = []
-    notes: list[str] = []
-    panels: list[Panel] = []
-    startup, spin = _substates(plant, seed)
+    startup, spin = (Catalogue.load().enums["substate_t"][name] for name in ("STARTUP", "SPIN"))
     for axis, trace in nominal(plant, seed).items():
-        name, found = axis_name(axis), examine(trace, startup, spin)
-        angle, criterion = (None if t is None else 1e3 * t for t in (found.converged, found.criterion))
-        within = Bound(most=1e3 * ANGLE_MOST), Bound(most=1e3 * CRITERION_MOST)
-        rows.append(Row(f"{name}, angle converges within", "150 ms on the waveforms", angle, "ms", within[0]))
-        rows.append(Row(f"{name}, criterion met within", "500 ms on the waveforms", criterion, "ms", within[1]))
-        panels.append(_panel(name, trace))
+        judge, found = Judge(f"{axis_name(axis)}, "), examine(trace, startup, spin)
+        for name, most, time in _times(found):
+            says = f"{1e3 * most:.0f} ms on the waveforms"
+            yield judge(name, None if time is None else 1e3 * time, "ms", most=1e3 * most, seed=says)
+        time_ms = 1e3 * trace.time
+        curves = (
+            Curve("error of the angle [deg]", time_ms, trace.error),
+            Curve("true speed [rpm]", time_ms, trace.omega / RPM),
+            Curve("observed speed [rpm]", time_ms, trace.speed / RPM),
+        )
+        yield Panel(f"{axis_name(axis)}: start-up", "time [ms]", "", curves)
     starts = many(plant, seed, count or (STARTS if level() == "ideal" else STARTS_SLOWLY), runner)
-    rows.extend(_rates(starts))
-    notes.append(f"random starts: {len(starts)}")
-    notes.extend(_ends(starts))
-    panels.append(_histogram(starts))
-    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+    good, failed = ([s for s in starts if s.succeeded is succeeded] for succeeded in (True, False))
+    yield f"random starts: {len(starts)}"
+    judge, rate = Judge("", NOT_SHOWN), 100.0 * len(good) / len(starts)
+    yield judge("random starts, success", rate, "%", RATE_LEAST)
+    lost = sum(s.criterion is not None and not s.end.isupper() for s in failed)  # faults have names in capitals
+    yield judge("of them turning wrongly without a fault", lost, most=0.0)
+    curves_: list[Curve] = []
+    for k, (name, most, _) in enumerate(_times(starts[0])):
+        kept = [1e3 * t for t in (_times(s)[k][2] for s in good) if t is not None]
+        yield judge(f"median, {name}", np.median(kept) if kept else None, "ms", most=1e3 * most, seed="as above")
+        label, done = (("angle", "angle has converged"), ("criterion", "criterion is met"))[k]
+        if kept:
+            tenth, half, late = (float(np.percentile(kept, q)) for q in (10, 50, 95))
+            yield f"{label}: 10 % within {tenth:.0f} ms, half within {half:.0f} ms, 95 % within {late:.0f} ms"
+        part = 100.0 * np.arange(1, len(kept) + 1) / max(len(starts), 1)
+        curves_.append(Curve(done, np.sort(np.array(kept)), part))
+    for start_ in failed[:5]:
+        yield f"failed: {start_.end} ({start_.what})"
+    if len(failed) > 5:
+        yield f"and {len(failed) - 5} more"
+    yield Panel(f"{len(starts)} random starts", "time [ms]", "part of the starts [%]", curves_)
+
+
+def _times(it: Start) -> tuple[tuple[str, float, float | None], ...]:
+    """Times of a start with their names and bounds [s]."""
+    return (
+        ("angle converges within", ANGLE_MOST, it.converged),
+        ("criterion met within", CRITERION_MOST, it.criterion),
+    )
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -271,64 +277,3 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def with_options(args: argparse.Namespace) -> Callable[[PlantConfig, int], Outcome]:
     """The experiment as it was asked for."""
     return functools.partial(run, count=args.count, runner=Runner.of(args))
-
-
-def _substates(plant: PlantConfig, seed: int) -> tuple[int, int]:
-    with fresh_board(plant, seed) as board:
-        return substate(board, "STARTUP"), substate(board, "SPIN")
-
-
-def _rates(starts: Sequence[Start]) -> Iterator[Row]:
-    good = [start_ for start_ in starts if start_.succeeded]
-    rate = 100.0 * len(good) / len(starts)
-    yield Row("random starts, success", "not shown", rate, "%", Bound(least=RATE_LEAST))
-    lost = sum(1 for start_ in starts if start_.end and start_.criterion is not None and not _fault(start_.end))
-    yield Row("of them turning wrongly without a fault", "not shown", float(lost), "", Bound(most=0.0))
-    for what, most, times in (
-        ("angle converges within", ANGLE_MOST, [start_.converged for start_ in good]),
-        ("criterion met within", CRITERION_MOST, [start_.criterion for start_ in good]),
-    ):
-        kept = [t for t in times if t is not None]
-        usual = 1e3 * float(np.median(kept)) if kept else None
-        yield Row(f"median, {what}", "as above", usual, "ms", Bound(most=1e3 * most))
-
-
-def _fault(end: str) -> bool:
-    return end.isupper()
-
-
-def _ends(starts: Sequence[Start]) -> Iterator[str]:
-    for label, times in (
-        ("angle", [s.converged for s in starts if s.succeeded]),
-        ("criterion", [s.criterion for s in starts if s.succeeded]),
-    ):
-        kept = np.array([1e3 * t for t in times if t is not None])
-        if kept.size:
-            tenth, half, most = (float(np.percentile(kept, q)) for q in (10, 50, 95))
-            yield f"{label}: 10 % within {tenth:.0f} ms, half within {half:.0f} ms, 95 % within {most:.0f} ms"
-    failed = [start_ for start_ in starts if not start_.succeeded]
-    for start_ in failed[:5]:
-        yield f"failed: {start_.end} ({start_.what})"
-    if len(failed) > 5:
-        yield f"and {len(failed) - 5} more"
-
-
-def _panel(name: str, trace: Trace) -> Panel:
-    time = 1e3 * trace.time
-    curves = (
-        Curve("error of the angle [deg]", time, trace.error),
-        Curve("true speed [rpm]", time, trace.omega / RPM),
-        Curve("observed speed [rpm]", time, trace.speed / RPM),
-    )
-    return Panel(f"{name}: start-up", "time [ms]", "", curves)
-
-
-def _histogram(starts: Sequence[Start]) -> Panel:
-    curves = []
-    for label, times in (
-        ("angle has converged", [s.converged for s in starts if s.succeeded]),
-        ("criterion is met", [s.criterion for s in starts if s.succeeded]),
-    ):
-        x: NDArray[np.float64] = np.sort(np.array([1e3 * t for t in times if t is not None]))
-        curves.append(Curve(label, x, 100.0 * np.arange(1, x.size + 1) / max(len(starts), 1)))
-    return Panel(f"{len(starts)} random starts", "time [ms]", "part of the starts [%]", tuple(curves))

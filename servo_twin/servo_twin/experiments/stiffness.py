@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.rig import COUNT, TICK, Recording, set_axis, spinning, stays_from, watch
+from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, Row, experiment
+from servo_twin.experiments.rig import COUNT, TICK, Recording, arrives, at, set_axis, spinning, watch
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "stiffness"
@@ -24,38 +24,7 @@ LOADED: Final = 1.0  # [s]
 UNLOADED: Final = 1.0  # [s]
 ARRIVED: Final = 2.0  # [counts]
 RECOVERY_MOST: Final = 0.5  # [s]
-DEFLECTION_MOST: Final = 0.05  # [turns]
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What a load step did.
-
-    Attributes
-    ----------
-    torque : float
-        The load [N m].
-    deflection : float
-        Largest distance of the true shaft from where it was [rad].
-    recovery : float or None
-        Until the position is back within 2 counts for good [s].
-    release : float or None
-        The same after the load has gone [s].
-    error : float
-        Mean distance at the end of the load [counts].
-    current : float
-        Largest current set-point [A].
-    recording : Recording
-        All of it.
-    """
-
-    torque: float
-    deflection: float
-    recovery: float | None
-    release: float | None
-    error: float
-    current: float
-    recording: Recording
+DEFLECTION_MOST: Final = 0.05 * 2.0 * np.pi  # [rad]
 
 
 def least_deflection(axis: AxisPlant) -> float:
@@ -64,68 +33,37 @@ def least_deflection(axis: AxisPlant) -> float:
     return 0.5 * free / axis.inertia * TICK**2
 
 
-def load_step(plant: PlantConfig, seed: int, axis: int) -> Answer:
+def load_step(plant: PlantConfig, seed: int, axis: int) -> Recording:
     """Nominal torque on and off."""
     torque = NOMINAL * plant.axes[axis].torque_constant
     with spinning(plant, seed) as board:
         set_axis(board, "param.i_q_limit", axis, LIMIT)
-
-        def act(k: int) -> None:
-            if k == round(LEAD / TICK):
-                board.set_load(axis, torque)
-            if k == round((LEAD + LOADED) / TICK):
-                board.set_load(axis, 0.0)
-
-        whole = watch(board, [axis], LEAD + LOADED + UNLOADED, act)[axis]
-    target = float(whole.position_ref[0])
-    loaded, after = whole.part(LEAD, LEAD + LOADED), whole.part(LEAD + LOADED)
-    low, high = target - ARRIVED, target + ARRIVED
-    back = stays_from(loaded, loaded.position, low, high)
-    again = stays_from(after, after.position, low, high)
-    return Answer(
-        torque=torque,
-        deflection=float(np.abs(loaded.theta - whole.part(0.0, LEAD).theta[-1]).max()),
-        recovery=None if back is None else max(back - LEAD, 0.0),
-        release=None if again is None else max(again - LEAD - LOADED, 0.0),
-        error=float(np.abs(loaded.position[-200:] - target).mean()),
-        current=float(np.abs(whole.i_q_ref).max()),
-        recording=whole,
-    )
+        loads = {LEAD: lambda: board.set_load(axis, torque), LEAD + LOADED: lambda: board.set_load(axis, 0.0)}
+        return watch(board, [axis], LEAD + LOADED + UNLOADED, at(loads))[axis]
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Both axes, one after the other."""
-    rows: list[Row] = []
-    curves: tuple[list[Curve], list[Curve]] = ([], [])
-    for axis in range(AXES):
-        answer = load_step(plant, seed, axis)
-        rows.extend(_rows(axis_name(axis), plant.axes[axis], answer))
-        r = answer.recording
-        curves[0].append(Curve(axis_name(axis), r.time, np.degrees(r.theta - r.theta[0])))
-        curves[1].append(Curve(axis_name(axis), r.time, r.i_q))
-    panels = (
-        Panel("load step of nominal torque", "time [s]", "deflection [degrees]", tuple(curves[0])),
-        Panel("load step of nominal torque", "time [s]", "i_q [A]", tuple(curves[1])),
-    )
-    notes = (f"load: the torque of {NOMINAL:g} A, limit {LIMIT:g} A; stiffness: torque over the largest deflection",)
-    return Outcome(NAME, tuple(rows), panels, notes)
+    found = [load_step(plant, seed, axis) for axis in range(AXES)]
+    for axis, r in enumerate(found):
+        yield from _rows(Judge(f"{axis_name(axis)}, ", NOT_SHOWN), plant.axes[axis], r)
+    title = "load step of nominal torque"
+    away = [Curve(axis_name(axis), r.time, np.degrees(r.theta - r.theta[0])) for axis, r in enumerate(found)]
+    yield Panel(title, "time [s]", "deflection [degrees]", away)
+    yield Panel(title, "time [s]", "i_q [A]", [Curve(axis_name(axis), r.time, r.i_q) for axis, r in enumerate(found)])
+    yield f"load: the torque of {NOMINAL:g} A, limit {LIMIT:g} A; stiffness: torque over the largest deflection"
 
 
-def _rows(name: str, axis: AxisPlant, answer: Answer) -> tuple[Row, ...]:
-    seed = "not shown"
-    most = DEFLECTION_MOST * 2.0 * np.pi
-    deflection = Bound(float(np.degrees(least_deflection(axis))), float(np.degrees(most)))
-    return (
-        Row(f"{name}, deflection", seed, float(np.degrees(answer.deflection)), "deg", deflection),
-        Row(
-            f"{name}, stiffness",
-            seed,
-            answer.torque / max(answer.deflection, COUNT),
-            "N m/rad",
-            Bound(answer.torque / most),
-        ),
-        Row(f"{name}, recovery", seed, answer.recovery, "s", Bound(1.0 * TICK, RECOVERY_MOST)),
-        Row(f"{name}, recovery after the load", seed, answer.release, "s", Bound(1.0 * TICK, RECOVERY_MOST)),
-        Row(f"{name}, steady-state error under load", seed, answer.error, "counts", Bound(most=ARRIVED)),
-        Row(f"{name}, largest i_q*", "4 A limit", answer.current, "A", Bound(NOMINAL, LIMIT + 1e-3)),
-    )
+def _rows(judge: Judge, motor: AxisPlant, r: Recording) -> Iterator[Row]:
+    loaded, after, target = r.part(LEAD, LEAD + LOADED), r.part(LEAD + LOADED), float(r.position_ref[0])
+    away = float(np.abs(loaded.theta - r.part(0.0, LEAD).theta[-1]).max())
+    torque = NOMINAL * motor.torque_constant
+    error = np.abs(loaded.position[-200:] - target).mean()
+    bounds = float(np.degrees(least_deflection(motor))), float(np.degrees(DEFLECTION_MOST))
+    yield judge("deflection", np.degrees(away), "deg", *bounds)
+    yield judge("stiffness", torque / max(away, COUNT), "N m/rad", torque / DEFLECTION_MOST)
+    yield judge("recovery", arrives(loaded, target, ARRIVED, LEAD), "s", TICK, RECOVERY_MOST)
+    yield judge("recovery after the load", arrives(after, target, ARRIVED, LEAD + LOADED), "s", TICK, RECOVERY_MOST)
+    yield judge("steady-state error under load", error, "counts", most=ARRIVED)
+    yield judge("largest i_q*", np.abs(r.i_q_ref).max(), "A", NOMINAL, LIMIT + 1e-3, seed="4 A limit")

@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
-from servo_msgs_py.catalogue import AXES, axis_name
+from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
-from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import current_limits, move_speeds
 from servo_twin.experiments.rig import (
     TICK,
     Recording,
-    choose_mode,
     command_position,
     command_speed,
     features,
-    flag_mask,
     position_of,
     set_axis,
+    set_up,
     spinning,
     watch,
 )
@@ -66,179 +64,155 @@ HARD_MOVES: Final = (5.0, -5.0, 100.0)  # [turns], there and back without a rest
 TURN_ROUND: Final = 0.12  # until the second set-point overrides the first [s]
 REST: Final = 0.6  # [s]
 
-SWITCHES: Final = ("FOLLOWING_ERROR", "OVER_SPEED")
-
 
 @dataclass(frozen=True)
 class Accident:
-    """What followed a cause on one axis.
-
-    Attributes
-    ----------
-    time : float or None
-        From the cause until the outputs were off [s].
-    fault : int
-        Faults at that moment.
-    turned : float
-        Way of the shaft from the cause until then, or until the end [turns].
-    recording : Recording
-        All of it.
-    """
+    """What followed a cause on one axis."""
 
     time: float | None
+    """From the cause until the outputs were off [s]."""
     fault: int
+    """Faults at that moment."""
     turned: float
+    """Way of the shaft from the cause until then, or until the end [turns]."""
     recording: Recording
 
-
-def accident(recording: Recording, cause: float, run: int) -> Accident:
-    """Judge a recording; `cause` in seconds, `run` the main state in which the outputs are on."""
-    off = (recording.state != run) & (recording.time > cause)
-    first = int(np.argmax(off)) if off.any() else recording.time.size - 1
-    begin = int(np.argmax(recording.time >= cause))
-    return Accident(
-        time=float(recording.time[first] - cause) if off.any() else None,
-        fault=int(recording.faults[first]),
-        turned=float(np.ptp(recording.theta[begin : first + 1])) / (2.0 * math.pi),
-        recording=recording,
-    )
+    @classmethod
+    def of(cls, recording: Recording, cause: float) -> Accident:
+        """Judge a recording; `cause` in seconds."""
+        run = Catalogue.load().enums["state_t"]["RUN"]
+        off = (recording.state != run) & (recording.time > cause)
+        first = int(np.argmax(off)) if off.any() else recording.time.size - 1
+        begin = int(np.argmax(recording.time >= cause))
+        time = float(recording.time[first] - cause) if off.any() else None
+        turned = float(np.ptp(recording.theta[begin : first + 1])) / (2.0 * math.pi)
+        return cls(time, int(recording.faults[first]), turned, recording)
 
 
 @dataclass(frozen=True)
 class Bench:
-    """A plant and what it can be asked for.
-
-    Attributes
-    ----------
-    plant, seed
-        As everywhere.
-    speeds : list of float
-        Limits for moves that the plant can follow, by axis [rad/s].
-    peaks : list of float
-        Torque of each axis at its current limit [N m].
-    """
+    """A plant and what it can be asked for."""
 
     plant: PlantConfig
     seed: int
     speeds: list[float]
+    """Limits for moves that the plant can follow, by axis [rad/s]."""
     peaks: list[float]
+    """Torque of each axis at its current limit [N m]."""
 
     @classmethod
     def of(cls, plant: PlantConfig, seed: int) -> Bench:
         speeds, _ = move_speeds(plant, seed, together=True, share=SHARE)
         currents = current_limits(plant, seed)
-        return cls(
-            plant,
-            seed,
-            speeds,
-            [axis.torque_constant * current for axis, current in zip(plant.axes, currents, strict=True)],
-        )
+        peaks = [axis.torque_constant * current for axis, current in zip(plant.axes, currents, strict=True)]
+        return cls(plant, seed, speeds, peaks)
 
 
-Prepare = Callable[[Board], None]
-Act = Callable[[Board, int], None]
+Do = Callable[[Bench, Board, int], None]
+"""Does something to one axis (index)."""
 
 
-def play(bench: Bench, on: bool, prepare: Prepare, act: Act, seconds: float) -> tuple[dict[int, Recording], int]:
-    """Run both axes with the features on or off; returns the recordings and the number of the state RUN."""
+def play(
+    bench: Bench, on: bool, prepare: Do, act: Callable[[Board, int], None], seconds: float
+) -> dict[int, Recording]:
+    """Run both axes with the features on or off; `act` is called with the number of each slow tick."""
     with spinning(bench.plant, bench.seed) as board:
         for axis in range(AXES):
-            features(board, axis, **dict.fromkeys(SWITCHES, on))
-            set_axis(board, "param.following_error", axis, FOLLOWING)
-            set_axis(board, "param.speed_limit", axis, bench.speeds[axis])
-        prepare(board)
-        both = watch(board, range(AXES), seconds, lambda k: act(board, k), may_fail=True)
-        return both, board.catalogue.enums["state_t"]["RUN"]
+            parameters = {"following_error": FOLLOWING, "speed_limit": bench.speeds[axis]}
+            set_up(board, axis, parameters=parameters, FOLLOWING_ERROR=on, OVER_SPEED=on)
+            prepare(bench, board, axis)
+        return watch(board, range(AXES), seconds, lambda k: act(board, k), may_fail=True)
 
 
-def _far(board: Board) -> None:
-    for axis in range(AXES):
-        command_position(board, axis, position_of(board, axis) + 1000 * COUNTS_PER_TURN)
+# ---- what the axes do, and what happens to them ----------------------------------------------------------------------
 
 
-def _moderate(bench: Bench, mode: str) -> Prepare:
-    """Half the speed, in speed or torque mode, and what is too fast."""
-
-    def prepare(board: Board) -> None:
-        for axis in range(AXES):
-            speed = TURNS_SPEED * bench.speeds[axis]
-            set_axis(board, "param.acceleration_limit", axis, ACCELERATION)
-            set_axis(board, "param.over_speed", axis, OVER_SPEED * speed)
-            choose_mode(board, axis, mode)
-            if mode == "SPEED":
-                command_speed(board, axis, speed)
-            else:
-                set_axis(board, "param.speed_limit", axis, speed)
-                set_axis(board, "cmd.i_q", axis, 0.25 * bench.peaks[axis] / bench.plant.axes[axis].torque_constant)
-
-    return prepare
+def _far(_: Bench, board: Board, axis: int) -> None:
+    """A move that does not end."""
+    command_position(board, axis, position_of(board, axis) + 1000 * COUNTS_PER_TURN)
 
 
-def _at_cause(cause: Callable[[Board, int], None]) -> Act:
-    """Do something to both axes at the time of the cause."""
-
-    def act(board: Board, k: int) -> None:
-        if k == round(CAUSE / TICK):
-            for axis in range(AXES):
-                cause(board, axis)
-
-    return act
+def _turn(bench: Bench, board: Board, axis: int) -> None:
+    """Half the speed, and what is too fast."""
+    speed = TURNS_SPEED * bench.speeds[axis]
+    parameters = {"acceleration_limit": ACCELERATION, "over_speed": OVER_SPEED * speed}
+    set_up(board, axis, "SPEED", speed, parameters=parameters)
 
 
-def blocked(bench: Bench, on: bool) -> list[Accident]:
-    """The shaft is held fast in a move."""
-    both, run = play(bench, on, _far, _at_cause(lambda board, axis: board.lock_shaft(axis)), CAUSE + WATCHED)
-    return [accident(recording, CAUSE, run) for recording in both.values()]
+def _pull(bench: Bench, board: Board, axis: int) -> None:
+    """The same in torque mode, at that limit of the speed."""
+    _turn(bench, board, axis)
+    set_up(board, axis, "TORQUE", parameters={"speed_limit": TURNS_SPEED * bench.speeds[axis]})
+    set_axis(board, "cmd.i_q", axis, 0.25 * bench.peaks[axis] / bench.plant.axes[axis].torque_constant)
 
 
-def overloaded(bench: Bench, on: bool) -> list[Accident]:
-    """A load that the drive cannot hold, against a move."""
-
-    def cause(board: Board, axis: int) -> None:
-        board.set_load(axis, LOAD * bench.peaks[axis])
-
-    both, run = play(bench, on, _far, _at_cause(cause), CAUSE + WATCHED)
-    return [accident(recording, CAUSE, run) for recording in both.values()]
+def blocked_most(bench: Bench, axis: int) -> float:
+    """The set-point goes on at the speed limit while the shaft stands [s]."""
+    return FOLLOWING / bench.speeds[axis] + FOLLOWING_LASTS + ANSWER
 
 
-def driven(bench: Bench, on: bool) -> list[Accident]:
-    """A load that the drive cannot hold drives a shaft in torque mode; the cause is the passing of the limit."""
-
-    def cause(board: Board, axis: int) -> None:
-        board.set_load(axis, -LOAD * bench.peaks[axis])
-
-    both, run = play(bench, on, _moderate(bench, "TORQUE"), _at_cause(cause), CAUSE + WATCHED)
-    return [accident(r, _passes(r, _too_fast(bench, axis)), run) for axis, r in both.items()]
+def overloaded_most(bench: Bench, axis: int) -> float:
+    """Braked by at least what the load has more than the drive, the shaft falls behind a set-point that goes on [s]."""
+    braking = (LOAD - 1.0) * bench.peaks[axis] / bench.plant.axes[axis].inertia
+    return math.sqrt(2.0 * FOLLOWING / braking) + FOLLOWING_LASTS + ANSWER
 
 
-def overdone(bench: Bench, on: bool) -> list[Accident]:
-    """A set-point asks for more speed than the machine may see."""
+@dataclass(frozen=True)
+class Cause:
+    """What happens to both axes at once, and the fault that it is."""
 
-    def cause(board: Board, axis: int) -> None:
-        command_speed(board, axis, ASKED * TURNS_SPEED * bench.speeds[axis])
+    name: str
+    fault: str
+    prepare: Do
+    """What the axis does until then."""
+    do: Do
+    most: Callable[[Bench, int], float] = lambda bench, axis: OVER_SPEED_LASTS + ANSWER
+    """Time until the outputs are off [s]; with OVER_SPEED from when the true speed passes the limit."""
 
-    both, run = play(bench, on, _moderate(bench, "SPEED"), _at_cause(cause), CAUSE + WATCHED)
-    return [accident(r, _passes(r, _too_fast(bench, axis)), run) for axis, r in both.items()]
+    def accidents(self, bench: Bench, on: bool) -> list[Accident]:
+        """What follows on both axes."""
+
+        def act(board: Board, k: int) -> None:
+            if k == round(CAUSE / TICK):
+                for axis in range(AXES):
+                    self.do(bench, board, axis)
+
+        both = play(bench, on, self.prepare, act, CAUSE + WATCHED)
+        return [Accident.of(r, self._since(bench, axis, r)) for axis, r in both.items()]
+
+    def _since(self, bench: Bench, axis: int, r: Recording) -> float:
+        if self.fault != "OVER_SPEED":
+            return CAUSE
+        beyond = np.abs(r.omega) > OVER_SPEED * TURNS_SPEED * bench.speeds[axis]
+        return float(r.time[int(np.argmax(beyond))] if beyond.any() else r.time[-1])
 
 
-def _too_fast(bench: Bench, axis: int) -> float:
-    return OVER_SPEED * TURNS_SPEED * bench.speeds[axis]
-
-
-def _passes(recording: Recording, speed: float) -> float:
-    """Time at which the true speed passes a limit [s]; the end if it does not."""
-    beyond = np.abs(recording.omega) > speed
-    return float(recording.time[int(np.argmax(beyond))] if beyond.any() else recording.time[-1])
+BLOCKED: Final = Cause(
+    "shaft blocked in a move", "FOLLOWING_ERROR", _far, lambda _, board, axis: board.lock_shaft(axis), blocked_most
+)
+CAUSES: Final = (
+    BLOCKED,
+    Cause(
+        "too large a load in a move", "FOLLOWING_ERROR", _far,
+        lambda bench, board, axis: board.set_load(axis, LOAD * bench.peaks[axis]), overloaded_most,
+    ),
+    Cause(
+        "driven by a load", "OVER_SPEED", _pull,
+        lambda bench, board, axis: board.set_load(axis, -LOAD * bench.peaks[axis]),
+    ),
+    Cause(
+        "set-point too fast", "OVER_SPEED", _turn,
+        lambda bench, board, axis: command_speed(board, axis, ASKED * TURNS_SPEED * bench.speeds[axis]),
+    ),
+)  # fmt: skip
 
 
 def legal(bench: Bench, forward: bool) -> int:
     """Both features on: the hardest moves, there and back, and load steps at rest; every fault that there was."""
-    faults = 0
-    turns = list(HARD_MOVES)
+    faults, turns = 0, list(HARD_MOVES)
 
-    def begin(board: Board) -> None:
-        for axis in range(AXES):
-            features(board, axis, SPEED_FORWARD=forward, ACCELERATION_FORWARD=forward, FRICTION=forward)
+    def begin(_: Bench, board: Board, axis: int) -> None:
+        features(board, axis, SPEED_FORWARD=forward, ACCELERATION_FORWARD=forward, FRICTION=forward)
 
     def move(board: Board, k: int) -> None:
         if k % round(TURN_ROUND / TICK) == 0 and turns:
@@ -254,84 +228,46 @@ def legal(bench: Bench, forward: bool) -> int:
 
     way = sum(map(abs, HARD_MOVES)) * 2.0 * math.pi
     for act, seconds in ((move, way / min(bench.speeds) + REST), (load, 4.0 * REST)):
-        both, _ = play(bench, True, begin, act, seconds)
+        both = play(bench, True, begin, act, seconds)
         faults |= int(np.bitwise_or.reduce([np.bitwise_or.reduce(r.faults) for r in both.values()]))
     return faults
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+# ---- the experiment --------------------------------------------------------------------------------------------------
+
+
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Every cause without and with, then what must not be taken for one."""
     bench = Bench.of(plant, seed)
-    with spinning(plant, seed) as board:
-        masks = {name: flag_mask(board, "faults", name) for name in SWITCHES}
-        names = {flag.mask: flag.name for flag in board.catalogue.flags["faults"]}
-    rows: list[Row] = []
-    notes: list[str] = [f"following error {FOLLOWING:g} rad; moves at {min(bench.speeds):.3g} rad/s"]
-    panels: list[Panel] = []
-    for what, cause, name, bounds in (
-        ("shaft blocked in a move", blocked, "FOLLOWING_ERROR", [blocked_most(bench, a) for a in range(AXES)]),
-        (
-            "too large a load in a move",
-            overloaded,
-            "FOLLOWING_ERROR",
-            [overloaded_most(bench, a) for a in range(AXES)],
-        ),
-        ("driven by a load", driven, "OVER_SPEED", [OVER_SPEED_LASTS + ANSWER] * AXES),
-        ("set-point too fast", overdone, "OVER_SPEED", [OVER_SPEED_LASTS + ANSWER] * AXES),
-    ):
-        without, supervised = cause(bench, False), cause(bench, True)
-        for axis in range(AXES):
-            pair = without[axis], supervised[axis]
-            rows.extend(_rows(f"{axis_name(axis)}, {what}", pair[0], pair[1], masks[name], bounds[axis]))
-            notes.append(f"{axis_name(axis)}, {what}: without {_story(pair[0], names)}; with {_story(pair[1], names)}")
-        panels.append(_panel(what, without, supervised))
+    masks = {flag.name: flag.mask for flag in Catalogue.load().flags["faults"]}
+    yield f"following error {FOLLOWING:g} rad; moves at {min(bench.speeds):.3g} rad/s"
+    for cause in CAUSES:
+        curves: list[Curve] = []
+        for axis, pair in enumerate(zip(*(cause.accidents(bench, on) for on in (False, True)), strict=True)):
+            what, (without, supervised) = f"{axis_name(axis)}, {cause.name}: ", pair
+            judge, time = Judge(what), supervised.time
+            sooner = math.inf if without.time is None else without.time
+            yield judge("outputs off after", time, "s", 0.0, cause.most(bench, axis))
+            yield judge.true("the fault's name is right", supervised.fault == masks[cause.fault])
+            yield judge("time with over without", None if time is None else time / sooner, most=SOONER_MOST)
+            yield f"{what}without {_story(without, masks)}; with {_story(supervised, masks)}"
+            ends = {"without": without, "with": supervised}
+            curves += [_until_off(f"{axis_name(axis)} {how}", it) for how, it in ends.items()]
+        yield Panel(f"{cause.name}: until the outputs are off", "time [s]", "speed [rad/s]", curves)
     for how, forward in (("", False), (", with feed-forward", True)):
-        wrong = float(legal(bench, forward))
-        rows.append(Row(f"hard moves and load steps{how}: faults", BEYOND, wrong, "", Bound(0.0, 0.0)))
-    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+        yield Judge().none(f"hard moves and load steps{how}: faults", legal(bench, forward))
 
 
-def blocked_most(bench: Bench, axis: int) -> float:
-    """The set-point goes on at the speed limit while the shaft stands [s]."""
-    return FOLLOWING / bench.speeds[axis] + FOLLOWING_LASTS + ANSWER
-
-
-def overloaded_most(bench: Bench, axis: int) -> float:
-    """Braked by at least what the load has more than the drive, the shaft falls behind a set-point that goes on [s]."""
-    braking = (LOAD - 1.0) * bench.peaks[axis] / bench.plant.axes[axis].inertia
-    return math.sqrt(2.0 * FOLLOWING / braking) + FOLLOWING_LASTS + ANSWER
-
-
-def _rows(what: str, without: Accident, supervised: Accident, mask: int, most: float) -> tuple[Row, ...]:
-    named = float(supervised.fault == mask)
-    sooner = math.inf if without.time is None else without.time
-    gained = None if supervised.time is None else supervised.time / sooner
-    return (
-        Row(f"{what}: outputs off after", BEYOND, supervised.time, "s", Bound(0.0, most)),
-        Row(f"{what}: the fault's name is right", BEYOND, named, "", Bound(1.0, 1.0)),
-        Row(f"{what}: time with over without", BEYOND, gained, "", Bound(most=SOONER_MOST)),
-    )
-
-
-def _story(event: Accident, names: Mapping[int, str]) -> str:
+def _story(event: Accident, masks: Mapping[str, int]) -> str:
     if event.time is None:
         return f"no fault, {event.turned:.3g} turns"
-    faults = " and ".join(name for mask, name in names.items() if event.fault & mask)
+    faults = " and ".join(name for name, mask in masks.items() if event.fault & mask)
     return f"{faults} after {1e3 * event.time:.3g} ms, {event.turned:.3g} turns"
 
 
-def _panel(title: str, without: list[Accident], supervised: list[Accident]) -> Panel:
-    curves: list[Curve] = []
-    for axis in range(AXES):
-        for label, event in (("without", without[axis]), ("with", supervised[axis])):
-            shown = _until_off(event)
-            curves.append(
-                Curve(f"{axis_name(axis)} {label}", event.recording.time[shown], event.recording.omega[shown])
-            )
-    return Panel(f"{title}: until the outputs are off", "time [s]", "speed [rad/s]", tuple(curves))
-
-
-def _until_off(event: Accident) -> NDArray[np.bool_]:
+def _until_off(label: str, event: Accident) -> Curve:
     r = event.recording
     end = r.time[-1] if not r.faults.any() else r.time[int(np.argmax(r.faults != 0))]
-    return np.asarray((r.time > CAUSE - 0.05) & (r.time <= end))
+    shown = (r.time > CAUSE - 0.05) & (r.time <= end)
+    return Curve(label, r.time[shown], r.omega[shown])

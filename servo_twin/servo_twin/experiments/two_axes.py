@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,16 +11,16 @@ import numpy as np
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 
 from servo_twin.board import Board
-from servo_twin.experiments.outcome import Bound, Curve, Outcome, Panel, Row
+from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import OVER_VOLTAGE, current_limits, top_speed
 from servo_twin.experiments.rig import (
     RPM,
     TICK,
     Recording,
-    choose_mode,
+    at,
     command_speed,
-    features,
-    set_axis,
+    get_axis,
+    set_up,
     spinning,
     watch,
 )
@@ -51,21 +51,8 @@ EVEN_MOST: Final = 1.0  # more deviation than alone [% of the set-point]
 UNDER_VOLTAGE: Final = 16.0  # [V]
 
 
-@dataclass(frozen=True)
-class Pair:
-    """The watched axis and the one that disturbs it."""
-
-    watched: Recording
-    other: Recording
-
-    @property
-    def swing(self) -> float:
-        """From the lowest to the highest bus voltage [V]."""
-        return float(np.ptp(self.watched.u_dc))
-
-    def deviation(self, speed: float) -> float:
-        """Largest deviation of the true speed from the set-point [rad/s]."""
-        return float(np.abs(self.watched.omega - speed).max())
+Pair = tuple[Recording, Recording]
+"""The watched axis and the one that disturbs it."""
 
 
 @dataclass(frozen=True)
@@ -94,8 +81,7 @@ class Reversals:
 
     def prepare(self, board: Board, axis: int) -> Callable[[int], None]:
         """Set the axis up; returns what has to be done in every slow tick."""
-        set_axis(board, "param.acceleration_limit", axis, self.acceleration)
-        choose_mode(board, axis, "SPEED")
+        set_up(board, axis, "SPEED", parameters={"acceleration_limit": self.acceleration})
         half = round(0.5 * PERIOD / TICK)
 
         def act(k: int) -> None:
@@ -119,21 +105,17 @@ def turn(plant: PlantConfig, seed: int, watched: int, reversals: Reversals | Non
     """The watched axis turns evenly, the other rests or reverses."""
     other = 1 - watched
     with spinning(plant, seed) as board:
-        features(board, watched, BUS_COMPENSATION=compensated)
-        choose_mode(board, watched, "SPEED")
-        command_speed(board, watched, EVEN)
+        set_up(board, watched, "SPEED", EVEN, BUS_COMPENSATION=compensated)
         watch(board, [watched], SETTLE)
         act = None if reversals is None else reversals.prepare(board, other)
         both = watch(board, [watched, other], MEASURED, act)
-    return Pair(both[watched], both[other])
+    return both[watched], both[other]
 
 
-def hold(plant: PlantConfig, seed: int, watched: int, reversals: Reversals) -> Pair:
+def hold(plant: PlantConfig, seed: int, watched: int, reversals: Reversals) -> Recording:
     """The watched axis holds its position while the other reverses."""
-    other = 1 - watched
     with spinning(plant, seed) as board:
-        both = watch(board, [watched, other], MEASURED, reversals.prepare(board, other))
-    return Pair(both[watched], both[other])
+        return watch(board, [watched], MEASURED, reversals.prepare(board, 1 - watched))[watched]
 
 
 def brake(plant: PlantConfig, seed: int, speed: float) -> dict[int, Recording]:
@@ -141,107 +123,61 @@ def brake(plant: PlantConfig, seed: int, speed: float) -> dict[int, Recording]:
     accelerations = [pushed(plant, seed, axis) for axis in range(AXES)]
     with spinning(plant, seed) as board:
         for axis, able in enumerate(accelerations):
-            limits = board.read("param.acceleration_limit")
-            assert isinstance(limits, list)
-            set_axis(board, "param.acceleration_limit", axis, min(limits[axis], able))
-            choose_mode(board, axis, "SPEED")
-            command_speed(board, axis, speed)
+            able = min(get_axis(board, "param.acceleration_limit", axis), able)
+            set_up(board, axis, "SPEED", speed, parameters={"acceleration_limit": able})
         watch(board, [0], SETTLE)
 
-        def act(k: int) -> None:
-            if k == 0:
-                for axis in range(AXES):
-                    command_speed(board, axis, 0.0)
+        def stop() -> None:
+            for axis in range(AXES):
+                command_speed(board, axis, 0.0)
 
-        return watch(board, range(AXES), BRAKE_TIME, act, may_fail=True)
+        return watch(board, range(AXES), BRAKE_TIME, at({0.0: stop}), may_fail=True)
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+def deviation(recording: Recording) -> float:
+    """Largest deviation of the true speed from `EVEN` [rad/s]."""
+    return float(np.abs(recording.omega - EVEN).max())
+
+
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Each axis as the one that is watched, then both braking."""
-    rows: list[Row] = []
-    panels: list[Panel] = []
-    notes: list[str] = []
     for watched in range(AXES):
-        name = axis_name(watched)
+        name, judge = axis_name(watched), Judge(axis_name(watched), NOT_SHOWN)
         reversals = Reversals.of(plant, seed, 1 - watched)
-        alone, together = (turn(plant, seed, watched, disturbed) for disturbed in (None, reversals))
-        without = turn(plant, seed, watched, reversals, compensated=False)
-        lift = reversals.lift(plant, 1 - watched)
-        rows.extend(_rows(name, reversals, lift, alone, together, hold(plant, seed, watched, reversals)))
-        notes.append(
-            f"{name} at {EVEN / RPM:g} rpm, largest deviation: {alone.deviation(EVEN) / RPM:.3g} rpm alone, "
-            f"{together.deviation(EVEN) / RPM:.3g} rpm with the other axis, {without.deviation(EVEN) / RPM:.3g} rpm "
+        alone, _ = turn(plant, seed, watched, None)
+        together, other = turn(plant, seed, watched, reversals)
+        without, _ = turn(plant, seed, watched, reversals, compensated=False)
+        held = hold(plant, seed, watched, reversals)
+        away = np.abs(held.position - held.position_ref).max()
+        more = 100.0 * (deviation(together) - deviation(alone)) / EVEN
+        swing, least = np.ptp(together.u_dc), BUS_SWING * reversals.lift(plant, 1 - watched)
+        reached, unfelt = np.ptp(other.omega) / (2.0 * reversals.speed), "2.3: the bus must not be felt"
+        yield judge(", the other reverses: bus swing", swing, "V", least, OVER_VOLTAGE - UNDER_VOLTAGE)
+        turns, holds = (f" {does}, the other reverses: " for does in ("turns", "holds"))
+        yield judge(f"{turns}more deviation", more, "% of speed", most=EVEN_MOST, seed=unfelt)
+        yield judge(f"{holds}deviation", away, "counts", most=HOLD_MOST, seed=unfelt)
+        yield judge(", the other reaches its speed", reached, "of set-point", 0.9, 1.2)
+        yield (
+            f"{name} at {EVEN / RPM:g} rpm, largest deviation: {deviation(alone) / RPM:.3g} rpm alone, "
+            f"{deviation(together) / RPM:.3g} rpm with the other axis, {deviation(without) / RPM:.3g} rpm "
             "without bus compensation"
         )
-        panels.append(_panel(name, alone, together))
-    speed = top_speed(plant, range(AXES), BRAKE_FROM)
-    stop = brake(plant, seed, speed)
-    rows.extend(_rows_brake(stop, speed))
-    notes.append(f"both brake from {speed / RPM:.4g} rpm")
-    panels.append(_panel_brake(stop))
-    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
-
-
-def _rows(name: str, reversals: Reversals, lift: float, alone: Pair, together: Pair, held: Pair) -> tuple[Row, ...]:
-    seed = "2.3: the bus must not be felt"
-    more = 100.0 * (together.deviation(EVEN) - alone.deviation(EVEN)) / EVEN
-    away = float(np.abs(held.watched.position - held.watched.position_ref).max())
-    return (
-        Row(
-            f"{name}, the other reverses: bus swing",
-            "not shown",
-            together.swing,
-            "V",
-            Bound(BUS_SWING * lift, OVER_VOLTAGE - UNDER_VOLTAGE),
-        ),
-        Row(f"{name} turns, the other reverses: more deviation", seed, more, "% of speed", Bound(most=EVEN_MOST)),
-        Row(f"{name} holds, the other reverses: deviation", seed, away, "counts", Bound(most=HOLD_MOST)),
-        Row(
-            f"{name}, the other reaches its speed",
-            "not shown",
-            float(np.ptp(together.other.omega) / (2.0 * reversals.speed)),
-            "of set-point",
-            Bound(0.9, 1.2),
-        ),
-    )
-
-
-def _rows_brake(stop: dict[int, Recording], speed: float) -> list[Row]:
-    highest = float(stop[0].u_dc.max())
-    rows = [
-        Row(
-            "both brake: highest bus voltage",
-            "not shown; the drive's limit is 33 V",
-            highest,
-            "V",
-            Bound(most=OVER_VOLTAGE),
-        ),
-        Row(
-            "both brake: faults",
-            "none",
-            float(np.bitwise_or.reduce(stop[0].faults | stop[1].faults)),
-            "",
-            Bound(0.0, 0.0),
-        ),
-    ]
-    for axis, recording in stop.items():
-        left = float(np.abs(recording.omega[-100:]).max() / RPM)
-        rows.append(
-            Row(f"both brake: {axis_name(axis)} stands", "not shown", left, "rpm", Bound(most=STANDS * speed / RPM))
+        curves = (
+            Curve("with the other axis", together.time, together.omega / RPM),
+            Curve("alone", alone.time, alone.omega / RPM),
+            Curve("bus [V] - 24 V, x 10, + 1500", together.time, 1500.0 + 10.0 * (together.u_dc - 24.0)),
         )
-    return rows
-
-
-def _panel(name: str, alone: Pair, together: Pair) -> Panel:
-    curves = (
-        Curve("with the other axis", together.watched.time, together.watched.omega / RPM),
-        Curve("alone", alone.watched.time, alone.watched.omega / RPM),
-        Curve("bus [V] - 24 V, x 10, + 1500", together.watched.time, 1500.0 + 10.0 * (together.watched.u_dc - 24.0)),
-    )
-    return Panel(f"{name} turns evenly, the other reverses", "time [s]", "speed [rpm]", curves)
-
-
-def _panel_brake(stop: dict[int, Recording]) -> Panel:
-    speed = [Curve(f"{axis_name(axis)} [100 rpm]", r.time, r.omega / RPM / 100.0) for axis, r in stop.items()]
-    curves = (Curve("bus [V]", stop[0].time, stop[0].u_dc), *speed)
-    return Panel("both axes brake at once", "time [s]", "bus [V], speed [100 rpm]", curves)
+        yield Panel(f"{name} turns evenly, the other reverses", "time [s]", "speed [rpm]", curves)
+    speed = top_speed(plant, range(AXES), BRAKE_FROM)
+    stop, judge = brake(plant, seed, speed), Judge("both brake: ", NOT_SHOWN)
+    limit, faults = "not shown; the drive's limit is 33 V", np.bitwise_or.reduce(stop[0].faults | stop[1].faults)
+    yield judge("highest bus voltage", stop[0].u_dc.max(), "V", most=OVER_VOLTAGE, seed=limit)
+    yield judge.none("faults", faults, seed="none")
+    for axis, r in stop.items():
+        left = np.abs(r.omega[-100:]).max() / RPM
+        yield judge(f"{axis_name(axis)} stands", left, "rpm", most=STANDS * speed / RPM)
+    yield f"both brake from {speed / RPM:.4g} rpm"
+    speeds = [Curve(f"{axis_name(axis)} [100 rpm]", r.time, r.omega / RPM / 100.0) for axis, r in stop.items()]
+    bus = Curve("bus [V]", stop[0].time, stop[0].u_dc)
+    yield Panel("both axes brake at once", "time [s]", "bus [V], speed [100 rpm]", [bus, *speeds])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -14,18 +13,13 @@ from servo_msgs_py.tuning.reading import loads
 from servo_msgs_py.tuning.winding import STEP_TICKS, Winding
 
 from servo_twin.board import Board
-from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.rig import SETTLED, TICK, choose_mode, command_speed, features, fresh_board
+from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
+from servo_twin.experiments.rig import SETTLED, TICK, fresh_board, set_up, word
 from servo_twin.firmware_build import as_toml, servo_table
 from servo_twin.lockstep.blocks import blocks_of_file, bring
 from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable
-
-if sys.version_info >= (3, 11):
-    pass
-else:
-    pass
 
 NAME: Final = "winding"
 HELP: Final = """\
@@ -53,25 +47,18 @@ REST: Final = 0.05
 
 @dataclass(frozen=True)
 class Motor:
-    """A motor, and what the controller believes of its winding.
-
-    Attributes
-    ----------
-    rated : float
-        That leads to the maximum for ever [A].
-    capacity : float
-        Of the winding, as believed [J/K].
-    r_s : float or None
-        Of a phase, in the place of the plant's [ohm].
-    resistance_error, capacity_error : float
-        What the controller believes of the thermal resistance and of the heat capacity, over what there is.
-    """
+    """A motor, and what the controller believes of its winding."""
 
     rated: float
+    """Current that leads to the maximum for ever [A]."""
     capacity: float
+    """Heat capacity of the winding, as believed [J/K]."""
     r_s: float | None = None
+    """Of a phase, in the place of the plant's [ohm]."""
     resistance_error: float = 1.0
+    """What the controller believes of the thermal resistance, over what there is."""
     capacity_error: float = 1.0
+    """The same of the heat capacity."""
 
 
 @dataclass(frozen=True)
@@ -98,29 +85,20 @@ CASES: Final = (
 
 @dataclass(frozen=True)
 class Course:
-    """One axis over time.
-
-    Attributes
-    ----------
-    time : ndarray
-        [s].
-    estimate, truth : ndarray
-        Temperature of the winding [deg C].
-    current : ndarray
-        Set-point i_q [A].
-    bears : ndarray
-        Current that the firmware lets the winding bear [A].
-    faults, limits : int
-        Bits that have been there.
-    """
+    """One axis over time."""
 
     time: NDArray[np.float64]
+    """[s]"""
     estimate: NDArray[np.float64]
+    """Of the temperature of the winding [deg C]."""
     truth: NDArray[np.float64]
+    """That temperature [deg C]."""
     current: NDArray[np.float64]
+    """Set-point i_q [A]."""
     bears: NDArray[np.float64]
+    """Current that the firmware lets the winding bear [A]."""
     faults: int
-    limits: int
+    """Bits that have been there."""
 
     @property
     def derated_from(self) -> float | None:
@@ -169,77 +147,59 @@ def courses(plant: PlantConfig, seed: int, text: str, seconds: float = SECONDS) 
         enable(board)
         board.run(SETTLED)
         for axis in range(AXES):
-            features(board, axis, WINDING_MODEL=True)
-            choose_mode(board, axis, "SPEED")
+            set_up(board, axis, "SPEED", SPEED, WINDING_MODEL=True)
             board.set_winding(axis, plant.ambient)
-            command_speed(board, axis, SPEED)
         return _watched(board, seconds)
 
 
 def _watched(board: Board, seconds: float) -> list[Course]:
     ticks = round(seconds / STEP)
-    table = np.zeros((AXES, ticks, 4))
-    words = np.zeros((AXES, 2), dtype=np.int64)
+    table = np.zeros((AXES, 4, ticks))
+    faults = [0] * AXES
     for k in range(ticks):
         board.run(STEP)
         for axis in range(AXES):
-            name = axis_name(axis)
             estimate, current, bears = (
-                float(np.asarray(board.read(f"{name}.{of}")).item())
+                float(np.asarray(board.read(f"{axis_name(axis)}.{of}")).item())
                 for of in ("winding_temperature", "i_q_ref", "winding_current")
             )
-            table[axis, k] = estimate, board.truth(axis).t_winding, current, bears
-            words[axis] |= [board.read_raw(f"{name}.{word}")[0] for word in ("faults", "limits")]
+            table[axis, :, k] = estimate, board.truth(axis).t_winding, current, bears
+            faults[axis] |= word(board, axis, "faults")
     time = STEP * np.arange(1, ticks + 1, dtype=np.float64)
-    found: list[Course] = []
-    for part, (faults, limits) in zip(table, words.tolist(), strict=True):
-        estimate_of, truth_of, current_of, bears_of = part.T
-        found.append(Course(time, estimate_of, truth_of, current_of, bears_of, faults, limits))
-    return found
+    return [Course(time, it[0], it[1], it[2], it[3], faults[axis]) for axis, it in enumerate(table)]
 
 
-def run(plant: PlantConfig, seed: int) -> Outcome:
+@experiment(NAME)
+def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Both axes, every case."""
-    rows: list[Row] = []
-    panels: list[Panel] = []
-    notes: list[str] = []
     for case in CASES:
         world, text, believed, true = configured(plant, case.motors)
-        found = courses(world, seed, text)
+        found = courses(world, seed, text, SECONDS)
         for axis, (it, model, winding) in enumerate(zip(found, believed, true, strict=True)):
             name = f"{axis_name(axis)}, {case.name}"
-            rows.extend(_rows(name, it, model, winding))
-            panels.append(_panel(name, it))
+            yield from figures(Judge(f"{name}: "), it, model, winding)
             beyond = float(it.truth[-1]) - winding.maximum
-            notes.append(f"{name}: the winding ends {beyond:+.1f} K from its maximum of {winding.maximum:g} deg C")
-    return Outcome(NAME, tuple(rows), tuple(panels), tuple(notes))
+            yield f"{name}: the winding ends {beyond:+.1f} K from its maximum of {winding.maximum:g} deg C"
+            curves = (
+                Curve("winding [deg C]", it.time, it.truth),
+                Curve("estimate [deg C]", it.time, it.estimate, "--"),
+                Curve("current [0.1 A]", it.time, 10.0 * it.current),
+            )
+            yield Panel(name, "time [s]", "", curves)
 
 
-def _rows(name: str, it: Course, model: Winding, winding: Winding) -> Iterator[Row]:
-    """What the controller does follows from what it believes, the winding from that current."""
+def figures(judge: Judge, it: Course, model: Winding, winding: Winding) -> Iterator[Row]:
+    """What the controller does follows from what it believes (`model`), the winding from that current."""
     until = model.time_to(model.derating, model.current)
     current, estimate = model.settled()
     truth = winding.equilibrium(current)
-    yield Row(f"{name}: time until derating", BEYOND, it.derated_from, "s", _about(until, 0.05 * until + 2.0 * STEP))
-    yield Row(f"{name}: current in the end", BEYOND, float(it.current[-1]), "A", _about(current, 0.02 * current))
-    yield Row(f"{name}: estimate in the end", BEYOND, float(it.estimate[-1]), "deg C", _about(estimate, NEAR))
     rest = max(NEAR, REST * (truth - winding.ambient))
-    yield Row(f"{name}: winding in the end", BEYOND, float(it.truth[-1]), "deg C", Bound(truth - rest, truth + NEAR))
-    yield Row(f"{name}: faults", BEYOND, float(it.faults), "", Bound(0.0, 0.0))
+    late = 0.05 * until + 2.0 * STEP
+    yield judge("time until derating", it.derated_from, "s", until - late, until + late)
+    yield judge.near("current in the end", it.current[-1], "A", current, 0.02 * current)
+    yield judge.near("estimate in the end", it.estimate[-1], "deg C", estimate, NEAR)
+    yield judge("winding in the end", it.truth[-1], "deg C", truth - rest, truth + NEAR)
+    yield judge.none("faults", it.faults)
     if winding == model:
-        off = float(np.abs(it.estimate - it.truth).max())
         step = model.loss(model.current, model.derating) / model.capacity * STEP_TICKS * TICK
-        yield Row(f"{name}: estimate off the winding", BEYOND, off, "K", Bound(0.0, step + AGREES))
-
-
-def _about(value: float, off: float) -> Bound:
-    return Bound(value - off, value + off)
-
-
-def _panel(name: str, it: Course) -> Panel:
-    curves = (
-        Curve("winding [deg C]", it.time, it.truth),
-        Curve("estimate [deg C]", it.time, it.estimate, "--"),
-        Curve("current [0.1 A]", it.time, 10.0 * it.current),
-    )
-    return Panel(name, "time [s]", "", curves)
+        yield judge("estimate off the winding", np.abs(it.estimate - it.truth).max(), "K", 0.0, step + AGREES)
