@@ -14,7 +14,7 @@ from servo_twin.board import Board, SimulationError
 __all__ = ["MoveResult", "SimulationError", "enable", "keep_set_points", "move", "record", "time_axis"]
 
 _BOOT = 0.03  # reset to STOP [s]
-_SEARCH_MOST = 6.0  # rotor search of both axes [s]
+_SEARCH_MAX = 6.0  # rotor search of both axes [s]
 _STEP = 0.01  # between two looks at the state [s]
 
 
@@ -76,7 +76,7 @@ def enable(board: Board) -> NDArray[np.void]:
     board.run(_BOOT)
     board.write("cmd.enable", [1] * AXES)
     logs: list[NDArray[np.void]] = []
-    for _ in range(round(_SEARCH_MOST / _STEP)):
+    for _ in range(round(_SEARCH_MAX / _STEP)):
         logs.append(record(board, _STEP))
         last = logs[-1][-1]
         for axis in range(AXES):
@@ -86,7 +86,7 @@ def enable(board: Board) -> NDArray[np.void]:
         run = catalogue.enums["state_t"]["RUN"]
         if all(last[f"{axis_name(a)}.state"] == run and last[f"{axis_name(a)}.substate"] == spin for a in range(AXES)):
             return np.concatenate(logs)
-    raise SimulationError(f"an axis did not find its rotor within {_SEARCH_MOST:g} s")
+    raise SimulationError(f"an axis did not find its rotor within {_SEARCH_MAX:g} s")
 
 
 def move(

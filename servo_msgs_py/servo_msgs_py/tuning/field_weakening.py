@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 _STEPS: Final = 201  # values of i_d that are tried
-_MOST: Final = 1.0 - 2.0**-15
+_SHARE_MAX: Final = 1.0 - 2.0**-15
 _SPEEDS: Final = (0.6, 0.7, 0.8, 0.9, 1.0)  # of the rated speed, in the report
 
 
@@ -64,7 +64,9 @@ def field_weakening_constants(to: Converter) -> dict[str, Field]:
             INT16_Q8, "gain of field weakening", min(max(gain, 2.0**-8), 127.0), "correct motor.l_d"
         ),
         f"{group}.i_d_max": to.of(FRAC16, "largest i_d against the flux", i_d_max(axis) / s.i, "lower it"),
-        f"{group}.q_share": to.of(FRAC16, "i_q in the place of i_d", min(max(by_d / by_q, 2.0**-15), _MOST), "none"),
+        f"{group}.q_share": to.of(
+            FRAC16, "i_q in the place of i_d", min(max(by_d / by_q, 2.0**-15), _SHARE_MAX), "none"
+        ),
     }
 
 
