@@ -18,12 +18,15 @@ export SERVO_TWIN_LEVEL := $(LEVEL)
 endif
 # A test that hangs fails; one that hangs where Python cannot interrupt it ends the run with the stack of every thread.
 TIMEOUTS := --timeout 900 --timeout-method signal -o faulthandler_exit_on_timeout=true
-# In a worker of its own, so that one that hangs beyond Python's reach is ended and the others go on.
-REALTIME := -n 1 --dist loadfile --max-worker-restart 1 --reruns 1 -rR --timeout 120 -o faulthandler_timeout=180
+# These tests mostly wait for the clock, so the processors are shared by more of them than there are processors.
+REALTIME := -n 3 --dist loadfile --max-worker-restart 1 --reruns 1 -rR --timeout 120 -o faulthandler_timeout=180
+# Many tests compile the C sources. With ccache (if there is one) a file that has been compiled is taken from the cache; without
+# link-time optimisation the rest takes a fourth of the time. The numbers are the same bits.
+CCACHE := $(wildcard /usr/lib/ccache)
 # The pytest of Ubuntu 24.04, which `colcon test` has to do with there.
 UBUNTU_PYTEST := $(VENV)/pytest-7.4
-# Tests publish commands: a domain of their own keeps them away from other nodes.
-TEST_DOMAIN_ID ?= $(shell echo $$(( $$$$ % 90 + 10 )))
+# Tests publish commands: a domain of their own keeps them away from other nodes. Each worker adds its number (tests/conftest.py).
+TEST_DOMAIN_ID ?= $(shell echo $$(( $$$$ % 22 * 4 + 10 )))
 
 NATIVE := $(shell find firmware servo_twin/native -name '*.[ch]') servo_twin/setup.py \
           $(wildcard servo_twin/servo_twin/_*.py servo_twin/servo_twin/core_weights.toml)
@@ -33,28 +36,7 @@ METADATA := $(foreach package,$(PACKAGES),$(wildcard $(addprefix $(package)/,\
 # x86-64.
 ARCH ?= $(shell /lib64/ld-linux-x86-64.so.2 --help 2>/dev/null | grep -q 'x86-64-v3 .supported' && \
           $(CC) -march=x86-64-v3 -E -x c /dev/null >/dev/null 2>&1 && echo -march=x86-64-v3 -mno-fma)
-COMPILE = echo "compiling firmware and virtual board$(1)" && cd servo_twin && \
-          $(if $(3),CC=$(3)) SERVO_TWIN_FLAGS='$(ARCH) $(2)' \
-          ../$(BIN)/python -W ignore setup.py --quiet build_ext --inplace --force
-PROFILE := $(VENV)/profile
-# What `fast` compiles with: gcc, or, unless CC says otherwise, a clang from 19 on that can link a profile, and makes 10 % more of
-# it than gcc 12. FAST_CLANG=19 for another one, FAST_CLANG= for gcc. Looked for once, and only when needed.
-CAN_PROFILE = command -v llvm-profdata-$(1) >/dev/null && \
-              echo 'int main(void) { return 0; }' | clang-$(1) -x c -fuse-ld=lld -flto -fprofile-generate -o /dev/null - 2>/dev/null
-ifeq ($(origin FAST_CLANG)-$(origin CC),undefined-default)
-FAST_CLANG = $(eval FAST_CLANG := $(firstword $(foreach v,22 21 20 19,$(shell $(call CAN_PROFILE,$(v)) && echo $(v)))))$(FAST_CLANG)
-endif
-FAST_CC = $(if $(FAST_CLANG),clang-$(FAST_CLANG))
-# Valgrind reads what such a clang says of the sources in an older format only.
-CLANG_FLAGS := -O3 -gdwarf-4 -fno-vectorize -fno-slp-vectorize -fuse-ld=lld -Wno-unused-command-line-argument
-# With FMA the chains of a segment are shorter: 3 to 5 % faster, and other last bits.
-FUSED = $(if $(findstring -mno-fma,$(ARCH)),-mfma -ffp-contract=fast)
-RECORD = $(FUSED) -fprofile-generate=$(abspath $(PROFILE)) $(if $(FAST_CC),$(CLANG_FLAGS),-fprofile-update=single)
-MERGE = llvm-profdata-$(FAST_CLANG) merge --output=$(PROFILE)/all $(PROFILE)/*.profraw
-# With gcc the use of a profile turns vectors on again, whatever the compiler has been told of them in general.
-GUIDED = $(FUSED) $(if $(FAST_CC),-fprofile-use=$(abspath $(PROFILE))/all $(CLANG_FLAGS),\
-           -fprofile-use=$(abspath $(PROFILE)) -fprofile-partial-training -Wno-missing-profile \
-           -fno-tree-loop-vectorize -fno-tree-slp-vectorize)
+COMPILE = cd servo_twin && SERVO_TWIN_FLAGS='$(ARCH)' ../$(BIN)/python -W ignore setup.py --quiet build_ext --inplace --force
 CONFTESTS = $(shell find firmware $(PACKAGES) tests -name conftest.py)
 C_CORE := $(wildcard $(foreach room,math control sensing diagnosis drive app comm config,firmware/$(room)/*.c))
 C_MODELS := $(wildcard servo_twin/native/chip/*.c servo_twin/native/plant/*.c)
@@ -128,7 +110,7 @@ test: $(VENV)/.native $(VENV)/.dev ## every check and every test
 	run() { echo "== pytest: $$1"; shift; $(BIN)/python -m pytest $(TIMEOUTS) $(PYTEST_ARGS) "$$@"; result=$$?; \
 	[ $$result -eq 0 ] || [ $$result -eq 5 ] || status=1; }; \
 	run "on every core" -m "not realtime$(if $(MARKS), and ($(MARKS)))" -n auto --dist loadfile --max-worker-restart 0; \
-	run "one at a time" -m "realtime$(if $(MARKS), and ($(MARKS)))" $(REALTIME); \
+	run "in real time" -m "realtime$(if $(MARKS), and ($(MARKS)))" $(REALTIME); \
 	exit $$status
 
 lint: $(VENV)/.dev ## ruff, mypy, clang-format, clang-tidy and cppcheck, changing nothing
@@ -149,15 +131,11 @@ format: $(VENV)/.dev ## lay out Python and C sources
 
 build: $(VENV)/.native ## compile the firmware and the virtual board (part of setup)
 
-fast: $(VENV)/.fast ## compile the virtual board anew, led by a profile of itself (with clang-19 or later, if there is one): faster until a source changes, the same but for the last bits
+fast: $(VENV)/.fast ## compile the virtual board anew, guided by a profile of itself: faster until a source changes, the same but for last bits
 
 $(VENV)/.fast: $(VENV)/.native
-	@rm -rf $(PROFILE) $(VENV)/.native
-	@$(call COMPILE, for a profile$(if $(FAST_CC), with $(FAST_CC)),$(RECORD),$(FAST_CC))
-	@unset LLVM_PROFILE_FILE; for level in ideal registers; do \
-	  $(BIN)/servo-sim bench --level $$level --time 1 >/dev/null || exit; done
-	@$(if $(FAST_CC),$(MERGE))
-	@$(call COMPILE, with it,$(GUIDED),$(FAST_CC))
+	@rm -f $(VENV)/.native
+	@SERVO_TWIN_FLAGS='$(ARCH)' $(BIN)/python tests/bench/guided_build.py --profile $(VENV)/profile
 	@touch $(VENV)/.native $@
 
 # Not from the installed packages: while the generated files are stale, the extension among them may not compile.
@@ -176,6 +154,10 @@ clean: ## remove everything that the other targets made
 
 demo test: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 test: export ROS_DOMAIN_ID := $(TEST_DOMAIN_ID)
+test: export SERVO_TWIN_FLAGS := $(ARCH) -O1 -fno-lto
+test: export PATH := $(addsuffix :,$(CCACHE))$(PATH)
+test: export CCACHE_DIR := $(CURDIR)/$(VENV)/ccache
+test: export CCACHE_BASEDIR := /
 
 # ---- how the environment is made -------------------------------------------------------------------------------------
 # The stamps make a second run quick. A sourced ROS lends its rclpy to the environment; without one it comes as wheels.
@@ -202,9 +184,9 @@ $(VENV)/.packages: $(VENV)/.created Makefile constraints.txt $(METADATA)
 	  (cd $$package && ../$(BIN)/python -W ignore setup.py --quiet install_data --install-dir "$(CURDIR)/$(VENV)") || exit; done
 	@touch $@
 
-# Installing servo_twin has just compiled it; this is for every later change of the C sources.
+# Installing servo_twin compiles it; this is for every later change of the C sources.
 $(VENV)/.native: $(VENV)/.packages $(NATIVE)
-	@$(if $(filter $(VENV)/.packages,$?),,$(call COMPILE))
+	@[ -z "$$(find $(NATIVE) -newer $(VENV)/.packages)" ] || { echo "compiling firmware and virtual board"; $(COMPILE); }
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.packages pyproject.toml

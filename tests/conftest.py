@@ -17,6 +17,11 @@ from targets.sources import Sources
 # A shell in the background may have Ctrl-C ignored, and the processes that the tests start would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# Before test modules are imported: nodes of two workers must not discover each other.
+_WORKER = os.environ.get("PYTEST_XDIST_WORKER", "gw0")
+if "ROS_DOMAIN_ID" in os.environ:
+    os.environ["ROS_DOMAIN_ID"] = str(int(os.environ["ROS_DOMAIN_ID"]) + int(_WORKER.removeprefix("gw")))
+
 SKIP_NOTHING = "TESTS_SKIP_NOTHING"
 ALLOWED = (
     "root may write everywhere",

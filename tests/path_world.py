@@ -7,8 +7,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_bridge.arbiter import Arbiter, AxisStatus, CommandWrite
+from servo_bridge.arbiter import Arbiter, AxisStatus
 from servo_bridge.dispatcher import Dispatcher
+from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.setpoints import JointSetPoint
 from servo_bridge.trajectory.check import require
 from servo_bridge.trajectory.errors import TrajectoryError
@@ -70,10 +71,10 @@ class PathWorld:
         self.log: list[NDArray[np.void]] = []
         self.arbiter = Arbiter(CATALOGUE, joints)
         self.follower = Follower(CATALOGUE, joints, self._check, clock=lambda: 0.0)
-        self.arbiter.follow(self.follower)
+        self.arbiter.queue.follow(self.follower)
         self.streamer = Streamer(joints, self.follower, stream_lead(115_200), delay_max)
         self._acknowledge: list[tuple[CommandWrite, str | None]] = []
-        self.dispatcher = Dispatcher(self._send, self.arbiter, self.troubles.append)
+        self.dispatcher = Dispatcher(self._send, self.arbiter.queue, self.troubles.append)
         enable(board)
         constants = [numbers(board.read(f"{axis_name(axis)}.torque_constant"))[0] for axis in range(AXES)]
         self.arbiter.set_torque_constants(constants)
@@ -195,7 +196,7 @@ class PathWorld:
             reference = int(row[f"{name}.position_ref"])
             position = int(row[f"{name}.position"])
             axes.append(AxisStatus(label, label == "RUN/SPIN", label == "FAULT", position, reference))
-            reports.append(AxisReport(reference * COUNT, self.arbiter.obeys_points(axis)))
+            reports.append(AxisReport(reference * COUNT, self.arbiter.queue.obeys_points(axis)))
         tick = int(row["tick"])
         self.arbiter.board_seen(axes)
         self.follower.on_sample(tick, reports)

@@ -120,9 +120,9 @@ def table(message: Float64MultiArray) -> list[list[float]]:
     return values
 
 
-def listen(anybody: User) -> list[Any]:
+def listen(user: User) -> list[Any]:
     messages: list[Any] = []
-    anybody.node.create_subscription(Float64MultiArray, TOPIC, messages.append, latched_qos())
+    user.node.create_subscription(Float64MultiArray, TOPIC, messages.append, latched_qos())
     return messages
 
 

@@ -76,5 +76,5 @@ def test_commands_and_parameters_have_their_passwords(board: Board) -> None:
     assert command_result(board, CLEAR_FAULTS) == DONE
     assert log_in(board, 3, b"guess") == b"\x92"
     assert (command_result(board, CLEAR_FAULTS), command_result(board, KEEP_ALIVE)) == (LEVEL, LEVEL)
-    assert command_result(board, QUICK_STOP) == DONE, "a stop is open to everyone"
+    assert command_result(board, QUICK_STOP) == DONE, "every client may stop an axis"
     assert (write(board, *command), write(board, *parameter)) == (NEEDED, NEEDED)

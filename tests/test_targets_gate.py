@@ -70,7 +70,7 @@ def test_missing_cast_is_noticed(
     fragment: str,
     removed: str,
 ) -> None:
-    """By the machine with a 16-bit `int`, or by its compiler; the host sees nothing."""
+    """By the machine with a 16-bit `int`, or by its compiler; the digest of the host stays."""
     (cast,) = [
         one for one in removals(c_sources) if (one.file, one.removed) == (file, removed) and fragment in one.code
     ]

@@ -16,27 +16,27 @@
 #define JOURNAL_LINE 56 /* bytes at most, with the end of the line */
 
 typedef struct {
-    uint32_t tick;
-    uint8_t kind;
-    uint8_t axis;
-    uint16_t value;
+    uint32_t tick; /* PWM periods since reset */
+    uint8_t kind; /* event_kind_t (journal.c) */
+    uint8_t axis; /* axis, or copy in the data flash */
+    uint16_t value; /* new state, fault or offset */
 } journal_event_t;
 
 typedef struct {
     fault_set_t faults;
-    uint16_t state;
-    uint16_t substate;
+    uint16_t state; /* state_t at the last look */
+    uint16_t substate; /* substate_t, the same */
 } journal_axis_t;
 
 typedef struct {
     journal_event_t event[JOURNAL_EVENTS];
-    uint16_t first;
-    uint16_t count;
+    uint16_t first; /* oldest event */
+    uint16_t count; /* events kept */
     uint16_t lost; /* since the last line */
     uint32_t tick; /* of the snapshot looked at last */
-    uint16_t points_refused;
-    uint16_t late_loops;
-    uint16_t receiver_overruns;
+    uint16_t points_refused; /* count of the snapshot looked at last */
+    uint16_t late_loops; /* the same */
+    uint16_t receiver_overruns; /* the same */
     journal_axis_t axis[HAL_AXES];
 } journal_t;
 

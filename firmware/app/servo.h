@@ -29,7 +29,7 @@
 #endif
 
 typedef struct servo {
-    uint32_t catalogue_hash;
+    uint32_t catalogue_hash; /* hash of variables.toml */
     snapshot_t snapshot;
     command_block_t command;
     parameter_block_t parameter;
@@ -55,8 +55,8 @@ typedef struct servo {
     uint16_t hal_late_loops; /* of the last slow tick */
     int16_t monitor[HAL_ANALOG_OUTS]; /* what the monitor outputs show */
     bool monitoring;     /* a monitor output shows something */
-    uint32_t applied_tick;
-    uint16_t applied_count;
+    uint32_t applied_tick; /* tick at which the last write took effect */
+    uint16_t applied_count; /* writes that have taken effect, modulo 65536 */
     volatile bool held; /* the server is copying: neither latch commands nor publish a snapshot */
     latch_marks_t marks;
     uint16_t points_refused; /* writes of timed points since reset */
@@ -67,7 +67,7 @@ typedef struct servo {
     bool host_seen;                  /* the line has carried a command at all */
     journal_t journal;
     freemaster_t freemaster;
-    uint32_t samples[SERVO_SAMPLES / 4];
+    uint32_t samples[SERVO_SAMPLES / 4]; /* of both recorders, in words of 4 bytes */
 } servo_t;
 
 void servo_init(servo_t *servo, hal_t *hal);

@@ -127,7 +127,7 @@ static uint8_t app_command(void *context, uint8_t code, const uint8_t *args, uin
     (void)args;
     (void)size;
     *result_size = 0;
-    /* A stop is open to everyone. What re-arms an axis or keeps it alive is not for a client that may only look. */
+    /* Every client may stop an axis. Commands that re-arm it or count as keep-alive need the right to write. */
     if ((code == COMMAND_CLEAR_FAULTS || code == COMMAND_KEEP_ALIVE) &&
         freemaster_level(&servo->freemaster) < ACCESS_COMMAND) {
         return RESULT_LEVEL;

@@ -34,7 +34,7 @@ typedef struct {
     stored_values_t values;
     const config_status_t *config_status;
     journal_t *journal;
-    uint16_t request; /* where the host sees the request */
+    uint16_t request; /* of the host's request, in servo_t */
 } storage_board_t;
 
 /* Look at both copies and take over what is stored; before configure_begin. */

@@ -30,7 +30,7 @@
 
 /* The values of a board. */
 typedef struct {
-    uint8_t *memory; /* that the host sees .. */
+    uint8_t *memory; /* shared with the host .. */
     uint16_t parameter; /* .. with the parameter block at this offset */
     configure_t *configure;
 } stored_values_t;

@@ -8,15 +8,15 @@
 typedef struct {
     uint16_t offset; /* in servo_t [bytes] */
     uint16_t size; /* of an element [bytes]: 2 or 4 */
-    uint16_t count;
-    int32_t min;
-    int32_t max;
+    uint16_t count; /* elements */
+    int32_t min; /* raw, the smallest */
+    int32_t max; /* raw, the largest */
 } variable_range_t;
 
 /* Names of the values 0, 1, ..: offsets in the strings of servo_variables. */
 typedef struct {
     const uint16_t *offset;
-    uint16_t count;
+    uint16_t count; /* names */
 } name_list_t;
 
 extern const tsa_table_t servo_variables;

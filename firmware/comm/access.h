@@ -29,7 +29,7 @@ typedef struct {
     access_passwords_t passwords;
     uint8_t level; /* granted now */
     bool salted;   /* a challenge is open */
-    uint8_t salt[ACCESS_SALT_SIZE];
+    uint8_t salt[ACCESS_SALT_SIZE]; /* of the open challenge */
 } access_t;
 
 void access_init(access_t *access, const access_passwords_t *passwords);

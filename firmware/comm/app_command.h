@@ -25,13 +25,13 @@ typedef uint8_t (*app_command_run_t)(void *context, uint8_t code, const uint8_t 
                                      uint8_t *result, uint16_t *result_size);
 
 typedef struct {
-    uint8_t code;
+    uint8_t code; /* of the application's command */
     uint8_t status; /* APP_COMMAND_PENDING, APP_COMMAND_NONE or the result code */
     bool begun;     /* the application has it */
-    uint16_t arguments_size;
-    uint16_t result_size;
-    uint8_t arguments[APP_COMMAND_ARGUMENTS_MAX];
-    uint8_t result[APP_COMMAND_RESULT_MAX];
+    uint16_t arguments_size; /* bytes */
+    uint16_t result_size; /* bytes */
+    uint8_t arguments[APP_COMMAND_ARGUMENTS_MAX]; /* as received */
+    uint8_t result[APP_COMMAND_RESULT_MAX]; /* as answered */
 } app_command_t;
 
 void app_command_init(app_command_t *command);

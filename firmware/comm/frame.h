@@ -15,7 +15,7 @@
 #define FRAME_MTU 254
 #endif
 #if FRAME_MTU < 32 || FRAME_MTU > 254
-#error "the serial protocol knows buffers of 32 to 254 bytes"
+#error "the serial protocol supports buffers of 32 to 254 bytes"
 #endif
 
 #define FRAME_START UINT8_C(0x2B)
@@ -31,11 +31,11 @@ typedef enum {
 } frame_event_t;
 
 typedef struct {
-    uint8_t payload[FRAME_PAYLOAD_MAX];
-    uint8_t command;
+    uint8_t payload[FRAME_PAYLOAD_MAX]; /* as received, stuffing removed */
+    uint8_t command; /* CMD byte */
     uint8_t size; /* payload bytes stored */
     uint8_t todo; /* bytes to come, with the checksum */
-    uint8_t crc;
+    uint8_t crc; /* running CRC of what has come */
     bool start;       /* an unpaired 2B was seen */
     bool want_length; /* the next byte is LEN */
     bool overflow;
@@ -43,8 +43,8 @@ typedef struct {
 
 typedef struct {
     uint8_t bytes[2 + FRAME_DATA_MAX + 1]; /* STS, LEN, data, CRC; without LEN the frame begins at [1] */
-    uint16_t at;
-    uint16_t end;
+    uint16_t at; /* next byte to send */
+    uint16_t end; /* one past the last byte */
     bool start;  /* the start byte is due */
     bool repeat; /* the second of a doubled byte is due */
 } frame_transmitter_t;

@@ -1,4 +1,4 @@
-/* freemaster_app.h - what a FreeMASTER server asks of its application. */
+/* freemaster_app.h - what a FreeMASTER server needs from its application. */
 #ifndef COMM_FREEMASTER_APP_H
 #define COMM_FREEMASTER_APP_H
 
@@ -18,7 +18,7 @@ typedef struct {
     uint8_t *memory;
     uint32_t memory_size; /* at most 65536: offsets of writes have 16 bits */
     const uint8_t *live; /* memory of the loops, for the sources of the table */
-    uint32_t live_size;
+    uint32_t live_size; /* bytes */
     recorder_app_t recorder[FREEMASTER_RECORDERS];
     uint32_t *samples; /* of the recorders */
     uint16_t samples_size; /* bytes */

@@ -31,7 +31,7 @@ const uint8_t *payload_take(payload_reader_t *reader, uint32_t size);
 
 /* One of a list of operations: u8 code, u8 length, data. */
 typedef struct {
-    uint8_t code;
+    uint8_t code; /* FreeMASTER code of the operation */
     payload_reader_t operand;
 } payload_operation_t;
 

@@ -19,7 +19,7 @@ typedef struct {
     bool odd;         /* toggle bit of the next new request */
     uint8_t accepted; /* bytes that the last new one has brought */
     uint8_t size;     /* bytes queued */
-    uint8_t queue[PIPE_QUEUE];
+    uint8_t queue[PIPE_QUEUE]; /* text for the client, the oldest byte first */
 } pipe_t;
 
 void pipe_init(pipe_t *pipe, const char *name);

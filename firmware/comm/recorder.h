@@ -46,7 +46,7 @@ typedef struct {
     uint32_t threshold;    /* constant; signed ones shifted by `bias`, as what they are compared with */
     uint32_t threshold_upper; /* the same of 8 bytes */
     uint32_t bias; /* makes signed numbers unsigned ones in the same order */
-    uint8_t size;
+    uint8_t size; /* bytes of the variable */
     uint8_t cell; /* of source and limit */
     uint8_t mode; /* trigger byte of the request */
     uint8_t direct; /* 2, 4: the number is one cell, and the threshold constant; 0: neither */
@@ -90,7 +90,7 @@ typedef struct recorder {
     bool started;    /* since then */
     uint32_t total;  /* points; 0: as many as fit */
     uint32_t before; /* .. before the trigger */
-    uint32_t divider;
+    uint32_t divider; /* the same, as configured */
 } recorder_t;
 
 void recorder_init(recorder_t *recorder, const recorder_app_t *app, recorder_memory_t *memory);

@@ -8,7 +8,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#define FM_OK UINT8_C(0x00)               /* success, the client knows how many bytes follow */
+#define FM_OK UINT8_C(0x00)               /* success; the request tells how many bytes follow */
 #define FM_OK_VARIABLE UINT8_C(0x40)      /* success, a length byte follows */
 #define FM_UNKNOWN_COMMAND UINT8_C(0x81)  /* also: feature or sub-operation that this server does not have */
 #define FM_BAD_CHECKSUM UINT8_C(0x82)

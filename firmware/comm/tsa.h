@@ -56,20 +56,20 @@ typedef struct {
 
 typedef struct {
     const tsa_entry_t *entry; /* in TABLE_MEMORY */
-    uint16_t entries;
+    uint16_t entries; /* number of entries */
     const uint8_t *strings; /* 00-terminated strings one after the other, nothing else; in TABLE_MEMORY */
-    uint16_t strings_size;
+    uint16_t strings_size; /* bytes */
     const tsa_source_t *source; /* in TABLE_MEMORY */
-    uint16_t sources;
+    uint16_t sources; /* number of sources */
 } tsa_table_t;
 
 /* Everything that a client can reach. Entries may overlap: one that covers a range suffices. */
 typedef struct {
     const tsa_table_t *table;
     uint8_t *memory;
-    uint32_t memory_size;
+    uint32_t memory_size; /* bytes */
     const uint8_t *live;
-    uint32_t live_size;
+    uint32_t live_size; /* bytes */
 } tsa_space_t;
 
 typedef enum { TSA_REGION_VARIABLES, TSA_REGION_STRINGS, TSA_REGION_TABLE, TSA_REGION_LIVE } tsa_region_t;
@@ -77,7 +77,7 @@ typedef enum { TSA_REGION_VARIABLES, TSA_REGION_STRINGS, TSA_REGION_TABLE, TSA_R
 /* A range that has passed the check. */
 typedef struct {
     uint32_t offset; /* from the beginning of the region */
-    uint16_t size;
+    uint16_t size; /* bytes */
     uint8_t region; /* tsa_region_t */
 } tsa_place_t;
 

@@ -67,7 +67,7 @@ typedef struct {
     frac16_t u_dc_max; /* over-voltage */
     frac16_t u_dc_min; /* under-voltage */
     uint16_t offset_tolerance; /* ADC codes that an amplifier offset may lie off mid-scale */
-    frac16_t offset_duty_min; /* shortest high side during which an offset sample is true */
+    frac16_t offset_duty_min; /* shortest high side, part of a period, during which an offset sample is true */
 
     winding_config_t winding;
     heat_monitor_config_t heat;
@@ -93,7 +93,7 @@ typedef struct {
     axis_config_t axis[HAL_AXES];
     brake_config_t brake;
     uint16_t host_timeout; /* defaults of the writable time-outs, slow ticks */
-    uint16_t command_timeout;
+    uint16_t command_timeout; /* the same, for speed and torque set-points */
     uint8_t password[ACCESS_LEVELS][SHA1_SIZE]; /* SHA-1 by level, from ACCESS_VIEW on; zeros: no password */
 } servo_config_t;
 

@@ -13,13 +13,13 @@
 /* What nothing in the loops leaves its format with. */
 typedef struct {
     uint16_t kind; /* MEMBER_ bits */
-    int32_t min;
-    int32_t max;
+    int32_t min; /* raw, the smallest */
+    int32_t max; /* raw, the largest */
 } axis_range_t;
 
 typedef struct {
     uint16_t offset; /* in an axis_config_t [bytes] */
-    uint16_t range;
+    uint16_t range; /* index in axis_ranges */
 } axis_member_t;
 
 /* Both in the memory of large tables: comm/table_memory.h. */

@@ -10,7 +10,7 @@
 #include "control/transforms.h"
 
 typedef struct {
-    frac16_t duty;   /* t_d f */
+    frac16_t duty;   /* t_d f: part of a PWM period */
     frac16_t v_drop; /* over the full-scale bus */
     int16_t slope;   /* full-scale current over the current at which the sign is certain, 8 fraction bits */
 } dead_time_config_t;

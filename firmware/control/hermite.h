@@ -14,16 +14,16 @@
 #define HERMITE_DISTANCE_MAX (INT64_C(1) << 52)  /* 2^28 counts */
 
 typedef struct {
-    path_position_t position;
+    path_position_t position; /* counts, 24 fraction bits */
     path_position_t step; /* speed: counts with 24 fraction bits per slow tick (8 PWM periods) */
 } hermite_state_t;
 
 typedef struct {
-    path_position_t origin;
-    path_position_t c1, c2, c3;
+    path_position_t origin; /* counts at its beginning, 24 fraction bits */
+    path_position_t c1, c2, c3; /* coefficients of the powers of the part that has passed; counts, 24 fraction bits */
     uint32_t duration;   /* PWM periods */
     uint32_t reciprocal; /* 2^62 / (duration 2^shift) */
-    uint16_t shift;
+    uint16_t shift; /* scaling of the reciprocal, bits */
 } hermite_t;
 
 /* The duration and the distance are within the limits above; speeds are below 2^8 counts per slow tick. */

@@ -28,8 +28,8 @@ typedef struct {
 
 /* Stator frame, with the bits of F1 or F2. */
 typedef struct {
-    int32_t alpha;
-    int32_t beta;
+    int32_t alpha; /* F1 or F2 + 15 fraction bits of full-scale current or voltage */
+    int32_t beta; /* the same */
 } observer_ab_t;
 
 typedef struct {

@@ -16,7 +16,7 @@
 typedef struct {
     gain_t kp;         /* step per error, for a back-EMF of the full scale; errors have 14 + F2 fraction bits */
     gain_t ki;         /* step per error and period */
-    frac16_t e_min;  /* below this back-EMF the proportional gain grows no further */
+    frac16_t e_min;  /* below this back-EMF (of full-scale voltage) the proportional gain grows no further */
     int32_t step_max; /* largest step */
     int32_t speed_per_step;  /* speed fraction (31 bits) of a step, 22 fraction bits */
     int32_t step_per_speed;  /* step at full-scale speed */
@@ -31,9 +31,9 @@ typedef struct {
 typedef struct {
     uint32_t angle; /* at the next sample */
     int32_t integral; /* speed without the ripple of the error */
-    int32_t step;
+    int32_t step; /* angle per PWM period, 2^32 is a turn */
     gain_t kp; /* for the back-EMF that there is */
-    frac16_t root; /* root of the back-EMF */
+    frac16_t root; /* root of the back-EMF, Q1.15 */
     int32_t load; /* steps per slow tick that the known torque does not explain */
     int32_t bias; /* back-EMF, 23 bits, that is there or missing at this speed for good: flux, resistance, dead time */
     bool backwards; /* the speed is negative: the back-EMF points the other way */

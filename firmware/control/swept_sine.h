@@ -5,7 +5,7 @@
 #include "math/frac.h"
 
 typedef struct {
-    frac16_t amplitude;
+    frac16_t amplitude; /* Q1.15 of the full scale at the test point */
     uint32_t phase;  /* 2^32 is a turn */
     uint32_t step;   /* phase per call */
     uint32_t growth; /* of the step per call, 32 fraction bits */

@@ -7,19 +7,19 @@
 
 /* Fractions with 15 bits in a word: they come and go through long chains of sums and products. */
 typedef struct {
-    int32_t a;
-    int32_t b;
-    int32_t c;
+    int32_t a; /* Q1.15 of full scale */
+    int32_t b; /* the same */
+    int32_t c; /* the same */
 } abc_t;
 
 typedef struct {
-    frac16_t alpha;
-    frac16_t beta;
+    frac16_t alpha; /* Q1.15 of full scale */
+    frac16_t beta; /* the same */
 } ab_t;
 
 typedef struct {
-    frac16_t d;
-    frac16_t q;
+    frac16_t d; /* Q1.15 of full scale */
+    frac16_t q; /* the same */
 } dq_t;
 
 /* 1/3 with 32 fraction bits and 1/sqrt 3 with 31: every result is the nearest number. */

@@ -186,7 +186,7 @@ static void test_emf(encoder_monitor_t *m, const winding_config_t *config, const
     }
 }
 
-/* A step of the set-point asks for voltage beyond that, through the current controllers' gain. */
+/* A step of the set-point needs voltage beyond that, through the current controllers' gain. */
 static bool steps(encoder_monitor_t *m, const winding_config_t *config, gain_t kp, const observation_t *o)
 {
     const int32_t step = f16_abs(f16_sub(o->current_ref.q, m->wanted));

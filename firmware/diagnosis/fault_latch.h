@@ -20,15 +20,15 @@ typedef struct {
     uint32_t tick; /* PWM periods since reset at the first fault */
     uint16_t code; /* of the first fault */
     uint16_t state; /* state_t and substate_t that it ended */
-    uint16_t substate;
+    uint16_t substate; /* substate_t that it ended */
     uint16_t next; /* oldest sample, the next to be overwritten */
     uint16_t size; /* samples that have been taken, FAULT_SAMPLES at most */
     uint16_t unused; /* the size is the same on every machine */
-    frac16_t i_d[FAULT_SAMPLES];
-    frac16_t i_q[FAULT_SAMPLES];
+    frac16_t i_d[FAULT_SAMPLES]; /* Q1.15 of full-scale current */
+    frac16_t i_q[FAULT_SAMPLES]; /* the same */
     frac16_t theta_e[FAULT_SAMPLES]; /* turns both back into phase currents */
-    frac16_t u_dc[FAULT_SAMPLES];
-    frac16_t speed[FAULT_SAMPLES];
+    frac16_t u_dc[FAULT_SAMPLES]; /* Q1.15 of the full-scale bus voltage */
+    frac16_t speed[FAULT_SAMPLES]; /* Q1.15 of full-scale speed */
 } fault_record_t;
 
 typedef struct {

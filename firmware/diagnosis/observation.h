@@ -1,4 +1,4 @@
-/* observation.h - what the drive saw and did, as the monitors are told.
+/* observation.h - measurements and actions of the drive, input of the monitors.
  *
  * The drive fills it in before it calls a monitor, once per slow tick: what is electrical in the period of the watches,
  * the shaft after the controllers.
@@ -23,8 +23,8 @@ typedef struct {
 
 /* A converter's code at the centre of the high side, where its shunt carries nothing. */
 typedef struct {
-    uint16_t phase;
-    uint16_t code;
+    uint16_t phase; /* 0, 1, 2: A, B, C */
+    uint16_t code; /* ADC code, 12 bits */
     uint16_t zero; /* code of zero current */
     bool valid; /* the high side conducts long enough */
 } idle_sample_t;
@@ -34,7 +34,7 @@ typedef struct {
 typedef struct {
     /* what the axis does */
     uint16_t state; /* state_t, substate_t */
-    uint16_t substate;
+    uint16_t substate; /* substate_t */
     bool switching; /* the high sides conduct in turn; open switches leave the current of a turning shaft in diodes */
     bool controlled; /* a current controller runs, with its d axis at `frame` .. */
     bool spins; /* .. and follows set-points */
@@ -42,12 +42,12 @@ typedef struct {
     bool sensorless;
     uint16_t features; /* FEATURE_ bits */
 
-    /* what it sees */
+    /* measurements */
     uint16_t temperature; /* code of the heat sink's sensor */
     frac16_t u_dc; /* of this period */
-    frac16_t theta_e;
+    frac16_t theta_e; /* Q1.15 of pi, electrical */
     int32_t position; /* counts */
-    frac32_t speed;
+    frac32_t speed; /* Q1.31 of full-scale speed, mechanical */
 
     /* currents and voltages of the last period, d axis at `frame` */
     frac16_t frame;
@@ -55,12 +55,12 @@ typedef struct {
     dq_t current_ref;
     dq_t voltage;
     pi_sum_t steady_d; /* integral parts of the current controllers */
-    pi_sum_t steady_q;
-    frac16_t current_limit;
-    frac16_t omega_e;
+    pi_sum_t steady_q; /* the same for q */
+    frac16_t current_limit; /* longest current vector, Q1.15 of full-scale current */
+    frac16_t omega_e; /* electrical speed, Q1.15 of full-scale speed x pole pairs */
     frac16_t emf; /* that belongs to this speed */
     int32_t current_size; /* length of `current`, and the resistance's voltage for it */
-    int32_t drop;
+    int32_t drop; /* resistance x current, Q1.15 of full-scale voltage */
     int32_t current_change; /* length of its change since the last slow tick */
 
     /* what one monitor has to tell the next */
@@ -72,11 +72,11 @@ typedef struct {
 /* The spinning shaft, after the controllers. */
 typedef struct {
     uint16_t features; /* FEATURE_ bits */
-    frac32_t speed;
-    frac32_t speed_limit;
-    frac32_t over_speed_max;
-    int32_t following_error;
-    int32_t following_error_max;
+    frac32_t speed; /* Q1.31 of full-scale speed, mechanical */
+    frac32_t speed_limit; /* the same */
+    frac32_t over_speed_max; /* the same; a larger speed is a fault */
+    int32_t following_error; /* counts */
+    int32_t following_error_max; /* counts; a larger error is a fault */
     bool braked; /* by the largest current, all of which the bus takes */
     bool stands; /* at the largest current */
 } shaft_observation_t;

@@ -131,7 +131,8 @@ static bool current_not_following(const winding_config_t *config, const observat
                2 * ((int32_t)config->emf_floor + windings) + i32_abs(emf) / 2;
 }
 
-/* Only where the back-EMF is that of the frame: a start-up and a search turn the frame themselves. As a suspicion it is forgotten slowly: an observer that has lost its rotor asks for anything. */
+/* Only where the back-EMF is that of the frame: a start-up and a search turn the frame themselves. The count decays
+ * slowly: set-points of an observer that has lost its rotor are arbitrary. */
 static void note_nothing(phase_monitor_t *m, const winding_config_t *config, const observation_t *o, int32_t largest)
 {
     const dq_t wanted = o->current_ref;

@@ -14,8 +14,8 @@ typedef struct {
     uint16_t last;    /* the code before .. */
     uint16_t same;    /* .. and how often it has come again */
     uint16_t samples; /* of the present window, with its extremes */
-    uint16_t min;
-    uint16_t max;
+    uint16_t min; /* ADC code, the smallest */
+    uint16_t max; /* ADC code, the largest */
     bool noisy; /* in the last whole window */
 } converter_t;
 

@@ -9,10 +9,10 @@
 
 typedef struct {
     frac32_t runaway_margin; /* speed beyond the limit, or gained against the current, that is not tolerated */
-    uint16_t runaway_ticks_max;
+    uint16_t runaway_ticks_max; /* slow ticks of gaining speed that should be lost */
     uint16_t stall_ticks_max; /* slow ticks at full current without movement */
-    uint16_t following_ticks_max;
-    uint16_t over_speed_ticks_max;
+    uint16_t following_ticks_max; /* slow ticks too far from the set-point */
+    uint16_t over_speed_ticks_max; /* slow ticks of turning too fast */
 } shaft_monitor_config_t;
 
 typedef struct {

@@ -18,16 +18,16 @@
 typedef struct {
     int32_t heating;    /* rise within a step at full-scale current and 25 deg C, 32 fraction bits */
     int32_t cooling;    /* part of what it is above `ambient` that it loses within a step, 32 fraction bits */
-    frac16_t ambient;   /* hottest surroundings */
+    frac16_t ambient;   /* temperature of the hottest surroundings */
     frac16_t initial;   /* assumed after a reset, which loses the temperature */
     frac16_t derating;  /* from here on the current limit falls .. */
     frac16_t maximum;   /* .. until it is the rated current here; a fault can be cleared below it */
-    frac16_t fault;
+    frac16_t fault; /* FAULT_MOTOR_TEMPERATURE from this temperature on */
     frac16_t rated_current; /* that may flow for ever */
 } winding_model_config_t;
 
 typedef struct {
-    frac32_t temperature;
+    frac32_t temperature; /* estimate, Q1.31 of 256 deg C */
     uint32_t squares; /* i_d^2 + i_q^2 of the ticks of this step, 30 fraction bits, over their number */
     uint16_t ticks;   /* of this step */
     bool hot;

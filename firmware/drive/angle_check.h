@@ -12,7 +12,7 @@
 /* SPIN begins. */
 void angle_check_start(axis_t *axis);
 
-/* One slow tick in SPIN, after the controllers: what the observer sees. */
+/* One slow tick in SPIN, after the controllers: the output of the observer. */
 void angle_check_step(axis_t *axis);
 
 /* Some time after that: raises FINDING_OBSERVED_ELSEWHERE. */

@@ -111,17 +111,16 @@ void axis_fast(axis_t *axis)
     if (monitor_fault_possible(axis)) {
         enter_fault_if_requested(axis);
     }
-    axis->loop = axis->fast;
     if (axis->sm.state == STATE_RUN && (axis->sm.ctrl & (SM_CTRL_FAULT | SM_CTRL_STOP)) == 0U) {
-        run_state_step(axis); /* straight: this is where time matters */
+        run_state_step(axis, axis->fast); /* straight: this is where time matters */
         if ((axis->sm.ctrl & SM_CTRL_FAULT) == 0U) {
             return; /* almost always */
         }
     }
-    sm_step(&axis->sm, axis);
+    sm_step(&axis->sm, axis, axis->fast);
 }
 
-/* A written enable asks for the drive, a written 0 withdraws it; a fault clears it. */
+/* A written enable requests the drive, a written 0 withdraws the request; a fault cancels it. */
 static void take_requests(axis_t *axis)
 {
     const axis_command_t *command = &axis->command;
@@ -178,23 +177,17 @@ void axis_slow(axis_t *axis)
         axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT); /* at rest: now the outputs go off */
         axis->stop_faults = 0;
     }
-    axis->loop = LOOP_SLOW;
-    sm_step(&axis->sm, axis);
+    sm_step(&axis->sm, axis, LOOP_SLOW);
     axis->command.fresh = 0; /* here: the latch may be left out */
 }
 
-void axis_estimate(axis_t *axis)
-{
-    axis->loop = LOOP_ESTIMATE;
-    sm_step(&axis->sm, axis);
-}
+void axis_estimate(axis_t *axis) { sm_step(&axis->sm, axis, LOOP_ESTIMATE); }
 
 void axis_plan(axis_t *axis, uint32_t tick) { motion_plan(axis, tick); }
 
 void axis_check(axis_t *axis)
 {
-    axis->loop = LOOP_CHECK;
-    sm_step(&axis->sm, axis);
+    sm_step(&axis->sm, axis, LOOP_CHECK);
     if (axis->path_limits.stale) {
         limits_retune(axis);
     }
@@ -215,7 +208,7 @@ void axis_edge(axis_t *axis) { axis->source->edge(axis); }
 
 void axis_break(axis_t *axis)
 {
-    /* The hardware has opened the switches. The fast loop sees its latch and raises the fault; here, above every other
+    /* The hardware has opened the switches. The fast loop reads its latch and raises the fault; here, above every other
      * interrupt, nothing else may be touched. */
     hal_pwm_enable(axis->hal, axis->index, false);
 }

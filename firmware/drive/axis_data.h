@@ -22,15 +22,6 @@
 /* PWM periods per slow tick (DRM 2.3.2). */
 #define AXIS_SLOW_PERIODS 8
 
-typedef enum {
-    LOOP_FAST,
-    LOOP_SLOW,
-    LOOP_OBSERVED, /* the fast loop with the observer in it */
-    LOOP_ESTIMATE, /* in axis_estimate */
-    LOOP_CHECK, /* in axis_check */
-    LOOP_EXCITED, /* the fast loop with a test signal on a current */
-} axis_loop_t;
-
 /* What the host has written since the last tick: a set-point or an enable takes effect by being written, never by
  * standing in memory. */
 #define FRESH_POSITION UINT16_C(0x01) /* the set-points come in the order of their modes */
@@ -45,11 +36,11 @@ typedef enum {
 #define FRESH_HOME UINT16_C(0x100)
 #define FRESH_TEST UINT16_C(0x200)
 
-/* What the host asks of an axis, latched once per slow tick. */
+/* Commands of the host to an axis, latched once per slow tick. */
 typedef struct {
     int32_t position; /* counts */
-    frac32_t speed;
-    frac16_t i_q;
+    frac32_t speed; /* Q1.31 of full-scale speed */
+    frac16_t i_q; /* Q1.15 of full-scale current */
     uint16_t mode; /* control_mode_t */
     bool enable;
     bool quick_stop;
@@ -73,24 +64,24 @@ static inline bool axis_set_point_fresh(const axis_command_t *command)
 }
 
 typedef struct {
-    frac32_t speed;
+    frac32_t speed; /* Q1.31 of full-scale speed, without sign */
     frac32_t acceleration; /* speed per slow tick */
-    frac16_t i_q;
+    frac16_t i_q; /* Q1.15 of full-scale current, without sign */
     int32_t position_min; /* counts; INT32_MIN, INT32_MAX: none */
-    int32_t position_max;
+    int32_t position_max; /* counts, the same */
 } axis_limits_t;
 
 /* What the limit of the current comes to, with what the winding bears now: worked out when either changes. */
 typedef struct {
     frac16_t vector;  /* no current vector is longer */
     frac16_t q;       /* limits.i_q, or less */
-    frac16_t winding; /* length that the winding bears now; FRAC16_MAX: any */
+    frac16_t winding; /* current that the winding bears now; FRAC16_MAX: any */
 } current_max_t;
 
 /* The same as the path and the soft limits need them: worked out when they change. */
 typedef struct {
     path_position_t step;         /* speed */
-    path_position_t acceleration;
+    path_position_t acceleration; /* counts per slow tick^2, as `step` */
     path_position_t bend;         /* soft_limits.c */
     uint16_t omega_n_ts;          /* omega_n Ts of the path filter, 16 fraction bits */
     bool stale;                   /* the last two do not fit the limits yet */
@@ -103,15 +94,15 @@ typedef enum {
     MOTION_TORQUE = CONTROL_MODE_TORQUE,     /* follow the current set-point within the speed limit */
     MOTION_TRAJECTORY = CONTROL_MODE_TRAJECTORY, /* follow the curve through timed points */
     MOTION_STOP,                             /* ramp down at the limit; then hold */
-    MOTION_HOME,                             /* follow the ramped speed that homing.c asks for */
-    MOTION_PRESS,                            /* push with the current that homing.c asks for */
+    MOTION_HOME,                             /* follow the ramped speed of homing.c */
+    MOTION_PRESS,                            /* push with the current of homing.c */
 } motion_t;
 
 typedef struct {
     motion_t motion;
     int32_t target;       /* position set-point, counts */
-    frac32_t speed_target;
-    frac16_t i_q_target;
+    frac32_t speed_target; /* Q1.31 of full-scale speed */
+    frac16_t i_q_target; /* Q1.15 of full-scale current */
     bool target_clipped;  /* a soft limit has taken a part of the set-point */
     bool expired;         /* the axis has stopped because its set-point was not written again */
     bool starved;         /* .. because no point followed one with a speed */
@@ -120,14 +111,14 @@ typedef struct {
     int32_t position_gain; /* in force: on its way to that of the configuration */
     bool path_forward;    /* the path's speed goes straight to the speed controller */
     bool resting;         /* the shaft is close enough to a target that does not move */
-    frac32_t speed_ramp;
+    frac32_t speed_ramp; /* output of the ramp, Q1.31 of full-scale speed */
     frac32_t shaped_speed; /* of the path, or the ramp, in this tick */
     frac32_t acceleration; /* change of the shaped speed in this tick */
     pi_state_t speed_pi;
-    frac32_t speed_ref;
+    frac32_t speed_ref; /* set-point of the speed controller, Q1.31 of full-scale speed */
     frac32_t speed_excitation; /* test signal in it */
     bool saturated;       /* the speed controller pushes with all it has */
-    bool held_back;       /* bus or winding bear less current than the controller requests and the limits allow */
+    bool held_back;       /* bus or winding allow less current than controller and limits */
     frac32_t limit_hold_current; /* torque mode: what holds a load that drives the shaft past a limit */
     frac32_t entry_speed; /* at which this motion has begun */
     uint16_t stop_ticks;  /* slow ticks since the ramp of MOTION_STOP has ended */
@@ -136,12 +127,11 @@ typedef struct {
 typedef struct axis {
     const axis_config_t *config;
     hal_t *hal;
-    uint16_t index;
+    uint16_t index; /* 0, 1: axis1, axis2 */
 
     sm_t sm;
     substate_t substate;
-    axis_loop_t loop; /* which of a sub-state's functions runs */
-    axis_loop_t fast; /* .. in the fast loop */
+    axis_loop_t fast; /* variant of the fast loop: LOOP_FAST, LOOP_OBSERVED or LOOP_EXCITED */
 
     axis_command_t command;
     axis_events_t events;
@@ -176,7 +166,7 @@ typedef struct axis {
 
     current_sense_t sense;
     frac32_t u_dc_now;    /* bus voltage of this period */
-    frac32_t u_dc_filter;
+    frac32_t u_dc_filter; /* state of the filter, Q1.31 of the full-scale bus voltage */
     frac16_t u_dc; /* filtered bus voltage */
     frac16_t regen_derating; /* part of the braking current that the bus takes */
     uint16_t bus_limits; /* LIMIT_ bits that stand: of the bus, of the field, and of a set-point that was refused */
@@ -195,7 +185,7 @@ typedef struct axis {
     home_t home;
     observation_t observation;
     diagnosis_t diagnosis;
-    dq_t test_current; /* that a monitor or a test signal asks for on top of the set-point */
+    dq_t test_current; /* of a monitor or a test signal, added to the set-point */
     excitation_t excitation;
 } axis_t;
 

@@ -5,7 +5,7 @@
 #include "drive/axis_data.h"
 #include "drive/estimate.h"
 
-/* What the axis does and sees at this moment goes into the observation: all that is recorded, and that tells cause from
+/* State and measurements of this moment go into the observation: what is recorded, and what separates cause from
  * consequence. */
 static inline void axis_observe(axis_t *axis)
 {

@@ -5,15 +5,17 @@
 #include "drive/run_states.h"
 #include "drive/run_step.h"
 
-static bool slow_loop(const axis_t *axis) { return axis->loop == LOOP_SLOW; }
-
 /* ---- states --------------------------------------------------------------------------------------------------- */
 
-static void state_fault(axis_t *axis) { hal_pwm_enable(axis->hal, axis->index, false); }
-
-static void state_init(axis_t *axis)
+static void state_fault(axis_t *axis, axis_loop_t loop)
 {
-    if (!slow_loop(axis)) {
+    (void)loop;
+    hal_pwm_enable(axis->hal, axis->index, false);
+}
+
+static void state_init(axis_t *axis, axis_loop_t loop)
+{
+    if (loop != LOOP_SLOW) {
         return;
     }
     axis->ticks++;
@@ -22,21 +24,17 @@ static void state_init(axis_t *axis)
     }
 }
 
-static void state_stop(axis_t *axis)
+static void state_stop(axis_t *axis, axis_loop_t loop)
 {
-    if (slow_loop(axis) && axis->requested) {
+    if (loop == LOOP_SLOW && axis->requested) {
         axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_START);
     }
 }
 
-static void state_run(axis_t *axis)
+static void state_run(axis_t *axis, axis_loop_t loop)
 {
-    if (!slow_loop(axis)) {
-        run_state_step(axis);
-        return;
-    }
-    run_state_step(axis);
-    if (!axis->requested) {
+    run_state_step(axis, loop);
+    if (loop == LOOP_SLOW && !axis->requested) {
         axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_STOP);
     }
 }
@@ -67,7 +65,7 @@ static void stop_init(axis_t *axis) { axis->ticks = 0; }
 
 static void stop_run(axis_t *axis)
 {
-    /* The seed switches the outputs on here; CALIB, which follows at once, needs them off. They stay off. */
+    /* The reference design switches the outputs on here; CALIB, which follows at once, needs them off. They stay off. */
     run_state_enter(axis);
     axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_RUN_ACK);
 }
@@ -103,7 +101,6 @@ void axis_states_init(axis_t *axis)
     axis->sm.ctrl = SM_CTRL_NONE;
     axis->sm.state = STATE_INIT;
     axis->substate = SUBSTATE_CALIB;
-    axis->loop = LOOP_SLOW;
     axis->requested = false;
     axis->stop = (stop_t){.category = STOP_CATEGORY_COAST};
     axis->stop_faults = 0;

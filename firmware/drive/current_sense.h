@@ -12,8 +12,8 @@
 
 typedef struct {
     uint32_t offset[SENSE_PHASES]; /* code of zero current, 16 fraction bits */
-    uint32_t sum[SENSE_PHASES];
-    uint16_t samples;
+    uint32_t sum[SENSE_PHASES]; /* of the codes of a calibration */
+    uint16_t samples; /* in the sum */
     phase_pair_t pair; /* pair that the conversions now waiting belong to */
     abc_t duty;        /* duties under which they were taken */
     abc_t current;     /* of this period, while it is controlled */

@@ -12,8 +12,8 @@ typedef struct {
     speed_reliability_t reliability;
     emf_check_t check;
     ab_t emf;         /* in the last slow tick, stator frame */
-    frac16_t size;    /* its length */
-    frac16_t expected; /* what belongs to the speed */
+    frac16_t size;    /* length of the back-EMF, Q1.15 of full-scale voltage */
+    frac16_t expected; /* back-EMF that belongs to the speed */
     dq_t deviation;   /* what of the back-EMF neither angle nor speed explains */
     frac32_t speed;   /* mechanical */
     uint32_t angle;   /* at the last estimate_turn, 2^32 is a turn */

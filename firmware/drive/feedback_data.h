@@ -44,7 +44,7 @@ typedef struct {
 
 /* What the observer has seen the shaft turn, in counts of the encoder that is not there. */
 typedef struct {
-    int32_t counts;
+    int32_t counts; /* counts since the source was reset */
     uint16_t rest; /* 16 fraction bits */
     uint32_t angle; /* of the last slow tick, 2^32 is an electrical turn */
 } observer_feedback_t;

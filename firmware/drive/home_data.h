@@ -1,4 +1,4 @@
-/* home_data.h - what an axis knows about its position, and how it finds it out. */
+/* home_data.h - whether the position of an axis is known, and how it is found. */
 #ifndef SERVO_DRIVE_HOME_DATA_H
 #define SERVO_DRIVE_HOME_DATA_H
 

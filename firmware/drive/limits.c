@@ -3,7 +3,7 @@
 #include "drive/path_units.h"
 #include "drive/soft_limits.h"
 
-/* E40 asks for accelerations up to omega_n v / e: with less current, or a higher speed, the filter has to be slower. */
+/* E40 needs accelerations up to omega_n v / e: with less current, or a higher speed, the filter has to be slower. */
 static uint16_t omega_n_ts_under(const axis_config_t *config, axis_limits_t limits)
 {
     uint32_t omega = (uint32_t)config->path_omega_n_ts * (uint32_t)limits.i_q / (uint32_t)config->i_q_limit;

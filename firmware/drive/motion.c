@@ -277,8 +277,8 @@ static frac32_t followed_speed(axis_t *axis, path_position_t behind)
     return (shaped > axis->limits.speed) ? f32_clip(speed, shaped) : limited;
 }
 
-/* Where a shaft would be that does what the position controller asks: what the real one lacks is its following error.
- * The lag that belongs to a plain gain is none, and what the bus holds back is no error of the shaft. */
+/* Position of an ideal shaft under the position controller; the difference to the real one is the following error. The lag
+ * of a plain gain does not count, nor what the bus holds back. */
 static void follow_model(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
@@ -497,11 +497,11 @@ frac32_t motion_wanted_speed(const axis_t *axis)
 
 bool motion_too_slow(const axis_t *axis)
 {
-    const frac32_t told = (axis->motion.motion == MOTION_TORQUE) ? axis->feedback.speed : axis->motion.speed_ramp;
-    return f32_abs(told) < axis->config->startup.minimum_speed;
+    const frac32_t commanded = (axis->motion.motion == MOTION_TORQUE) ? axis->feedback.speed : axis->motion.speed_ramp;
+    return f32_abs(commanded) < axis->config->startup.minimum_speed;
 }
 
-/* Another gain comes into force slowly: the speed that the lag of a moving shaft asks for must not jump. */
+/* Another gain comes into force slowly: the speed set-point that the lag of a moving shaft gives must not jump. */
 static void follow_gain(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;

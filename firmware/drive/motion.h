@@ -16,10 +16,10 @@ void motion_accept_speed(axis_t *axis);
 /* Mode TEST: a speed set-point that is too old is zero. */
 void motion_expire_speed(axis_t *axis);
 
-/* Sensorless: the speed set-point, within its limits; 0 while nothing is to turn, or slower than the observer sees. */
+/* Sensorless: the speed set-point, within its limits; 0 while nothing is to turn, or below the observer's minimum. */
 frac32_t motion_wanted_speed(const axis_t *axis);
 
-/* Sensorless, in SPIN: the shaft is told to turn more slowly than the observer sees, or does. */
+/* Sensorless, in SPIN: set-point or shaft are below the observer's minimum speed. */
 bool motion_too_slow(const axis_t *axis);
 
 /* One slow tick: take fresh commands, shape, run the controllers, set `axis->current_ref`. */
@@ -49,8 +49,8 @@ bool motion_stopped(const axis_t *axis);
 /* Position that the shaft is meant to have now [counts]. */
 int32_t motion_position_ref(const axis_t *axis);
 
-/* Once per slow tick, after motion_step: how far the shaft is from where a shaft would be that obeys [counts]; 0 unless a
- * position is followed. */
+/* Once per slow tick, after motion_step: distance from the shaft to its ideal model [counts]; 0 unless a position is
+ * followed. */
 int32_t motion_following_error(axis_t *axis);
 
 #endif

@@ -57,7 +57,7 @@ static void wait_for_rest(axis_t *axis)
 
 /* ---- transitions ------------------------------------------------------------------------------------------------ */
 
-/* READY shorts the windings. A shaft without an encoder may turn, for all one knows: its outputs stay off. */
+/* READY shorts the windings. A shaft without an encoder may be turning: its outputs stay off. */
 static void to_ready(axis_t *axis)
 {
     axis_zero_voltage(axis, !axis->sensorless);
@@ -204,7 +204,7 @@ static void calib_slow(axis_t *axis)
 
 static void idle(axis_t *axis) { (void)axis; }
 
-/* ---- READY: 50 % on every phase, outputs on (electrically a winding short; as in the reference design) ---------------------- */
+/* ---- READY: 50 % on every phase, outputs on (electrically a winding short, DRM 4.5) -------------------------------- */
 
 static void ready_fast(axis_t *axis) { measure(axis); }
 
@@ -368,7 +368,7 @@ static void judge_observer(axis_t *axis)
     }
 }
 
-/* The observer sees the rotor no more, or the drive is not wanted any more. */
+/* The observer has lost the rotor, or the drive is no longer requested. */
 static void bring_to_rest(axis_t *axis)
 {
     if (axis->fading_out) {
@@ -480,7 +480,7 @@ static void spin_check(axis_t *axis)
     }
 }
 
-/* ---- STARTUP: a sensorless axis, from rest to where the observer sees the rotor ------------------------------------ */
+/* ---- STARTUP: a sensorless axis, from rest to the observer's minimum speed ----------------------------------------- */
 
 static void startup_slow_state(axis_t *axis)
 {

@@ -9,4 +9,4 @@ void spin_observed_fast(axis_t *axis) { drive_observed(axis, axis->feedback.thet
 
 void spin_excited_fast(axis_t *axis) { excitation_drive(axis, axis->feedback.theta_e); }
 
-void run_state_step(axis_t *axis) { run_table[axis->substate][axis->loop](axis); }
+void run_state_step(axis_t *axis, axis_loop_t loop) { run_table[axis->substate][loop](axis); }

@@ -4,8 +4,8 @@
 
 #include "drive/axis_data.h"
 
-/* One call of the loop that `axis->loop` names. */
-void run_state_step(axis_t *axis);
+/* Call the function of the present sub-state for `loop`. */
+void run_state_step(axis_t *axis, axis_loop_t loop);
 
 /* By sub-state and loop (drive/run_states.c). */
 extern const axis_function_t run_table[7][6];

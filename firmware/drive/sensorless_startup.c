@@ -5,7 +5,7 @@
 #include "drive/motion.h"
 
 #define QUARTER_TURN INT16_C(16384)
-#define SETTLE_TICKS 6 /* slow ticks until the observer knows the back-EMF of a turning shaft */
+#define SETTLE_TICKS 6 /* slow ticks until the observer has the back-EMF of a turning shaft */
 #define LOCK_TICKS 24  /* slow ticks that the PLL needs at the minimum speed */
 #define PROVE_TICKS 72 /* slow ticks: until the current flows, and 64 speeds after it */
 #define RATIO_BITS 14
@@ -30,8 +30,8 @@ void startup_begin(axis_t *axis, bool backwards)
 
 /* ---- the fast loop ------------------------------------------------------------------------------------------------ */
 
-/* Stator frame, no current: what the windings need is the back-EMF, and the observer knows it before an integral part
- * would. */
+/* Stator frame, no current: the windings need the back-EMF as voltage, and the observer gives it sooner than an integral
+ * part would. */
 static void hold_current_off(axis_t *axis)
 {
     const ab_t emf = observer_emf(&axis->estimate.observer, &axis->config->observer);

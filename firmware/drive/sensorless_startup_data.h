@@ -16,7 +16,7 @@ typedef struct {
     uint16_t mean_min; /* mean observed speed over the forced one, 14 fraction bits: the slide's 0.8 .. */
     uint16_t mean_max; /* .. and the tolerance of its upper bound, which the mean would only just reach */
     gain_t damping; /* current across the vector per back-EMF across it, of full scales */
-    frac16_t damping_limit;
+    frac16_t damping_limit; /* Q1.15 of full-scale current */
     uint16_t catch_ticks; /* slow ticks in which the back-EMF of a turning shaft shows */
     frac32_t fade_step; /* current per slow tick: what is left of the vector after the hand-over */
 } startup_config_t;

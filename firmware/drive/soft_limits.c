@@ -6,8 +6,8 @@
 #define ONE_OVER_E_Q16 24109       /* 1 / e, 16 fraction bits */
 #define HALF_E_SQUARED_Q12 15133 /* e^2 / 2, 12 fraction bits */
 
-/* Close to a limit the speed towards it falls with the distance d, which asks for the acceleration (omega_n / e) v: what the
- * path filter may ask for at the same speed (E40). Farther off, where that is more than half of the acceleration limit, a, it
+/* Close to a limit the speed towards it falls with the distance d, which needs the acceleration (omega_n / e) v: what the
+ * path filter may need at the same speed (E40). Farther off, where that is more than half of the acceleration limit, a, it
  * goes on as a stop at constant acceleration, without a bend. With k = omega_n / e that is v = sqrt(2 a (d - a / (2 k^2))). The
  * other half of the limit is for the shaft, which trails its speed set-point, and for position control that takes over,
  * which needs the way of its lag. */

@@ -9,8 +9,8 @@
 #include "drive/axis_data.h"
 
 typedef struct {
-    frac32_t min;
-    frac32_t max;
+    frac32_t min; /* Q1.31 of full-scale speed */
+    frac32_t max; /* the same */
 } speed_range_t;
 
 /* What follows from limits, with this omega_n Ts of the path filter. */

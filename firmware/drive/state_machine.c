@@ -30,17 +30,18 @@ static bool faulty(sm_t *sm, struct axis *axis, axis_function_t to_fault)
 }
 
 /* Call a state's function unless there is a fault; false when there was one, from before or from within. */
-static bool run_unless_fault(sm_t *sm, struct axis *axis, axis_function_t state, axis_function_t to_fault)
+static bool run_unless_fault(sm_t *sm, struct axis *axis, axis_loop_t loop, state_function_t state,
+                             axis_function_t to_fault)
 {
     if ((sm->ctrl & SM_CTRL_FAULT) == 0U) {
-        state(axis);
+        state(axis, loop);
     }
     return !faulty(sm, axis, to_fault);
 }
 
-static void step_fault(sm_t *sm, struct axis *axis)
+static void step_fault(sm_t *sm, struct axis *axis, axis_loop_t loop)
 {
-    sm->states->fault(axis);
+    sm->states->fault(axis, loop);
     (void)take(sm, SM_CTRL_FAULT);
     if (take(sm, SM_CTRL_FAULT_CLEAR)) {
         sm->transitions->fault_init(axis);
@@ -49,9 +50,9 @@ static void step_fault(sm_t *sm, struct axis *axis)
     }
 }
 
-static void step_init(sm_t *sm, struct axis *axis)
+static void step_init(sm_t *sm, struct axis *axis, axis_loop_t loop)
 {
-    if (!run_unless_fault(sm, axis, sm->states->init, sm->transitions->init_fault)) {
+    if (!run_unless_fault(sm, axis, loop, sm->states->init, sm->transitions->init_fault)) {
         return;
     }
     if (take(sm, SM_CTRL_INIT_DONE)) {
@@ -60,9 +61,9 @@ static void step_init(sm_t *sm, struct axis *axis)
     }
 }
 
-static void step_stop(sm_t *sm, struct axis *axis)
+static void step_stop(sm_t *sm, struct axis *axis, axis_loop_t loop)
 {
-    if (!run_unless_fault(sm, axis, sm->states->stop, sm->transitions->stop_fault)) {
+    if (!run_unless_fault(sm, axis, loop, sm->states->stop, sm->transitions->stop_fault)) {
         return;
     }
     if ((sm->ctrl & SM_CTRL_START) != 0U) {
@@ -74,10 +75,10 @@ static void step_stop(sm_t *sm, struct axis *axis)
     }
 }
 
-static void step_run(sm_t *sm, struct axis *axis)
+static void step_run(sm_t *sm, struct axis *axis, axis_loop_t loop)
 {
     if ((sm->ctrl & SM_CTRL_FAULT) == 0U) {
-        sm->states->run(axis);
+        sm->states->run(axis, loop);
         if ((sm->ctrl & (SM_CTRL_FAULT | SM_CTRL_STOP)) == 0U) {
             return; /* almost always */
         }
@@ -92,21 +93,21 @@ static void step_run(sm_t *sm, struct axis *axis)
     }
 }
 
-void sm_step(sm_t *sm, struct axis *axis)
+void sm_step(sm_t *sm, struct axis *axis, axis_loop_t loop)
 {
     if (sm->state == STATE_RUN) {
-        step_run(sm, axis); /* first: this is where time matters */
+        step_run(sm, axis, loop); /* first: this is where time matters */
         return;
     }
     switch (sm->state) {
     case STATE_FAULT:
-        step_fault(sm, axis);
+        step_fault(sm, axis, loop);
         break;
     case STATE_INIT:
-        step_init(sm, axis);
+        step_init(sm, axis, loop);
         break;
     default:
-        step_stop(sm, axis);
+        step_stop(sm, axis, loop);
         break;
     }
 }

@@ -12,7 +12,18 @@
 
 struct axis;
 
+/* The loop that calls: a sub-state has a function for each. */
+typedef enum {
+    LOOP_FAST,
+    LOOP_SLOW,
+    LOOP_OBSERVED, /* the fast loop with the observer in it */
+    LOOP_ESTIMATE, /* in axis_estimate */
+    LOOP_CHECK, /* in axis_check */
+    LOOP_EXCITED, /* the fast loop with a test signal on a current */
+} axis_loop_t;
+
 typedef void (*axis_function_t)(struct axis *axis);
+typedef void (*state_function_t)(struct axis *axis, axis_loop_t loop);
 
 /* Control flags (DRM 4.4). */
 #define SM_CTRL_NONE UINT16_C(0x00)
@@ -25,10 +36,10 @@ typedef void (*axis_function_t)(struct axis *axis);
 #define SM_CTRL_RUN_ACK UINT16_C(0x40)
 
 typedef struct {
-    axis_function_t fault;
-    axis_function_t init;
-    axis_function_t stop;
-    axis_function_t run;
+    state_function_t fault;
+    state_function_t init;
+    state_function_t stop;
+    state_function_t run;
 } sm_states_t;
 
 typedef struct {
@@ -36,7 +47,7 @@ typedef struct {
     axis_function_t init_fault;
     axis_function_t init_stop;
     axis_function_t stop_fault;
-    axis_function_t stop_init; /* the seed names it; none of its flags leads here */
+    axis_function_t stop_init; /* in the reference design, where no flag leads here */
     axis_function_t stop_run;
     axis_function_t run_fault;
     axis_function_t run_stop;
@@ -53,7 +64,7 @@ typedef struct {
 /* How long something that happened in a moment can be seen, for a recorder that does not look in every period. */
 #define EVENT_TICKS 64 /* slow ticks */
 
-/* Call the function of the present state, then make at most one transition. */
-void sm_step(sm_t *sm, struct axis *axis);
+/* Call the function of the present state for `loop`, then make at most one transition. */
+void sm_step(sm_t *sm, struct axis *axis, axis_loop_t loop);
 
 #endif

@@ -11,27 +11,27 @@
 typedef struct {
     uint32_t tick; /* PWM periods since reset */
     int32_t position; /* counts */
-    frac32_t speed;
+    frac32_t speed; /* Q1.31 of full-scale speed */
     frac16_t i_q;  /* fed forward besides that for the acceleration and the friction */
     uint16_t part; /* of a count, TRAJECTORY_PART_BITS */
 } trajectory_point_t;
 
 /* Where the axis is meant to be at a slow tick. */
 typedef struct {
-    path_position_t position;
-    frac16_t i_q;
+    path_position_t position; /* counts, 24 fraction bits */
+    frac16_t i_q; /* Q1.15 of full-scale current */
     bool over; /* the last point has been reached */
 } trajectory_reference_t;
 
 typedef struct {
     trajectory_point_t point[TRAJECTORY_POINTS];
     uint16_t in; /* points ever put in and taken out, modulo 65536 */
-    uint16_t out;
+    uint16_t out; /* points taken out, the same */
     bool leads; /* to `end`: `reference` is valid */
     hermite_t segment;
     uint32_t begin; /* tick of the segment's beginning */
-    frac16_t i_q_begin;
-    path_position_t end_position;
+    frac16_t i_q_begin; /* torque current of the first point, Q1.15 of full-scale current */
+    path_position_t end_position; /* counts, 24 fraction bits */
     trajectory_point_t end;
     trajectory_reference_t reference; /* of the next slow tick */
     uint16_t taken; /* points since reset, modulo 65536 */

@@ -31,14 +31,14 @@ typedef enum {
 /* One parallel conversion: 12-bit right-aligned codes (0..4095) of the first and second phase of a pair. A positive
  * current into the motor raises the code above mid-scale. */
 typedef struct {
-    uint16_t first;
-    uint16_t second;
+    uint16_t first; /* code of the first phase of the pair */
+    uint16_t second; /* code of the second */
 } adc_pair_t;
 
 /* Encoder counter and free-running time stamp (bus clock / 128), both latched by the same B edge (DRM F17). */
 typedef struct {
-    uint16_t count;
-    uint16_t time;
+    uint16_t count; /* encoder counts, 16 bits */
+    uint16_t time; /* ticks of bus clock / 128 */
 } edge_capture_t;
 
 /* ---- analogue inputs ------------------------------------------------------------------------------------------ */

@@ -6,8 +6,8 @@
 
 /* Fractions with 15 bits in a word, ready to be multiplied. */
 typedef struct {
-    int32_t sin;
-    int32_t cos;
+    int32_t sin; /* Q1.15 */
+    int32_t cos; /* Q1.15 */
 } sin_cos_t;
 
 /* sin(pi/2 i/256) in Q1.15, one quarter wave and its end point. Linear interpolation between neighbours is off by at

@@ -43,8 +43,8 @@ POINTERS: Final[Mapping[str, str]] = {
     "align": SOURCES + "align",
     "resync": SOURCES + "resync",
     # states, transitions and sub-states
-    "run_table": r"(calib|ready|align|spin|spin_observed|freewheel|startup)_(fast|slow|slow_state|estimate|check)"
-    r"|track_offsets|idle|off",
+    "run_table": r"(calib|ready|align|spin|freewheel|startup|test)_(fast|slow|slow_state|estimate|check)"
+    r"|spin_(observed|excited)_fast|test_mode_(excited_)?fast|track_offsets|idle|off",
     "state": r"state_(fault|init|stop|run)|off",
     "to_fault": r"(init|stop|run)_(fault|stop|init)|off",
     "state_machine.c:fault": "state_fault",

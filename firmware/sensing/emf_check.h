@@ -21,7 +21,7 @@ typedef struct {
 
 typedef struct {
     int32_t d; /* filtered deviation, 8 bits more */
-    int32_t q;
+    int32_t q; /* the same */
     uint16_t ticks; /* slow ticks of deviation */
 } emf_check_t;
 

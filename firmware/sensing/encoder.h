@@ -6,7 +6,7 @@
 
 typedef struct {
     uint16_t counts;          /* per turn: 4 x lines */
-    uint16_t pole_pairs;
+    uint16_t pole_pairs; /* electrical turns per mechanical turn */
     uint32_t angle_per_count; /* 2^32 / counts: F12's 16.38 with 16 more fraction bits */
 } encoder_config_t;
 

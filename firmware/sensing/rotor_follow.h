@@ -19,10 +19,10 @@ typedef struct {
 
 typedef struct {
     frac16_t theta; /* angle of the vector */
-    uint16_t tick;
+    uint16_t tick; /* slow ticks since the start */
     int32_t flux; /* sum of the voltage across the vector since the start, and its extremes */
-    int32_t low;
-    int32_t high;
+    int32_t low; /* least flux */
+    int32_t high; /* largest flux */
 } rotor_follow_t;
 
 /* The vector stands at `theta`. */

@@ -19,12 +19,12 @@ typedef struct {
 } speed_reliability_config_t;
 
 typedef struct {
-    frac16_t speed[SPEED_RELIABILITY_SIZE];
+    frac16_t speed[SPEED_RELIABILITY_SIZE]; /* Q1.15 of full-scale speed */
     uint16_t next;   /* entry that is the oldest */
     uint16_t filled; /* entries that have been written */
     uint16_t ticks;  /* slow ticks since the last one */
-    int32_t sum;
-    int64_t squares;
+    int32_t sum; /* of the speeds, Q1.15 */
+    int64_t squares; /* of their squares, 30 fraction bits */
     uint16_t failures; /* unreliable in a row */
 } speed_reliability_t;
 

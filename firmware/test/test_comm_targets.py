@@ -17,7 +17,7 @@ from freemaster_recorder import SIGNED, START, STOP, VARIABLE, memory, variable
 AVR = ["-mmcu=atmega1284p", "-Os"]
 CORTEX_M3 = ["-mcpu=cortex-m3", "-mthumb", "-Os", "-ffreestanding", "-nostdlib", "-r"]
 CODE_SIZE_MAX = 8192  # bytes of code and constants on a Cortex-M3
-RUN_TIME = 120.0  # seconds of patience with a simulator
+RUN_TIME = 120.0  # limit of a simulator [s]
 LINE = 700
 
 

@@ -440,7 +440,7 @@ def test_voltage_leads_by_the_delay(core: Core) -> None:
 
 @pytest.mark.parametrize("omega", [0.0, 600.0, -600.0])
 def test_step_response_on_a_motor(core: Core, omega: float) -> None:
-    """Closed over E18..E21 with half a period of delay: i_q steps to 2 A at 1 kHz bandwidth, i_d hardly notices."""
+    """Closed over E18..E21 with half a period of delay: i_q steps to 2 A at 1 kHz bandwidth, i_d hardly changes."""
     loop, ts, steps = Loop(core), 1.0 / 16000.0, 10
     i, theta, duty_volts = 0j, 0.3, 0j
     log = []

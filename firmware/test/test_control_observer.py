@@ -121,5 +121,5 @@ def test_a_turn_is_exact(core: Core) -> None:
 
 
 def test_scales() -> None:
-    """The rig speaks of the same units as the tool."""
+    """The rig uses the same units as the tool."""
     assert (U_FS, I_FS, PAIRS, SLOW) == (24.2, 8.25, 2, 8)

@@ -282,7 +282,7 @@ MOVES = st.lists(st.tuples(st.floats(-1.5, 1.5), SPEEDS, ACCELERATIONS, st.integ
 def test_targets_and_limits_that_change_in_flight_never_exceed_a_limit(
     core: Core, omega: int, start: int, step: int, moves: list[tuple[float, int, int, int]]
 ) -> None:
-    """The ramp obeys the limits of the tick, the output, which remembers, the largest so far; in the end it arrives."""
+    """The ramp keeps the limits of the tick, the output the largest so far, as it lags; in the end it arrives."""
     path = Path(core, omega, start, step)
     target, before, fastest, hardest = start, [start * ONE - step], step, 0
     output = [start * ONE]

@@ -41,7 +41,7 @@ def clarke_of(core: Core, phases: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def test_alpha_is_the_nearest_number_for_every_sum(core: Core) -> None:
-    """E6 sees nothing but 2 a - b - c: all 262141 values of it, half an LSB, saturated."""
+    """E6 depends on 2 a - b - c alone: all 262141 values of it, half an LSB, saturated."""
     total = np.arange(2 * MIN16 - 2 * MAX16, 2 * MAX16 - 2 * MIN16 + 1)
     a = total // 4
     rest = 2 * a - total
@@ -53,7 +53,7 @@ def test_alpha_is_the_nearest_number_for_every_sum(core: Core) -> None:
 
 
 def test_beta_is_the_nearest_number_for_every_difference(core: Core) -> None:
-    """E7 sees nothing but b - c: all 131071 values of it, half an LSB, saturated."""
+    """E7 depends on b - c alone: all 131071 values of it, half an LSB, saturated."""
     difference = np.arange(MIN16 - MAX16, MAX16 - MIN16 + 1)
     b = difference // 2
     phases = np.stack([np.full_like(b, MIN16), b, b - difference], axis=1)

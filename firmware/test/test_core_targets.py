@@ -123,7 +123,7 @@ def test_no_file_scope_state(tmp_path: Path) -> None:
 
 
 def test_no_floating_point() -> None:
-    """`double` is 32 bits on some targets: the core knows only integers."""
+    """`double` is 32 bits on some targets: the core has integers only."""
     for source in CORE_SOURCES:
         text = re.sub(r"/\*.*?\*/", "", (FIRMWARE / source).read_text(encoding="utf-8"), flags=re.DOTALL)
         text = re.sub(r'"[^"]*"', "", text)

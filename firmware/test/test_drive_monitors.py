@@ -161,7 +161,7 @@ def without_current(bench: Bench) -> None:
     bench.write(0, mode=SPEED, speed=speed(100.0))
 
 
-def test_voltage_without_current_is_a_lost_phase_unless_nobody_wants_to_know(bench: Bench) -> None:
+def test_voltage_without_current_is_a_lost_phase(bench: Bench) -> None:
     without_current(bench)
     bench.until(lambda: bench.view(0).state == FAULT, 400)
     assert place(bench)[1] == PHASE_LOST
@@ -172,8 +172,8 @@ def test_voltage_without_current_is_a_lost_phase_unless_nobody_wants_to_know(ben
     [(1, ALL_FAULTS, PHASE_LOST), (3, ALL_FAULTS, CURRENT_SENSE), (3, ALL_FAULTS & ~CURRENT_SENSE, PHASE_LOST)],
 )
 def test_a_converter_is_doubtful_after_more_than_one_code(core: Core, codes: int, enabled: int, fault: int) -> None:
-    """The last ones before the phase is named are off their offset; each is one of two phases of the three. The doubt
-    hides nothing from who does not want to know of converters."""
+    """The last ones before the phase is named are off their offset; each is one of two phases of the three. A
+    converter in doubt hides no fault while CURRENT_SENSE is not enabled."""
     sound, bench = Bench(core), Bench(core)
     without_current(sound)
     ticks = 0

@@ -42,21 +42,24 @@ class Machine:
     def __init__(self, core: Core, state: int, *flags: str) -> None:
         self._core = core
         self.called: list[str] = []
+        self.loops: list[int] = []
         self.does: dict[str, Callable[[], None]] = {}
         self._spies: list[Any] = []
-        states = core.ffi.new("sm_states_t *", {name: self._spy(name) for name in STATES})
+        states = core.ffi.new("sm_states_t *", {name: self._spy(name, state=True) for name in STATES})
         transitions = core.ffi.new("sm_transitions_t *", {name: self._spy(name) for name in TRANSITIONS})
         self._keep = (states, transitions)
         self.sm: Any = core.ffi.new("sm_t *", {"states": states, "transitions": transitions, "state": state})
         self.set(*flags)
 
-    def _spy(self, name: str) -> Any:
-        def called(_axis: Any) -> None:
+    def _spy(self, name: str, *, state: bool = False) -> Any:
+        def called(_axis: Any, *loop: int) -> None:
             self.called.append(name)
+            self.loops.extend(loop)
             if name in self.does:
                 self.does[name]()
 
-        spy = self._core.ffi.callback("void(struct axis *)", called)
+        kind = "void(struct axis *, axis_loop_t)" if state else "void(struct axis *)"
+        spy = self._core.ffi.callback(kind, called)
         self._spies.append(spy)
         return spy
 
@@ -64,10 +67,11 @@ class Machine:
         for flag in flags:
             self.sm.ctrl |= FLAGS[flag]
 
-    def step(self) -> tuple[list[str], int]:
-        """One call; returns the functions called and the state after it."""
+    def step(self, loop: int = 0) -> tuple[list[str], int]:
+        """One call from `loop`; returns the functions called and the state after it."""
         self.called.clear()
-        self._core.lib.sm_step(self.sm, self._core.ffi.NULL)
+        self.loops.clear()
+        self._core.lib.sm_step(self.sm, self._core.ffi.NULL, loop)
         return list(self.called), self.sm.state
 
 
@@ -88,6 +92,14 @@ def test_without_flags_only_the_state_function_runs(core: Core, state: int) -> N
     machine = Machine(core, state)
     for _ in range(3):
         assert machine.step() == ([STATES[state]], state)
+
+
+@pytest.mark.parametrize("state", [FAULT, INIT, STOP, RUN])
+def test_the_state_function_gets_the_loop_that_calls(core: Core, state: int) -> None:
+    machine = Machine(core, state)
+    for loop in range(6):
+        machine.step(loop)
+        assert machine.loops == [loop]
 
 
 def test_init_done_leads_to_stop(core: Core) -> None:

@@ -88,7 +88,7 @@ def test_edge_interrupt(board: FakeBoard, axis: int) -> None:
     assert not board[TMR[axis] + SCTRL] & IEFIE
 
 
-def test_edge_that_nobody_takes_does_not_interrupt_for_ever(board: FakeBoard) -> None:
+def test_an_edge_not_taken_interrupts_once(board: FakeBoard) -> None:
     board.lib.hal_capture_arm(board.hal, 0)
     edge(board, 0, 1, 2)
     board.isr(ISR_EDGE[0])
@@ -121,7 +121,7 @@ def test_overflow_survives_arming_and_ends_with_an_edge(board: FakeBoard) -> Non
     assert board.lib.hal_edge_age(board.hal, 0) == 0
 
 
-def test_overflow_ends_with_an_edge_that_nobody_took(board: FakeBoard) -> None:
+def test_overflow_ends_with_an_edge_not_taken(board: FakeBoard) -> None:
     board.lib.hal_capture_arm(board.hal, 0)
     board[TMR[0] + 0x37] |= TOF
     edge(board, 0, 1, 2)

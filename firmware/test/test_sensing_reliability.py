@@ -162,7 +162,7 @@ def test_deviation_has_to_last(core: Core) -> None:
     assert check.ticks == 0
 
 
-# ---- the known blind spot of the seed (ST slide "转子堵转检测") ------------------------------------------
+# ---- the known blind spot of the criterion (ST slide "转子堵转检测") ------------------------------------------
 
 
 @pytest.mark.parametrize(("amplitude", "swing"), [(0.2, 150.0), (0.2, 250.0), (0.5, 400.0)])
@@ -195,7 +195,7 @@ def test_a_rotor_that_swings_fools_the_variance_but_not_the_back_emf(
         accepted += reliability.holds
         seen += bool(core.lib.emf_check_deviates(config, config.floor_spin, there, expected, 0))
     assert abs(reliability.mean) / 2**31 * FULL_SPEED * PAIRS == pytest.approx(swing, rel=0.25)
-    assert accepted > 0.9 * (ticks - SIZE), "the seed's criterion alone takes it for a shaft that turns"
+    assert accepted > 0.9 * (ticks - SIZE), "the criterion alone takes it for a shaft that turns"
     assert seen > 0.8 * ticks, "the back-EMF does not fit"
 
 

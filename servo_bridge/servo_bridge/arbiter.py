@@ -1,79 +1,31 @@
-"""Who commands: the one place where a set-point is let through, refused or thrown away.
+"""Who commands: the one place where a set-point is let through or refused.
 
 A request passes four gates: the link is up, set-points are released (only the service ``enable`` does that), every
 commanded axis is in RUN/SPIN, and every value is inside the limits of the board and of the configuration. It passes
-as a whole or not at all. What passed waits here as raw firmware integers until the dispatcher fetches it: mode
-first where it changes, then one write for all axes that move together. A newer set-point replaces one that is still
-waiting; the board itself ends a velocity or effort that is not written again. Requests are in joint units, writes in
-those of the motors. Pure.
+as a whole or not at all. What passed goes into the `SetPointQueue` as raw firmware integers. Requests are in joint
+units, raw integers in those of the motors. Pure.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from servo_msgs_py.catalogue import AXES, Catalogue, Variable
 from servo_msgs_py.joints import Joint, JointLimits, joint_names
-from servo_msgs_py.timed_points import axes_of_points
 from servo_msgs_py.units import unwrap_u32
 
+from servo_bridge.set_point_queue import TARGETS, SetPointQueue, Target
 from servo_bridge.setpoints import Mode, NotReady, Rejected, Request
 from servo_bridge.sources import Source, Sources
-from servo_bridge.trajectory.errors import POINTS_REFUSED
 
-__all__ = ["Arbiter", "AxisStatus", "CommandWrite", "PathSource"]
+__all__ = ["Arbiter", "AxisStatus"]
 
-_POINTS = "cmd.points"
-_TAKE = "config.take"
-_TARGET = {Mode.POSITION: "cmd.position", Mode.SPEED: "cmd.speed", Mode.TORQUE: "cmd.i_q"}
 _QUANTITY = {Mode.POSITION: ("position", "rad"), Mode.SPEED: ("velocity", "rad/s"), Mode.TORQUE: ("effort", "N m")}
 _REMEDY = "send a value inside, or change the limits in the parameters of the bridge"
 _BOARD = "the board takes no other; send a value inside"
 _FARTHER = "one set-point may be no farther from the shaft: send it there in steps"
 _NOT_ENABLED = "outputs have not been enabled over this bridge"
-
-
-@dataclass(frozen=True)
-class CommandWrite:
-    """A write of neighbouring elements of one command variable, of timed points, or of blocks that are to be taken.
-
-    Attributes
-    ----------
-    variable : str
-        Name of the array variable.
-    first : int
-        Axis of the first element; 0 for points and blocks.
-    raw : tuple of int
-        Firmware integers; the firmware takes only the written elements as fresh. Of points their words.
-    members : tuple of int
-        Of the blocks that ``config.take`` brings into force, one axis after the other.
-    """
-
-    variable: str
-    first: int
-    raw: tuple[int, ...]
-    members: tuple[int, ...] = ()
-
-    @property
-    def mask(self) -> int:
-        """Bit per written axis; bit 0 is axis 1."""
-        if self.variable == _POINTS:
-            return axes_of_points(self.raw)
-        if self.variable == _TAKE:
-            return self.raw[0]
-        return ((1 << len(self.raw)) - 1) << self.first
-
-    def numbers(self) -> tuple[int, ...]:
-        """Raw number of every axis, 0 where nothing is written; the words of points; the members of blocks."""
-        if self.variable == _POINTS:
-            return self.raw
-        if self.variable == _TAKE:
-            return self.members
-        numbers = [0] * AXES
-        numbers[self.first : self.first + len(self.raw)] = self.raw
-        return tuple(numbers)
 
 
 @dataclass(frozen=True)
@@ -101,21 +53,6 @@ class AxisStatus:
     position_ref: int | None = None
 
 
-@dataclass(frozen=True)
-class _Target:
-    mode: Mode
-    raw: int
-
-
-class PathSource(Protocol):
-    """Where timed points come from."""
-
-    @property
-    def axes(self) -> Collection[int]: ...
-    def next_points(self) -> tuple[int, ...] | None: ...
-    def cancel(self, axis: int, reason: str) -> None: ...
-
-
 class Arbiter:
     """Set-points of all axes of one board.
 
@@ -130,6 +67,8 @@ class Arbiter:
 
     Attributes
     ----------
+    queue : SetPointQueue
+        Takes what has passed.
     inactive : str
         Why no set-point passes, enabled or not, and what to do; empty while the node is active.
     """
@@ -140,8 +79,9 @@ class Arbiter:
         joints: Sequence[Joint],
         sources: Sources | None = None,
     ) -> None:
+        self.queue = SetPointQueue()
         self.sources = sources or Sources()
-        self._variables: Mapping[Mode, Variable] = {mode: catalogue[name] for mode, name in _TARGET.items()}
+        self._variables: Mapping[Mode, Variable] = {mode: catalogue[name] for mode, name in TARGETS.items()}
         self._joints = joint_names(joints)
         self.joints = list(joints)
         self._reach = catalogue.bits["position"]["REACH"]
@@ -150,14 +90,6 @@ class Arbiter:
         self._link = "the board has not been seen yet"
         self._blocked = _NOT_ENABLED
         self.inactive = ""
-        self._modes: list[Mode | None] = [None] * AXES
-        self._targets: list[_Target | None] = [None] * AXES
-        self._halted: set[int] = set()  # axes that have to be stopped
-        self._paths: PathSource | None = None
-
-    def follow(self, paths: PathSource) -> None:
-        """Take timed points from here, for axes that no set-point moves."""
-        self._paths = paths
 
     # ---- what the board says
     def board_seen(self, axes: Sequence[AxisStatus]) -> None:
@@ -165,8 +97,7 @@ class Arbiter:
         self._axes = list(axes)
         for axis, status in enumerate(axes):
             if not status.spinning:
-                self._targets[axis] = None
-                self._leave_path(axis, f"{self._joints[axis]} is in {status.label}")
+                self.queue.drop(axis, f"{self._joints[axis]} is in {status.label}")
 
     def set_torque_constants(self, values: Sequence[float]) -> None:
         """Torque per ampere of i_q of every axis, nominal value of the board [N m/A]."""
@@ -177,8 +108,7 @@ class Arbiter:
         self._link = reason
         if self._axes is not None:
             self.block("the link to the board was lost")
-        self._modes = [None] * AXES
-        self._halted.clear()
+        self.queue.link_lost()
         self._axes = None
         self._torque_constants = None
 
@@ -186,14 +116,13 @@ class Arbiter:
     def release(self) -> None:
         """Let set-points through from now on; modes are written anew, whatever the board did meanwhile."""
         self._blocked = ""
-        self._modes = [None] * AXES
+        self.queue.forget_modes()
 
     def block(self, reason: str) -> None:
         """Refuse set-points from now on and throw away what is waiting."""
         self._blocked = reason
-        self._targets = [None] * AXES
         for axis in range(AXES):
-            self._leave_path(axis, reason)
+            self.queue.drop(axis, reason)
 
     @property
     def armed(self) -> bool:
@@ -215,16 +144,15 @@ class Arbiter:
         Rejected
             If any of it must not pass; then nothing has changed.
         """
-        targets: dict[int, tuple[str, _Target]] = {}
+        targets: dict[int, tuple[str, Target]] = {}
         for request in requests:
             self.check_ready(request.source, request.values)
             for axis in request.values:
-                targets[axis] = request.source, _Target(request.mode, self._raw(request, axis))
+                targets[axis] = request.source, Target(request.mode, self._raw(request, axis))
         for request in requests:
             self._claim(Source(request.source, _QUANTITY[request.mode][0]), request.values)
         for axis, (source, target) in targets.items():
-            self._targets[axis] = target
-            self._leave_path(axis, f"a set-point on {source} took over")
+            self.queue.put(axis, target, f"a set-point on {source} took over")
 
     def admit(self, source: str, axes: Iterable[int]) -> None:
         """Check that paths of some axes may be followed: as `submit`, but for the values.
@@ -237,8 +165,7 @@ class Arbiter:
         axes = list(axes)
         self.check_ready(source, axes)
         self._claim(Source(source, "trajectory"), axes)
-        for axis in axes:
-            self._targets[axis] = None
+        self.queue.make_way(axes)
 
     def check_ready(self, source: str, axes: Iterable[int]) -> None:
         """Check that some axes obey set-points.
@@ -267,66 +194,9 @@ class Arbiter:
                     "data: true and wait until armed is true"
                 )
 
-    def halt(self, axes: Iterable[int], reason: str) -> None:
-        """Have axes stop at the acceleration limit of the board and hold, whatever path or set-point they follow.
-
-        A change of mode does that on the board: nothing has to be planned, and nothing can be refused.
-        """
-        for axis in axes:
-            self._targets[axis] = self._modes[axis] = None
-            self._leave_path(axis, reason)
-            self._halted.add(axis)
-
-    def obeys_points(self, axis: int) -> bool:
-        """Whether an axis has been told to follow timed points."""
-        return self._modes[axis] is Mode.TRAJECTORY
-
-    def next_write(self) -> CommandWrite | None:
-        """Fetch the next write: modes before set-points, both axes in one write where they share the variable."""
-        if self._halted:
-            halted, self._halted = self._halted, set()
-            return _joined("cmd.mode", dict.fromkeys(halted, Mode.POSITION.value))
-        waiting = {axis: target for axis, target in enumerate(self._targets) if target is not None}
-        modes = dict.fromkeys(self._paths.axes if self._paths is not None else (), Mode.TRAJECTORY)
-        modes.update({axis: target.mode for axis, target in waiting.items()})
-        changes = {axis: mode.value for axis, mode in modes.items() if self._modes[axis] is not mode}
-        if changes:
-            return _joined("cmd.mode", changes)
-        if not waiting:
-            words = self._paths.next_points() if self._paths is not None else None
-            return None if words is None else CommandWrite(_POINTS, 0, words)
-        mode = next(iter(waiting.values())).mode
-        together = {axis: target.raw for axis, target in waiting.items() if target.mode is mode}
-        for axis in together:
-            self._targets[axis] = None
-        return _joined(_TARGET[mode], together)
-
-    def accepted(self, write: CommandWrite) -> None:
-        """Note that the board took a write."""
-        if write.variable == "cmd.mode":
-            for k, raw in enumerate(write.raw):
-                self._modes[write.first + k] = Mode(raw)
-
-    def failed(self, write: CommandWrite) -> None:
-        """Note that the board did not take a write: what waited for these axes is void, their mode unknown.
-
-        Of a path the board may have points that it still follows: another mode makes it stop and hold.
-        """
-        for axis in range(AXES):
-            if write.mask >> axis & 1:
-                self._targets[axis] = self._modes[axis] = None
-                if write.variable == _POINTS:
-                    self.halt([axis], POINTS_REFUSED)
-                else:
-                    self._leave_path(axis, f"the board refused {write.variable}")
-
     # ---- details
-    def _leave_path(self, axis: int, reason: str) -> None:
-        if self._paths is not None and axis in self._paths.axes:
-            self._paths.cancel(axis, reason)
-
     def _claim(self, source: Source, axes: Iterable[int]) -> None:
-        self.sources.claim(source, axes, self._joints, () if self._paths is None else self._paths.axes)
+        self.sources.claim(source, axes, self._joints, self.queue.following)
 
     def _raw(self, request: Request, axis: int) -> int:
         value, mode, joint = request.values[axis], request.mode, self.joints[axis]
@@ -375,9 +245,3 @@ def _wanted(limits: JointLimits, mode: Mode) -> tuple[float, float]:
         return limits.position_min, limits.position_max
     magnitude = limits.velocity_max if mode is Mode.SPEED else limits.effort_max
     return -magnitude, magnitude
-
-
-def _joined(variable: str, elements: Mapping[int, int]) -> CommandWrite:
-    """One write of neighbouring elements; with two axes any set of elements is neighbouring."""
-    axes = sorted(elements)
-    return CommandWrite(variable, axes[0], tuple(elements[axis] for axis in axes))

@@ -54,7 +54,7 @@ class PathUser(Protocol):
         """Why the board has refused a part of it since; empty if it has not."""
 
     def turn(self, seconds: float) -> None:
-        """Let so much time pass."""
+        """Let so much time pass [s]."""
 
 
 def add_path_verbs(verbs: argparse._SubParsersAction[argparse.ArgumentParser], target: Callable[[str], object]) -> None:

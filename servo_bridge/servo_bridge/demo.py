@@ -78,7 +78,7 @@ class Demo:
 
     # ---- phases
     def connect(self, timeout: float, *, require_twin: bool) -> None:
-        """Wait for the servo, and for the twin if it is required."""
+        """Wait at most `timeout` [s] for the servo, and as long for the twin if it is required."""
         client = self._client
         self._say("waiting for the servo ...")
         if not client.wait_for(client.ready, timeout):
@@ -394,7 +394,7 @@ def main(args: Sequence[str] | None = None) -> int:
     argv = list(sys.argv if args is None else ["servo-demo", *args])
     arguments = _arguments(remove_ros_args(argv)[1:])
     rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-    # A polite end from outside disables the axes just as Ctrl-C does. An exception from within a signal handler would
+    # SIGTERM disables the axes just as Ctrl-C does. An exception from within a signal handler would
     # come out of the executor's C++ as something else, or not at all.
     interrupted = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

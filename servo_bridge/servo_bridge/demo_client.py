@@ -1,4 +1,4 @@
-"""A user of the servo over ROS topics and services, as the demonstration needs it; knows nothing of board or link."""
+"""A user of the servo over ROS topics and services, as the demonstration needs it; independent of board and link."""
 
 from __future__ import annotations
 
@@ -157,11 +157,11 @@ class ServoClient(Node):
         return int(self._rows[-1][self.columns.index("tick")])
 
     def latest(self, column: str) -> float:
-        """Newest value of a column."""
+        """Newest value of a column [SI]."""
         return float(self._rows[-1][self.columns.index(column)])
 
     def since(self, tick: int, columns: Sequence[str]) -> list[NDArray[np.float64]]:
-        """Columns of all samples from `tick` on."""
+        """Columns of all samples from `tick` on [SI], each of shape (samples,)."""
         index = self.columns.index("tick")
         first = len(self._rows)
         while first and self._rows[first - 1][index] >= tick:

@@ -2,7 +2,8 @@
 
 One command write is under way at a time. It counts as done when telemetry shows that the firmware has latched one
 more write; that sample's `applied_tick` is then exactly the tick of this write, so a twin can replay it. Urgent
-writes (enable, stop, clear) go before set-points. Pure; the link and the arbiter are handed in.
+writes (enable, stop, clear) go before set-points. Pure; the link is handed in.
+Data go one way: the arbiter puts set-points into a `SetPointQueue`, and this takes them out.
 """
 
 from __future__ import annotations
@@ -11,26 +12,17 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.units import SLOW_PERIODS
 
-from servo_bridge.arbiter import CommandWrite
+from servo_bridge.set_point_queue import CommandWrite, SetPointQueue
 
-__all__ = ["Dispatcher", "SetPointQueue"]
+__all__ = ["Dispatcher"]
 
 _PATIENCE = 40 * SLOW_PERIODS
 """PWM periods (20 ms) after which an accepted write that no sample has shown is given up. The board latches within one
 slow tick; the rest is for a sample that was already on its way."""
-
-
-class SetPointQueue(Protocol):
-    """Where set-points wait; implemented by the arbiter."""
-
-    def next_write(self) -> CommandWrite | None: ...
-    def accepted(self, write: CommandWrite) -> None: ...
-    def failed(self, write: CommandWrite) -> None: ...
 
 
 @dataclass
@@ -49,7 +41,7 @@ class Dispatcher:
     send : callable
         Starts one write and returns at once; the owner reports its end through `acknowledged`.
     set_points : SetPointQueue
-        Asked for the next write whenever the way is free.
+        Taken from whenever no write is under way.
     on_trouble : callable
         Gets a sentence for the log.
     """

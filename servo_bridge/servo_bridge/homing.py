@@ -11,10 +11,11 @@ from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name, numbers
 from servo_msgs_py.joints import Joint
 from servo_msgs_py.units import SLOW_PERIODS, unwrap_u32
 
-from servo_bridge.arbiter import Arbiter, CommandWrite
+from servo_bridge.arbiter import Arbiter
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.outcome import error_of
 from servo_bridge.services import Outcome
+from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.setpoints import NotReady
 from servo_bridge.telemetry import Frame
 

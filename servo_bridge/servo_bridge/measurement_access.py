@@ -72,6 +72,7 @@ class SessionAccess(BoardAccess):
         return True
 
     def wait(self, seconds: float) -> None:
+        """Let time pass [s]; `meanwhile` is called again and again."""
         end = self._line.clock() + round(seconds * 1e9)
         while (left := end - self._line.clock()) > 0:
             self._meanwhile()

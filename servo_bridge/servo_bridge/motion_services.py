@@ -9,8 +9,9 @@ from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import flag_texts
 from servo_msgs_py.units import SLOW_PERIODS
 
-from servo_bridge.arbiter import Arbiter, CommandWrite
+from servo_bridge.arbiter import Arbiter
 from servo_bridge.dispatcher import Dispatcher
+from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.telemetry import Frame
 
 __all__ = ["MotionServices", "Outcome"]

@@ -67,7 +67,7 @@ def settling_time(time: Series, error: Series, tolerance: float) -> float | None
 
 
 def rms(values: Series) -> float:
-    """Root of the mean square."""
+    """Root of the mean square, in the unit of `values`, shape (samples,)."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 

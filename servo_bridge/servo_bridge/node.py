@@ -14,9 +14,10 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.node_shell import claim_name, full_name, run, setting_up
 
+from servo_bridge.board_link import LinkFactory
 from servo_bridge.entities import Entities
 from servo_bridge.parameters import PARAMETERS, ParameterError, declare, settings_from, values_of, watch
-from servo_bridge.supervisor import LinkFactory, Supervisor
+from servo_bridge.supervisor import Supervisor
 from servo_bridge.wire.link import Link
 
 __all__ = ["ServoBridge", "main"]

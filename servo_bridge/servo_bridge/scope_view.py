@@ -132,7 +132,7 @@ class ScopeView:
         self._submit(lambda: self._send(self._telemetry, times, values))
 
     def burst(self, times: NDArray[np.float64], values: NDArray[np.float64], text: str) -> None:
-        """Append a burst in the same form, apart from the one before, and a line of the log at its first point."""
+        """Append a burst: times [s] (points,), values (points, curves); and a line of the log at its first point."""
         gap = np.full((1, values.shape[1]), np.nan)
         end = times[-1:] + (times[-1] - times[-2] if len(times) > 1 else 0.0)
 

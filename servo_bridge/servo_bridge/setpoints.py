@@ -183,7 +183,7 @@ class Repeats:
         self._refused.update({axis: (time, point) for axis, point in points.items() if point.position is not None})
 
     def fresh(self, time: float, points: Mapping[int, JointSetPoint]) -> dict[int, JointSetPoint]:
-        """Those that repeat nothing."""
+        """Those of the set-points at `time` [s] that repeat nothing."""
         result = {}
         for axis, point in points.items():
             before, refused = self._refused.get(axis, (time, None))

@@ -1,8 +1,9 @@
 """The board on a serial port behind topics and services of a node, from its configuration to its clean-up.
 
-The way of a set-point: `setpoint_topics` -> `setpoints` (form) -> `arbiter` (may it pass?) -> `dispatcher` (one write
-at a time) -> `link` (serial port, own thread) -> firmware. The way back: `link` -> `inbox` (into the executor's thread)
--> `telemetry` -> `publications`. Nothing here touches the port, and only the executor's thread touches the rest.
+The way of a set-point: `setpoint_topics` -> `setpoints` (form) -> `arbiter` (may it pass?) -> `set_point_queue` ->
+`dispatcher` (one write at a time) -> `link` (serial port, own thread) -> firmware. The way back: `link` -> `inbox` (to
+the executor's thread) -> `telemetry` -> `publications`. Nothing here touches the port, and only the executor's thread
+touches the rest.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import partial
-from typing import Final, Protocol, TypeVar
+from typing import Final
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -19,24 +20,26 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from servo_msgs_py.board_parameters import RawParameters, applied
-from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name
-from servo_msgs_py.convert import diagnostic_array, flag_texts
+from servo_msgs_py.catalogue import AXES, Catalogue, Value, axis_name, numbers
+from servo_msgs_py.convert import diagnostic_array
 from servo_msgs_py.fault_record import FaultRecord
-from servo_msgs_py.robot_description import Motor, describe
+from servo_msgs_py.robot_description import describe
 from servo_msgs_py.runtime.node_shell import full_name
 from servo_msgs_py.timed_points import periods_ahead
 from servo_msgs_py.units import PERIOD_NS, unwrap_u32
 from std_srvs.srv import SetBool, Trigger
 
-from servo_bridge.arbiter import Arbiter, CommandWrite
+from servo_bridge.arbiter import Arbiter
+from servo_bridge.board_link import BoardLink, LinkFactory
 from servo_bridge.board_parameters import BoardParameters
 from servo_bridge.bursts.record_service import RecordService
 from servo_bridge.bursts.recording import piece_size
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.fault_records import FaultRecords
 from servo_bridge.follow_action import FollowAction, action_interfaces
-from servo_bridge.freemaster.client import BoardInfo, password_of_environment
-from servo_bridge.health import BOARD_COUNTERS, WINDING, Health, Winding
+from servo_bridge.frame_events import FrameEvents
+from servo_bridge.freemaster.client import password_of_environment
+from servo_bridge.health import Health, Winding
 from servo_bridge.homing import METHODS, Homing, with_home_states
 from servo_bridge.inbox import Inbox
 from servo_bridge.joint_commands import JointCommands
@@ -46,7 +49,9 @@ from servo_bridge.outcome import error_of
 from servo_bridge.parameters import ParameterError, Settings
 from servo_bridge.publications import Publications
 from servo_bridge.services import DeferredService, Outcome
+from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.setpoint_topics import SetPointTopics
+from servo_bridge.slow_values import SlowValues
 from servo_bridge.storage_service import StorageService
 from servo_bridge.telemetry import Frame, Telemetry
 from servo_bridge.trajectory.check import Limits, require
@@ -60,54 +65,13 @@ from servo_bridge.tuning.service import TuningService
 from servo_bridge.variable_topics import VariableTopics
 from servo_bridge.wire.board_clock import BoardClock, WallClock
 from servo_bridge.wire.link import FinalWrite, LinkConfig, LinkState, LinkStatus, Sample, WriteResult
-from servo_bridge.wire.link_statistics import LinkStatistics
-from servo_bridge.wire.scope import ScopeLayout
-from servo_bridge.wire.serial_port import LowLatency
-from servo_bridge.wire.session import Session
 from servo_msgs_py import topics
 
-__all__ = ["BoardLink", "LinkFactory", "Supervisor"]
+__all__ = ["Supervisor"]
 
-_NOMINAL_VALUES: Final = ("torque_constant", "acceleration_current")
-_COMMAND_TIMEOUT: Final = "param.command_timeout"
 _TAKE_OVER: Final = CommandWrite("cmd.quick_stop", 0, (1,) * AXES)  # what the link does first, see wire.take_over
 _URGENT: Final = ("cmd.enable", "cmd.quick_stop", "cmd.clear_faults")
 _SWITCH_OFF: Final[Sequence[FinalWrite]] = (("cmd.enable", [0.0] * AXES),)
-
-T = TypeVar("T")
-
-
-class BoardLink(Protocol):
-    """What the node needs of a `Link`."""
-
-    layout: ScopeLayout
-
-    def start(self) -> None: ...
-    def close(self, final_writes: Sequence[FinalWrite] = (), timeout: float = 3.0) -> bool: ...
-    def write_raw(
-        self, name: str, raw: Sequence[int], *, first: int = 0, urgent: bool = False
-    ) -> Future[WriteResult]: ...
-    def read(self, name: str) -> Future[Value]: ...
-    def call(self, function: Callable[[Session], T]) -> Future[T]: ...
-    def run_command(self, code: int, *, urgent: bool = False) -> Future[int]: ...
-    def statistics(self) -> LinkStatistics: ...
-    @property
-    def board(self) -> BoardInfo | None: ...
-    @property
-    def low_latency(self) -> LowLatency: ...
-
-
-class LinkFactory(Protocol):
-    """Makes a link; `Link` itself, unless a test puts something else in its place."""
-
-    def __call__(
-        self,
-        config: LinkConfig,
-        catalogue: Catalogue,
-        *,
-        on_sample: Callable[[Sample], None],
-        on_state: Callable[[LinkStatus], None],
-    ) -> BoardLink: ...
 
 
 class Supervisor:
@@ -154,7 +118,7 @@ class Supervisor:
         self._arbiter.sources.preferred = settings.preferred_source
         self._inactive = f"the bridge is inactive; activate it first (ros2 lifecycle set /{full_name(node)} activate)"
         self._arbiter.inactive = self._inactive
-        self._dispatcher = Dispatcher(self._send, self._arbiter, self._warn)
+        self._dispatcher = Dispatcher(self._send, self._arbiter.queue, self._warn)
         self._publications = Publications(
             node,
             settings.joints,
@@ -174,7 +138,7 @@ class Supervisor:
         self._health = Health(self._catalogue, full_name(node), settings.port, self._joints)
         self._set_points = SetPointTopics(node, self._joints, self._arbiter, self._dispatcher.pump, self._warn)
         self._follower = Follower(self._catalogue, settings.joints, self._check_path)
-        self._arbiter.follow(self._follower)
+        self._arbiter.queue.follow(self._follower)
         self._trajectories = TrajectoryTopics(
             node,
             self._joints,
@@ -204,11 +168,8 @@ class Supervisor:
         self._frame: Frame | None = None
         self._epoch = 0
         self._ended = False
-        self._motors: list[Motor] = []  # empty until the board has told them
-        self._counts: dict[str, int] | None = None
-        self._windings: list[Winding | None] = [None] * AXES
-        self._counting = False
-        self._expired = self._catalogue.flag("limits", "EXPIRED").mask
+        self._slow = SlowValues(self._link.read, self._inbox.post, self._on_motors, self._on_windings)
+        self._events = FrameEvents(catalogue, self._joints)
         self._board_parameters = BoardParameters(
             self._catalogue,
             self._link.read,
@@ -373,16 +334,16 @@ class Supervisor:
 
         def told(future: Future[Value]) -> None:
             if error_of(future) is None:
-                reason = self._catalogue.label("point_refusal_t", int(_scalar(future.result())))
+                reason = self._catalogue.label("point_refusal_t", int(numbers(future.result())[0]))
                 self._inbox.post(partial(self._warn, f"the board has refused points of a trajectory: {reason}"))
 
         self._link.read("point_refusal").add_done_callback(told)
 
     def _path_limits(self) -> list[Limits] | None:
         values = self._board_parameters.values
-        if values is None or not self._motors:
+        if values is None or not self._slow.motors:
             return None
-        return path_limits(self._catalogue, values, self._settings.joints, self._motors)
+        return path_limits(self._catalogue, values, self._settings.joints, self._slow.motors)
 
     def _check_path(self, path: Path) -> None:
         limits = self._path_limits()
@@ -425,9 +386,7 @@ class Supervisor:
                 self._log.error(str(status))
             self._publications.flush()
             self._frame = None
-            self._motors = []
-            self._counts = None
-            self._windings = [None] * AXES
+            self._slow.link_lost()
             self._board_parameters.link_lost()
             self._variables.link_lost()
             self._arbiter.link_lost(status.reason)
@@ -449,12 +408,14 @@ class Supervisor:
         if frame.epoch != self._epoch:
             self._epoch = frame.epoch
             self._board_clock.reset()
-            self._counts = None  # they began anew
+            self._slow.counters_restarted()
         if self._node.get_clock().ros_time_is_active:
             self._wall.refresh()  # simulated time may have any speed
         stamp = self._wall.stamp(self._board_clock.update(frame.tick, frame.response_ns))
-        self._log_faults(frame)
-        self._log_expired(frame)
+        for text in self._events.faults(self._frame, frame):
+            self._log.error(text)
+        for text in self._events.expired(self._frame, frame, self._board_parameters.values):
+            self._warn(text)
         self._fault_records.on_frame(frame.tick, frame.faults)
         self._frame = frame
         self._arbiter.board_seen(frame.axes)
@@ -481,7 +442,7 @@ class Supervisor:
         self._publications.sample(
             frame,
             stamp,
-            [motor.torque_constant for motor in self._motors] or None,
+            [motor.torque_constant for motor in self._slow.motors] or None,
             joint_states=not self._homing.restoring,
         )
         self._publish_state()
@@ -491,29 +452,10 @@ class Supervisor:
         return [
             AxisReport(
                 (status.position if status.position_ref is None else status.position_ref) * lsb,
-                follows=status.position_ref is not None and self._arbiter.obeys_points(axis),
+                follows=status.position_ref is not None and self._arbiter.queue.obeys_points(axis),
             )
             for axis, status in enumerate(frame.axes)
         ]
-
-    def _log_faults(self, frame: Frame) -> None:
-        for axis, word in enumerate(frame.faults):
-            before = self._frame.faults[axis] if self._frame is not None else 0
-            for text in flag_texts(self._catalogue, "faults", word & ~before):
-                self._log.error(f"{self._joints[axis]}: {text}")
-
-    def _log_expired(self, frame: Frame) -> None:
-        for axis, joint in enumerate(self._joints):
-            column = f"{axis_name(axis)}.limits"
-            before, now = (int(f.values.get(column, 0)) & self._expired if f else 0 for f in (self._frame, frame))
-            if now and not before:
-                self._warn(f"{joint}: no velocity or effort set-point for {self._command_timeout()}; the axis stops")
-
-    def _command_timeout(self) -> str:
-        values = self._board_parameters.values
-        if values is None:
-            return _COMMAND_TIMEOUT
-        return f"{values[_COMMAND_TIMEOUT][0] * self._catalogue[_COMMAND_TIMEOUT].lsb:g} s"
 
     def _on_parameters(self, values: RawParameters) -> None:
         self._publications.parameters(values, self._catalogue)
@@ -527,25 +469,17 @@ class Supervisor:
         """Read what a configuration determines: motor data, and parameters whose default is another one."""
         if self._status.state is not LinkState.CONNECTED:
             return  # read when it is back
-        self._read_motors()
+        self._slow.read_motors()
         self._board_parameters.connected()
 
-    def _read_motors(self) -> None:
-        names = [f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in _NOMINAL_VALUES]
-        futures = [self._link.read(name) for name in names]
+    def _on_motors(self) -> None:
+        constants = [motor.torque_constant for motor in self._slow.motors]
+        self._arbiter.set_torque_constants(constants)
+        self._follower.torque_constants = constants
+        self._publish_description()
 
-        def take() -> None:
-            if any(error_of(future) is not None for future in futures):
-                return  # a lost link; they are read again when it is back
-            values = [float(_scalar(future.result())) for future in futures]
-            self._motors = [Motor(k, k * current) for k, current in zip(values[::2], values[1::2], strict=True)]
-            constants = [motor.torque_constant for motor in self._motors]
-            self._arbiter.set_torque_constants(constants)
-            self._follower.torque_constants = constants
-            self._publish_description()
-
-        # The link works in order: when the last one is done, all are.
-        futures[-1].add_done_callback(lambda _: self._inbox.post(take))
+    def _on_windings(self, windings: Sequence[Winding]) -> None:
+        self._publications.windings([winding.temperature for winding in windings])
 
     def _current_limits(self) -> list[float | None]:
         """Parameters of the axes [A]; None until they have been read."""
@@ -553,26 +487,6 @@ class Supervisor:
         if values is None:
             return [None] * AXES
         return [raw * self._catalogue[name].lsb for raw in values[name]]
-
-    def _read_counters(self) -> None:
-        """Once a second; they would take room in every sample."""
-        if self._counting or self._status.state is not LinkState.CONNECTED:
-            return
-        windings = [f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in WINDING]
-        futures = [self._link.read(name) for name in (*BOARD_COUNTERS, *windings)]
-        self._counting = True
-
-        def take() -> None:
-            self._counting = False
-            if self._status.state is LinkState.CONNECTED and all(error_of(future) is None for future in futures):
-                values = [_scalar(future.result()) for future in futures]
-                self._counts = {name: int(value) for name, value in zip(BOARD_COUNTERS, values, strict=False)}
-                about = [float(value) for value in values[len(BOARD_COUNTERS) :]]
-                found = [Winding(*pair) for pair in zip(about[::2], about[1::2], strict=True)]
-                self._windings = list(found)
-                self._publications.windings([winding.temperature for winding in found])
-
-        futures[-1].add_done_callback(lambda _: self._inbox.post(take))
 
     # ---- what goes out regularly, or when it changes
     def _publish_description(self) -> None:
@@ -583,7 +497,7 @@ class Supervisor:
             commands_topic=resolve(topics.JOINT_COMMANDS),
             states_topic=resolve(topics.JOINT_STATES),
             interfaces=self._settings.command_interfaces,
-            motors=self._motors,
+            motors=self._slow.motors,
         )
         self._publications.description(text)
 
@@ -608,9 +522,9 @@ class Supervisor:
         health, frame = self._health, self._frame
         statuses = [
             health.link(self._status, self._link.statistics(), self._settings.baud, self._link.low_latency.text),
-            health.board(self._link.board, frame, self._counts),
+            health.board(self._link.board, frame, self._slow.counters),
             *(
-                health.axis(axis, frame, self._fault_records.records[axis], self._windings[axis], limit)
+                health.axis(axis, frame, self._fault_records.records[axis], self._slow.windings[axis], limit)
                 for axis, limit in enumerate(self._current_limits())
             ),
             health.commands(
@@ -624,7 +538,8 @@ class Supervisor:
             health.storage(self._storage.storage),
         ]
         self._diagnostics.publish(diagnostic_array(self._node.get_clock().now().nanoseconds, statuses))
-        self._read_counters()
+        if self._status.state is LinkState.CONNECTED:
+            self._slow.read_counters()
 
     def _warn(self, text: str) -> None:
         self._log.warning(text)
@@ -651,9 +566,3 @@ class Supervisor:
         self._homing.link_lost(reason)
         self._publications.flush()
         self._publications.state(f"DISCONNECTED {reason}", armed=False)
-
-
-def _scalar(value: Value) -> float:
-    if isinstance(value, (int, float)):
-        return value
-    raise TypeError(f"{value!r} is not a single number")

@@ -319,7 +319,7 @@ def warn(context: Context) -> None:
 
 
 def _require_contract(context: Context) -> None:
-    """Refuse to write to a servo board of another version; a stranger is written by its own types."""
+    """Refuse to write to a servo board of another version; a board without catalogue is written by its own types."""
     mismatch = context.session.mismatch
     if isinstance(mismatch, BoardMismatchError) and not mismatch.stranger and not getattr(context.args, "raw", False):
         raise mismatch

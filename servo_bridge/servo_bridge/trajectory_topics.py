@@ -114,7 +114,7 @@ class TrajectoryTopics:
             raise NotReady(f"{source}: the board has not told its limits yet; call quick_stop to stop now")
         speeds = self._follower.running().select(joints).state(self._follower.now).velocity
         times = [abs(speed) / limits[axis].acceleration_max for speed, axis in zip(speeds, axes, strict=True)]
-        self._arbiter.halt(axes, reason or f"an empty trajectory on {source} stopped it")
+        self._arbiter.queue.halt(axes, reason or f"an empty trajectory on {source} stopped it")
         self._set_points.accept()
         self._say(f"stopping {', '.join(joints)} for {source}")
         return float(self._follower.now + max(times) + _STOP_DELAY)

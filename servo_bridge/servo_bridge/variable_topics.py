@@ -60,7 +60,7 @@ class VariableTopics:
         self._under_way: Future[Value] | None = None
 
     def publish(self, sample: Mapping[str, float]) -> None:
-        """Publish from a sample and start to read the next variable that is not in it."""
+        """Publish from a sample [SI] and start to read the next variable that is not in it."""
         self._publish(sample)
         if self._under_way is None and (variable := next(self._outside, None)) is not None:
             future = self._under_way = self._read(variable.name)

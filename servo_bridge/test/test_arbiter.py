@@ -8,7 +8,8 @@ from collections.abc import Mapping
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from servo_bridge.arbiter import Arbiter, AxisStatus, CommandWrite
+from servo_bridge.arbiter import Arbiter, AxisStatus
+from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.setpoints import Mode, Rejected, Request
 from servo_bridge.sources import Conflict, Source, Sources
 from servo_msgs_py.catalogue import Catalogue
@@ -42,8 +43,8 @@ def request(values: Mapping[int, float], mode: Mode = Mode.POSITION, source: str
 def drain(subject: Arbiter) -> list[CommandWrite]:
     """Fetch all writes as the dispatcher does: one by one, each accepted by the board."""
     writes = []
-    while (write := subject.next_write()) is not None:
-        subject.accepted(write)
+    while (write := subject.queue.next_write()) is not None:
+        subject.queue.accepted(write)
         writes.append(write)
         assert len(writes) < 10
     return writes
@@ -147,7 +148,7 @@ def test_a_set_point_out_of_reach_says_how_far_it_may_be(shaft: int, way: int) -
     low, high = (shaft - REACH) * LSB, (shaft + REACH) * LSB
     assert f"position of axis1 is {value:g} rad, outside {low:g} .. {high:g} rad" in text
     assert "in steps" in text
-    assert subject.next_write() is None
+    assert subject.queue.next_write() is None
 
 
 @pytest.mark.parametrize("value", [1.7e308, -1.7e308])
@@ -165,7 +166,7 @@ def test_whatever_passes_is_within_the_limits_of_the_board(values: dict[int, flo
         rejection = str(error)
     if rejection is not None:
         assert "outside" in rejection
-        assert subject.next_write() is None
+        assert subject.queue.next_write() is None
         return
     target = drain(subject)[-1]
     variable = CATALOGUE[target.variable]
@@ -185,9 +186,9 @@ def test_an_axis_whose_points_are_refused_stops() -> None:
     """The board may still follow the points that it has."""
     subject = arbiter()
     words = encode_points(CATALOGUE, [TimedPoint(1, 800, 1.0, 0.0, 0.0)])
-    subject.failed(CommandWrite("cmd.points", 0, tuple(words)))
+    subject.queue.failed(CommandWrite("cmd.points", 0, tuple(words)))
     assert drain(subject) == [CommandWrite("cmd.mode", 1, (Mode.POSITION.value,))]
-    subject.failed(CommandWrite("cmd.points", 0, tuple(words)))
+    subject.queue.failed(CommandWrite("cmd.points", 0, tuple(words)))
     subject.link_lost("gone")
     assert drain(subject) == []
 
@@ -291,7 +292,7 @@ def test_one_bad_value_changes_nothing_for_both() -> None:
     subject.submit(request({0: 1.0, 1: 1.0}))
     drain(subject)
     refused(subject, request({0: 2.0, 1: 1e9}))
-    assert subject.next_write() is None
+    assert subject.queue.next_write() is None
 
 
 # ---- renewing
@@ -306,13 +307,13 @@ def test_the_same_velocity_or_effort_is_written_again_every_time(mode: Mode, var
     assert written == [written[0]] * 3
 
 
-def test_nothing_is_written_that_nobody_sent() -> None:
-    """What is not renewed ends on the board."""
+def test_a_set_point_is_written_once() -> None:
+    """The bridge does not repeat it; the board lets it expire."""
     subject = arbiter()
     subject.submit(request({0: 5.0}, Mode.SPEED))
     drain(subject)
     subject.board_seen([SPINNING, SPINNING])
-    assert subject.next_write() is None
+    assert subject.queue.next_write() is None
 
 
 # ---- states and the gate
@@ -321,7 +322,7 @@ def test_an_axis_that_leaves_spin_loses_what_waits_for_it() -> None:
     subject.submit(request({0: 5.0, 1: 5.0}, Mode.SPEED))
     subject.board_seen([SPINNING, FAULTED])
     assert drain(subject) == [CommandWrite("cmd.mode", 0, (1,)), CommandWrite("cmd.speed", 0, (drain_raw(5.0),))]
-    assert subject.next_write() is None
+    assert subject.queue.next_write() is None
 
 
 def drain_raw(speed: float) -> int:
@@ -334,7 +335,7 @@ def test_block_throws_away_and_says_why_until_release() -> None:
     drain(subject)
     subject.submit(request({0: 1.0}))
     subject.block("stopped by quick_stop")
-    assert (subject.next_write(), subject.armed) == (None, False)
+    assert (subject.queue.next_write(), subject.armed) == (None, False)
     assert "stopped by quick_stop; call the service enable" in refused(subject, request({0: 1.0}))
     subject.release()
     assert subject.armed
@@ -346,13 +347,13 @@ def test_link_loss_throws_away_and_does_not_rearm() -> None:
     subject = arbiter()
     subject.submit(request({0: 1.0}))
     subject.link_lost("port gone")
-    assert subject.next_write() is None
+    assert subject.queue.next_write() is None
     assert not subject.armed
     assert "not connected (port gone)" in refused(subject, request({0: 1.0}))
     subject.board_seen([SPINNING, SPINNING])
     assert not subject.armed
     assert "the link to the board was lost; call the service enable" in refused(subject, request({0: 1.0}))
-    assert subject.next_write() is None
+    assert subject.queue.next_write() is None
 
 
 def test_a_failed_write_voids_the_set_point_and_the_known_mode() -> None:
@@ -360,10 +361,10 @@ def test_a_failed_write_voids_the_set_point_and_the_known_mode() -> None:
     subject.submit(request({0: 1.0}))
     drain(subject)
     subject.submit(request({0: 2.0}))
-    write = subject.next_write()
+    write = subject.queue.next_write()
     assert write is not None
-    subject.failed(write)
-    assert subject.next_write() is None
+    subject.queue.failed(write)
+    assert subject.queue.next_write() is None
     subject.submit(request({0: 3.0}))
     assert [w.variable for w in drain(subject)] == ["cmd.mode", "cmd.position"]
 
@@ -458,7 +459,7 @@ class Following:
 def test_a_preferred_trajectory_is_not_interrupted_before_its_end() -> None:
     subject, sources, clock = watched()
     paths = Following()
-    subject.follow(paths)
+    subject.queue.follow(paths)
     sources.preferred = "joint_trajectory"
     subject.admit("joint_trajectory", [0])
     paths.axes = {0}

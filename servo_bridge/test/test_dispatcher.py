@@ -7,8 +7,8 @@ import random
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from servo_bridge.arbiter import CommandWrite
 from servo_bridge.dispatcher import Dispatcher
+from servo_bridge.set_point_queue import CommandWrite, SetPointQueue
 from servo_msgs_py.convert import AppliedCommand
 
 
@@ -19,10 +19,11 @@ def position(raw: int) -> CommandWrite:
 ENABLE = CommandWrite("cmd.enable", 0, (1, 1))
 
 
-class Queue:
-    """Set-points in order of arrival."""
+class Queue(SetPointQueue):
+    """Writes in order of arrival."""
 
     def __init__(self, *writes: CommandWrite) -> None:
+        super().__init__()
         self.waiting = list(writes)
         self.taken: list[CommandWrite] = []
         self.void: list[CommandWrite] = []

@@ -198,7 +198,7 @@ def test_a_command_whose_answer_is_lost_runs_now_and_not_at_the_next_command() -
     assert [command for command, _ in noting.target.requests] == [Command.SENDAPPCMD, Command.GETAPPCMDSTS]
 
 
-def test_a_pending_command_of_somebody_else_is_brought_to_its_end_first() -> None:
+def test_a_pending_command_of_another_client_is_completed_first() -> None:
     noting = Noting()
     client = connected(noting.target)
     client.exchange(send_command(1))

@@ -5,9 +5,10 @@ from __future__ import annotations
 from concurrent.futures import Future
 
 import pytest
-from servo_bridge.arbiter import Arbiter, AxisStatus, CommandWrite
+from servo_bridge.arbiter import Arbiter, AxisStatus
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.homing import METHODS, Homing
+from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.telemetry import Frame
 from servo_msgs_py.catalogue import Catalogue, Value
 from servo_msgs_py.joints import Joint
@@ -28,7 +29,7 @@ class Rig:
         self.values = {f"axis{k}.home_{what}": 0.0 for k in (1, 2) for what in ("result", "spread")}
         joints = (Joint("arm", gear_ratio=10.0, direction=-1, offset=0.5), Joint("hand"))
         self.arbiter = Arbiter(CATALOGUE, joints)
-        self.dispatcher = Dispatcher(self._send, self.arbiter, self.said.append)
+        self.dispatcher = Dispatcher(self._send, self.arbiter.queue, self.said.append)
         self.homing = Homing(
             CATALOGUE,
             joints,

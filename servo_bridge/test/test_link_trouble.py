@@ -133,7 +133,9 @@ def test_a_reset_that_only_the_lost_set_up_betrays(connected: Watcher, fake_boar
     assert any("reset" in s.reason for s in connected.states)
 
 
-def test_a_reset_while_nobody_looked(fake_port: FakePort, connected: Watcher, fake_board: FakeServo) -> None:
+def test_a_reset_while_disconnected_starts_a_new_epoch(
+    fake_port: FakePort, connected: Watcher, fake_board: FakeServo
+) -> None:
     fake_board.first_tick += 3600 * 16_000  # an hour of operation
     connected.wait(
         lambda: connected.states[-1].state is LinkState.CONNECTED and connected.samples[-1].tick > 3600 * 16_000

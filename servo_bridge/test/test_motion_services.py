@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from servo_bridge.arbiter import Arbiter, AxisStatus, CommandWrite
+from servo_bridge.arbiter import Arbiter, AxisStatus
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.motion_services import MotionServices
+from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.telemetry import Frame
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import DEFAULT_JOINTS, joint_names
@@ -24,7 +25,7 @@ class Rig:
     def __init__(self) -> None:
         self.sent: list[CommandWrite] = []
         self.arbiter = Arbiter(CATALOGUE, DEFAULT_JOINTS)
-        self.dispatcher = Dispatcher(self.sent.append, self.arbiter, lambda _: None)
+        self.dispatcher = Dispatcher(self.sent.append, self.arbiter.queue, lambda _: None)
         self.events: list[str] = []
         self.services = MotionServices(CATALOGUE, JOINTS, self.arbiter, self.dispatcher, self.events.append)
         self.values: dict[str, float] = {}

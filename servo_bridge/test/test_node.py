@@ -480,7 +480,7 @@ def test_senseless_parameters_are_named(parameters: dict[str, Any], sentence: st
     assert sentence in str(caught.value)
 
 
-def test_a_bridge_that_did_not_start_takes_nobody_s_log_with_it() -> None:
+def test_a_bridge_that_failed_to_start_leaves_the_log_of_the_next_one_working() -> None:
     """What is left of it may be collected at any time, while the next one of its name is at work."""
     with pytest.raises(ParameterError) as refused, Rig(joints=["one"]):
         pass

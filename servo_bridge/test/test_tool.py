@@ -71,7 +71,7 @@ def test_info(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str])
 
 
 @pytest.mark.parametrize("arguments", [("info",), ("get", "axis1.position"), ("set", "param.brake", "1")])
-def test_whoever_looks_at_a_running_board_does_not_stop_it(
+def test_reading_a_running_board_does_not_stop_it(
     fake_port: FakePort, fake_board: FakeServo, run: Run, arguments: tuple[str, ...]
 ) -> None:
     assert run(*arguments) == 0

@@ -9,8 +9,8 @@ import pytest
 from bridge_rig import Rig
 from fake_servo import FakeServo
 from fake_transport import FakeTransport, client_on
-from servo_bridge.arbiter import CommandWrite
 from servo_bridge.dispatcher import Dispatcher
+from servo_bridge.set_point_queue import CommandWrite, SetPointQueue
 from servo_bridge.tuning.process import ComputationError, TuningProcess
 from servo_bridge.wire.session import connect
 from servo_msgs_py.axis_config import AxisConfigTable
@@ -69,14 +69,7 @@ def test_the_tuning_code_refuses_apart_as_it_does_here(tmp_path: Path) -> None:
 def test_a_write_of_blocks_is_reported_with_its_members() -> None:
     sent: list[CommandWrite] = []
 
-    class Nothing:
-        def next_write(self) -> None:
-            return None
-
-        def accepted(self, write: CommandWrite) -> None: ...
-        def failed(self, write: CommandWrite) -> None: ...
-
-    dispatcher = Dispatcher(sent.append, Nothing(), pytest.fail)
+    dispatcher = Dispatcher(sent.append, SetPointQueue(), pytest.fail)
     dispatcher.open()
     dispatcher.on_sample(800, 0, 0)
     members = tuple(range(len(AxisConfigTable.load())))

@@ -659,7 +659,7 @@ class Board:
         self._lib.board_set_magnet(self._board, _axis_index(axis), celsius)
 
     def set_winding_estimate(self, axis: int, celsius: float) -> None:
-        """The firmware's estimate of it alone: the motor keeps its temperature. Errors as in `set_winding`."""
+        """Set the firmware's estimate alone [deg C]: the motor keeps its temperature. Errors as in `set_winding`."""
         self._check_winding(axis, celsius)
         self._lib.board_set_winding_estimate(self._board, _axis_index(axis), celsius)
 

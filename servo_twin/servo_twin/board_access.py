@@ -62,6 +62,7 @@ class VirtualBoardAccess(BoardAccess):
         return True
 
     def wait(self, seconds: float) -> None:
+        """Let simulated time pass [s]."""
         self.board.run(seconds)
 
     def capacity(self, names: Sequence[str]) -> int:

@@ -119,7 +119,7 @@ class Child:
             os.killpg(self._process.pid, signal.SIGKILL)
 
     def stop(self, timeout: float = _TERM_TIMEOUT) -> bool:
-        """End it; returns False when it had to be killed."""
+        """End it within `timeout` [s]; returns False when it had to be killed."""
         self.terminate()
         try:
             self._process.wait(timeout)

@@ -138,5 +138,5 @@ def _measure(board: Board, log: NDArray[np.void], axis: int, start: int, target:
 
 
 def turns(value: float) -> int:
-    """Turns in counts."""
+    """Encoder counts of a number of turns."""
     return round(value * COUNTS_PER_TURN)

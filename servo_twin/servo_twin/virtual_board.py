@@ -182,7 +182,7 @@ class Terminal:
                 if os.readlink(self._link) == self.device:
                     self._link.unlink()
             except OSError:
-                pass  # someone has removed or replaced it
+                pass  # removed or replaced meanwhile
             self._link = None
         self._close_ends()
 

@@ -243,7 +243,7 @@ class TestSerialLine:
         assert len(self.fetch(chip)) == 1
         assert chip.hal.uart.overruns == 0
 
-    def test_bytes_that_nobody_fetches_are_lost_and_counted(self, make: Callable[..., Chip]) -> None:
+    def test_bytes_not_fetched_are_lost_and_counted(self, make: Callable[..., Chip]) -> None:
         chip = make(baud=100_000.0)
         chip.servo.deaf = True
         self.send(chip, b"0123456789")

@@ -142,7 +142,7 @@ def test_a_wrong_name_is_a_lost_trial() -> None:
     assert any(note.startswith("LOST --seed 1 --trial 0: axis1, under load") for note in outcome.notes)
 
 
-def test_a_fault_that_nobody_wants_is_noticed() -> None:
+def test_a_fault_that_is_not_enabled_counts_as_lost() -> None:
     """With the check switched off, the shaft goes on with a phase less."""
     trial = open_phase("PHASE_LOST")
 

@@ -34,7 +34,7 @@ def test_named_in_time_without_motion(name: str, state: str) -> None:
     assert judge([found]).agrees
 
 
-def test_a_fault_that_nobody_wants_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fault_that_is_not_enabled_counts_as_missed(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the check switched off, the shaft goes on with a phase less."""
     genuine = fault_matrix.STATES["100 rad/s"]
 

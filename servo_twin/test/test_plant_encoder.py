@@ -44,7 +44,7 @@ class Encoder:
         self.now_ns += duration_ns
 
     def count_to(self, position: float) -> None:
-        """Movement that nobody wants to know the times of."""
+        """Move without times of the edges."""
         self.native.lib.plant_encoder_count(self.c, position * self.edge)
         self.at = position
 

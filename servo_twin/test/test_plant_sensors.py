@@ -95,7 +95,7 @@ def test_current_codes_carry_offset_and_noise_of_their_phase(plant_c: Native) ->
         assert abs(np.corrcoef(codes.T)[0, 1]) < 0.05
 
 
-def test_codes_are_those_of_the_instant_whoever_reads_them(plant_c: Native) -> None:
+def test_codes_do_not_depend_on_when_or_how_often_they_are_read(plant_c: Native) -> None:
     """Late, twice or never: it changes neither these codes nor those of any other sample."""
     both, one = (Converters(plant_c, plain(i_noise=0.05), 0, 1) for _ in range(2))
     read = []

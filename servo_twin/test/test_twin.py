@@ -165,7 +165,7 @@ class TestParameters:
         follows(rig, rig.move([5.0, -5.0]))
         assert max(pair.real["axis1.speed"] for pair in rig.pairs) < 70.0
 
-    def test_what_nobody_tells_shows(self, rig: TwinRig) -> None:
+    def test_parameters_not_reported_show_in_the_residual(self, rig: TwinRig) -> None:
         rig.set_parameters(*OTHER_LIMITS, tell=False)
         rig.up()
         assert not rig.twin.parameters_known
@@ -389,9 +389,7 @@ class TestLateStart:
         follows(rig, rig.run(0.1))
 
     @pytest.mark.parametrize(("variable", "value"), [("cmd.speed", 60.0), ("cmd.i_q", 0.3)])
-    def test_a_mode_that_nobody_told_is_taken_from_the_set_point(
-        self, rig: TwinRig, variable: str, value: float
-    ) -> None:
+    def test_a_mode_not_reported_is_taken_from_the_set_point(self, rig: TwinRig, variable: str, value: float) -> None:
         rig.listening = False
         rig.up()
         rig.write("cmd.mode", [1, 1] if variable == "cmd.speed" else [2, 2])
@@ -452,7 +450,7 @@ class TestReports:
             assert pairs[-1].twin["axis1.speed"] == pytest.approx(80.0, abs=2.0)
             assert rig.twin.synchronisations == 1
 
-    def test_a_command_that_nobody_reports_makes_it_begin_anew(self, rig: TwinRig) -> None:
+    def test_a_command_not_reported_causes_a_resynchronisation(self, rig: TwinRig) -> None:
         rig.up()
         rig.reporting = False
         rig.write("cmd.position", [6.0, -6.0])

@@ -352,7 +352,7 @@ class _Stalled:
         self.closed = True
 
 
-def test_a_stalled_recording_holds_nobody_up_and_losses_are_counted() -> None:
+def test_a_stalled_recording_does_not_block_and_losses_are_counted() -> None:
     recording = _Stalled()
     viewer = Viewer(recording, CATALOGUE, START_NS, capacity=10, period=0.01)
     viewer.start()

@@ -235,7 +235,7 @@ class TestTerminal:
                     assert line.read() == b"%d" % k
                 assert not line.wait(0.0)
 
-    def test_drops_and_counts_what_nobody_reads(self) -> None:
+    def test_drops_and_counts_what_is_not_read(self) -> None:
         with Terminal() as line:
             for _ in range(100):
                 line.write(bytes(1000))

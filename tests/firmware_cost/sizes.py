@@ -61,9 +61,9 @@ class Sizes:
 
 def sizes(programs: Programs) -> Sizes:
     """Link the application with and without the server, and look at what the linker has kept."""
-    server, nobody = programs.objects([SERVER]), [_compiled(programs, "no_freemaster")]
+    server, no_server = programs.objects([SERVER]), [_compiled(programs, "no_freemaster")]
     rooms = _placed(programs, "application", server)
-    alone = _placed(programs, "alone", nobody)
+    alone = _placed(programs, "alone", no_server)
     state = _servo_state(programs, "application")
     control = _sum(alone.get(room, Size()) for room in _ROOMS)
     return Sizes(

@@ -1,4 +1,4 @@
-"""``python -m targets.casts``: remove every cast and constant macro of the core, one at a time; who notices?
+"""``python -m targets.casts``: remove the casts and constant macros of the core one by one: whose digest changes?
 
 `int` has 16 bits on the 56800EX as on the AVR, so a missing cast is an error that the host hides. Each removal is built
 for the AVR: the compiler may refuse it or make the same machine code of it, or a replay has to give other numbers. What
@@ -96,7 +96,7 @@ def _removals(file: str, text: str) -> Iterator[Removal]:
 def verdict(
     removal: Removal, sources: Sources, built: AvrProgram, expected: Sequence[Expectation], place: Path
 ) -> str | None:
-    """Name the machine that notices a removal, or None.
+    """Name the machine whose digest changes, or None.
 
     Parameters
     ----------

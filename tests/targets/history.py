@@ -24,7 +24,7 @@ MAIN_TRANSITIONS: Final = frozenset(
         ("RUN", "STOP"),
     }
 )
-"""Transitions of the main state machine (DRM F36). No flag leads from STOP to INIT, whose function the seed lists."""
+"""Transitions of the main state machine (DRM F36). No flag leads from STOP to INIT, though F36 lists its function."""
 
 RUN_TRANSITIONS: Final = frozenset(
     {

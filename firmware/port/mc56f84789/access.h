@@ -1,4 +1,4 @@
-/* access.h - how a register is reached: the only place that knows whether there is silicon below.
+/* access.h - how a register is reached: the only place that depends on whether there is silicon below.
  *
  * All peripherals of the chip are 16-bit words in X data space at word addresses. On the host the same source runs
  * against models of the peripherals (CHIP_ON_HOST): each access is a call with the chip that it is for.

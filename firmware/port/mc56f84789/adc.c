@@ -60,7 +60,7 @@ bool adc_init(hal_t *hal)
     REG_WRITE(hal, ADC_ZXCTRL1, 0U);
     REG_WRITE(hal, ADC_ZXCTRL2, 0U);
     for (uint16_t sample = 0; sample < ADC_SAMPLES; sample++) {
-        REG_WRITE(hal, ADC_OFFST(sample), 0U); /* plain codes: the application knows the offsets */
+        REG_WRITE(hal, ADC_OFFST(sample), 0U); /* plain codes: the application subtracts the offsets */
     }
     write_lists(hal);
     REG_WRITE(hal, ADC_SDIS, SET_ADC_SDIS);

@@ -51,7 +51,7 @@ class Channel:
         return f"{order}{_LETTERS[type_.kind]}{type_.size}"
 
     def scaled(self, raw: NDArray[Any]) -> NDArray[Any]:
-        """Values of raw numbers: SI where the catalogue knows the variable; whole numbers stay whole."""
+        """Values [SI] of raw numbers, same shape; whole numbers and those that the catalogue does not know stay raw."""
         native = raw.astype(raw.dtype.newbyteorder("="))
         contract, fraction = self.variable.contract, self.variable.target.type.fraction_bits
         if contract is not None:

@@ -50,6 +50,7 @@ class BoardTime:
         self._last = 0
 
     def row(self, time_ns: int, tick: int | None) -> float | None:
+        """Time since the first row [s] by the board's `tick`; None for a tick that has been seen."""
         assert tick is not None
         extended = self._extender.update(tick, time_ns).tick
         if self._first is None:
@@ -60,6 +61,7 @@ class BoardTime:
         return (extended - self._first) * PERIOD_NS * 1e-9
 
     def burst(self, burst: Burst, stopped_ns: int) -> NDArray[np.float64]:
+        """Times of the points of a burst since the first row [s], shape (points,), by their ticks."""
         assert self._first is not None
         where = [channel.name for channel in burst.channels].index(TICK)
         ticks = [unwrap_u32(int(tick), self._last) - self._first for tick in burst.values[where].tolist()]
@@ -73,11 +75,13 @@ class HostTime:
         self._first: int | None = None
 
     def row(self, time_ns: int, tick: int | None) -> float | None:
+        """Time since the first row [s] by the clock of the host [ns]."""
         if self._first is None:
             self._first = time_ns
         return (time_ns - self._first) * 1e-9
 
     def burst(self, burst: Burst, stopped_ns: int) -> NDArray[np.float64]:
+        """Times of the points of a burst since the first row [s], shape (points,); the last is at `stopped_ns` [ns]."""
         assert self._first is not None
         end = (stopped_ns - self._first) * 1e-9
         return np.asarray(burst.times - burst.times[-1] + end)

@@ -260,7 +260,7 @@ class Client:
     # ---- application commands ---------------------------------------------------------------------------------
 
     def run_command(self, code: int, arguments: bytes = b"", *, timeout: float = 1.0) -> int:
-        """Run an application command and wait for its result.
+        """Run an application command and wait for its result, at most `timeout` [s].
 
         Raises
         ------

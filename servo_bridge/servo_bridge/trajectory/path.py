@@ -35,7 +35,7 @@ class State:
 
     @classmethod
     def at_rest(cls, position: ArrayLike) -> State:
-        """State that holds a position."""
+        """State that holds a position [rad] of any shape."""
         place = np.array(position, dtype=np.float64)
         zero = np.zeros_like(place)
         return cls(place, zero, zero, zero)
@@ -133,7 +133,7 @@ class Path:
         return State(state.position, held[0], held[1], state.effort)
 
     def continued(self, t: ArrayLike) -> State:
-        """State at any time; before the start and past the end the outer pieces go on.
+        """State at any time [s]; before the start and past the end the outer pieces go on.
 
         Used for instants that rounding has moved out of the path by less than a PWM period.
         """

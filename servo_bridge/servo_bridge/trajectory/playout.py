@@ -64,7 +64,7 @@ class PlayoutClock:
         self.offset = self.jitter = self.period = 0.0
 
     def belongs(self, stamp: float, arrival: float) -> bool:
-        """False if the stamp is from another clock than those before: then a `reset` is due."""
+        """False if the stamp [s] is from another clock than those before: then a `reset` is due."""
         if not self._transits:
             return True
         excess = arrival - stamp - self.offset

@@ -16,7 +16,7 @@ _NEGLIGIBLE = 1.0e-13
 
 
 def derivative(coefficients: Array) -> Array:
-    """Coefficients of the derivative, along the last axis, padded to the same length."""
+    """Coefficients of the derivative along the last axis, constant term first, padded to the same shape."""
     result = np.zeros_like(coefficients)
     result[..., :-1] = coefficients[..., 1:] * np.arange(1, coefficients.shape[-1])
     return result
@@ -34,7 +34,7 @@ def enclosure(coefficients: Array) -> tuple[Array, Array]:
 
 
 def roots(coefficients: Array) -> Array:
-    """Real parts of all roots inside (0, 1), in order.
+    """Real parts of all roots inside (0, 1), in order, of coefficients of shape (degree + 1,), constant term first.
 
     Some of them are no real roots; who only cuts an interval there, or takes the value there, does no harm, and a
     double root that rounding has made complex is not lost.
@@ -55,7 +55,7 @@ def extrema(coefficients: Array, begin: float = 0.0, end: float = 1.0) -> tuple[
 
 
 def first_above(coefficients: Array, s: Array, values: Array, bound: float) -> float:
-    """First s with a value above `bound`, from what `extrema` returned; there must be one."""
+    """First s (0 .. 1) with a value above `bound`, from what `extrema` returned; there must be one."""
     k = int(np.argmax(values > bound))
     if k == 0:
         return float(s[0])

@@ -81,7 +81,7 @@ def path_through(
 
 
 def cubic(h: Array, p0: Array, v0: Array, p1: Array, v1: Array) -> Array:
-    """Coefficients of cubic Hermite pieces of length `h`, constant term first, padded to the degree of a path."""
+    """Coefficients of cubic Hermite pieces of length `h` [s], constant term first, padded to `DEGREE` of a path."""
     d = (p1 - p0) / h
     zero = np.zeros_like(p0)
     terms = (p0, v0, (3.0 * d - 2.0 * v0 - v1) / h, (v0 + v1 - 2.0 * d) / h**2, zero, zero)
@@ -90,7 +90,7 @@ def cubic(h: Array, p0: Array, v0: Array, p1: Array, v1: Array) -> Array:
 
 
 def quintic(h: Array, p0: Array, v0: Array, a0: Array, p1: Array, v1: Array, a1: Array) -> Array:
-    """Coefficients of quintic Hermite pieces of length `h`, constant term first."""
+    """Coefficients of quintic Hermite pieces of length `h` [s], shape (..., 6), constant term first."""
     # What the end lacks when position, velocity and acceleration of the beginning go on.
     p = (p1 - p0 - h * (v0 + 0.5 * h * a0)) / h**3
     v = (v1 - v0 - h * a0) / h**2

@@ -53,7 +53,7 @@ def computed(path: Path, catalogue: Catalogue) -> Computed:
 
 
 def file_of(blocks: Sequence[Block], timeouts: tuple[float, float], catalogue: Catalogue) -> str:
-    """Text of the file that gives these blocks; see `servo_msgs_py.tuning.restore.restored`."""
+    """Text of the file that gives these blocks and time-outs [s]; see `servo_msgs_py.tuning.restore.restored`."""
     return toml_text(restored(blocks, timeouts, catalogue), _HEADING)
 
 

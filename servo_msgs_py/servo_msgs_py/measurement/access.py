@@ -103,7 +103,7 @@ class BoardAccess(BlockMemory, Protocol):
             raise MeasurementError(f"{name}: the board refuses {', '.join(f'{value:g}' for value in values)}")
 
     def wait(self, seconds: float) -> None:
-        """Let board time pass; the board does not miss its host meanwhile."""
+        """Let board time pass [s]; the board does not miss its host meanwhile."""
 
     def capacity(self, names: Sequence[str]) -> int:
         """How many samples of these variables fit one recording; elements of arrays as ``name[k]``."""

@@ -109,7 +109,7 @@ def _speeds(recording: Recording, name: str) -> tuple[float, float]:
 
 
 def follows(recording: Recording, name: str, pairs: float) -> bool:
-    """Whether the shaft goes with a turning vector."""
+    """Whether the shaft goes with a turning vector; `pairs` of poles."""
     electrical, shaft = _speeds(recording, name)
     return abs(shaft * pairs - electrical) < FOLLOWS * abs(electrical)
 

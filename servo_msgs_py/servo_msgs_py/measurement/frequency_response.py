@@ -68,7 +68,7 @@ class Response:
 
     @property
     def good(self) -> NDArray[np.bool_]:
-        """Points that determine something."""
+        """Points that determine something, shape (frequencies,)."""
         return np.asarray((self.coherence >= COHERENCE_MIN) & (self.sigma <= _SIGMA_MAX))
 
     @property

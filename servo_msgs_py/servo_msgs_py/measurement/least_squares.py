@@ -20,7 +20,7 @@ _RELATIVE: Final = 1e-4  # step of a numerical derivative
 
 
 def mean_of(samples: Floats) -> tuple[float, float]:
-    """Mean and its standard uncertainty, from batch means; missing samples (NaN) are left out."""
+    """Mean and its standard uncertainty, in the unit of the samples, from batch means; NaN is left out."""
     usable = samples[np.isfinite(samples)]
     if usable.size < BATCHES:
         return float("nan"), float("inf")

@@ -195,6 +195,7 @@ class LoggedAccess(BoardAccess):
         return self._access.write_words(name, words, first)
 
     def wait(self, seconds: float) -> None:
+        """Let board time pass [s], and note it."""
         self._calls.append(Call("wait", (seconds,), stage=self.stage))
         self._access.wait(seconds)
 

@@ -138,7 +138,7 @@ def tuned_axis(table: Mapping[str, Any], axis: int) -> Tuned:
 def fitted(
     base: Mapping[str, Any], axis: int, limits: Limits, motor: Mapping[str, float], *, gentle: bool = False
 ) -> dict[str, Any]:
-    """The same with the bandwidths that this motor bears.
+    """The same with the bandwidths that this motor bears; its values in SI by name.
 
     Parameters
     ----------

@@ -53,12 +53,12 @@ class Estimate:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % confidence interval."""
+        """95 % confidence interval, in the unit of the value."""
         return self.value - COVERAGE * self.sigma, self.value + COVERAGE * self.sigma
 
     @property
     def part(self) -> float:
-        """Half the width of the interval, over the value."""
+        """Half the width of the interval over the value: a ratio, not negative."""
         return COVERAGE * self.sigma / abs(self.value) if self.value else math.inf
 
 

@@ -79,7 +79,7 @@ def turning(position: Floats, theta_e: Floats) -> Turning:
 
 
 def sensor_errors(recordings: list[Recording], axis: str, r: float) -> dict[str, Estimate]:
-    """Gain of phase a over b and c and offsets, from the voltage that a turning vector of constant current needs.
+    """Gain of phase a over b and c (ratio) and offsets [A], with the resistance `r` [ohm].
 
     A current that is measured too small is made too large: the voltage along a phase shows the current that flows.
     Once per electrical turn of the imposed frame is an offset, twice is a gain.

@@ -42,6 +42,7 @@ AxisConstants = Mapping[str, Field]
 
 
 def pi_raw(axis: Axis, name: str, gains: Pi, scale: float, remedy: str) -> PiRaw:
+    """Raw gains of a PI controller; `scale` turns gains in SI into full scale over full scale."""
     entry = f"{axis.name}: {name}"
     return PiRaw(
         GAIN.raw(f"{entry} Kp", gains.kp * scale, remedy),
@@ -72,5 +73,5 @@ class Converter:
         return self.at(TICKS, path, 1.0 / tick, f"write seconds, {tick:g} .. {TICKS.high * tick:g}")
 
     def of(self, format_: Format, name: str, value: float, remedy: str) -> int:
-        """Something that follows from several entries."""
+        """Raw number of a value of full scale that follows from several entries."""
         return format_.raw(f"{self.axis.name}: {name}", value, remedy)

@@ -77,15 +77,24 @@ class Motor(Protocol):
     """What the voltage equations need; a plant of the twin has it, too."""
 
     @property
-    def r_s(self) -> float: ...
+    def r_s(self) -> float:
+        """Resistance of a phase [ohm]."""
+
     @property
-    def l_d(self) -> float: ...
+    def l_d(self) -> float:
+        """Inductance of the d axis [H]."""
+
     @property
-    def l_q(self) -> float: ...
+    def l_q(self) -> float:
+        """Inductance of the q axis [H]."""
+
     @property
-    def psi_m(self) -> float: ...
+    def psi_m(self) -> float:
+        """Flux linkage of the magnets [V s]."""
+
     @property
-    def pole_pairs(self) -> float: ...
+    def pole_pairs(self) -> float:
+        """Electrical turns per mechanical turn."""
 
 
 class _Nominal(NamedTuple):
@@ -195,7 +204,7 @@ class Loop:
 
     @property
     def turn(self) -> float:
-        """Crossover frequency times tick."""
+        """Crossover frequency times tick [rad]."""
         return 2.0 * math.asin(min(0.5 * self.gain, 1.0))
 
     @property

@@ -60,7 +60,7 @@ class Format:
         return raw
 
     def value(self, raw: int) -> float:
-        """What a raw number stands for."""
+        """Part of the full scale that a raw number is."""
         return math.ldexp(raw, -self.fraction_bits)
 
 

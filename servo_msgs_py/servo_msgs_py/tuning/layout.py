@@ -19,7 +19,7 @@ def table(rows: Sequence[Sequence[str]]) -> Iterator[str]:
 
 
 def hertz(value: float | None) -> str:
-    """A frequency."""
+    """Text of a frequency [Hz]."""
     return "never" if value is None else f"{value:.4g} Hz"
 
 
@@ -29,7 +29,7 @@ def phase(margins: Margins) -> str:
 
 
 def factor(value: float | None) -> str:
-    """A gain margin."""
+    """Text of a gain margin (ratio), also in dB."""
     return "-" if value is None else f"{value:.2f} ({20.0 * math.log10(value):.1f} dB)"
 
 

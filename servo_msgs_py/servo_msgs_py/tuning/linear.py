@@ -149,7 +149,7 @@ class System:
         return Tracking(bandwidth, float(gains.max()))
 
     def simulate(self, u: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Outputs (rows: samples) for inputs (rows: samples), from rest."""
+        """Outputs (samples, outputs) for inputs (samples, inputs), from rest."""
         x = np.zeros(self.a.shape[0])
         y = np.empty((u.shape[0], self.c.shape[0]))
         for k, inputs in enumerate(u):
@@ -263,14 +263,14 @@ class Pole:
 
 
 def poles(a: Matrix, dt: float, least: float = 0.02) -> tuple[Pole, ...]:
-    """Eigenvalues of a discrete system, the slowest first, without those that are gone at once (|z| < `least`)."""
+    """Eigenvalues of a discrete system of step `dt` [s], the slowest first, without those of abs(z) < `least`."""
     found = [complex(z) for z in np.linalg.eigvals(a)]
     kept = sorted((z for z in found if z.imag >= 0.0 and abs(z) >= least), key=abs, reverse=True)
     return tuple(pole_of(z, dt) for z in kept)
 
 
 def pole_of(z: complex, dt: float) -> Pole:
-    """A place in the z plane as a pole."""
+    """A place in the z plane as a pole; `dt` [s] is the step."""
     s = cmath.log(z) / dt
     size = abs(s)
     return Pole(z, size / (2.0 * math.pi), -s.real / size if size > 0.0 else 1.0, z.imag != 0.0)

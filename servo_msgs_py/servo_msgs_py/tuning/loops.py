@@ -185,7 +185,7 @@ class ShaftLoops:
         return self.speed.a[1:, 1:]
 
     def speed_open(self, omega: Omega, delay: EdgeDelay | None = None) -> NDArray[np.complex128]:
-        """Open-loop frequency response; with `delay` instead of that of M/T while edges are frequent."""
+        """Open-loop frequency response at `omega` [rad/s]; `delay` replaces that of M/T while edges are frequent."""
         loop = self.open
         whole = -loop.channel(Out.CURRENT, In.CURRENT).response(omega)
         if delay is None:
@@ -195,7 +195,7 @@ class ShaftLoops:
         return whole + part * (delay.response(omega) / frequent.response(omega) - 1.0)
 
     def position_open(self, omega: Omega) -> NDArray[np.complex128]:
-        """Open-loop frequency response of the position loop, the speed loop closed."""
+        """Open-loop frequency response of the position loop at `omega` [rad/s], the speed loop closed."""
         return self.gains.position * self.speed.channel(Out.ANGLE, In.SET_POINT).response(omega)
 
     def speed_margins(self, delay: EdgeDelay | None = None) -> Margins:

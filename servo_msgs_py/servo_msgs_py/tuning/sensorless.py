@@ -78,7 +78,7 @@ class BackEmfObserver:
 
     @property
     def a(self) -> float:
-        """Part of a current that is left after a period."""
+        """Part of a current that is left after a period: exp(-R T / L)."""
         return math.exp(-self.r_s * self.period / self.inductance)
 
     @property
@@ -93,16 +93,16 @@ class BackEmfObserver:
         return np.array([[a * left, -b * left], [turn * self.k2 * a, turn * (1.0 - b * self.k2)]])
 
     def poles(self, omega_e: float) -> tuple[complex, complex]:
-        """Eigenvalues of that, the slower first."""
+        """Eigenvalues of that at the electrical speed `omega_e` [rad/s], the slower first."""
         slow, fast = sorted((complex(z) for z in np.linalg.eigvals(self.matrix(omega_e))), key=abs, reverse=True)
         return slow, fast
 
     def radius(self, omega_e: float) -> float:
-        """Magnitude of the slower pole."""
+        """Magnitude of the slower pole at the electrical speed `omega_e` [rad/s]."""
         return abs(self.poles(omega_e)[0])
 
     def winding(self, r_s: float = 1.0, inductance: float = 1.0) -> BackEmfObserver:
-        """The same gains with so many times the resistance and inductance."""
+        """The same gains with so many times (ratios) the resistance and inductance."""
         return BackEmfObserver(self.r_s * r_s, self.inductance * inductance, self.k1, self.k2, self.period)
 
     @classmethod
@@ -169,7 +169,7 @@ class Pll:
         )
 
     def size_gains(self, tick: float) -> tuple[float, float]:
-        """What speed and load gain in a slow tick per speed that the size tells more: both poles at the bandwidth."""
+        """Gains of speed and load per `tick` [s] for the speed that the size adds: both poles at the bandwidth."""
         left = math.exp(-self.size * tick)
         return 1.0 - left**2, (1.0 - left) ** 2
 

@@ -59,6 +59,7 @@ class MtSpeed:
     states: int = 1
 
     def step(self, x: Matrix, moved: Matrix, reference: Matrix, tick: float) -> tuple[Matrix, Sequence[Matrix]]:
+        """One slow tick; see `SpeedSensor.step`."""
         return x[0] / tick, (moved,)
 
 
@@ -83,6 +84,7 @@ class Observer:
     states: int = 3
 
     def step(self, x: Matrix, moved: Matrix, reference: Matrix, tick: float) -> tuple[Matrix, Sequence[Matrix]]:
+        """One slow tick; see `SpeedSensor.step`."""
         ahead, speed, unexplained = x  # estimate less shaft, speed, acceleration
         acceleration = self.torque * reference + unexplained
         ahead = ahead + tick * (speed + 0.5 * tick * acceleration) - moved
@@ -125,6 +127,7 @@ class PllSpeed:
     states: int = 5
 
     def step(self, x: Matrix, moved: Matrix, reference: Matrix, tick: float) -> tuple[Matrix, Sequence[Matrix]]:
+        """One slow tick; see `SpeedSensor.step`."""
         behind, speed, unknown, bias, size = (
             x  # angle of the shaft less its own, speed, acceleration; back-EMF as speed
         )
@@ -155,7 +158,7 @@ class EdgeDelay:
     delay: float
 
     def response(self, omega: Omega) -> NDArray[np.complex128]:
-        """Frequency response."""
+        """Frequency response at `omega` [rad/s], of the same shape."""
         return np.asarray(np.sinc(omega * self.window / (2.0 * np.pi)) * np.exp(-1j * omega * self.delay))
 
 

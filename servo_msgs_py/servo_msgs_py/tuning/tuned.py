@@ -118,7 +118,7 @@ class Tuned:
         return self.axis.features["speed_observer"]
 
     def shaft(self, inertia: float = 1.0, observed: bool | None = None) -> ShaftLoops:
-        """Speed and position loop.
+        """Models of the speed and the position loop.
 
         Parameters
         ----------

@@ -75,7 +75,7 @@ class Unknowns:
     spread: _Array
 
     def vector(self, change: int, value: float) -> _Array:
-        """All unknowns at a single change; an encoder that has slipped also takes flux from the q axis."""
+        """All unknowns (unknowns,) at a single change; an encoder that has slipped also takes flux from the q axis."""
         vector = np.zeros(len(self.names))
         vector[change] = value
         if self.names[change] == "encoder_angle":

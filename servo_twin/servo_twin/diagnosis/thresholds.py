@@ -98,7 +98,7 @@ class AxisNoise:
 
 
 def bin_of(current: float, speed: float) -> int:
-    """Index of the bin of a voltage's noise."""
+    """Index of the bin of a voltage's noise at a current [A] and a speed [rad/s]."""
     return int(np.searchsorted(CURRENTS, current)) * (len(SPEEDS) + 1) + int(np.searchsorted(SPEEDS, speed))
 
 

@@ -119,7 +119,7 @@ class Refinement:
 
 
 def plant_of(plant: PlantConfig, axis: int, values: Mapping[str, float], limits: Mapping[str, float]) -> PlantConfig:
-    """A plant file's values with those of a motor.
+    """A plant file's values with those of a motor [SI], by name.
 
     The lost voltage of a leg is dead time and drop together: the dead time stays that of `plant`, the drop takes the
     rest.
@@ -145,7 +145,7 @@ def plant_of(plant: PlantConfig, axis: int, values: Mapping[str, float], limits:
 def simulated(
     log: MeasurementLog, plant: PlantConfig, load: float, level: Level = "ideal", seed: int = 1
 ) -> list[Recording]:
-    """What a virtual board with this plant shows, when all is done to it that was done to the real one.
+    """What a virtual board with this plant and load [N m] shows when treated as the real one was.
 
     Raises
     ------

@@ -120,7 +120,7 @@ class SampleReader:
         self._expired = expired_mask(catalogue)
 
     def rows(self, columns: Sequence[str], table: NDArray[np.float64]) -> list[Sample]:
-        """One sample per row.
+        """One sample per row of a table (samples, columns), SI.
 
         Raises
         ------

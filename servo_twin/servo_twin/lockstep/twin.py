@@ -215,7 +215,7 @@ class Twin:
             self._bursts.begin(self._replica, self._alignment(self._last))
 
     def burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64]) -> None:
-        """Take what the recorder of the real board has recorded, as it was published.
+        """Take what the recorder of the real board has recorded, as it was published: a table (points, columns), SI.
 
         Raises
         ------
@@ -225,7 +225,7 @@ class Twin:
         self._bursts.burst(label, columns, table, self.tick)
 
     def samples(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
-        """Take samples of the real board, in the order of their ticks.
+        """Take samples of the real board, a table (samples, columns), SI, in the order of their ticks.
 
         Raises
         ------

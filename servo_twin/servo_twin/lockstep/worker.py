@@ -86,7 +86,7 @@ class TwinWorker:
         self._thread.start()
 
     def stop(self, timeout: float = 5.0) -> None:
-        """End the thread and the twin."""
+        """End the thread and the twin; wait at most `timeout` [s]."""
         with self._condition:
             self._stopping = True
             self._condition.notify()
@@ -99,7 +99,7 @@ class TwinWorker:
         self._post(lambda: self._twin.command(command))
 
     def samples(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
-        """Samples of the real board; a table that the twin cannot use is reported as its status."""
+        """Samples of the real board (samples, columns), SI; an unusable table is reported as the twin's status."""
         self._post(lambda: self._take(columns, table), sample=True)
 
     def parameters(self, values: RawParameters) -> None:
@@ -115,7 +115,7 @@ class TwinWorker:
         self._post(lambda: self._twin.recorder(setup))
 
     def burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64]) -> None:
-        """What it has recorded, with its ticks."""
+        """What it has recorded, with its ticks: a table (points, columns), SI."""
         self._post(lambda: self._twin.burst(label, columns, table))
 
     def blocks(self, blocks: Blocks) -> None:

@@ -44,6 +44,7 @@ class Objective:
 
     @property
     def worst_of(self) -> Callable[[Sequence[float]], float]:
+        """Function that picks the worst of several figures."""
         return max if self.direction == "minimize" else min
 
     @property
@@ -52,6 +53,7 @@ class Objective:
         return math.inf if self.direction == "minimize" else -math.inf
 
     def better(self, one: float, other: float) -> bool:
+        """Whether figure `one` is better than `other` (same unit)."""
         return one < other if self.direction == "minimize" else one > other
 
 

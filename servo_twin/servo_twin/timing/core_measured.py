@@ -76,7 +76,7 @@ class Row:
 
     @property
     def cycles(self) -> float:
-        """Of an instruction, by this row alone."""
+        """Clock cycles of an instruction, by this row alone."""
         return self.measured / self.instructions
 
 

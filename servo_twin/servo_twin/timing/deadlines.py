@@ -168,7 +168,7 @@ def _outputs_off(trace: Trace, loop: Loop, runs: NDArray[np.int64]) -> NDArray[n
 
 
 def busy(trace: Trace) -> float:
-    """Share of the core's time in handlers of any kind; what interrupts another one is counted once."""
+    """Share (0 .. 1) of the core's time in handlers of any kind; what interrupts another one is counted once."""
     depth, begin, total = 0, 0, 0
     for entry in trace.entries[np.isin(trace.entries["kind"], (Kind.ENTER, Kind.LEAVE))]:
         clock = int(entry["clock"])

@@ -46,7 +46,7 @@ class Curves:
             waiting[1].append(values)
 
     def take(self) -> dict[str, tuple[_Array, _Array]]:
-        """Times and values of every curve that got new points since the last call."""
+        """Times [s] and values [SI], each (points,), of every curve that got new points since the last call."""
         taken = {
             name: (np.concatenate(times), np.concatenate(values)) for name, (times, values) in self._points.items()
         }
@@ -73,7 +73,7 @@ class Hand:
             self._next = float(times[position]) + _FRAME
 
     def take(self) -> tuple[_Array, _Array]:
-        """Times and angles that are due since the last call."""
+        """Times [s] and angles [rad], each (points,), that are due since the last call."""
         taken = np.array(self._times), np.array(self._angles)
         self._times.clear()
         self._angles.clear()

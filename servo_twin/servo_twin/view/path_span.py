@@ -42,7 +42,7 @@ class PathSpan:
         self._last = max(ticks)
 
     def contains(self, ticks: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which ticks lie in the span."""
+        """Which ticks lie in the span, shape of `ticks`."""
         return (ticks >= self._first) & (ticks <= self._last)
 
 

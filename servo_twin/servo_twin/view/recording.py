@@ -165,7 +165,7 @@ class Recording:
 
     # ---- what comes
     def scalars(self, entity: str, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
-        """Points of a curve; NaN draws a gap."""
+        """Points of a curve: times [s] and values [SI], each (points,); NaN draws a gap."""
         rr = self._rr
         self._stream.send_columns(entity, indexes=[self._column(times)], columns=rr.Scalars.columns(scalars=values))
 
@@ -179,18 +179,18 @@ class Recording:
         self._stream.send_columns(entity, indexes=[self._column(times)], columns=columns)
 
     def strip(self, entity: str, time: float, points: NDArray[np.float64]) -> None:
-        """A piece of a curve in the plane, samples by 2; drawn with the second number upwards."""
+        """A piece of a curve in the plane at a time [s], (samples, 2); drawn with the second number upwards."""
         self._stream.set_time(scene.TIMELINE, duration=time)
         # The vertical axis of a view in 2D points downwards.
         self._stream.log(entity, self._rr.LineStrips2D.from_fields(strips=[points * (1.0, -1.0)]))
 
     def state(self, name: str, time: float, state: str) -> None:
-        """A state from `time` on."""
+        """A state from `time` [s] on."""
         self._stream.set_time(scene.TIMELINE, duration=time)
         self._stream.log(scene.state_entity(name), self._rr.StateChange(state=state))
 
     def text(self, source: str, time: float, level: str, text: str) -> None:
-        """A line of the log; `level` is DEBUG, INFO, WARN or ERROR."""
+        """A line of the log at a time [s]; `level` is DEBUG, INFO, WARN or ERROR."""
         assert level in _LEVELS
         self._stream.set_time(scene.TIMELINE, duration=time)
         self._stream.log(f"/log/{source}", self._rr.TextLog(f"{source}: {text}", level=level))

@@ -94,7 +94,7 @@ class Quantity:
     set_point: str
 
     def of_joint(self, joint: Joint, motor: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values of the joint; currents, and what a monitor output shows, remain those of the motor."""
+        """Values of the joint [SI], same shape; currents and what a monitor output shows remain those of the motor."""
         if self.name == "position":
             return joint.position(motor)
         return joint.velocity(motor) if self.name == "speed" else motor

@@ -42,11 +42,21 @@ _LEVELS: Final = ("INFO", "WARN", "ERROR", "ERROR")  # of diagnostics: OK, WARN,
 class Recorder(Protocol):
     """What the viewer needs of a `servo_twin.view.recording.Recording`."""
 
-    def scalars(self, entity: str, times: NDArray[np.float64], values: NDArray[np.float64]) -> None: ...
-    def angles(self, entity: str, times: NDArray[np.float64], angles: NDArray[np.float64]) -> None: ...
-    def strip(self, entity: str, time: float, points: NDArray[np.float64]) -> None: ...
-    def state(self, name: str, time: float, state: str) -> None: ...
-    def text(self, source: str, time: float, level: str, text: str) -> None: ...
+    def scalars(self, entity: str, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
+        """Points of a curve: times [s] and values [SI], each (points,)."""
+
+    def angles(self, entity: str, times: NDArray[np.float64], angles: NDArray[np.float64]) -> None:
+        """Angles [rad] of a shaft at times [s], each (points,)."""
+
+    def strip(self, entity: str, time: float, points: NDArray[np.float64]) -> None:
+        """Piece of a curve in the plane at a time [s], (samples, 2)."""
+
+    def state(self, name: str, time: float, state: str) -> None:
+        """A state from `time` [s] on."""
+
+    def text(self, source: str, time: float, level: str, text: str) -> None:
+        """Line of the log at a time [s]."""
+
     def close(self) -> None: ...
 
 
@@ -139,7 +149,7 @@ class Viewer:
         self._post(lambda: self._span.applied(command))
 
     def residual(self, stamp_ns: int, fields: Mapping[str, Sequence[float]]) -> None:
-        """Residual: per field of `scene.RESIDUALS` one number per axis."""
+        """Residual at `stamp_ns` [ns]: per field of `scene.RESIDUALS` one number [SI] per axis."""
         self._post(lambda: self._residual(stamp_ns, fields), follows=True)
 
     def board_state(self, stamp_ns: int, text: str) -> None:

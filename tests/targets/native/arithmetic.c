@@ -548,7 +548,7 @@ static void draw_bytes(run_t *run, uint8_t *data, uint16_t size)
     }
 }
 
-/* What a client sends that knows the password. */
+/* Request of a client that has the password. */
 static void prove(const access_t *access, const uint8_t *password, uint8_t *key)
 {
     uint8_t message[2U * ACCESS_SALT_SIZE + SHA1_SIZE];

@@ -41,7 +41,7 @@ typedef enum {
 #define EXCHANGE_IN_MAX 64
 #define EXCHANGE_OUT_MAX 96
 
-/* Words out of one call. What does not fit is dropped but counted, so the digest sees it. */
+/* Words out of one call. What does not fit is dropped but counted, so the digest depends on it. */
 typedef struct {
     uint16_t word[EXCHANGE_OUT_MAX];
     uint16_t size;

@@ -228,7 +228,7 @@ def lost_index(rig: Rig) -> None:
 
 
 def over_current(rig: Rig) -> None:
-    """A controller that is lied to overshoots, and the hardware opens the switches; so it does for a broken cable."""
+    """With wrong current feedback the current overshoots and the hardware opens the switches; as with a cut cable."""
     spin(rig)
     rig.set("cmd.mode", TORQUE)
     rig.set("cmd.quick_stop", 1)

@@ -91,7 +91,7 @@ def sensorless_lost(rig: Rig) -> None:
 
 
 def slipped(rig: Rig) -> None:
-    """The observer beside the encoders: one dies while its shaft turns. The other axis asks in vain for a current."""
+    """The observer beside the encoders: one fails while its shaft turns. The other axis has no current."""
     spin(rig)
     rig.set("param.features", features("ANGLE_CHECK"))
     rig.set("cmd.mode", SPEED, TORQUE)

@@ -1,0 +1,56 @@
+"""Sentences for the log on what is new in a sample: faults, and set-points that expired. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from servo_msgs_py.board_parameters import RawParameters
+from servo_msgs_py.catalogue import Catalogue, axis_name
+from servo_msgs_py.convert import flag_texts
+
+from servo_bridge.telemetry import Frame
+
+__all__ = ["FrameEvents"]
+
+_TIMEOUT: Final = "param.command_timeout"
+
+
+class FrameEvents:
+    """Compares samples.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        Names of faults and limits.
+    joints : sequence of str
+        Names, in the order of the axes.
+    """
+
+    def __init__(self, catalogue: Catalogue, joints: Sequence[str]) -> None:
+        self._catalogue = catalogue
+        self._joints = joints
+        self._expired = catalogue.flag("limits", "EXPIRED").mask
+
+    def faults(self, before: Frame | None, now: Frame) -> list[str]:
+        """One sentence per new fault."""
+        words = before.faults if before is not None else [0] * len(now.faults)
+        return [
+            f"{joint}: {text}"
+            for joint, old, new in zip(self._joints, words, now.faults, strict=True)
+            for text in flag_texts(self._catalogue, "faults", new & ~old)
+        ]
+
+    def expired(self, before: Frame | None, now: Frame, parameters: RawParameters | None) -> list[str]:
+        """One sentence per axis whose set-point was not written again in time; the time is that of the parameters."""
+        timeout = _TIMEOUT
+        if parameters is not None:
+            timeout = f"{parameters[_TIMEOUT][0] * self._catalogue[_TIMEOUT].lsb:g} s"
+        return [
+            f"{joint}: no velocity or effort set-point for {timeout}; the axis stops"
+            for axis, joint in enumerate(self._joints)
+            if self._has_expired(now, axis) and not (before is not None and self._has_expired(before, axis))
+        ]
+
+    def _has_expired(self, frame: Frame, axis: int) -> bool:
+        return bool(int(frame.values.get(f"{axis_name(axis)}.limits", 0)) & self._expired)

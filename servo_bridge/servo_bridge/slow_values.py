@@ -1,0 +1,107 @@
+"""Values of the board that are read beside the telemetry: motor data, counters and the state of the windings. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from typing import Final
+
+from servo_msgs_py.catalogue import AXES, Value, axis_name, numbers
+from servo_msgs_py.robot_description import Motor
+
+from servo_bridge.health import BOARD_COUNTERS, WINDING, Winding
+from servo_bridge.outcome import error_of
+
+__all__ = ["SlowValues"]
+
+_MOTOR: Final = ("torque_constant", "acceleration_current")
+
+
+class SlowValues:
+    """Newest values; those of a lost link are forgotten.
+
+    Parameters
+    ----------
+    read : callable
+        Starts to read a variable; reads end in order.
+    post : callable
+        Runs a function in the thread of the node.
+    motors_known : callable
+        Called when the motor data have been read.
+    windings_known : callable
+        Called with the state of the windings, by axis, whenever it has been read.
+
+    Attributes
+    ----------
+    motors : list of Motor
+        By axis; empty until the board has told them.
+    counters : dict of str to int, or None
+        Of `BOARD_COUNTERS`.
+    windings : list of Winding or None
+        By axis.
+    """
+
+    def __init__(
+        self,
+        read: Callable[[str], Future[Value]],
+        post: Callable[[Callable[[], None]], None],
+        motors_known: Callable[[], None],
+        windings_known: Callable[[Sequence[Winding]], None],
+    ) -> None:
+        self._read, self._post = read, post
+        self._motors_known, self._windings_known = motors_known, windings_known
+        self._counting = False
+        self._link = 0  # how many links there have been
+        self.link_lost()
+
+    def link_lost(self) -> None:
+        """Forget everything."""
+        self._link += 1
+        self.motors: list[Motor] = []
+        self.windings: list[Winding | None] = [None] * AXES
+        self.counters_restarted()
+
+    def counters_restarted(self) -> None:
+        """Forget the counters: the board has been reset."""
+        self.counters: dict[str, int] | None = None
+
+    def read_motors(self) -> None:
+        """Start to read the motor data, when the link is up or the configuration has changed."""
+
+        def take(values: list[float]) -> None:
+            self.motors = [Motor(k, k * current) for k, current in zip(values[::2], values[1::2], strict=True)]
+            self._motors_known()
+
+        self._start([f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in _MOTOR], take)
+
+    def read_counters(self) -> None:
+        """Start to read counters and windings, unless that is under way; in every sample they would take room."""
+
+        def take(values: list[float]) -> None:
+            self.counters = {name: int(value) for name, value in zip(BOARD_COUNTERS, values, strict=False)}
+            about = values[len(BOARD_COUNTERS) :]
+            found = [Winding(*pair) for pair in zip(about[::2], about[1::2], strict=True)]
+            self.windings = list(found)
+            self._windings_known(found)
+
+        def ended() -> None:
+            self._counting = False
+
+        if not self._counting:
+            self._counting = True
+            names = [f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in WINDING]
+            self._start([*BOARD_COUNTERS, *names], take, ended)
+
+    def _start(
+        self, names: Sequence[str], take: Callable[[list[float]], None], ended: Callable[[], None] = lambda: None
+    ) -> None:
+        """Read single numbers and hand them on, unless the link is lost meanwhile."""
+        futures, link = [self._read(name) for name in names], self._link
+
+        def all_read() -> None:
+            ended()
+            if link == self._link and all(error_of(future) is None for future in futures):
+                take([float(number) for future in futures for number in numbers(future.result())])
+
+        # The link works in order: when the last one is done, all are.
+        futures[-1].add_done_callback(lambda _: self._post(all_read))

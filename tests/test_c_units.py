@@ -1,0 +1,56 @@
+"""Every numeric member of a structure in a public C header says what it counts, in which unit or format."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+FIRMWARE = Path(__file__).resolve().parents[1] / "firmware"
+HEADERS = [
+    path
+    for path in sorted(FIRMWARE.rglob("*.h"))
+    if not {"test", "port"} & set(path.relative_to(FIRMWARE).parts) and not path.name.endswith("_gen.h")
+]
+
+STRUCTURE = re.compile(r"\bstruct\s*\w*\s*\{\n(.*?)\n\}", re.DOTALL)
+MEMBER = re.compile(r"\s*(?:volatile )?(frac16_t|frac32_t|gain_t|path_position_t|pi_sum_t|u?int\d+_t) (\w[^;(]*);(.*)")
+FRACTIONS = {"frac16_t", "frac32_t"}
+# Quantities whose full scale firmware/doc/references.md gives, and the formats themselves.
+QUANTITY = re.compile(
+    r"speed|accel|omega|\bi_|current|\bu_|voltage|emf|theta|angle|temperature|torque|\bpart\b|Q\d|bits|full.scale"
+)
+
+
+def members(text: str) -> Iterator[tuple[int, str, str, str]]:
+    """Line, type, name and comment of every numeric member; the comment may stand on the line above it."""
+    for structure in STRUCTURE.finditer(text):
+        first, above = text.count("\n", 0, structure.start(1)) + 1, ""
+        for number, line in enumerate(structure[1].split("\n"), first):
+            if found := MEMBER.match(line):
+                yield number, found[1], found[2], found[3].strip() or above
+            above = line.strip() if line.strip().endswith("*/") and ";" not in line else ""
+
+
+@pytest.mark.parametrize("path", HEADERS, ids=lambda path: str(path.relative_to(FIRMWARE)))
+def test_numeric_members_have_a_comment_and_fractions_name_their_quantity(path: Path) -> None:
+    unclear = []
+    for line, kind, name, comment in members(path.read_text(encoding="utf-8")):
+        continued = "the same" in comment or ".." in comment
+        quantity = kind not in FRACTIONS or continued or QUANTITY.search(f"{name} {comment}")
+        if not comment or not quantity:
+            unclear.append(f"{line}: {kind} {name}; {comment}")
+    assert unclear == []
+
+
+def test_a_member_without_comment_is_found() -> None:
+    text = (
+        "typedef struct {\n    frac16_t a; /* part of b */\n    /* Q1.31 */\n    frac32_t c;\n    uint16_t d;\n} x_t;\n"
+    )
+    assert [(line, comment) for line, _, _, comment in members(text)] == [
+        (2, "/* part of b */"),
+        (4, "/* Q1.31 */"),
+        (5, ""),
+    ]
