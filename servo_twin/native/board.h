@@ -21,7 +21,7 @@ typedef struct {
     double r_s;            /* stator resistance [ohm] */
     double l_d, l_q;       /* stator inductances [H] */
     double psi_m;          /* permanent-magnet flux linkage [V s] (electrical) */
-    double pole_pairs;     /* pairs */
+    double pole_pairs;     /* pairs [1] */
     double inertia;        /* total inertia [kg m^2] */
     double friction;       /* Coulomb friction [N m] */
     double viscous;        /* viscous friction [N m s] */
@@ -32,10 +32,10 @@ typedef struct {
     double backlash; /* of the shaft, full width [rad] */
     double load_friction; /* Coulomb friction of the second mass [N m] */
     double cogging_torque; /* amplitude [N m] */
-    double cogging_periods; /* per turn */
+    double cogging_periods; /* per turn [1] */
     double cogging_phase; /* [rad] */
     double i_saturation_d, i_saturation_q; /* current scale of the saturation of L_d, L_q [A] */
-    double winding_warms; /* 1: r_s follows the winding's temperature at the ideal level too */
+    double winding_warms; /* switch [1]; 1: r_s follows the winding's temperature at the ideal level too */
     double magnet_coefficient; /* of the magnet's flux, relative to that at ambient temperature [1/K] */
     double magnet_time; /* time constant of the magnet's temperature behind the winding's [s] */
     double disc_eccentricity; /* amplitude of the encoder's error, once per turn [rad] */
@@ -44,7 +44,7 @@ typedef struct {
     double stop_min, stop_max; /* angles of the end stops [rad] (mechanical) */
     double stop_stiffness; /* [N m/rad]; 0: no end stops */
     double stop_damping; /* of the end stops [N m s] */
-    double encoder_lines; /* lines per turn; counts are four times as many */
+    double encoder_lines; /* lines per turn [1]; counts are four times as many */
     double theta_start; /* mechanical rotor angle at time zero [rad] */
     double i_full_scale; /* ADC range is -i_full_scale .. +i_full_scale [A] */
     double i_offset[3]; /* offset of each current amplifier [A] */
@@ -57,14 +57,14 @@ typedef struct {
     double dead_time_min; /* shortest dead time of the switches; with less, the leg is shorted for the difference [s] */
     double i_settle; /* time constant of the current amplifiers [s] */
     double encoder_jitter; /* standard deviation of an edge [counts] */
-    double encoder_duty_error; /* a line is high for 1/2 + this of its period */
+    double encoder_duty_error; /* a line is high for 1/2 + this of its period [1] */
     double encoder_hysteresis; /* distance between an edge passed forwards and backwards [counts] */
     double winding_capacity, winding_resistance; /* to the ambient air [J/K], [K/W] */
     double sink_capacity, sink_resistance; /* heatsink of the inverter [J/K], [K/W] */
     /* contacts and holding brake */
     double home_from, home_to; /* the home switch is closed between these mechanical angles [rad] */
     double limit_min, limit_max; /* the limit switches open at these mechanical angles [rad] */
-    double enable_closed; /* 1: the enable circuit is closed, 0: open */
+    double enable_closed; /* switch [1]; 1: the enable circuit is closed, 0: open */
     double brake_torque; /* of the holding brake; 0: no brake [N m] */
     double brake_open_time, brake_close_time; /* delay behind its coil [s] */
 } plant_axis_t;
@@ -81,7 +81,7 @@ typedef struct {
 
 /* How fast the core of the DSC is (servo_twin/core.toml); register level only. */
 typedef struct {
-    double cycles_per_instruction; /* of those that a Cortex-M3 would take */
+    double cycles_per_instruction; /* relative to a Cortex-M3 [1] */
     uint32_t entry_cycles; /* of an interrupt: vector, registers saved and restored */
 } board_core_t;
 
@@ -110,8 +110,8 @@ typedef struct {
     double t_brake; /* temperature of the brake resistor [deg C] */
     /* Mean voltages of the motor's terminals against the midpoint of u_dc [V]: over the last half cycle at the ideal level,
      * over the last full window at register level (a PWM period; windows follow each other from power-on). */
-    double u_a, u_b, u_c;
-    double brake_holds; /* 1: the holding brake is closed (and holds its torque), 0: open */
+    double u_a, u_b, u_c; /* [V] */
+    double brake_holds; /* state [1]; 1: the holding brake is closed (and holds its torque), 0: open */
     double theta_load, omega_load; /* of the second mass, or the rotor's [rad], [rad/s] */
     double torque_shaft; /* between them, mean of the present step [N m] */
     double t_magnet; /* temperature of the magnet [deg C] */
@@ -204,7 +204,7 @@ typedef struct {
     int kind; /* board_fault_kind_t */
     int axis; /* 0 for faults of the bus */
     int part; /* see the kinds */
-    double value; /* see the kinds */
+    double value; /* see the kinds [their unit] */
     double seconds; /* duration [s] */
 } board_fault_t;
 

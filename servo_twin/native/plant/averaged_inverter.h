@@ -34,7 +34,7 @@
 
 typedef struct {
     /* parameters */
-    double dead_duty; /* t_d f */
+    double dead_duty; /* t_d f [1] */
     double v_drop; /* [V] */
     double r_on; /* [ohm] */
     double band_dead, band_ripple; /* i_w = u (band_dead + band_ripple m (1 - m)) [A/V] */
@@ -45,12 +45,12 @@ typedef struct {
     bool broken; /* a phase is open or shorted */
     bool open[3]; /* the wire of the phase is broken */
     int short_from, short_to; /* shorted phase, and the other one or PLANT_BUS_MINUS; PLANT_NO_SHORT: none */
-    double duty[3]; /* 0..1 */
-    double dead_leg[3]; /* t_d f of the legs that switch, 0 of the others */
+    double duty[3]; /* 0..1 [1] */
+    double dead_leg[3]; /* t_d f of the legs that switch, 0 of the others [1] */
     double inv_i_w; /* 1 / i_w [1/A] */
     /* of the last step */
     double leg[3]; /* leg voltage above the negative rail, without the resistive drop [V] */
-    double share[3]; /* d_eff: share of each phase current drawn from the bus, 0..1 */
+    double share[3]; /* d_eff: share of each phase current drawn from the bus, 0..1 [1] */
     double heat; /* loss in switches and diodes since it was last set to 0 [J] */
 } averaged_inverter_t;
 

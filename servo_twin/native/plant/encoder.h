@@ -24,7 +24,7 @@ typedef enum { PLANT_LINE_A, PLANT_LINE_B, PLANT_ENCODER_LINES } plant_line_t;
 
 /* An eccentric disc is at theta + a sin(theta + phase), a < 1, so the edges keep their order. */
 typedef struct {
-    double edges_per_rad; /* negative: A and B are swapped */
+    double edges_per_rad; /* negative: A and B are swapped [1/rad] */
     bool connected[PLANT_ENCODER_LINES]; /* lines that switch */
     bool stuck[PLANT_ENCODER_LINES]; /* level of a line that does not switch */
     bool eccentric; /* the disc is */

@@ -29,7 +29,7 @@ typedef struct {
     double l_d, l_q;     /* flux over current [H] */
     double inv_l_d, inv_l_q; /* inverse differential inductances [1/H] */
     double psi_m;        /* magnet's flux linkage [V s] */
-    double pole_pairs;
+    double pole_pairs; /* [1] */
     double inv_inertia;  /* [1 / (kg m^2)] */
     double friction;     /* Coulomb [N m] */
     double viscous;      /* [N m s] */
@@ -48,7 +48,7 @@ typedef struct {
     double omega;        /* mechanical [rad/s] */
     double theta;        /* mechanical, not wrapped [rad] */
     /* derived from the state */
-    double sine, cosine; /* of the electrical angle */
+    double sine, cosine; /* of the electrical angle [1] */
     unsigned steps;      /* since these two were evaluated */
     double phase[3];     /* phase currents into the motor [A] */
     saturation_t iron_d, iron_q; /* parameters */
@@ -56,7 +56,7 @@ typedef struct {
 
 /* Stator voltage in the stator frame, constant over a step [V]. */
 typedef struct {
-    double alpha, beta;
+    double alpha, beta; /* [V]; of other vectors in their own unit */
 } plant_vector_t;
 
 void plant_motor_init(plant_motor_t *motor, const plant_axis_t *config);

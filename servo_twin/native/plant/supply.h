@@ -21,7 +21,7 @@ typedef struct {
     double c, inv_c;  /* capacitance and its inverse [F], [1/F] */
     double per_rc;    /* 1 / (R C) of the source [1/s] */
     bool braking;     /* the brake resistor is switched on */
-    double regular;   /* longest step of the fast path, in R C; 0 during braking and dips */
+    double regular;   /* longest step of the fast path, in R C [1]; 0 during braking and dips */
     double u;         /* bus voltage [V] */
     double e_source;  /* delivered by the source into the bus so far [J] */
     double e_brake;   /* dissipated in the brake resistor so far [J] */
@@ -32,8 +32,8 @@ typedef struct {
 /* Constants of a step length while the source conducts. */
 typedef struct {
     double h;          /* [s] */
-    double x;          /* h / (R C) */
-    double end, mean;  /* (1 - e^-x) / x, (x - 1 + e^-x) / x^2 */
+    double x;          /* h / (R C) [1] */
+    double end, mean;  /* (1 - e^-x) / x, (x - 1 + e^-x) / x^2 [1] */
 } supply_step_t;
 
 static inline supply_step_t supply_step_of(const supply_t *supply, double h)
