@@ -113,15 +113,18 @@ test: $(VENV)/.native $(VENV)/.dev ## every check and every test
 	run "in real time" -m "realtime$(if $(MARKS), and ($(MARKS)))" $(REALTIME); \
 	exit $$status
 
+# The checks of the C sources run beside those of Python; their output comes last.
 lint: $(VENV)/.dev ## ruff, mypy, clang-format, clang-tidy and cppcheck, changing nothing
-	@status=0; \
-	echo "== ruff"; $(BIN)/ruff check --quiet || status=1; $(BIN)/ruff format --quiet --diff || status=1; \
-	echo "== mypy"; $(BIN)/mypy || status=1; \
-	for conftest in $(CONFTESTS); do $(BIN)/mypy --no-error-summary $$conftest || status=1; done; \
+	@status=0; ( status=0; \
 	echo "== clang-format"; $(BIN)/clang-format --dry-run -Werror $(C_FILES) || status=1; \
 	echo "== clang-tidy"; $(BIN)/clang-tidy --quiet $(C_CORE) $(C_MODELS) -- $(C_LINT) -Wshadow 2>$(VENV)/clang-tidy.log || status=1; \
 	echo "== cppcheck"; $(BIN)/cppcheck --quiet --enable=warning,style,performance,portability --error-exitcode=1 \
 	  --suppressions-list=.cppcheck-suppressions $(C_LINT) $(C_CORE) $(filter %/chip/%,$(C_MODELS)) || status=1; \
+	exit $$status ) >$(VENV)/lint-c.log 2>&1 & checks=$$!; \
+	echo "== ruff"; $(BIN)/ruff check --quiet || status=1; $(BIN)/ruff format --quiet --diff || status=1; \
+	echo "== mypy"; $(BIN)/mypy || status=1; \
+	for conftest in $(CONFTESTS); do $(BIN)/mypy --no-error-summary $$conftest || status=1; done; \
+	wait $$checks || status=1; cat $(VENV)/lint-c.log; \
 	exit $$status
 
 format: $(VENV)/.dev ## lay out Python and C sources

@@ -1,7 +1,7 @@
 #include "app/analog_out.h"
 
 #define MIDDLE UINT16_C(0x8000)
-#define PER_AXIS (MONITOR_AXIS2_I_D - MONITOR_AXIS1_I_D) /* the quantities of both axes come in the same order */
+#define PER_AXIS (MONITOR_AXIS2_I_D - MONITOR_AXIS1_I_D) /* same order of quantities for both axes */
 
 bool analog_out_wanted(const board_settings_t *settings)
 {

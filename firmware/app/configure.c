@@ -7,11 +7,11 @@
 #include "drive/take_config.h"
 #include "math/crc32.h"
 
-/* ---- a part of a block, and the host's words ------------------------------------------------------------------------ */
+/* ---- access to the words of a block --------------------------------------------------------------------------------- */
 
 static int32_t get_word(const uint8_t *data, uint16_t word) { return (int32_t)word_at(data + (size_t)(4U * word)); }
 
-/* ---- the sum of a block --------------------------------------------------------------------------------------------- */
+/* ---- checksum of a block -------------------------------------------------------------------------------------------- */
 
 static uint32_t checksum(const axis_config_t *block, uint16_t axis)
 {
@@ -25,7 +25,7 @@ static uint32_t checksum(const axis_config_t *block, uint16_t axis)
     return crc32_end(crc);
 }
 
-/* First member that differs and may only change at rest; AXIS_MEMBERS: there is none. */
+/* Index of the first member that differs and may only change at rest; AXIS_MEMBERS if there is none. */
 static uint16_t rest_difference(const axis_config_t *block, const axis_config_t *other)
 {
     uint16_t k = 0;
@@ -36,14 +36,14 @@ static uint16_t rest_difference(const axis_config_t *block, const axis_config_t 
     return k;
 }
 
-/* ---- the host's requests -------------------------------------------------------------------------------------------- */
+/* ---- requests of the host ------------------------------------------------------------------------------------------- */
 
 static axis_config_t *spare(configure_t *configure, uint16_t axis)
 {
     return &configure->block[axis][1U - configure->in_force[axis]];
 }
 
-/* A set of axes, a bit each, holds this one. */
+/* Is `axis` in the set `axes` (bit 0 = axis 0)? */
 static bool holds(uint16_t axes, uint32_t axis) { return ((uint32_t)axes >> axis & 1U) != 0U; }
 
 static uint16_t write_window(configure_t *configure, config_status_t *status, const uint8_t *data, uint16_t size)
@@ -61,7 +61,7 @@ static uint16_t write_window(configure_t *configure, config_status_t *status, co
         return CONFIG_REFUSAL_FORM;
     }
     if (count == 0U) {
-        return CONFIG_REFUSAL_NONE; /* shows what is in force */
+        return CONFIG_REFUSAL_NONE; /* show the block in force */
     }
     if (holds(configure->pending, axis)) {
         return CONFIG_REFUSAL_BUSY;
@@ -153,7 +153,7 @@ void configure_show(const configure_t *configure, config_request_t *request)
     }
 }
 
-/* ---- taking --------------------------------------------------------------------------------------------------------- */
+/* ---- latching ------------------------------------------------------------------------------------------------------- */
 
 void configure_init(configure_t *configure, config_status_t *status)
 {
@@ -185,7 +185,7 @@ static bool may_take(const configure_t *configure, config_status_t *status, cons
     return true;
 }
 
-/* Parameters whose default has changed get the new one. */
+/* A parameter follows its default when the default changes. */
 #define RENEW(parameter_element, member)                                                                               \
     do {                                                                                                               \
         if (before->member != after->member) {                                                                         \

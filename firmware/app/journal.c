@@ -23,7 +23,8 @@ typedef enum {
 
 /* ---- events ----------------------------------------------------------------------------------------------------- */
 
-/* A stream of the same must not push a fault out: what only counts, or comes again, takes the place of the one before. */
+/* Repeated events must not push a fault out of the journal: an event of a counting kind, or an equal one, replaces the
+ * previous entry. */
 static bool repeats(const journal_event_t *event, event_kind_t kind, uint16_t value)
 {
     const bool counts = kind == EVENT_LATE || kind == EVENT_OVERRUN;
@@ -103,7 +104,7 @@ void journal_watch(journal_t *journal, const volatile snapshot_t *snapshot)
     const uint16_t late = snapshot->late_loops;
     const uint16_t overruns = snapshot->receiver_overruns;
     if (snapshot->tick != tick) {
-        return; /* another one came meanwhile: the next look gets all of it */
+        return; /* a newer snapshot was published meanwhile: compare at the next call */
     }
     journal->tick = tick;
     for (uint16_t i = 0; i < HAL_AXES; i++) {
@@ -137,7 +138,7 @@ static void put(writer_t *writer, const char *text)
 
 static void put_number(writer_t *writer, uint32_t number)
 {
-    char digits[11]; /* of 32 bits */
+    char digits[11]; /* a 32-bit number */
     char *digit = &digits[sizeof digits - 1U];
     *digit = '\0';
     do {
@@ -147,7 +148,7 @@ static void put_number(writer_t *writer, uint32_t number)
     put(writer, digit);
 }
 
-/* A string of the table of variables. */
+/* Append a string of the table of variables. */
 static void put_stored(writer_t *writer, uint16_t offset)
 {
     const uint8_t *at = servo_variables.strings + offset;
@@ -229,7 +230,7 @@ static bool is_of_an_axis(uint8_t kind)
     return kind == (uint8_t)EVENT_STATE || kind == (uint8_t)EVENT_FAULT || kind == (uint8_t)EVENT_CLEARED;
 }
 
-/* The oldest line. */
+/* Format the oldest event as a line. */
 static uint16_t compose(const journal_t *journal, uint8_t line[JOURNAL_LINE])
 {
     writer_t writer = {line, 0};

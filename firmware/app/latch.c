@@ -27,7 +27,7 @@ static const field_t fields[] = {
     FIELD(clear_faults, FRESH_CLEAR_FAULTS),
     FIELD(home, FRESH_HOME),
     FIELD(test_point, FRESH_TEST),
-    FIELD(home_position, 0), /* counts as a command, and waits for the one before */
+    FIELD(home_position, 0), /* counts as a command; latched only after the previous one */
 };
 #define FIELDS (sizeof fields / sizeof fields[0])
 
@@ -58,7 +58,7 @@ static void apply_command(uint16_t fresh, command_block_t *block, axis_t *axis)
     axis_command_t *command = &axis->command;
     command->enable = block->enable[i] == 1U;
     if ((fresh & FRESH_ENABLE) != 0U && command->enable && (fresh & FRESH_QUICK_STOP) == 0U) {
-        block->quick_stop[i] = 0; /* a later enable releases the quick stop */
+        block->quick_stop[i] = 0; /* a later enable command releases the quick stop */
     }
     if ((fresh & FRESH_MODE) != 0U) {
         axis->events.mode = (command->mode != block->mode[i]) ? EVENT_TICKS : axis->events.mode;
@@ -93,7 +93,8 @@ static void apply_command(uint16_t fresh, command_block_t *block, axis_t *axis)
     command->fresh = fresh;
 }
 
-/* Nothing moves against a closed brake: set-points wait while it opens, unless something else is asked for meanwhile. */
+/* No motion against a closed brake: set-points are deferred while the brake opens, unless another command arrives
+ * meanwhile. */
 static uint16_t deferred(const axis_t *axis, const command_block_t *block, uint16_t fresh)
 {
     const uint16_t i = axis->index;
@@ -156,7 +157,7 @@ bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_b
         }
         if (axes[i].home.renew) {
             apply_parameter(parameter, &axes[i]);
-            limits_renew(&axes[i]); /* without a command: no motion is under way beyond the old limits */
+            limits_renew(&axes[i]); /* no command needed: no motion beyond the old limits is in progress */
             axes[i].home.renew = false;
         }
     }

@@ -6,15 +6,16 @@
 #include "drive/limits.h"
 #include "drive/motion.h"
 
-/* Words of a point: tick; position [counts]; speed; i_q in the low half, then 12 bits of a count, the axis, and whether the
- * point replaces what waits from its tick on. */
+/* Words of a point: tick; position [counts]; speed; i_q in the low half, then 12 fraction bits of a count, the axis,
+ * and a flag: replace the queued points from this tick on. */
 #define PART_SHIFT 16U
 #define PART_MASK UINT32_C(0xFFF)
 #define AXIS_BIT UINT32_C(0x10000000)
 #define REPLACE_BIT UINT32_C(0x20000000)
 #define RESERVED_BITS UINT32_C(0xC0000000)
 #define POINT_BYTES (4U * POINT_WORDS)
-#define LEAD UINT32_C(24) /* PWM periods: a point is queued before the next slow tick, and used in the one after that */
+/* PWM periods: a point is queued before the next slow tick and used in the slow tick after it */
+#define LEAD UINT32_C(24)
 
 typedef struct {
     trajectory_point_t point;
@@ -46,7 +47,7 @@ static record_t record_at(const uint8_t *data)
 
 /* ---- checks --------------------------------------------------------------------------------------------------------- */
 
-/* The state from which the next point is reached. */
+/* The state in which the segment to the next point begins. */
 typedef struct {
     uint32_t tick;
     hermite_state_t state;
@@ -94,7 +95,7 @@ static point_refusal_t check_segment(const axis_t *axis, const hermite_t *segmen
     return (given && (below || above)) ? POINT_REFUSAL_POSITION : POINT_REFUSAL_NONE;
 }
 
-/* The next point of an axis; `place` goes on to it. */
+/* Check the next point of an axis; on success `place` becomes that point. */
 static point_refusal_t check_point(const axis_t *axis, const record_t *record, place_t *place, uint32_t now)
 {
     const trajectory_point_t *point = &record->point;

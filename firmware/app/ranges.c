@@ -5,13 +5,13 @@
 #include "config/contract_gen.h"
 
 typedef struct {
-    uint32_t begin; /* in the memory [bytes] */
+    uint32_t begin; /* offset in the memory [bytes] */
     uint32_t end;
     const uint8_t *data;
-    const uint8_t *mask; /* NULL: every bit */
+    const uint8_t *mask; /* NULL: all bits are written */
 } write_t;
 
-/* What the `size` bytes at `offset` are after the write, as an unsigned number: the low byte comes first in memory. */
+/* Value of the `size` bytes at `offset` after the write, as an unsigned little-endian number. */
 static uint32_t value_after(const ranges_memory_t *in, const write_t *write, uint16_t offset, uint16_t size)
 {
     const uint8_t *memory = in->memory + offset;
@@ -44,15 +44,15 @@ void ranges_set(const variable_range_t *range, uint8_t *element, uint32_t value)
     }
 }
 
-/* Counted from the minimum, modulo the size of the element: signed and unsigned numbers compare alike. */
+/* The difference from the minimum, modulo the size of the element, compares signed and unsigned numbers alike. */
 bool ranges_accept_value(const variable_range_t *range, uint32_t value)
 {
     const uint32_t mask = (range->size < sizeof value) ? UINT32_C(0xFFFF) : UINT32_MAX;
     return ((value - (uint32_t)range->min) & mask) <= (uint32_t)range->max - (uint32_t)range->min;
 }
 
-/* Positions wrap at 32 bits: a set-point half of that away would be reached by either way, and a shaft that still moves
- * decides which. */
+/* Positions wrap at 32 bits: the direction to a set-point 2^31 counts away is ambiguous, and would depend on the
+ * residual movement of the shaft. */
 static bool in_reach(const ranges_memory_t *in, uint16_t axis, uint32_t value)
 {
     const uint32_t reach = (uint32_t)POSITION_REACH;
@@ -64,7 +64,7 @@ static bool elements_accept(const ranges_memory_t *in, const variable_range_t *r
     for (uint16_t i = 0; i < range->count; i++) {
         const uint16_t offset = (uint16_t)(range->offset + i * range->size);
         if (offset >= write->end || (uint32_t)offset + range->size <= write->begin) {
-            continue; /* untouched */
+            continue; /* not part of the write */
         }
         const uint32_t value = value_after(in, write, offset, range->size);
         if (!ranges_accept_value(range, value)) {

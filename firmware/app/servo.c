@@ -6,17 +6,18 @@
 #define MOTOR_1 0
 #define MOTOR_2 1
 
-/* The timing diagram (DRM F34). The fast loop comes first in each interrupt. Everything else runs behind it, in slots of
- * the eight PWM periods of a slow tick: one slot is short enough that the next fast loop begins with its data. All of it is
- * one interrupt level: a slot sees what the fast loops have left, and no part of it changes under the other's hands. */
+/* Schedule (DRM F34). Each interrupt runs its fast loop first. The remaining work follows it, divided into slots: one
+ * per PWM period of the slow tick (eight). A slot is short enough that the next fast loop starts as soon as its samples
+ * are ready. All of this runs at one interrupt level: a slot and a fast loop never interrupt each other, so shared data
+ * is consistent. */
 #define SLOT_SLOW 0U      /* slow loops; then the snapshot */
 #define SLOT_PROTECT 1U   /* pins, homing, winding, field */
 #define SLOT_ESTIMATE (SERVO_SLOW_PERIODS / 4U)
 #define SLOT_CHECK (SLOT_ESTIMATE + 1U)
 #define SLOT_MONITOR (SERVO_SLOW_PERIODS / 2U)
-#define SLOT_EXCITE (SERVO_SLOW_PERIODS - 2U) /* behind the monitors, which may ask for a test current */
+#define SLOT_EXCITE (SERVO_SLOW_PERIODS - 2U) /* after the monitors, which may request a test current */
 #define SLOT_SUPERVISE (SERVO_SLOW_PERIODS - 2U)
-#define SLOT_LATCH (SERVO_SLOW_PERIODS - 1U) /* for the slow tick that follows: trajectories, then commands */
+#define SLOT_LATCH (SERVO_SLOW_PERIODS - 1U) /* for the next slow tick: trajectories, then commands */
 
 /* ---- start ---------------------------------------------------------------------------------------------------------- */
 
@@ -79,11 +80,11 @@ void servo_init(servo_t *servo, hal_t *hal)
 
 static void note_applied(servo_t *servo)
 {
-    servo->applied_tick = servo->tick + 1U; /* the slow tick before whose M1 this is */
+    servo->applied_tick = servo->tick + 1U; /* the slow tick whose M1 follows */
     servo->applied_count++;
 }
 
-/* A command like any other: it counts, and has its tick. */
+/* A new configuration is counted, and gets a tick, like any other command. */
 static void take_blocks(servo_t *servo)
 {
     config_status_t *status = &servo->config_status;
@@ -100,7 +101,7 @@ static void latch_commands(servo_t *servo)
     if (servo->held) {
         return;
     }
-    if (servo->configure.pending != 0U) { /* commands wait a tick: one slot has no time for both */
+    if (servo->configure.pending != 0U) { /* commands are latched one tick later: one slot is too short for both */
         take_blocks(servo);
         return;
     }
@@ -112,8 +113,9 @@ static void latch_commands(servo_t *servo)
     }
 }
 
-/* A host that has commanded and falls silent stops both axes. Reading does not count: a client that only looks must not
- * keep alive what another one has set in motion. A board that was never commanded is not supervised. */
+/* Host supervision: both axes stop when a host that has sent commands falls silent. Reads do not count: a client that
+ * only monitors must not keep alive a motion that another client started. Before the first command there is no
+ * supervision. */
 static void supervise_host(servo_t *servo)
 {
     const uint16_t commands = servo->host_commands;
@@ -131,7 +133,7 @@ static void supervise_host(servo_t *servo)
     }
 }
 
-/* The bus that both axes share: its resistor, and what it lets them do. */
+/* The DC bus that both axes share: braking resistor, and limits of the regenerated power. */
 static void supervise_bus(servo_t *servo)
 {
     brake_t *brake = &servo->brake;
@@ -220,10 +222,10 @@ static void age_events(axis_t *axis)
     age(&axis->sm.entered);
 }
 
-/* ---- the loops themselves --------------------------------------------------------------------------------------------- */
+/* ---- the fast loops --------------------------------------------------------------------------------------------------- */
 
-/* One loop that is late, or left out, is made up for by the next one; a port starts its sequence anew after a lost
- * trigger. More than two within 32 ms are a fault. */
+/* One late or omitted loop is tolerated: the next one compensates for it, and the port restarts its sequence after a
+ * lost trigger. More than two within 32 ms are a fault. */
 #define LATE UINT16_C(64)
 #define LATENESS_MAX UINT16_C(128)
 
@@ -279,13 +281,13 @@ static void run_axis_slot(axis_t *axis, uint32_t tick)
     case SLOT_EXCITE:
         axis_excite(axis);
         break;
-    default: /* SLOT_LATCH: every slot has its work */
+    default: /* SLOT_LATCH is the last one: every slot has a case */
         axis_plan(axis, tick + 1U);
         break;
     }
 }
 
-/* Behind M2, when both axes have had their slots. */
+/* Board-wide work after M2: the slots of both axes have run. */
 static void run_board_slot(servo_t *servo, uint16_t period)
 {
     switch (period) {
@@ -311,20 +313,20 @@ static void run_board_slot(servo_t *servo, uint16_t period)
     }
 }
 
-/* t0 the ADC has taken the currents of motor 1 and the offsets of motor 2; t1: */
+/* The ADC has sampled the currents of motor 1 and the offsets of motor 2 at t0; this runs at t1. */
 void servo_m1_isr(servo_t *servo)
 {
     servo->tick++;
     axis_fast(&servo->axis[MOTOR_1]);
     hal_duties_done(servo->hal, MOTOR_1);
     if (servo->m2_awaited) {
-        come_late(servo, 1); /* M2 has been left out */
+        come_late(servo, 1); /* M2 was omitted */
     }
     servo->m2_awaited = true;
     run_axis_slot(&servo->axis[MOTOR_2], servo->tick);
 }
 
-/* t2 the ADC has taken the currents of motor 2 and the offsets of motor 1; t3: */
+/* The ADC has sampled the currents of motor 2 and the offsets of motor 1 at t2; this runs at t3. */
 void servo_m2_isr(servo_t *servo)
 {
     axis_fast(&servo->axis[MOTOR_2]);
@@ -338,7 +340,7 @@ void servo_m2_isr(servo_t *servo)
         run_axis_slot(&servo->axis[MOTOR_1], servo->tick);
         run_board_slot(servo, period_of(servo->tick));
     } else {
-        come_late(servo, 1); /* M1 has been left out */
+        come_late(servo, 1); /* M1 was omitted */
     }
 }
 

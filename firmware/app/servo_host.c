@@ -1,5 +1,4 @@
-/* servo_host.c - what the application does for the host, all of it in the background: what runs in the interrupts is in
- * servo.c. */
+/* servo_host.c - services for the host, all of them in the background; the interrupts are in servo.c. */
 #include <stddef.h>
 
 #include "app/login.h"
@@ -11,7 +10,7 @@
 
 #define PWM_PERIOD_NS UINT32_C(62500)
 
-#define RESULT_UNKNOWN 1u /* no command of this application */
+#define RESULT_UNKNOWN 1u /* unknown command code */
 #define RESULT_LEVEL 2u /* the client has not logged in to the level *command* */
 
 static void hold(void *context, bool on)
@@ -20,7 +19,8 @@ static void hold(void *context, bool on)
     servo->held = on;
 }
 
-/* The same through the server's pointer: a call that no compiler can inline keeps what it protects between the two. */
+/* Masks the interrupts through the server's function pointer: the compiler cannot inline the call, so it cannot move
+ * the protected accesses out of the section. */
 static void server_hold(servo_t *servo, bool on) { servo->freemaster.app.hold(servo, on); }
 
 static bool accepts_points(servo_t *servo, bool whole, const uint8_t *data, uint16_t size)
@@ -92,11 +92,11 @@ static uint32_t nonce(void *context)
     return login_nonce(servo->tick, servo->axis);
 }
 
-/* What moves an axis is a command, what changes how it moves is tuning. */
+/* Access level to write a variable: *command* for what moves an axis, *tune* for what changes how it moves. */
 static uint8_t level_to_write(void *context, uint16_t offset, uint16_t size)
 {
     (void)context;
-    (void)size; /* no variable lies across the ends of a block */
+    (void)size; /* no variable spans the boundary of a block */
     const uint16_t begin = (uint16_t)offsetof(servo_t, command);
     return (offset >= begin && offset < begin + sizeof(command_block_t)) ? ACCESS_COMMAND : ACCESS_TUNE;
 }
@@ -186,7 +186,7 @@ void servo_host_init(servo_t *servo)
 void servo_background(servo_t *servo)
 {
     if (storage_busy(&servo->storage, servo->hal)) {
-        freemaster_listen(&servo->freemaster, servo->hal); /* journal and requests need tables */
+        freemaster_listen(&servo->freemaster, servo->hal); /* journal and requests need the tables */
         return;
     }
     journal_watch(&servo->journal, &servo->snapshot);

@@ -21,7 +21,7 @@ bool servo_storage_accept(servo_t *servo, uint16_t offset, bool whole, const uin
                           data, size);
 }
 
-/* Those of the configuration in force. */
+/* Values of the configuration in force. */
 static void default_parameters(servo_t *servo)
 {
     parameter_block_t *parameter = &servo->parameter;

@@ -6,11 +6,11 @@
 #define NO_COPY STORAGE_COPIES
 #define ERASED UINT32_C(0xFFFFFFFF)
 
-/* ---- which copy ----------------------------------------------------------------------------------------------------- */
+/* ---- selection of the copy ------------------------------------------------------------------------------------------ */
 
 static bool is_newer(uint32_t sequence, uint32_t other) { return (int32_t)(sequence - other) > 0; }
 
-/* Of some use: intact, or at least whole, for a firmware that it fits. */
+/* Rank of a copy: 2 intact; 1 complete, but of another layout or out of range; 0 unusable. */
 static uint16_t worth(uint16_t copy)
 {
     switch ((stored_copy_t)copy) {
@@ -24,7 +24,7 @@ static uint16_t worth(uint16_t copy)
     }
 }
 
-/* Look at both: the better one is kept, of equal ones the newer. */
+/* Examine both copies and keep the better one, or the newer one of two equal ones. */
 static void look(storage_t *storage, storage_status_t *status, const storage_board_t *board)
 {
     uint32_t sequence[STORAGE_COPIES];
@@ -79,7 +79,7 @@ static bool at_rest(const axis_t *axes)
 
 static uint16_t pair(const uint8_t *data) { return (uint16_t)((data[0] & 0xFFU) | (data[1] & 0xFFU) << 8U); }
 
-/* Of both copies the one that is erased last. */
+/* The copy that is erased last. */
 static uint16_t last_copy(const storage_t *storage) { return (storage->kept == NO_COPY) ? 1U : storage->kept; }
 
 static void begin(storage_t *storage, storage_status_t *status, const storage_board_t *board)
@@ -128,7 +128,8 @@ bool storage_accept(storage_t *storage, storage_status_t *status, const storage_
 
 /* ---- commands of the flash ------------------------------------------------------------------------------------------ */
 
-/* A save erases the sectors of its copy and programs its words; the built-in values come back when both copies are gone. */
+/* Number of flash commands: a save erases the sectors of its copy and programs its words; a return to the built-in
+ * values erases the sectors of both copies, one copy at a time. */
 static uint16_t steps(const storage_t *storage)
 {
     return (uint16_t)((storage->kind == STORAGE_REQUEST_SAVE) ? STORED_SECTORS + STORED_WORDS : STORED_SECTORS);
@@ -163,7 +164,7 @@ static void start(storage_t *storage, const storage_status_t *status, const stor
     hal_flash_program(board->hal, place_of(storage), storage->word);
 }
 
-/* The command has done what it should. */
+/* Did the command have the intended effect? */
 static bool is_done(const storage_t *storage, const storage_board_t *board)
 {
     if (hal_flash_result(board->hal) != HAL_FLASH_DONE) {
@@ -195,14 +196,14 @@ static void finish(storage_t *storage, storage_status_t *status, const storage_b
     }
 }
 
-/* What has changed since the request would be a set that never was in force. */
+/* A value changed since the request: the copy would hold a set of values that was never in force. */
 static bool has_changed(const storage_t *storage, const storage_board_t *board)
 {
     return storage->kind == STORAGE_REQUEST_SAVE &&
            (storage->changed || board->config_status->taken_count != storage->taken);
 }
 
-/* One copy is gone; the one that was kept goes last: until then it is what a reset brings back. */
+/* Erase the other copy next. The kept copy is erased last: until then a reset restores it. */
 static bool goes_on_with_other(storage_t *storage)
 {
     if (storage->kind == STORAGE_REQUEST_SAVE || storage->copy == last_copy(storage)) {

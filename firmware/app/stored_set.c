@@ -12,14 +12,14 @@ typedef char stored_set_fits_t[(STORED_WORDS <= STORED_ROOM) ? 1 : -1];
 
 enum { FORMAT, LENGTH, SEQUENCE, PARAMETERS, MEMBERS };
 
-/* ---- values by their word ------------------------------------------------------------------------------------------- */
+/* ---- values by index ------------------------------------------------------------------------------------------------ */
 
 typedef struct {
     variable_range_t range;
-    uint16_t offset; /* of the element */
+    uint16_t offset; /* offset of the element */
 } element_t;
 
-/* Element `number` of all parameters. */
+/* Element `number`, counted through the elements of all parameters. */
 static element_t element_of(const stored_values_t *values, uint16_t number)
 {
     uint16_t i = 0;
@@ -63,7 +63,7 @@ static void set_value(const stored_values_t *values, uint16_t index, uint32_t va
     ranges_set(&element.range, values->memory + element.offset, value);
 }
 
-/* May a host write this? */
+/* Is the value within the range that a host may write? */
 static bool accepts(const stored_values_t *values, uint16_t index, uint32_t value)
 {
     if (!is_parameter(index)) {
@@ -107,7 +107,7 @@ static bool is_erased(hal_t *hal, uint16_t copy)
     return i == STORED_ROOM;
 }
 
-/* The seal fits, whatever the layout is. */
+/* Is the checksum of the copy valid, whatever its layout? */
 static bool is_sealed(hal_t *hal, uint16_t copy)
 {
     const uint32_t length = read_word(hal, copy, LENGTH);

@@ -20,14 +20,14 @@ uint8_t access_guarded(const access_passwords_t *passwords)
     return ACCESS_NONE;
 }
 
-/* What is open without a password. */
+/* Highest level that needs no password. */
 static uint8_t open_level(const access_t *access)
 {
     const uint8_t guarded = access_guarded(&access->passwords);
     return guarded == ACCESS_NONE ? ACCESS_TUNE : (uint8_t)(guarded - 1u);
 }
 
-/* The password of a level, NULL if it needs none; there are no levels above ACCESS_TUNE. */
+/* Password that protects a level, NULL if it needs none; levels above ACCESS_TUNE count as ACCESS_TUNE. */
 static const uint8_t *password_of(const access_t *access, uint8_t level)
 {
     for (uint8_t k = level < ACCESS_TUNE ? level : ACCESS_TUNE; k > ACCESS_NONE; k--) {
@@ -46,7 +46,7 @@ void access_init(access_t *access, const access_passwords_t *passwords)
     memset(access->salt, 0, sizeof access->salt);
 }
 
-/* The old salt goes into the new one: a nonce that comes again does not bring a salt again. */
+/* The new salt depends on the old one: a repeated nonce does not repeat a salt. */
 static void renew_salt(access_t *access, uint32_t nonce)
 {
     uint8_t seed[ACCESS_SALT_SIZE + NONCE_SIZE];
@@ -80,7 +80,7 @@ uint8_t access_challenge(access_t *access, uint32_t nonce, payload_reader_t *req
     return FM_OK_VARIABLE;
 }
 
-/* As long for a wrong key as for the right one. */
+/* Constant-time comparison: the duration does not depend on the key. */
 static bool matches(const access_t *access, const uint8_t *password, const uint8_t *key)
 {
     uint8_t message[ACCESS_SALT_SIZE + SHA1_SIZE + ACCESS_SALT_SIZE];
@@ -96,7 +96,7 @@ static bool matches(const access_t *access, const uint8_t *password, const uint8
     return difference == 0;
 }
 
-/* The highest level whose password this key proves. */
+/* The highest level whose password matches this key. */
 static uint8_t proved(const access_t *access, const uint8_t *key)
 {
     const uint8_t *checked = NULL;
@@ -121,7 +121,7 @@ uint8_t access_prove(access_t *access, payload_reader_t *request, payload_writer
         return FM_BAD_SIZE;
     }
     uint8_t granted = ACCESS_NONE;
-    if (level != ACCESS_NONE) { /* for level 0 the vendor answers so whatever the key */
+    if (level != ACCESS_NONE) { /* for level 0 the vendor's server grants access with any key */
         granted = access->salted ? proved(access, key) : ACCESS_NONE;
         if (granted == ACCESS_NONE) {
             access->level = open_level(access);

@@ -25,7 +25,7 @@ uint8_t app_command_send(app_command_t *command, payload_reader_t *request)
         return FM_BAD_SIZE;
     }
     if (code == APP_COMMAND_NONE) {
-        return FM_UNKNOWN_COMMAND; /* the vendor accepts FF and stays pending for ever */
+        return FM_UNKNOWN_COMMAND; /* the vendor's server accepts FF, and that command then stays pending */
     }
     const uint16_t size = request->left;
     if (size > APP_COMMAND_ARGUMENTS_MAX) {
@@ -81,7 +81,7 @@ uint8_t app_command_data(const app_command_t *command, payload_reader_t *request
     if (size > FRAME_MTU) {
         return FM_ANSWER_TOO_LONG;
     }
-    /* Only what this command has produced: the rest of the buffer belongs to earlier ones. */
+    /* Only results of this command may be read: the rest of the buffer holds data of earlier ones. */
     if (size == 0 || offset > command->result_size || size > command->result_size - offset) {
         return FM_BAD_SIZE;
     }

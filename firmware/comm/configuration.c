@@ -13,7 +13,7 @@
 #define FLAGS 0x02u /* little endian, remote access allowed */
 #define FLAGS_GUARDED_AT 4u
 
-/* The order is the protocol's. */
+/* The order is defined by the protocol. */
 typedef enum {
     KEY_MTU = 1,
     KEY_VS,
@@ -31,7 +31,7 @@ typedef enum {
 static const char *const keys[] = {"MTU", "VS", "NM", "DS", "BD", "F1", "BA", "RC", "SC", "PV", "PC"};
 #define KEYS ((int32_t)(sizeof keys / sizeof keys[0]))
 
-/* Index of the 00-terminated key that follows, of which three characters count; 0 when there is no such key. */
+/* Index of the 00-terminated key that follows (only its first three characters are compared); 0 for an unknown key. */
 static int32_t find_key(payload_reader_t *request)
 {
     char key[KEY_SIZE + 1u] = {0};
@@ -56,10 +56,10 @@ uint8_t configuration_get(const freemaster_app_t *app, payload_reader_t *request
         index = find_key(request);
     }
     if (request->missing) {
-        return FM_BAD_SIZE; /* the vendor goes on reading in the message before */
+        return FM_BAD_SIZE; /* the vendor's server goes on to read in the previous message */
     }
     if (index < 1 || index > KEYS) {
-        return FM_DENIED; /* the vendor reads outside of its list above 11 */
+        return FM_DENIED; /* the vendor's server reads outside of its list for an index above 11 */
     }
     payload_put_string(reply, keys[index - 1]);
     switch ((configuration_key_t)index) {

@@ -1,6 +1,6 @@
 #include "comm/crc8.h"
 
-/* Four bits at a time: 16 bytes of table instead of 256 for twice the steps. */
+/* Four bits per step: a table of 16 bytes instead of 256, for twice the number of steps. */
 static uint8_t add_nibble(uint8_t crc)
 {
     static const uint8_t remainder[16] = {0x00, 0x07, 0x0E, 0x09, 0x1C, 0x1B, 0x12, 0x15,

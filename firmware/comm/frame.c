@@ -18,7 +18,7 @@ void frame_receiver_init(frame_receiver_t *receiver)
     receiver->overflow = false;
 }
 
-/* A byte after an unpaired 2B is a command, whatever was going on before. */
+/* A byte after an unpaired 2B is a command, whatever the state of the receiver. */
 static frame_event_t begin(frame_receiver_t *receiver, uint8_t command)
 {
     const bool unfinished = receiver->want_length || receiver->todo != 0;
@@ -33,7 +33,7 @@ static frame_event_t take_length(frame_receiver_t *receiver, uint8_t length)
 {
     receiver->want_length = false;
     receiver->crc = crc8_add(receiver->crc, length);
-    receiver->todo = (uint8_t)(length + 1u); /* FF becomes nothing to do: dropped in silence, as by the vendor */
+    receiver->todo = (uint8_t)(length + 1u); /* command FF is dropped without an answer, as by the vendor's server */
     return receiver->todo == 0 ? FRAME_ABORTED : FRAME_NOTHING;
 }
 

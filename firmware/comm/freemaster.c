@@ -7,10 +7,10 @@
 #include "comm/payload.h"
 #include "comm/status.h"
 
-#define SCOPE_INDEX 0u     /* the only scope */
-#define WRITE_MASKED 0x01u /* flag of WRITEMEM; the others are ignored */
+#define SCOPE_INDEX 0u     /* the server has one scope */
+#define WRITE_MASKED 0x01u /* flag of WRITEMEM; other flags are ignored */
 #define SCOPE_BYTES (8 * SCOPE_SLOTS)
-#define MEMORY_SIZE_MAX UINT32_C(0x10000) /* offsets reported by written() have 16 bits */
+#define MEMORY_SIZE_MAX UINT32_C(0x10000) /* written() reports 16-bit offsets */
 
 #if SCOPE_BYTES > 252
 #error "a full scope does not fit into one answer"
@@ -18,7 +18,8 @@
 
 /* ---- memory ---------------------------------------------------------------------------------------------------- */
 
-/* Variables are copied under hold; strings and table never change, and composing the table takes its time. */
+/* Interrupts are masked only while variables are copied: strings and table are constant, and the table takes long to
+ * compose. */
 static void copy_out(freemaster_t *server, const tsa_place_t *place, uint8_t *data)
 {
     const bool live = place->region == TSA_REGION_VARIABLES;
@@ -31,8 +32,8 @@ static void copy_out(freemaster_t *server, const tsa_place_t *place, uint8_t *da
     }
 }
 
-/* Write and report the smallest range that contains all written bytes: a mask that selects one element of an array
- * must not make the others count as freshly written. */
+/* Write and report the smallest range that contains all written bytes: with a mask that selects one element of an
+ * array, the other elements must not count as written. */
 static uint8_t copy_in(freemaster_t *server, const tsa_place_t *place, const uint8_t *data, const uint8_t *mask)
 {
     uint8_t *memory = server->space.memory + (size_t)place->offset;
@@ -111,7 +112,7 @@ static uint8_t get_configuration(freemaster_t *server, payload_reader_t *request
     return configuration_get(&server->app, request, reply);
 }
 
-/* Checked in the vendor's order: access first, then the size. */
+/* Checks in the order of the vendor's server: access first, then the size. */
 static uint8_t read_range(freemaster_t *server, uint32_t address, uint32_t size, payload_writer_t *reply)
 {
     tsa_place_t place;
@@ -148,7 +149,8 @@ static uint8_t read_memory_from_base(freemaster_t *server, payload_reader_t *req
     return request->missing ? FM_BAD_SIZE : read_range(server, TSA_VARIABLES_BASE + (uint32_t)offset, size, reply);
 }
 
-/* Stricter than the vendor: data and mask must have been received, else bytes of older messages would be written. */
+/* Stricter than the vendor's server: data and mask must have been received, otherwise bytes of older messages would be
+ * written. */
 static uint8_t write_memory(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     (void)reply;
@@ -197,14 +199,14 @@ static uint8_t read_scope(freemaster_t *server, payload_reader_t *request, paylo
 {
     uint8_t status = check_scope(request);
     if (!fm_is_error(status)) {
-        server->app.hold(server->app.context, true); /* one hold for all slots: they are of one moment */
+        server->app.hold(server->app.context, true); /* one section: all slots are of one moment */
         status = scope_read(&server->scope, &server->space, reply);
         server->app.hold(server->app.context, false);
     }
     return status;
 }
 
-/* The recorder that a request is for; NULL without it. */
+/* The recorder that a request addresses; NULL if there is none with that index. */
 static recorder_t *find_recorder(freemaster_t *server, payload_reader_t *request)
 {
     const uint8_t index = payload_get_u8(request);
@@ -231,7 +233,7 @@ static uint8_t get_recorder(freemaster_t *server, payload_reader_t *request, pay
     return recorder != NULL ? recorder_query(recorder, operation, reply) : FM_BAD_INSTANCE;
 }
 
-/* One table; the address 0 behind it ends the client's search. */
+/* There is one table; an address of 0 at the next index ends the client's enumeration. */
 static uint8_t get_tsa_info(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     const uint32_t index = payload_get_unsigned(request);
@@ -244,7 +246,7 @@ static uint8_t get_tsa_info(freemaster_t *server, payload_reader_t *request, pay
     return FM_OK_VARIABLE;
 }
 
-/* Stricter than the vendor, who counts from any address until a 00 happens to come. */
+/* Stricter than the vendor's server, which counts from any address up to the next 00. */
 static uint8_t get_string_length(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
     const uint32_t address = payload_get_unsigned(request);
@@ -365,7 +367,7 @@ static void answer(freemaster_t *server, frame_event_t event)
         server->statistics.bad_crc++;
         frame_send(&server->transmitter, FM_BAD_CHECKSUM, 0);
         break;
-    default: /* given up */
+    default: /* frame aborted */
         server->statistics.aborted++;
         break;
     }
@@ -396,7 +398,7 @@ void freemaster_init(freemaster_t *server, const freemaster_app_t *app)
     pipe_init(&server->pipe, app->console);
 }
 
-/* Bytes that come while an answer leaves are lost. */
+/* Bytes that arrive while an answer is being sent are lost. */
 static frame_event_t receive(freemaster_t *server, uint8_t byte)
 {
     if (frame_is_sending(&server->transmitter)) {
@@ -414,7 +416,7 @@ static void transmit(freemaster_t *server, hal_t *hal)
     }
 }
 
-/* Up to the next event, which waits. */
+/* Read bytes up to the next event, and keep that event. */
 static void fetch(freemaster_t *server, hal_t *hal)
 {
     uint8_t byte;

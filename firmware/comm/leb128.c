@@ -6,11 +6,11 @@
 #define MORE 0x80u
 #define SIGN 0x40u
 
-/* The one decoding loop; `fill` extends the sign of the last group. */
+/* Decoding of both signed and unsigned numbers; `fill` extends the sign of the last group. */
 static uint16_t get(const uint8_t *data, uint16_t size, bool fill, uint32_t *value)
 {
     uint32_t bits = 0;
-    unsigned shift = 0; /* stops at 35: padding may be longer than any counter */
+    unsigned shift = 0; /* limited to 35: redundant padding bytes may be longer than the counter's range */
     for (uint16_t at = 0; at < size; at++) {
         if (shift < 32u) {
             bits |= (uint32_t)(data[at] & 0x7Fu) << shift;

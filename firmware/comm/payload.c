@@ -25,7 +25,7 @@ uint8_t payload_get_u8(payload_reader_t *reader)
     return data != NULL ? *data : (uint8_t)0;
 }
 
-/* Step over a number of `used` bytes; none means that the payload ended inside it. */
+/* Advance by a number that took `used` bytes; 0 means that the payload ended within the number. */
 static void step(payload_reader_t *reader, uint16_t used)
 {
     (void)payload_take(reader, used != 0 ? (uint32_t)used : (uint32_t)reader->left + 1u);

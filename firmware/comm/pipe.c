@@ -6,10 +6,10 @@
 #include "comm/status.h"
 
 #define TOGGLE 0x80u
-#define HEAD 3u /* length, port and accepted bytes in front of the text */
+#define HEAD 3u /* length, port and number of accepted bytes before the text */
 #define TEXT_MAX (FRAME_MTU - HEAD)
 
-#define BY_PORT 0x01u /* flag: the number is a port, else an index */
+#define BY_PORT 0x01u /* flag: the number is a port, otherwise an index */
 #define OPERATION_NAME 0x81u
 #define TYPE_CONSOLE 0x00u
 #define FLAG_OPEN 0x01u

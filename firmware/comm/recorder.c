@@ -21,7 +21,7 @@ typedef enum {
     RECORDER_NOT_CONFIGURED = 0,
     RECORDER_EMPTY = 1,
     RECORDER_RUNNING = 2,
-    RECORDER_STOPPED = 3, /* before the memory was full */
+    RECORDER_STOPPED = 3, /* stopped before the memory was full */
     RECORDER_FULL = 4,
 } recorder_state_t;
 
@@ -47,7 +47,7 @@ static void discard(recorder_t *recorder)
     recorder->started = false;
 }
 
-/* 01: u8 slots, SIZE points, SIZE points before the trigger, SIZE divider. Also while it runs. */
+/* 01: u8 slots, SIZE points, SIZE points before the trigger, SIZE divider. Allowed while recording. */
 static uint8_t reserve(recorder_t *recorder, payload_reader_t *operand)
 {
     const uint8_t slots = payload_get_u8(operand);
@@ -75,7 +75,7 @@ static uint8_t reserve(recorder_t *recorder, payload_reader_t *operand)
 
 static bool is_variable_size(uint8_t size) { return size == 1 || size == 2 || size == 4 || size == 8; }
 
-/* The threshold that follows in the request: of the kind that `slot` asks for. */
+/* Read the threshold that follows in the request; its type is given by `slot`. */
 static uint8_t get_threshold(recorder_slot_t *slot, const tsa_space_t *space, payload_reader_t *operand)
 {
     const bool is_signed = (slot->mode & RECORDER_MODE_TYPE) == RECORDER_TYPE_SIGNED;
@@ -94,7 +94,7 @@ static uint8_t get_threshold(recorder_slot_t *slot, const tsa_space_t *space, pa
     slot->threshold_upper = slot->bias ^ (threshold < 0 ? UINT32_MAX : 0);
     if (slot->size > 4) {
         slot->threshold = (uint32_t)threshold;
-    } else { /* one below everything that the variable can be becomes 0 */
+    } else { /* a threshold below the range of the variable is clamped to 0 */
         const int64_t shifted = (int64_t)threshold + slot->bias;
         slot->threshold = shifted < 0 ? 0 : (uint32_t)shifted;
     }
@@ -137,7 +137,8 @@ static uint8_t set_slot(recorder_t *recorder, const tsa_space_t *space, payload_
     return FM_OK;
 }
 
-/* What a sample needs is written as volatile memory, in the order of the statements: the loop may come in between. */
+/* The sampling data is written through volatile accesses, in statement order, because the loop may interrupt between
+ * any two. */
 static void make_moves(recorder_t *recorder, uint8_t cell)
 {
     volatile recorder_sampling_t *sampling = &recorder->memory->sampling;
@@ -158,14 +159,14 @@ static void make_moves(recorder_t *recorder, uint8_t cell)
     sampling->trigger_end = recorder->memory->sampling.trigger + triggers;
 }
 
-/* All slots are set and at least one is stored: from now on the configuration stands. */
+/* All slots are set and at least one is stored: the configuration is complete. */
 static bool finish(recorder_t *recorder)
 {
     if (recorder->configured) {
         return true;
     }
     if (recorder->memory->owner != recorder) {
-        return false; /* the slots are those of another one */
+        return false; /* the slots belong to an earlier configuration */
     }
     uint16_t point = 0;
     uint8_t stored = 0;
@@ -219,7 +220,7 @@ static uint8_t start(recorder_t *recorder)
         sampling->filled = false;
         sampling->armed = false;
         sampling->stopping = false;
-        recorder->running = true; /* last: the loop may come in between */
+        recorder->running = true; /* last, because the loop may interrupt before this statement */
     }
     return FM_OK;
 }
@@ -304,7 +305,7 @@ uint8_t recorder_query(recorder_t *recorder, uint8_t operation, payload_writer_t
     case QUERY_LIMITS:
         payload_put_unsigned(reply, recorder->memory->size);
         payload_put_unsigned(reply, recorder->app.timebase);
-        payload_put_unsigned(reply, 0); /* of the recorder, and of a variable: not in this memory */
+        payload_put_unsigned(reply, 0); /* addresses of the recorder and of a variable: neither is in this memory */
         payload_put_unsigned(reply, 0);
         break;
     case QUERY_INFO:

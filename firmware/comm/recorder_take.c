@@ -1,4 +1,4 @@
-/* recorder_take.c - what a recorder does in its loop: it has to be quick, most of all without triggers. */
+/* recorder_take.c - sampling of a recorder inside a control loop, optimised for speed, above all without triggers. */
 #include <stddef.h>
 
 #include "comm/cell.h"
@@ -19,7 +19,7 @@ static uint32_t number_at(const uint8_t *at, uint8_t size)
     return number;
 }
 
-/* Numbers that are not aligned, or of 1 or 8 bytes; thresholds that are variables. */
+/* The slow path: values that are not aligned or have 1 or 8 bytes, and thresholds that are variables. */
 static SELDOM bool reached(const recorder_slot_t *slot)
 {
     const bool wide = slot->size > 4;
@@ -48,7 +48,7 @@ static bool is_above(const recorder_slot_t *slot)
     return reached(slot);
 }
 
-/* Nothing fires before the memory is full for the first time. */
+/* No trigger before the memory has been filled once. */
 static void judge(recorder_sampling_t *sampling)
 {
     recorder_slot_t *const *trigger = sampling->trigger;
@@ -66,7 +66,7 @@ static void judge(recorder_sampling_t *sampling)
     } while (trigger != sampling->trigger_end);
 }
 
-/* Fill the bytes from `to` to `end`. */
+/* Fill the bytes from `to` up to `end`. */
 static void store(const recorder_sampling_t *sampling, uint8_t *to, const uint8_t *end)
 {
     const uint8_t *const *from = sampling->source;

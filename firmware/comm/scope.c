@@ -17,7 +17,7 @@ static void reset(scope_t *scope, uint8_t count)
 
 void scope_init(scope_t *scope) { reset(scope, 0); }
 
-/* 01: u8 count. Bytes behind it are ignored; too large a count leaves the old setup. */
+/* 01: u8 count. Bytes after it are ignored; a count that is too large keeps the old setup. */
 static uint8_t run_reset(scope_t *scope, payload_reader_t *operand)
 {
     const uint8_t count = payload_get_u8(operand);
@@ -30,8 +30,8 @@ static uint8_t run_reset(scope_t *scope, payload_reader_t *operand)
 
 static bool is_variable_size(uint8_t size) { return size == 1 || size == 2 || size == 4 || size == 8; }
 
-/* 02: u8 slot, ADDR, u8 size. Checked in the vendor's order: slot, size, length, access. The address is resolved here
- * and not in every READSCOPE: the table never changes, and reading holds the control loops' snapshot. */
+/* 02: u8 slot, ADDR, u8 size. Checked in the order of the vendor's server: slot, size, length, access. The address is
+ * resolved here and not in every READSCOPE: the table is constant, and READSCOPE masks the control loops. */
 static uint8_t run_slot(scope_t *scope, const tsa_space_t *space, payload_reader_t *operand)
 {
     const uint8_t slot = payload_get_u8(operand);

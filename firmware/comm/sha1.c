@@ -12,7 +12,7 @@ static uint32_t rotate(uint32_t word, uint16_t bits)
     return (uint32_t)(word << bits) | word >> (uint16_t)(32u - bits);
 }
 
-/* The message, the end mark, zeros and the length in bits, as words. */
+/* Padded message as words: the message, the end mark, zeros and the length in bits. */
 static void fill(uint32_t words[WORDS], const uint8_t *message, uint16_t size)
 {
     uint8_t block[BLOCK] = {0};
@@ -25,7 +25,7 @@ static void fill(uint32_t words[WORDS], const uint8_t *message, uint16_t size)
     words[WORDS - 1u] = 8u * (uint32_t)size;
 }
 
-/* Choice, parity, majority, parity, with their constants: 20 rounds each. */
+/* Functions and constants of 20 rounds each: choice, parity, majority, parity. */
 static uint32_t mix(uint16_t round, uint32_t b, uint32_t c, uint32_t d)
 {
     if (round < 20u) {
@@ -45,7 +45,7 @@ void sha1(const uint8_t *message, uint16_t size, uint8_t digest[SHA1_SIZE])
     const uint32_t start[5] = {UINT32_C(0x67452301), UINT32_C(0xEFCDAB89), UINT32_C(0x98BADCFE), UINT32_C(0x10325476),
                                UINT32_C(0xC3D2E1F0)};
     uint32_t h[5];
-    uint32_t words[WORDS]; /* the last 16 of the schedule */
+    uint32_t words[WORDS]; /* the last 16 words of the schedule */
     fill(words, message, size);
     memcpy(h, start, sizeof h);
     for (uint16_t round = 0; round < ROUNDS; round++) {

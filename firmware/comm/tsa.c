@@ -5,7 +5,7 @@
 
 #include "comm/cell.h"
 
-#define TYPE_NOT_MAPPED 0xEDu /* first byte of the types of STRUCT, ENUM, CONST, DIR: no memory behind the entry */
+#define TYPE_NOT_MAPPED 0xEDu /* first byte of the types of STRUCT, ENUM, CONST, DIR: entries without memory */
 
 #define FIELD_SIZE 4u
 
@@ -18,7 +18,7 @@ static bool in_variable(const tsa_space_t *space, uint32_t address, uint32_t siz
 {
     const tsa_table_t *table = space->table;
     if (!tsa_inside(address, size, TSA_VARIABLES_BASE, space->memory_size)) {
-        return false; /* even a wrong table opens nothing beyond the lent memory */
+        return false; /* even with a wrong table nothing outside of the shared memory is accessible */
     }
     for (uint16_t i = 0; i < table->entries; i++) {
         const tsa_entry_t entry = tsa_entry(table, i);
@@ -30,7 +30,7 @@ static bool in_variable(const tsa_space_t *space, uint32_t address, uint32_t siz
     return false;
 }
 
-/* The blob holds strings only, so a range without 00 is part of one string. */
+/* The blob consists of strings only, so a range without 00 lies within one string. */
 static bool in_string(const tsa_table_t *table, uint32_t address, uint32_t size)
 {
     if (!tsa_inside(address, size, TSA_STRINGS_BASE, table->strings_size)) {
@@ -44,7 +44,7 @@ static bool in_string(const tsa_table_t *table, uint32_t address, uint32_t size)
     return at == end;
 }
 
-/* Where in the live memory a range has its source; false without one. */
+/* Find the source of a range in live memory; false if it has none. */
 static bool find_source(const tsa_space_t *space, uint32_t address, uint32_t size, uint32_t *offset)
 {
     for (uint16_t i = 0; i < space->table->sources; i++) {
@@ -106,7 +106,7 @@ const uint8_t *tsa_live(const tsa_space_t *space, uint32_t address, uint32_t siz
     return memory + (size_t)offset;
 }
 
-/* The loops may change it meanwhile: a number has to come out whole. */
+/* The loops may change the value during the copy: each number is read in one access. */
 static void copy_live(const uint8_t *from, const tsa_place_t *place, uint8_t *data)
 {
     const uint8_t cell = cell_of(place->offset, place->size);

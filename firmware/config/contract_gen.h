@@ -155,27 +155,27 @@ typedef enum {
 #define FAULT_UNDER_VOLTAGE UINT32_C(0x00000002) /* DC bus below the under-voltage limit */
 #define FAULT_OVER_CURRENT UINT32_C(0x00000004) /* hardware over-current latch tripped */
 #define FAULT_CURRENT_OFFSET UINT32_C(0x00000008) /* current amplifier offset far from mid-scale during calibration */
-#define FAULT_ROTOR_SEARCH UINT32_C(0x00000010) /* full current does not move the shaft while the rotor is searched, or not far enough */
+#define FAULT_ROTOR_SEARCH UINT32_C(0x00000010) /* rotor search: full current does not move the shaft, or not far enough */
 #define FAULT_ENCODER UINT32_C(0x00000020) /* encoder count and emulated index disagree */
 #define FAULT_HOST_SILENT UINT32_C(0x00000040) /* no command and no keep-alive from the host within param.host_timeout, or, with the feature STARVED, no point of a trajectory in time */
-#define FAULT_STALLED UINT32_C(0x00000080) /* full current and no movement, and a current vector that turns to both sides moves nothing that is free */
-#define FAULT_RUNAWAY UINT32_C(0x00000100) /* the shaft gains speed against the full current or beyond its limit */
-#define FAULT_ENCODER_LOST UINT32_C(0x00000200) /* the motor turns and the encoder does not count */
-#define FAULT_FOLLOWING_ERROR UINT32_C(0x00000400) /* the shaft is farther from its shaped set-point than param.following_error */
-#define FAULT_OVER_SPEED UINT32_C(0x00000800) /* the shaft turns faster than param.over_speed */
-#define FAULT_ENCODER_REVERSED UINT32_C(0x00001000) /* the shaft runs away from where the rotor search holds it: it turns one way and the encoder counts the other */
-#define FAULT_OVER_TEMPERATURE UINT32_C(0x00002000) /* the heat sink of the inverter is hotter than its limit */
-#define FAULT_START_UP UINT32_C(0x00004000) /* the sensorless start-up did not reach a reliable speed in time */
-#define FAULT_SPEED_FEEDBACK UINT32_C(0x00008000) /* the speed that the observer gives is not reliable: the rotor stands, oscillates or is lost */
-#define FAULT_ANGLE_MISMATCH UINT32_C(0x00010000) /* the back-EMF, or the torque of a current vector that turns, contradicts the encoder's angle: it has slipped */
-#define FAULT_PHASE_LOST UINT32_C(0x00020000) /* a phase of the motor carries no current although voltage asks for it */
-#define FAULT_CURRENT_SENSE UINT32_C(0x00040000) /* the code of a current converter is stuck or off scale */
-#define FAULT_LATE_LOOP UINT32_C(0x00080000) /* the control loop came late or has left out a period */
-#define FAULT_WATCHDOG UINT32_C(0x00100000) /* the watchdog has reset the board: the control loops had stopped */
-#define FAULT_MOTOR_TEMPERATURE UINT32_C(0x00200000) /* the winding is hotter than its limit, by the estimate from its currents */
-#define FAULT_HOMING UINT32_C(0x00400000) /* a homing has failed: axisN.home_result says why */
-#define FAULT_ENABLE_INPUT UINT32_C(0x00800000) /* the enable input has opened while the axis was enabled; the hardware has opened the switches */
-#define FAULT_LIMIT_SWITCH UINT32_C(0x01000000) /* a limit switch was reached in motion, or its wire is cut */
+#define FAULT_STALLED UINT32_C(0x00000080) /* no movement at full current, and a current vector turned to both sides found no free rotor */
+#define FAULT_RUNAWAY UINT32_C(0x00000100) /* the speed rises against the full current, or beyond its limit */
+#define FAULT_ENCODER_LOST UINT32_C(0x00000200) /* the motor turns but the encoder does not count */
+#define FAULT_FOLLOWING_ERROR UINT32_C(0x00000400) /* the position differs from its shaped set-point by more than param.following_error */
+#define FAULT_OVER_SPEED UINT32_C(0x00000800) /* the speed is above param.over_speed */
+#define FAULT_ENCODER_REVERSED UINT32_C(0x00001000) /* rotor search: the shaft moves away from the vector; the encoder counts against the direction of rotation */
+#define FAULT_OVER_TEMPERATURE UINT32_C(0x00002000) /* heat sink of the inverter above its temperature limit */
+#define FAULT_START_UP UINT32_C(0x00004000) /* sensorless start-up: no reliable speed estimate in time */
+#define FAULT_SPEED_FEEDBACK UINT32_C(0x00008000) /* the speed estimate of the observer is not reliable: the rotor stands still, oscillates, or does not follow */
+#define FAULT_ANGLE_MISMATCH UINT32_C(0x00010000) /* the encoder angle contradicts the back-EMF, or the torque of a rotating current vector: the encoder has slipped */
+#define FAULT_PHASE_LOST UINT32_C(0x00020000) /* a phase of the motor carries no current although voltage is applied */
+#define FAULT_CURRENT_SENSE UINT32_C(0x00040000) /* the ADC code of a current measurement is constant or out of range */
+#define FAULT_LATE_LOOP UINT32_C(0x00080000) /* the control loop was late, or a period was omitted */
+#define FAULT_WATCHDOG UINT32_C(0x00100000) /* watchdog reset: the control loops had stopped */
+#define FAULT_MOTOR_TEMPERATURE UINT32_C(0x00200000) /* estimated winding temperature above its limit */
+#define FAULT_HOMING UINT32_C(0x00400000) /* homing failed: see axisN.home_result */
+#define FAULT_ENABLE_INPUT UINT32_C(0x00800000) /* the enable input opened while the axis was enabled; the hardware has switched the outputs off */
+#define FAULT_LIMIT_SWITCH UINT32_C(0x01000000) /* a limit switch was reached in motion, or its wire is broken */
 
 #define FAULTS_ALWAYS UINT32_C(0x00D8701F) /* cannot be switched off */
 
@@ -184,37 +184,37 @@ typedef enum {
 #define LIMIT_SPEED UINT16_C(0x0004) /* speed set-point at its limit */
 #define LIMIT_EXPIRED UINT16_C(0x0008) /* the velocity or torque set-point was not written again within param.command_timeout: the axis has stopped */
 #define LIMIT_POSITION UINT16_C(0x0010) /* a soft limit of the position holds the shaft back */
-#define LIMIT_REGENERATION UINT16_C(0x0020) /* braking current held back by the voltage of the DC bus */
+#define LIMIT_REGENERATION UINT16_C(0x0020) /* braking current reduced because of a high DC bus voltage */
 #define LIMIT_BRAKE UINT16_C(0x0040) /* the brake resistor is on, or its energy budget is spent */
-#define LIMIT_SENSORLESS UINT16_C(0x0080) /* without an encoder there is no position, no standstill and no torque from rest */
-#define LIMIT_STARVED UINT16_C(0x0100) /* no point followed one with a speed: the axis has stopped */
-#define LIMIT_TEMPERATURE UINT16_C(0x0200) /* less than the current limit, because the winding is hot */
-#define LIMIT_FIELD_WEAKENING UINT16_C(0x0400) /* current against the flux of the magnets, because the voltage of the bus does not suffice for this speed otherwise */
-#define LIMIT_NOT_HOMED UINT16_C(0x0800) /* the position is not known: the shaft stays near where it was enabled, and farther set-points are refused */
-#define LIMIT_INPUT UINT16_C(0x1000) /* the enable input is open, or a limit switch is active: the axis is not enabled, or does not move that way */
+#define LIMIT_SENSORLESS UINT16_C(0x0080) /* an axis without an encoder has no position control, no hold at standstill and no torque from rest */
+#define LIMIT_STARVED UINT16_C(0x0100) /* the points of a trajectory ran out in motion: the axis has stopped */
+#define LIMIT_TEMPERATURE UINT16_C(0x0200) /* current limit reduced because the winding is hot */
+#define LIMIT_FIELD_WEAKENING UINT16_C(0x0400) /* negative i_d is applied, because the bus voltage is too low for this speed */
+#define LIMIT_NOT_HOMED UINT16_C(0x0800) /* position not known: the shaft stays near the position at which it was enabled, and set-points beyond that are refused */
+#define LIMIT_INPUT UINT16_C(0x1000) /* enable input open: the axis is not enabled; or limit switch active: no motion in its direction */
 
 #define INPUT_HOME UINT16_C(0x0001) /* the home switch is active */
-#define INPUT_LIMIT_MIN UINT16_C(0x0002) /* the limit switch at the lower end of the way is active */
-#define INPUT_LIMIT_MAX UINT16_C(0x0004) /* the limit switch at the upper end of the way is active */
+#define INPUT_LIMIT_MIN UINT16_C(0x0002) /* the lower limit switch is active */
+#define INPUT_LIMIT_MAX UINT16_C(0x0004) /* the upper limit switch is active */
 #define INPUT_ENABLE UINT16_C(0x0008) /* the enable input is closed */
 #define INPUT_BRAKE_OPEN UINT16_C(0x0010) /* the holding brake is open */
 
 #define FEATURE_ANTI_WINDUP UINT16_C(0x0001) /* back-calculation in the speed controller (DRM E35) */
-#define FEATURE_ENHANCED_MT UINT16_C(0x0002) /* speed falls while no encoder edge comes (DRM 2.4.6) */
-#define FEATURE_BUS_COMPENSATION UINT16_C(0x0004) /* duties follow the ripple of the DC bus */
+#define FEATURE_ENHANCED_MT UINT16_C(0x0002) /* speed decays while there is no encoder edge (DRM 2.4.6) */
+#define FEATURE_BUS_COMPENSATION UINT16_C(0x0004) /* duty cycles compensate the ripple of the DC bus */
 #define FEATURE_DEAD_TIME UINT16_C(0x0008) /* compensation of dead time and switch drops */
-#define FEATURE_FRICTION UINT16_C(0x0010) /* current against Coulomb and viscous friction, fed forward */
-#define FEATURE_SPEED_FORWARD UINT16_C(0x0020) /* speed of the shaped set-point, fed forward to the speed controller */
-#define FEATURE_ACCELERATION_FORWARD UINT16_C(0x0040) /* current for the acceleration of the set-point, fed forward */
+#define FEATURE_FRICTION UINT16_C(0x0010) /* feed-forward of the current against Coulomb and viscous friction */
+#define FEATURE_SPEED_FORWARD UINT16_C(0x0020) /* feed-forward of the speed of the shaped set-point */
+#define FEATURE_ACCELERATION_FORWARD UINT16_C(0x0040) /* feed-forward of the current for the acceleration of the set-point */
 #define FEATURE_POSITION_LIMITS UINT16_C(0x0080) /* soft limits param.position_min and param.position_max */
-#define FEATURE_FOLLOWING_ERROR UINT16_C(0x0100) /* a fault when the shaft is too far from its shaped set-point */
-#define FEATURE_OVER_SPEED UINT16_C(0x0200) /* a fault when the shaft turns too fast */
+#define FEATURE_FOLLOWING_ERROR UINT16_C(0x0100) /* fault if the position is too far from its shaped set-point */
+#define FEATURE_OVER_SPEED UINT16_C(0x0200) /* fault if the speed is above param.over_speed */
 #define FEATURE_SPEED_OBSERVER UINT16_C(0x0400) /* speed from position and current by an observer, instead of the M/T method */
-#define FEATURE_ANGLE_CHECK UINT16_C(0x0800) /* a fault when encoder and observer disagree about the rotor's angle */
-#define FEATURE_STARVED UINT16_C(0x1000) /* a fault (HOST_SILENT) when no point of a trajectory follows one with a speed */
-#define FEATURE_WINDING_MODEL UINT16_C(0x2000) /* the current limit falls with the estimated temperature of the winding, and a fault beyond its maximum */
-#define FEATURE_FIELD_WEAKENING UINT16_C(0x4000) /* current against the flux of the magnets at speeds that the voltage does not reach otherwise */
-#define FEATURE_HOMING UINT16_C(0x8000) /* until the position is known or assumed, the shaft stays near where it was enabled, and soft limits are not applied */
+#define FEATURE_ANGLE_CHECK UINT16_C(0x0800) /* fault if the angles of encoder and observer differ */
+#define FEATURE_STARVED UINT16_C(0x1000) /* fault HOST_SILENT if the points of a trajectory run out in motion */
+#define FEATURE_WINDING_MODEL UINT16_C(0x2000) /* current limit reduced with the estimated winding temperature, and a fault above its maximum */
+#define FEATURE_FIELD_WEAKENING UINT16_C(0x4000) /* field weakening (negative i_d) at speeds that the bus voltage does not permit otherwise */
+#define FEATURE_HOMING UINT16_C(0x8000) /* until the position is known or assumed, the shaft stays near the position at which it was enabled, and soft limits are not applied */
 
 #define COMMAND_QUICK_STOP 1
 #define COMMAND_CLEAR_FAULTS 2

@@ -19,7 +19,7 @@ void current_loop_limit(current_loop_t *loop, pi_sum_t sum_d, pi_sum_t sum_q, fr
     if (d > u_limit || d < -u_limit) {
         d = f16_from_f32(pi_limit(&loop->d, sum_d, f32_from_f16(u_limit)));
     } else {
-        loop->d.excess = 0; /* almost always: the long voltage is that against the back-EMF */
+        loop->d.excess = 0; /* usual case: the q voltage, against the back-EMF, reaches the limit */
     }
     const frac16_t limit_q = f16_sqrt(f32_mul16(u_limit, u_limit) - f32_mul16(d, d));
     const frac16_t q = f16_from_f32(pi_limit(&loop->q, sum_q, f32_from_f16(limit_q)));
@@ -34,10 +34,10 @@ void current_loop_turn(current_loop_t *loop, const current_loop_config_t *config
     loop->minus_2_omega = -2 * (int32_t)omega_e;
     const sin_cos_t turn = sin_cos(current_loop_rounded(pi_sum_add(0, loop->omega_e, config->angle_step)));
     loop->turn_sin = turn.sin;
-    loop->turn_versine = FRAC16_MAX - ((turn.cos > 0) ? turn.cos : 0); /* less than a quarter turn per period */
+    loop->turn_versine = FRAC16_MAX - ((turn.cos > 0) ? turn.cos : 0); /* below a quarter turn per period */
 }
 
-/* The integral parts hold what the decoupling does not give. */
+/* Preset of the integral parts: the voltage that the decoupling terms do not supply. */
 void current_loop_take_over(current_loop_t *loop, const current_loop_config_t *config, dq_t current, dq_t voltage)
 {
     const pi_sum_t d = pi_sum_add(0, loop->minus_2_omega * current.q, config->omega_l_q);

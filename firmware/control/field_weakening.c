@@ -4,17 +4,17 @@
 
 #define SLEW_SHIFT 3
 
-/* u_target^2 - |u|^2. */
+/* Voltage reserve u_target^2 - |u|^2. */
 static frac32_t room_of(frac16_t target, dq_t demand)
 {
     const int64_t square = (int64_t)f32_mul16(demand.d, demand.d) + f32_mul16(demand.q, demand.q);
     return sat32(f32_mul16(target, target) - square);
 }
 
-/* Below half of the target the back-EMF is not what makes the voltage long. */
+/* Below half of the target voltage the back-EMF is not the cause of a high voltage. */
 static bool emf_matters(frac16_t emf, frac16_t target) { return 2 * i32_abs(emf) > target; }
 
-/* How much more current is to be taken; less than 0: given back. */
+/* Change of the field-weakening current: positive increases it, negative reduces it. */
 static frac32_t change_of(const field_weakening_config_t *config, const field_weakening_input_t *input)
 {
     const frac32_t slew = asr32(f32_from_f16(config->i_d_max), SLEW_SHIFT);
@@ -28,7 +28,8 @@ static frac32_t change_of(const field_weakening_config_t *config, const field_we
     return (input->wanted || change < 0) ? change : 0;
 }
 
-/* Less than the whole circle, also where a hot winding has made that small: half of it is left for a braking i_q. */
+/* Less than the radius of the current circle, also when a hot winding has reduced that: half of the radius is left for
+ * a braking i_q. */
 static frac16_t i_d_max(const field_weakening_config_t *config, frac16_t current)
 {
     const frac16_t part = (frac16_t)(current - asr32(current, 3));
@@ -43,7 +44,7 @@ static frac32_t within(frac32_t x, frac32_t max)
     return (x > max) ? max : x;
 }
 
-/* i_q that a circle of the radius `current` leaves beside `d`. */
+/* Largest i_q on a current circle of radius `current`, given `d`. */
 static frac16_t circle(frac16_t current, frac16_t d) { return f16_sqrt(f32_mul16(current, current) - f32_mul16(d, d)); }
 
 void field_weakening_step(field_weakening_t *state, const field_weakening_config_t *config,

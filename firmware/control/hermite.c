@@ -13,7 +13,7 @@ static uint32_t reciprocal_of(uint32_t divisor)
     return (uint32_t)((int64_t)guess + asr64(asr64(error, 16) * (int64_t)guess, 46));
 }
 
-/* Left shifts that bring a number that is not 0 to 2^31 or more. */
+/* Number of left shifts that normalise a non-zero number to 2^31 or more. */
 static uint16_t normalisation(uint32_t x)
 {
     uint16_t shift = 0;
@@ -63,7 +63,7 @@ path_position_t hermite_position(const hermite_t *segment, uint32_t elapsed)
 
 static path_position_t spare(path_position_t limit) { return limit + asr64(limit, 6) + 1; }
 
-/* Where the speed is highest, if that is not at an end: at s = -c2 / (3 c3) it is c1 + c2 s. */
+/* Speed maximum within the segment: at s = -c2 / (3 c3) the speed is c1 + c2 s. */
 static path_position_t peak_speed(const hermite_t *segment)
 {
     uint64_t above = (uint64_t)magnitude(segment->c2);
@@ -92,7 +92,8 @@ bool hermite_speed_within(const hermite_t *segment, path_position_t step_max)
 
 bool hermite_acceleration_within(const hermite_t *segment, path_position_t acceleration_max)
 {
-    /* 2 c2 and 2 c2 + 6 c3 per segment squared, at its ends; a bend of two parts in 2^24 is rounding. */
+    /* Acceleration at both ends, per segment squared: 2 c2 and 2 c2 + 6 c3. A difference of two parts in 2^24 is
+     * rounding. */
     const path_position_t limit =
         (spare(acceleration_max) + (INT32_C(1) << (PATH_BITS - 9))) * (int64_t)segment->duration;
     const path_position_t ends[] = {segment->c2, segment->c2 + 3 * segment->c3};

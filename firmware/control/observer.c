@@ -1,7 +1,7 @@
 #include "control/observer.h"
 
 #define TWO_PI_Q28 INT32_C(1686629713)
-#define STEP_MAX INT32_C(170000000) /* a quarter of a radian: the series below is good to 5e-6 */
+#define STEP_MAX INT32_C(170000000) /* a quarter of a radian: the series below is accurate to 5e-6 */
 
 void observer_reset(observer_t *observer, const observer_config_t *config, ab_t current)
 {
@@ -12,7 +12,7 @@ void observer_reset(observer_t *observer, const observer_config_t *config, ab_t 
 
 void observer_turn(observer_t *observer, int32_t step)
 {
-    const int32_t x = (int32_t)asr64((int64_t)f32_clip(step, STEP_MAX) * TWO_PI_Q28, 28); /* radians, 32 bits */
+    const int32_t x = (int32_t)asr64((int64_t)f32_clip(step, STEP_MAX) * TWO_PI_Q28, 28); /* rad, 32 fraction bits */
     const int32_t square = observer_upper(x, x);
     const int32_t fourth = observer_upper(square, square);
     observer->turn_sin = x - observer_upper(x, square) / 6;

@@ -3,7 +3,7 @@
 #include "math/divide.h"
 #include "math/root.h"
 
-#define SPEED_MAX INT64_C(3000000000) /* the square of which fits */
+#define SPEED_MAX INT64_C(3000000000) /* its square fits 64 bits */
 
 static path_position_t scaled(path_position_t x, uint16_t omega_n_ts)
 {
@@ -20,37 +20,38 @@ static path_position_t within(path_position_t x, path_position_t max)
 path_position_t braking_speed(path_position_t distance, path_position_t acceleration, path_position_t max)
 {
     if (distance <= acceleration) {
-        return lower(distance, max); /* one step, and then rest */
+        return lower(distance, max); /* one step to the target, then standstill */
     }
-    /* The speed v is followed by v - a, v - 2 a, ... With v = sqrt(2 a d) - a / 2 the root falls by a in every tick, and
-     * the first step that is not longer than a fits between the speed before it and rest. */
+    /* The speed v is followed by v - a, v - 2 a, ... With v = sqrt(2 a d) - a / 2 the square root falls by a in every
+     * tick, and the first step not longer than a is shorter than the speed before it: the last step ends at
+     * standstill. */
     const uint32_t twice = (uint32_t)(acceleration * 2);
     const uint32_t half = (uint32_t)(acceleration + 1) >> 1;
     const uint64_t far = (uint64_t)twice * (uint32_t)((uint64_t)distance >> 32);
     if (far >= UINT64_C(1) << 31) {
-        return max; /* beyond the root's range, which is above all speeds */
+        return max; /* beyond the range of the root, which covers all speeds */
     }
     const uint64_t square = (far << 32) + (uint64_t)twice * (uint32_t)((uint64_t)distance & UINT32_C(0xFFFFFFFF));
     const uint32_t enough = (uint32_t)max + half;
     if (square >= (uint64_t)enough * enough) {
-        return max; /* almost always, and without a root */
+        return max; /* the usual case, no root needed */
     }
     return (path_position_t)(u64_sqrt(square) - half);
 }
 
-/* Of a speed that was measured, and may be beyond every limit. */
+/* For a measured speed, which may exceed every limit. */
 static path_position_t safe_speed(path_position_t distance, path_position_t acceleration, path_position_t speed)
 {
     return braking_speed(distance, acceleration, lower(speed, SPEED_MAX));
 }
 
-/* Next speed of a ramp that has `distance` >= 0 to go. */
+/* Next speed of a ramp with the remaining distance `distance` >= 0. */
 static path_position_t next_speed(path_position_t speed, path_position_t distance, path_position_t step_limit,
                                   path_position_t acceleration)
 {
     const path_position_t fastest = speed + acceleration;
     if (fastest <= 0) {
-        return fastest; /* the other way */
+        return fastest; /* still moving away from the target */
     }
     const path_position_t allowed = braking_speed(distance, acceleration, lower(fastest, step_limit));
     const path_position_t slowest = speed - acceleration;
@@ -59,7 +60,7 @@ static path_position_t next_speed(path_position_t speed, path_position_t distanc
 
 void path_reset(path_t *path, int32_t position, path_position_t step, uint16_t omega_n_ts)
 {
-    /* In steady motion y(k) - y(k-1) = omega_n Ts m and x(k) = y(k-1) + 2 m; the ramp kept here is x(k-1). */
+    /* In steady motion y(k) - y(k-1) = omega_n Ts m and x(k) = y(k-1) + 2 m; the ramp stored here is x(k-1). */
     path->output = path_counts(position);
     path->filter = i64_over_u16(step * 65536, omega_n_ts);
     path->ramp = path->output + 2 * path->filter - step;
@@ -74,20 +75,21 @@ void path_brake(path_t *path, int32_t target, path_position_t acceleration, uint
     if (speed == 0 || safe_speed(room, acceleration, speed) >= speed - acceleration) {
         return;
     }
-    /* In steady deceleration the ramp is 2 a / omega_n slower than the output, and ahead of it by a / omega_n^2 less. */
+    /* In steady deceleration the ramp is slower than the output by 2 a / omega_n, and its lead is smaller by a /
+     * omega_n^2. */
     const path_position_t slower = lower(acceleration, scaled(speed, omega_n_ts) >> 1);
     const path_position_t over_omega = i64_over_u16(slower * 65536, omega_n_ts);
     path->speed = way * (speed - lower(speed, slower + 2 * over_omega));
     path->ramp = path->output + 2 * path->filter - way * i64_over_u16(over_omega * 65536, omega_n_ts) - path->speed;
 }
 
-/* Neither past `target` nor too fast to stop there, if that was so at the speed and the distance `before`. */
+/* Keep the ramp from passing `target`, and slow enough to stop there, if both held for `before`. */
 static void stop_at(path_t *path, int32_t target, path_position_t acceleration, path_t before)
 {
     const int32_t way = (path->ramp < path->output) ? -1 : 1;
     const path_position_t speed = way * before.speed;
     const path_position_t distance = speed - way * path_beyond(before.ramp, target);
-    /* A ramp that is yet to turn round keeps its lead. */
+    /* A ramp that has not yet reversed keeps its lead. */
     if (distance < speed || (speed > 0 && safe_speed(distance, acceleration, speed) < speed - acceleration)) {
         return;
     }
@@ -105,12 +107,12 @@ void path_retune(path_t *path, int32_t target, path_position_t acceleration, uin
 {
     const path_t before = *path;
     const path_position_t step = scaled(path->filter, from_omega_n_ts);
-    /* The output's acceleration in the next tick is (omega_n Ts)^2 of this. */
+    /* The acceleration of the output in the next tick is (omega_n Ts)^2 times this. */
     const path_position_t excess = path->ramp + path->speed - path->output - 2 * path->filter;
     const path_position_t max = i64_over_u16(i64_over_u16(acceleration << 32, to_omega_n_ts), to_omega_n_ts);
     const path_position_t pull = within(i64_over_u16(excess * from_omega_n_ts, to_omega_n_ts), max);
     const path_position_t next = scaled(scaled(pull, to_omega_n_ts), to_omega_n_ts);
-    /* By what the ramp's speed exceeds that of the output the acceleration grows afterwards. */
+    /* The difference between the speeds of ramp and output determines how the acceleration grows afterwards. */
     const path_position_t even = step + next + i64_over_u16(next * 65536, to_omega_n_ts);
     const path_position_t reach = i64_over_u16(acceleration * 65536, to_omega_n_ts);
 
@@ -141,7 +143,7 @@ int32_t path_stop(const path_t *path, path_position_t acceleration)
         return path_whole(path->ramp + (up >> 1));
     }
     const path_position_t speed = lower((path->speed < 0) ? -path->speed : path->speed, SPEED_MAX);
-    /* (v - a / 2)^2 / (2 a), with a divisor of 16 bits, rounded down: the result is never too near. */
+    /* (v - a / 2)^2 / (2 a) with a 16-bit divisor, rounded down: the computed distance is never too short. */
     const path_position_t root = speed - (acceleration >> 1);
     uint32_t divisor = (uint32_t)acceleration * 2U;
     uint16_t shift = 0;

@@ -1,7 +1,7 @@
 #include "control/pll.h"
 
 #define TICK_BITS 3 /* a slow tick has eight periods */
-#define BIAS_MAX (INT32_C(1) << 22) /* half of the full scale: nothing below overflows */
+#define BIAS_MAX (INT32_C(1) << 22) /* half of full scale: prevents overflow below */
 
 void pll_reset(pll_t *pll, uint32_t angle, int32_t step)
 {

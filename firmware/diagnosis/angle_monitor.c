@@ -2,12 +2,12 @@
 
 #include "config/contract_gen.h"
 
-/* Without these the voltage is not known well enough. */
+/* Without these features the voltage is not known accurately enough. */
 #define NEEDED (FEATURE_DEAD_TIME | FEATURE_BUS_COMPENSATION)
 
 #define TICKS_MAX 4U
-#define FILTER_SHIFT 2 /* four slow ticks: noise, times the controllers' gain, is as large as the back-EMF looked for */
-#define EMF_OVER_SIZE 3 /* a slip turns the back-EMF, so it takes twice its size at most */
+#define FILTER_SHIFT 2 /* four slow ticks: current noise times controller gain is as large as the back-EMF */
+#define EMF_OVER_SIZE 3 /* a wrong angle rotates the expected back-EMF: the difference is at most twice its size */
 #define ALL_PHASES ((UINT16_C(1) << OBSERVED_PHASES) - 1U)
 
 void angle_monitor_start(angle_monitor_t *monitor)
@@ -19,7 +19,7 @@ void angle_monitor_start(angle_monitor_t *monitor)
 
 static frac16_t filtered(frac16_t beyond, int32_t x) { return sat16(beyond + asr32(x - beyond, FILTER_SHIFT)); }
 
-/* The voltage beyond resistance, decoupling and back-EMF: u = R i +- omega L i (+ omega psi in q) + what is beyond. */
+/* Unexplained voltage (`beyond`): u = R i +- omega L i (+ omega psi in q) + unexplained. */
 static void filter(angle_monitor_t *m, gain_t resistance, const current_loop_config_t *loop, const observation_t *o)
 {
     const int32_t omega = o->omega_e;
@@ -29,9 +29,10 @@ static void filter(angle_monitor_t *m, gain_t resistance, const current_loop_con
     m->beyond.q = filtered(m->beyond.q, o->voltage.q - i32_gain(o->current.q, resistance) - turned_q - o->emf);
 }
 
-/* What dead time, a quarter of the inductance, a change of the current, and half of the back-EMF that is expected account
- * for: 29 degrees of it, or its size. Along the current half of the resistance may be added; much more is no back-EMF. Of a
- * small current neither the direction is certain nor what a dead time does to it. */
+/* Tolerated voltage: dead time, a quarter of the inductive drop, the change of the current, and half of the expected
+ * back-EMF, which is a rotation of it by 29 degrees or an equal error of its size. Along the current half of the
+ * resistive drop is added; a voltage far above that is not a back-EMF. The direction of a small current, and the
+ * dead-time error at small current, are uncertain. */
 static bool contradicts(const angle_monitor_t *m, const winding_config_t *config, const current_loop_config_t *loop,
                         const observation_t *o)
 {
@@ -52,7 +53,7 @@ static bool contradicts(const angle_monitor_t *m, const winding_config_t *config
 void angle_monitor_step(angle_monitor_t *m, const winding_config_t *config, const current_loop_config_t *loop,
                         const observation_t *o, evidence_t *evidence)
 {
-    const bool moves = o->calm == 0U; /* else it is the count that is in doubt */
+    const bool moves = o->calm == 0U; /* otherwise the encoder count itself is in doubt */
     if (!moves || (o->features & NEEDED) != NEEDED || o->current_size < (int32_t)config->silent) {
         m->beyond = (dq_t){0, 0};
         m->ticks = 0;

@@ -2,19 +2,19 @@
 
 #include "config/contract_gen.h"
 
-#define REST_COUNTS 2   /* a shaft at rest may dither so far */
-#define CALM_TICKS 4U   /* without movement the shaft is slower than any back-EMF that counts here */
+#define REST_COUNTS 2   /* dither of a shaft at rest */
+#define CALM_TICKS 4U   /* without counts for so long, the shaft is too slow for a back-EMF that matters here */
 #define WINDOW 32U      /* slow ticks */
-#define TOGGLES_MIN 12U /* changes of the count in it: 375 Hz, no shaft dithers so fast */
+#define TOGGLES_MIN 12U /* changes of the count per window: 375 Hz, faster than any shaft can dither */
 #define WINDOWS_MAX 2U
 #define TURNING_TICKS 8U
-#define SWEPT_MAX 16384U /* a quarter of a turn; an eighth is looked for */
-#define TEST_TICKS 4U    /* the current controllers take less */
-#define WINDUP_TICKS 60U /* of voltage that stays where it is */
+#define SWEPT_MAX 16384U /* a quarter of a turn; the criterion is an eighth */
+#define TEST_TICKS 4U    /* longer than the settling time of the current controllers */
+#define WINDUP_TICKS 60U /* of voltage with a constant direction */
 #define SHORT_TICKS 8U
-#define SUDDEN_COUNTS 8U  /* per slow tick: slower shafts drive no current that trips anything */
-#define SETTLED_TICKS 8U  /* until the probing current flows */
-#define PROBE_TICKS 80U   /* in all: before the speed of the M/T method without its enhancement falls to zero */
+#define SUDDEN_COUNTS 8U  /* per slow tick: a slower shaft cannot drive a current that causes a trip */
+#define SETTLED_TICKS 8U  /* settling time of the probing current */
+#define PROBE_TICKS 80U   /* total: ends before the speed of the M/T method, without its enhancement, falls to zero */
 #define SWINGS_MAX 4U
 
 void encoder_monitor_start(encoder_monitor_t *monitor, int32_t position)
@@ -24,7 +24,7 @@ void encoder_monitor_start(encoder_monitor_t *monitor, int32_t position)
 
 /* ---- the count ---------------------------------------------------------------------------------------------------- */
 
-/* A window of a count that goes one back and forth; a shaft that hunts takes several. */
+/* Detects a count that alternates by one, over several windows: a shaft that hunts also does so in a single window. */
 static bool single_channel_toggle(encoder_monitor_t *m, int32_t moved)
 {
     m->window++;
@@ -56,7 +56,7 @@ static void watch_count(encoder_monitor_t *m, int32_t position, evidence_t *evid
     m->last = position;
     if (away > REST_COUNTS || away < -REST_COUNTS) {
         const uint16_t earlier = m->pace;
-        if (m->calm != 0U) { /* else everything has just been forgotten */
+        if (m->calm != 0U) { /* otherwise the monitor was restarted in the previous tick */
             encoder_monitor_start(m, position);
         }
         m->anchor = position;
@@ -83,8 +83,8 @@ static int32_t drop(frac16_t current, gain_t resistance)
     return f16_from_f32(f32_gain(f32_from_f16(current), resistance));
 }
 
-/* Voltage that the current does not need, without half of its noise: that of a current sample, times the controllers' gain,
- * is as large as the back-EMF looked for. */
+/* Voltage beyond the resistive drop, smoothed by averaging: the noise of a current sample times the controller gain is
+ * as large as the back-EMF to be detected. */
 static void note_unexplained(encoder_monitor_t *m, gain_t resistance, const observation_t *o)
 {
     m->rest.d = sat16(asr32((int32_t)m->rest.d + o->voltage.d - drop(o->current.d, resistance), 1));
@@ -96,15 +96,16 @@ static bool current_flows(const winding_config_t *config, const observation_t *o
     return o->current_size >= 2 * (int32_t)config->silent;
 }
 
-/* What half of the resistance, dead time and switches may account for. Small currents are not compensated. */
+/* Voltage that half of the resistance, dead time and switches may account for. Dead time is not compensated at small
+ * currents. */
 static int32_t tolerated(const winding_config_t *config, const observation_t *o)
 {
     const bool exact = (o->features & FEATURE_DEAD_TIME) != 0U && o->current_size > config->silent;
     return (exact ? 1 : 2) * (int32_t)config->emf_floor + asr32(o->drop, 1);
 }
 
-/* The output of integrators that wind up turns, too, but more slowly than a rotor with a back-EMF of that size. `beyond`:
- * more than other reasons may account for. */
+/* The output of integrators in wind-up rotates too, but more slowly than a rotor with a back-EMF of that size.
+ * `beyond`: the excess over the tolerated voltage. */
 static void note_voltage(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o, int32_t beyond)
 {
     const dq_t voltage = m->rest;
@@ -146,17 +147,17 @@ static frac16_t current_along(const encoder_monitor_t *m, const observation_t *o
     return m->along_q ? o->current.q : o->current.d;
 }
 
-/* A back-EMF is still there when a current has been asked for; wind-up is not. Not all of it need be: the drops are
- * different now, and the resistance may be wrong by as much. Where they happen to hide it, the rotor turns on, and the next
- * test is at another angle. */
+/* A back-EMF persists under the test current, integrator wind-up does not. A quarter of it is enough: the resistive
+ * drop has changed and the resistance may be wrong. If the drop happens to cancel the back-EMF, the rotor turns on and
+ * the next test is at another angle. */
 static bool remains(const encoder_monitor_t *m)
 {
     return 4 * length_about(m->rest.d, m->rest.q) >= length_about(m->emf.d, m->emf.q);
 }
 
-/* The voltage turns like a back-EMF. Where hardly any current flows, or flowed while it did, or the voltage has stood before
- * for longer than a back-EMF does, it may be integrator wind-up: then a current is asked for, where most of the voltage is,
- * for as long as the controllers take. */
+/* The voltage rotates like a back-EMF. It may be integrator wind-up if hardly any current flows or flowed meanwhile, or
+ * if the direction of the voltage was constant before for longer than that of a back-EMF. Then a test current is
+ * requested along the larger component of the voltage, for the settling time of the current controllers. */
 static void test_emf(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o, evidence_t *evidence)
 {
     if (m->testing == 0U) {
@@ -176,7 +177,7 @@ static void test_emf(encoder_monitor_t *m, const winding_config_t *config, const
     const int32_t size = test_size(config, o);
     const int32_t change = (int32_t)current_along(m, o) - m->before;
     const int32_t more = 4 * (m->back ? -change : change);
-    if (more < 2 * size) { /* through a lost phase half of it at most */
+    if (more < 2 * size) { /* with a lost phase at most half of the test current flows */
         evidence->confirmed |= FOUND(FINDING_CURRENT_NOT_FOLLOWING);
         return;
     }
@@ -194,16 +195,16 @@ static bool steps(encoder_monitor_t *m, const winding_config_t *config, gain_t k
     return i32_gain(step, kp) > (int32_t)config->emf_floor;
 }
 
-/* A shaft that has come to rest at once, without a current: has the encoder died? Within what dead time and switches take,
- * a back-EMF drives no voltage that the controllers would have to answer. */
+/* The count stopped at once while hardly any current flows: the encoder may have failed. A back-EMF within the voltage
+ * drop of dead time and switches causes no response of the current controllers, so a test current is needed. */
 static bool needs_test_current(const encoder_monitor_t *m, const winding_config_t *config, const observation_t *o)
 {
     return m->sudden && m->testing == 0U && m->calm >= ENCODER_CONFIRM_TICKS && !current_flows(config, o) &&
            f16_abs(o->current_ref.q) < 2 * (int32_t)config->silent;
 }
 
-/* A current that stays as it is needs a voltage that stays as it is, but for a rotor that turns. Another set-point ends the
- * probe: it will show whether the shaft moves. */
+/* At constant current the voltage is constant, unless the rotor turns. A change of the set-point ends the probe: the
+ * response will show whether the shaft moves. */
 static void probe(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o, evidence_t *evidence)
 {
     const dq_t steady = {f16_from_f32((frac32_t)asr64(o->steady_d, GAIN_BITS)),
@@ -231,7 +232,7 @@ static void probe(encoder_monitor_t *m, const winding_config_t *config, const ob
     }
 }
 
-/* One more tick of voltage. */
+/* Evaluate the voltage of one slow tick. */
 static void judge(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o)
 {
     note_unexplained(m, config->resistance, o);
@@ -247,7 +248,7 @@ static void judge(encoder_monitor_t *m, const winding_config_t *config, const ob
     m->windup = (size > much) ? (uint16_t)(m->windup + 1U) : 0U;
 }
 
-/* The voltage turns with the rotor: it is a back-EMF. It grows and stays where it is: nothing lets a current flow. */
+/* A voltage that rotates is a back-EMF. A voltage that grows in a constant direction means that no current can flow. */
 static void watch_voltage(encoder_monitor_t *m, const winding_config_t *config, gain_t kp, const observation_t *o,
                           evidence_t *evidence)
 {
@@ -271,7 +272,7 @@ static void watch_voltage(encoder_monitor_t *m, const winding_config_t *config, 
     }
 }
 
-/* Shorted windings: only a shaft that turns drives a current through them. */
+/* Shorted windings: current flows only if the shaft turns. */
 static void watch_short(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o,
                         evidence_t *evidence)
 {

@@ -10,7 +10,8 @@ static fault_rule_t rule_of(uint16_t finding)
     return rule;
 }
 
-/* A silent phase whose converter repeats its code is no evidence of a lost phase, nor is any while a converter is off. */
+/* A silent phase whose converter repeats its code is no evidence of a lost phase; with a suspected converter no silent
+ * phase is. */
 static uint16_t suspicions(const evidence_t *evidence)
 {
     const bool sound = (evidence->suspected & SUSPECT_SENSOR) == 0U;
@@ -30,7 +31,7 @@ static fault_set_t cause_of(uint16_t suspected, fault_set_t enabled)
     return 0;
 }
 
-/* The name of one finding; 0 if none is enabled. */
+/* Fault reported for one finding; 0 if none of the candidates is enabled. */
 static fault_set_t name_of(const fault_rule_t *rule, uint16_t suspected, fault_set_t enabled)
 {
     const fault_set_t cause = cause_of(suspected & rule->instead, enabled);
@@ -59,7 +60,7 @@ fault_verdict_t fault_isolate(const evidence_t *evidence, fault_set_t enabled)
         const fault_rule_t rule = rule_of(fault_lowest(findings));
         const fault_set_t name = name_of(&rule, suspected, enabled);
         verdict.first = (verdict.first == 0U) ? name : verdict.first;
-        verdict.faults |= name | (rule.fault & FAULT_OVER_CURRENT & enabled); /* that there was */
+        verdict.faults |= name | (rule.fault & FAULT_OVER_CURRENT & enabled); /* over-current is always added */
     }
     return verdict;
 }

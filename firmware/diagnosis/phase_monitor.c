@@ -1,21 +1,22 @@
 #include "diagnosis/phase_monitor.h"
 
-#define SILENT_TICKS 8U /* 4 ms: longer than any phase is silent at a speed at which currents do not follow */
+/* 4 ms: longer than an intact phase is near zero at speeds at which its current lags the set-point */
+#define SILENT_TICKS 8U
 #define NOTHING_TICKS 40U
 #define SUSPECT_TICKS 2U
 #define NOTHING_SUSPECT 8U
 #define NOTHING_FADE_TICKS 4U
 #define FORGET_TICKS 16U
 #define FADE_TICKS 128U
-#define FAINT_MAX 14U        /* of FORGET_TICKS without enough current to tell directions */
-#define DIRECTIONS 6U        /* of 8: a whole phase is silent in 4 of them at most, where it changes its sign */
-#define SILENCES 32U /* and silent so often: small currents that are mostly noise reach 6 directions by chance */
-#define SILENCE 0x100U /* one of these: the count stands above the directions */
-#define SUSPECT_DIRECTIONS 3U /* of a whole phase two in a row at most */
+#define FAINT_MAX 14U        /* of FORGET_TICKS: too little current to determine directions */
+#define DIRECTIONS 6U        /* of 8: an intact phase is silent in at most 4, around its zero crossings */
+#define SILENCES 32U /* number of silent samples required: small, noisy currents reach 6 directions by chance */
+#define SILENCE 0x100U /* increment of the sample count, which is stored above the direction bits */
+#define SUSPECT_DIRECTIONS 3U /* an intact phase: at most two in a row */
 
-#define CALM_TICKS 4U /* without movement the shaft is slower than any back-EMF that counts here */
+#define CALM_TICKS 4U /* without counts for so long, the shaft is too slow for a back-EMF that matters here */
 
-/* Sizes of the phase currents. */
+/* Magnitudes of the phase currents. */
 typedef struct {
     int32_t phase[OBSERVED_PHASES];
     int32_t largest;
@@ -52,7 +53,7 @@ static uint16_t directions(uint16_t sectors)
     return bits;
 }
 
-/* In which directions of the rotor is a phase silent? A current in between voids the record. */
+/* Record the rotor directions (octants) in which a phase is silent. Any current in the phase clears the record. */
 static void note_direction(phase_monitor_t *m, uint16_t x, uint16_t bit)
 {
     m->sectors[x] = (uint16_t)(m->sectors[x] | bit);
@@ -63,7 +64,7 @@ static void note_direction(phase_monitor_t *m, uint16_t x, uint16_t bit)
     }
 }
 
-/* Each phase by its own current. */
+/* Classify each phase by its current. */
 static void note_currents(phase_monitor_t *m, const winding_config_t *config, const phases_t *is, observation_t *o)
 {
     const uint16_t bit = (uint16_t)(UINT16_C(1) << ((uint16_t)o->d_axis_angle >> 13));
@@ -85,8 +86,8 @@ static void note_currents(phase_monitor_t *m, const winding_config_t *config, co
     }
 }
 
-/* Current is asked of a phase, the others carry some, it has none: less than is certain, or next to nothing of what the
- * others have, instead of half. */
+/* A phase is silent although its set-point is not, while other phases conduct: its current is below the certain
+ * minimum, or below an eighth of the largest one where half of it is expected. */
 static void compare(phase_monitor_t *m, int32_t silent, const phases_t *is, dq_t current_ref, const sin_cos_t *at)
 {
     phases_t wanted = {{0, 0, 0}, 0};
@@ -94,7 +95,7 @@ static void compare(phase_monitor_t *m, int32_t silent, const phases_t *is, dq_t
         const int32_t size = is->phase[x];
         const bool less = size < silent && is->largest > 2 * silent;
         const bool hardly = 8 * size < is->largest;
-        if ((less || hardly) && wanted.largest == 0) { /* seldom */
+        if ((less || hardly) && wanted.largest == 0) { /* rare */
             wanted = sizes(current_ref, at);
         }
         const int32_t asked = wanted.phase[x];
@@ -107,7 +108,7 @@ static void compare(phase_monitor_t *m, int32_t silent, const phases_t *is, dq_t
     }
 }
 
-/* Rare silences by chance are no evidence. */
+/* Discard rare silent samples, which occur by chance. */
 static void discard(phase_monitor_t *m)
 {
     m->age++;
@@ -121,7 +122,7 @@ static void discard(phase_monitor_t *m)
     m->faint = 0;
 }
 
-/* Neither the windings nor the back-EMF are what holds the current back. */
+/* The current stays away from its set-point although the voltage exceeds winding drop and back-EMF. */
 static bool current_not_following(const winding_config_t *config, const observation_t *o)
 {
     const int32_t emf = o->emf;
@@ -160,7 +161,7 @@ void phase_monitor_step(phase_monitor_t *m, const winding_config_t *config, obse
     const phases_t is = sizes(o->current, &at);
     note_currents(m, config, &is, o);
     const bool enough = is.largest > config->direction_min;
-    const bool same = (o->current_ref.q < 0) == (m->wanted < 0); /* else it has just turned round */
+    const bool same = (o->current_ref.q < 0) == (m->wanted < 0); /* otherwise the set-point has just changed its sign */
     m->wanted = o->current_ref.q;
     if (same && enough && !o->stop_unconfirmed) {
         compare(m, config->silent, &is, o->current_ref, &at);

@@ -1,14 +1,14 @@
 #include "diagnosis/sensor_monitor.h"
 
 #define WINDOW 64U         /* samples of a code */
-#define NOISE_MIN 4U       /* codes between the extremes of a window: less may be quiet by chance */
-#define SAME_BY_CHANCE 16U /* equal codes of a converter that counts as noisy */
-#define SAME_SUSPECT 6U    /* equal codes: 1 in 10000 with a noise of two codes */
+#define NOISE_MIN 4U       /* codes between the extremes of a window: a smaller spread may be chance */
+#define SAME_BY_CHANCE 16U /* equal codes in a row that a noisy converter may produce */
+#define SAME_SUSPECT 6U    /* equal codes in a row: probability 1 in 10000 with noise of two codes */
 #define SAME_REPEATING 2U
 #define WRONG_MIN 32U /* codes off the offset: 16 times the usual noise */
 #define WRONG_TICKS 4U
 
-/* A window of codes with its extremes tells whether there is noise. */
+/* Determine from the extremes of a window of codes whether the converter shows noise. */
 static void note_spread(converter_t *c, uint16_t code)
 {
     if (c->samples == 0U) {
@@ -26,11 +26,11 @@ static void note_spread(converter_t *c, uint16_t code)
     }
 }
 
-/* `same_min` equal codes while another converter shows noise. */
+/* `same_min` equal codes in a row while another converter shows noise. */
 static bool frozen(const sensor_monitor_t *m, const converter_t *c, uint16_t same_min)
 {
     if (c->same < same_min) {
-        return false; /* almost always */
+        return false; /* the usual case */
     }
     bool others_noisy = false;
     for (uint16_t y = 0; y < OBSERVED_PHASES; y++) {
@@ -66,7 +66,7 @@ void sensor_monitor_step(sensor_monitor_t *monitor, const idle_sample_t *samples
     }
 }
 
-/* A single sample off the offset may be false: its high side has begun with the duty of the period before. */
+/* A single sample off the offset is no evidence: its high side may have begun with the duty of the previous period. */
 void sensor_monitor_suspect(const sensor_monitor_t *monitor, evidence_t *evidence)
 {
     for (uint16_t x = 0; x < OBSERVED_PHASES; x++) {

@@ -1,10 +1,10 @@
 #include "diagnosis/stall_test.h"
 
-#define GOES_ON_OVER_MOVE 8 /* so much farther, in multiples of a movement that counts: nothing has stopped it */
-#define STOPS_TICKS 16U     /* by then, what the torque has left stands; half of them are enough to slow down */
-#define TURNS_OVER_MOVE 2   /* back so far from the farthest: more than a bounce */
+#define GOES_ON_OVER_MOVE 8 /* further movement, in multiples of the detection threshold, that proves a free shaft */
+#define STOPS_TICKS 16U /* after this time a shaft without torque has stopped; half of it is enough to decelerate */
+#define TURNS_OVER_MOVE 2 /* movement back from the farthest position: larger than a bounce */
 
-/* Of this side. */
+/* Parameters of the side in test. */
 static rotor_follow_config_t follow_of(const stall_test_t *test, const rotor_search_config_t *config)
 {
     rotor_follow_config_t follow = config->follow;
@@ -29,21 +29,22 @@ void stall_test_start(stall_test_t *test, const rotor_search_config_t *config, c
     turn_to_side(test, false, observation->position);
 }
 
-/* The frame turns instead of the rotor, with the current along its q axis: across it lies the d axis. */
+/* The frame is rotated instead of the rotor, with the current along its q axis: the voltage across the vector is
+ * u_d. */
 void stall_test_add(stall_test_t *test, const rotor_search_config_t *config, frac16_t u_d)
 {
     const rotor_follow_config_t follow = follow_of(test, config);
     rotor_follow_add(&test->follow, &follow, test->positive ? f16_neg(u_d) : u_d);
 }
 
-/* Way in the direction of the torque that was wanted. */
+/* Movement in the direction of the commanded torque. */
 static int32_t way_from(const stall_test_t *test, int32_t origin, int32_t position)
 {
     const int32_t way = i32_sub_wrap(position, origin);
     return test->positive ? way : -way;
 }
 
-/* The vector turns, the shaft has not moved. */
+/* The vector is being rotated; the shaft has not moved yet. */
 static finding_set_t turn_step(stall_test_t *test, const rotor_search_config_t *config, int32_t position)
 {
     const rotor_follow_config_t follow = follow_of(test, config);
@@ -72,7 +73,8 @@ static finding_set_t turn_step(stall_test_t *test, const rotor_search_config_t *
     return 0;
 }
 
-/* Against the torque: on to where the largest torque of a wrong angle may be. */
+/* Movement against the torque: rotate the vector on, to the largest angle error at which it may still produce
+ * torque. */
 static bool turned_out(stall_test_t *test, const rotor_follow_config_t *config)
 {
     const int32_t max = (int32_t)config->ticks * config->step;

@@ -9,8 +9,8 @@ void winding_model_init(winding_model_t *model, const winding_model_config_t *co
     *model = (winding_model_t){.temperature = f32_from_f16(config->initial)};
 }
 
-/* Rise by the losses of a step, 31 fraction bits. The ranges of the configuration keep the resistance above 0 and the
- * products within 63 bits (servo_msgs_py/axis_config.toml). */
+/* Temperature rise by the losses of one step, 31 fraction bits. The ranges of the configuration keep the resistance
+ * above 0 and the products within 63 bits (servo_msgs_py/axis_config.toml). */
 static int64_t heating(const winding_model_t *model, const winding_model_config_t *config)
 {
     const int32_t resistance = COPPER_COLD + asr32(COPPER_SLOPE * winding_model_shown(model), 15);

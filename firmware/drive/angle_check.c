@@ -3,7 +3,7 @@
 #include "drive/axis_faults.h"
 #include "drive/estimate.h"
 
-/* Without its compensation the dead time would look like an angle. */
+/* Without dead-time compensation the dead time would appear as an angle error. */
 #define NEEDED (FEATURE_ANGLE_CHECK | FEATURE_DEAD_TIME)
 
 void angle_check_start(axis_t *axis)
@@ -14,7 +14,7 @@ void angle_check_start(axis_t *axis)
 
 static uint32_t encoder_angle(const axis_t *axis) { return (uint32_t)(uint16_t)axis->feedback.theta_e << 16; }
 
-/* While there is little back-EMF the PLL goes with the encoder. */
+/* At low back-EMF the PLL is set to the encoder angle. */
 static void guide_pll(axis_t *axis, int32_t step)
 {
     estimate_t *estimate = &axis->estimate;
@@ -25,7 +25,8 @@ static void guide_pll(axis_t *axis, int32_t step)
     estimate->pll.backwards = estimate->pll.integral < 0;
 }
 
-/* Near zero a current's direction does not tell what the switches take: not the rest of it, all of it is in doubt. */
+/* At small current its direction is uncertain, and with it the voltage drop of the switches: then the whole drop counts
+ * as uncertainty, not only its compensated remainder. */
 static frac16_t floor_of(const axis_t *axis)
 {
     const dq_t i = axis->current_loop.current;
@@ -51,7 +52,8 @@ void angle_check_step(axis_t *axis)
     }
     estimate_step(axis);
     observer_turn(&estimate->observer, step);
-    /* The back-EMF is the mean of the period after the sample that the angle is from. */
+    /* The observed back-EMF is the mean over the period after the sample of the angle: use the angle in the middle of
+     * it. */
     const frac16_t middle = pll_upper(encoder_angle(axis) + (uint32_t)asr32(step, 1));
     const dq_t emf = park(estimate->emf, sin_cos(middle));
     const frac16_t expected = estimate_emf_at(axis, axis->feedback.speed);

@@ -1,4 +1,4 @@
-/* axis.c - what every state of an axis has in common: measuring, supervising, withdrawing and clearing. */
+/* axis.c - functions common to all states of an axis: measurement, monitoring, requests and clearing of faults. */
 #include "drive/axis.h"
 
 #include <string.h>
@@ -59,7 +59,7 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     inputs_configure(axis);
 }
 
-/* Angle and speed come from somewhere else: never in motion, and never from an observer that has no constants. */
+/* Select the source of angle and speed: not in motion, and no observer without its constants. */
 static void choose_source(axis_t *axis)
 {
     const bool sensorless = axis->feedback_wanted == FEEDBACK_KIND_OBSERVER && axis_observable(axis);
@@ -76,7 +76,7 @@ static void filter_bus(axis_t *axis)
     const frac32_t sample = (frac32_t)((uint32_t)hal_adc_bus(axis->hal) << (BUS_CODE_SHIFT + 16));
     frac32_t filter = axis->u_dc_filter;
     if (filter == 0) {
-        filter = sample; /* from reset: no rise that looks like under-voltage */
+        filter = sample; /* start at the first sample: a rise from 0 would look like under-voltage */
     }
     filter += asr32(sample - filter, U_DC_FILTER_SHIFT);
     axis->u_dc_now = sample;
@@ -84,14 +84,14 @@ static void filter_bus(axis_t *axis)
     axis->u_dc = f16_from_f32(filter);
 }
 
-/* Findings whose cause is there now. */
+/* Findings whose cause is present now. */
 static finding_set_t present(const axis_t *axis)
 {
     return monitor_bus_now(axis) | (axis->diagnosis.heat.hot ? FOUND(FINDING_HOT) : 0U) |
            winding_model_findings(&axis->diagnosis.winding);
 }
 
-/* What is there now stops the axis, or, while others are captured, waits until it has been brought to rest. */
+/* A present finding stops the axis at once, or, if its fault is handled by a stop, after the axis has come to rest. */
 static void enter_fault_if_requested(axis_t *axis)
 {
     axis_raise(axis, present(axis));
@@ -112,9 +112,9 @@ void axis_fast(axis_t *axis)
         enter_fault_if_requested(axis);
     }
     if (axis->sm.state == STATE_RUN && (axis->sm.ctrl & (SM_CTRL_FAULT | SM_CTRL_STOP)) == 0U) {
-        run_state_step(axis, axis->fast); /* straight: this is where time matters */
+        run_state_step(axis, axis->fast); /* direct call: the fast loop is time-critical */
         if ((axis->sm.ctrl & SM_CTRL_FAULT) == 0U) {
-            return; /* almost always */
+            return; /* the usual case */
         }
     }
     sm_step(&axis->sm, axis, axis->fast);
@@ -174,11 +174,11 @@ void axis_slow(axis_t *axis)
         motion_accept_speed(axis);
     }
     if (axis->stop_faults != 0U && !stop_in_hand(axis)) {
-        axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT); /* at rest: now the outputs go off */
+        axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT); /* at rest: switch the outputs off now */
         axis->stop_faults = 0;
     }
     sm_step(&axis->sm, axis, LOOP_SLOW);
-    axis->command.fresh = 0; /* here: the latch may be left out */
+    axis->command.fresh = 0; /* cleared here because the latch may be skipped */
 }
 
 void axis_estimate(axis_t *axis) { sm_step(&axis->sm, axis, LOOP_ESTIMATE); }
@@ -199,7 +199,7 @@ void axis_protect(axis_t *axis)
     holding_brake_step(axis);
     homing_step(axis);
     winding_protect(axis);
-    weakening_step(axis); /* within what the winding bears */
+    weakening_step(axis); /* within the thermal limit of the winding */
 }
 
 void axis_excite(axis_t *axis) { excitation_step(axis); }

@@ -41,7 +41,7 @@ static void state_run(axis_t *axis, axis_loop_t loop)
 
 /* ---- transitions ---------------------------------------------------------------------------------------------- */
 
-/* Faults of the supply, the host or the machine: what the encoder counts is still true. */
+/* Faults of the supply, the host or the machine, after which the encoder count is still valid. */
 #define ANGLE_HOLDS                                                                                                    \
     (FAULT_OVER_VOLTAGE | FAULT_UNDER_VOLTAGE | FAULT_HOST_SILENT | FAULT_FOLLOWING_ERROR | FAULT_OVER_SPEED |         \
      FAULT_OVER_TEMPERATURE | FAULT_MOTOR_TEMPERATURE | FAULT_HOMING | FAULT_ENABLE_INPUT | FAULT_LIMIT_SWITCH)
@@ -73,7 +73,7 @@ static void stop_run(axis_t *axis)
 static void run_stop(axis_t *axis)
 {
     if (axis->requested) {
-        /* Wanted again before the stop was through. */
+        /* Requested again before the stop was complete. */
         axis->sm.ctrl = (uint16_t)(axis->sm.ctrl & (uint16_t)~SM_CTRL_STOP);
     } else if (run_state_may_leave(axis)) {
         axis_zero_voltage(axis, false);

@@ -1,11 +1,11 @@
 #include "drive/brake.h"
 
-#define RESTED (FRAC32_MAX / 2) /* a spent resistor is used again when it has cooled so far */
+#define RESTED (FRAC32_MAX / 2) /* the resistor is enabled again after cooling to this heat */
 #define LEAD_TICKS 4
 
 void brake_init(brake_t *brake) { *brake = (brake_t){.regen_derating = FRAC16_MAX}; }
 
-/* Energy in, u^2 / R while it is on; a steady power out. */
+/* Thermal model: input u^2 / R while the resistor is on, constant output power. */
 static void heat_up(brake_t *brake, const brake_config_t *config, frac16_t u_dc)
 {
     const frac32_t burnt = brake->on ? f32_gain(f32_mul16(u_dc, u_dc), config->heating) : 0;
@@ -18,15 +18,15 @@ static void heat_up(brake_t *brake, const brake_config_t *config, frac16_t u_dc)
     }
 }
 
-/* Where a rising bus will be when a current that is changed now has changed: filter, tick and current loop are late by some
- * two milliseconds. */
+/* Prediction of a rising bus voltage at the time at which a current changed now takes effect: filter, tick and current
+ * loop cause a delay of about two milliseconds. */
 static frac16_t ahead(const brake_t *brake, frac16_t u_dc)
 {
     const int32_t rise = (int32_t)u_dc - brake->u_dc;
     return (rise > 0) ? sat16(u_dc + LEAD_TICKS * rise) : u_dc;
 }
 
-/* All below `start`, nothing from `full` on, a straight line between. */
+/* 1 below `start`, 0 from `full` on, linear in between. */
 static frac16_t derating_at(const brake_config_t *config, frac16_t u_dc)
 {
     if (u_dc <= config->start) {

@@ -3,7 +3,7 @@
 #define MID_CODE UINT32_C(2048)
 #define TRACK_SHIFT 8 /* time constant: 256 slow ticks */
 
-/* The phase with the longest high side is left out: a in the sectors 6 and 1, b in 2 and 3, c in 4 and 5. */
+/* The phase with the longest high-side time is not sensed: a in sectors 6 and 1, b in 2 and 3, c in 4 and 5. */
 const uint8_t current_sense_pairs[7] = {
     PHASE_PAIR_BC, PHASE_PAIR_BC, PHASE_PAIR_CA, PHASE_PAIR_CA, PHASE_PAIR_AB, PHASE_PAIR_AB, PHASE_PAIR_BC,
 };
@@ -23,7 +23,7 @@ void current_sense_reset(current_sense_t *sense)
 bool current_sense_calibrate(current_sense_t *sense, adc_pair_t codes)
 {
     const uint16_t window = UINT16_C(1) << SENSE_CALIBRATION_BITS;
-    /* The pair asked for in one call is converted before the next: the first sample of a window is already true. */
+    /* A pair that is selected in one call is converted before the next call: the first sample of a window is valid. */
     if (sense->samples < window) {
         sense->sum[0] += codes.first;
         sense->sum[1] += codes.second;
@@ -52,7 +52,7 @@ bool current_sense_offsets_plausible(const current_sense_t *sense, uint16_t tole
     return true;
 }
 
-/* Only a long high side leaves the shunt without current. */
+/* The shunt carries no current only while the high side is on for long enough. */
 static void track(uint32_t *offset, uint16_t code, bool true_sample)
 {
     if (true_sample) {

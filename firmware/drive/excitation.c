@@ -5,13 +5,13 @@
 
 static bool fast(uint16_t point) { return point == TEST_POINT_I_D || point == TEST_POINT_I_Q; }
 
-/* Homing judges currents and speeds of its own. */
+/* Homing evaluates currents and speeds itself, without a test signal. */
 static bool homing(const axis_t *axis)
 {
     return axis->motion.motion == MOTION_HOME || axis->motion.motion == MOTION_PRESS;
 }
 
-/* The axis comes to rest by itself. */
+/* The axis is coming to rest. */
 static bool stopping(const axis_t *axis)
 {
     return axis->motion.motion == MOTION_STOP || axis->motion.starved || homing(axis);
@@ -26,7 +26,8 @@ static bool possible(const axis_t *axis, uint16_t point)
     return (axis->substate == SUBSTATE_SPIN) ? !stopping(axis) : (axis->substate == SUBSTATE_TEST && fast(point));
 }
 
-/* Set-point and signal together are no longer vector than the limit of i_q: set-points change once per slow tick. */
+/* Room for the signal: the vector sum of set-point and signal stays within the limit of i_q. Set-points change once per
+ * slow tick. */
 static frac16_t room(const axis_t *axis)
 {
     const frac16_t max = axis->current_max.q;
@@ -58,7 +59,7 @@ void excitation_step(axis_t *axis)
 {
     excitation_t *excitation = &axis->excitation;
     if (excitation->point == TEST_POINT_NONE) {
-        return; /* almost always */
+        return; /* the usual case */
     }
     if (!possible(axis, excitation->point) || excitation->sine.calls == 0U) {
         end(axis);
@@ -89,5 +90,5 @@ void excitation_drive(axis_t *axis, frac16_t theta_e)
     } else {
         drive_current(axis, theta_e);
     }
-    axis->current_ref = set_point; /* the slow loop and the recorder see the set-point itself */
+    axis->current_ref = set_point; /* slow loop and recorder use the set-point without the signal */
 }

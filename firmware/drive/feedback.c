@@ -27,7 +27,7 @@ static void encoder_source_edge(axis_t *axis)
     }
 }
 
-/* Speed for the controllers: M/T, or the observer, which starts from it. */
+/* Speed for the controllers: M/T, or the speed observer, which is initialised with the M/T speed. */
 static frac32_t speed_feedback(axis_t *axis)
 {
     encoder_feedback_t *encoder = &axis->encoder;
@@ -45,7 +45,7 @@ static frac32_t speed_feedback(axis_t *axis)
     return speed_observer_step(&encoder->observer, config, position, axis->current_ref.q);
 }
 
-/* The observer starts from the speed of M/T, and does not need it from then on. */
+/* The observer needs the M/T speed only for its initialisation; the enhancement of M/T is not needed after that. */
 static bool stretches(const axis_t *axis)
 {
     const bool observes = axis->encoder.observes && (axis->features & FEATURE_SPEED_OBSERVER) != 0U;
@@ -54,7 +54,7 @@ static bool stretches(const axis_t *axis)
 
 static bool encoder_source_slow(axis_t *axis)
 {
-    /* Read first, then arm: clearing the flags would throw away an edge whose interrupt is still pending. */
+    /* Read before arming: clearing the flags would discard an edge whose interrupt is still pending. */
     encoder_source_edge(axis);
     if (axis->encoder.edge_waits) {
         axis->encoder.edge_waits = false;
@@ -67,7 +67,7 @@ static bool encoder_source_slow(axis_t *axis)
     mt_speed_slow(&axis->encoder.speed, age, stretches(axis));
     hal_capture_arm(axis->hal, axis->index);
 
-    /* Count first, then index: every wrap that the count shows then has its pulse. */
+    /* Read the count before the index: then every wrap of the count has its index pulse. */
     const uint16_t count = hal_encoder_count(axis->hal, axis->index);
     const uint16_t index = hal_index_count(axis->hal, axis->index);
     const bool consistent = encoder_update(&axis->encoder.position, &axis->config->encoder, count, index);
@@ -86,13 +86,13 @@ static void encoder_source_align(axis_t *axis, frac16_t theta_e)
     const uint16_t count = (uint16_t)encoder_count_at(&axis->config->encoder, theta_e);
     hal_encoder_preset(axis->hal, axis->index, count);
     if (axis->encoder.found) {
-        encoder_preset(&axis->encoder.position, &axis->config->encoder, count); /* turns survive a new alignment */
+        encoder_preset(&axis->encoder.position, &axis->config->encoder, count); /* keeps the turn count */
     } else {
         encoder_reset(&axis->encoder.position, count, hal_index_count(axis->hal, axis->index));
         axis->encoder.found = true;
     }
     axis->feedback.position = axis->encoder.position.position;
-    /* The next captured count does not follow from the last one. */
+    /* The next captured count has no relation to the last one. */
     mt_speed_reset(&axis->encoder.speed);
     axis->encoder.edge_waits = false;
     axis->encoder.skip_edge = true;

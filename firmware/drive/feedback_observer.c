@@ -12,14 +12,14 @@ static void observer_source_reset(axis_t *axis)
     axis->feedback.still = true;
 }
 
-/* An encoder that is there all the same keeps its interrupt to itself. */
+/* Discards the captures of an encoder that is connected but not used, so that its interrupt does not repeat. */
 static void observer_source_edge(axis_t *axis)
 {
     edge_capture_t capture;
     (void)hal_capture_take(axis->hal, axis->index, &capture);
 }
 
-/* Counts of the encoder that is not there, 16 fraction bits. */
+/* Angle in equivalent encoder counts, 16 fraction bits. */
 static int32_t counts_of(const axis_t *axis, int32_t angle)
 {
     return (int32_t)asr64((int64_t)angle * axis->config->pll.counts_per_turn, 32);
@@ -52,5 +52,5 @@ static void observer_source_resync(axis_t *axis) { (void)axis; }
 
 const feedback_source_t observer_feedback = {
     observer_source_reset, observer_source_fast,   observer_source_slow,
-    observer_source_edge,  observer_source_resync, 0, /* no rotor is searched */
+    observer_source_edge,  observer_source_resync, 0, /* no rotor search */
 };

@@ -1,6 +1,6 @@
 #include "drive/holding_brake.h"
 
-/* There are currents, or shorted windings, that hold or at least brake the shaft. */
+/* Currents or shorted windings hold, or at least brake, the shaft. */
 static bool held_by_drive(const axis_t *axis)
 {
     return axis->sm.state == STATE_RUN && axis->substate != SUBSTATE_CALIB && axis->substate != SUBSTATE_FREEWHEEL;
@@ -24,7 +24,7 @@ void holding_brake_step(axis_t *axis)
     if (!holding_brake_fitted(axis) || !held_by_drive(axis)) {
         brake->wanted = false;
     } else if (axis->substate == SUBSTATE_SPIN && axis->requested) {
-        brake->wanted = true; /* also when the drive is wanted again while a stop closes the brake */
+        brake->wanted = true; /* also if the drive is requested again while a stop closes the brake */
     }
     follow(axis, brake->wanted);
     const bool open = brake->powered && brake->ticks == 0U;

@@ -7,32 +7,32 @@
 #include "drive/path_units.h"
 #include "drive/zero.h"
 
-/* Legs of a homing: approaches have odd numbers, the way back after each of them the next one. The first approach is fast,
- * and only tells where the others are to look. */
+/* Legs of a homing: approaches have odd numbers, the back-off after each of them the next even number. The first
+ * approach is fast and only gives the approximate position for the others. */
 #define LEG_NONE 0U
-#define LEG_ASKED 1U      /* taken with the next step */
-#define LEG_LIMITS 2U     /* the limits of the homing are about to come into force */
-#define LEG_CLEAR 4U      /* off a switch that is active already */
+#define LEG_ASKED 1U      /* begins in the next step */
+#define LEG_LIMITS 2U     /* the limits of the homing take effect in the next step */
+#define LEG_CLEAR 4U      /* back off from a switch that is already active */
 #define LEG_FIRST 5U
-#define LEG_LAST 12U      /* back, after the fourth approach */
-#define LEG_SETTLE 13U    /* at rest, to be held */
+#define LEG_LAST 12U      /* back-off after the fourth approach */
+#define LEG_SETTLE 13U    /* at rest, then position hold */
 
 #define SLOWER_SHIFT 2    /* of the approaches after the first: a quarter of the speed */
-#define STAND_COUNTS 1    /* a standing shaft dithers by that */
-#define TOUCH_COUNTS 4    /* a shaft that stands has not gone where its speed would have taken it .. */
-#define TOUCH_TICKS 8U    /* .. in so many slow ticks at least: then all of the current presses */
-#define STAND_TICKS 100U  /* slow ticks that are a contact */
-#define LEFT_TICKS 64U    /* slow ticks of home_t.left */
-#define LEFT_MIN 64U      /* 2 s: to speed up, to press, to turn round */
+#define STAND_COUNTS 1    /* dither of a shaft at standstill */
+#define TOUCH_COUNTS 4    /* contact: the distance that the set speed would have covered while the shaft stood .. */
+#define TOUCH_TICKS 8U    /* .. for at least this number of slow ticks: then the full current is applied */
+#define STAND_TICKS 100U  /* slow ticks of standstill at full current that count as a contact */
+#define LEFT_TICKS 64U    /* slow ticks per unit of home_t.left */
+#define LEFT_MIN 64U      /* 2 s: for acceleration, contact and reversal */
 
-/* Faults after which the count of the encoder is not what it was. */
+/* Faults that invalidate the encoder count. */
 #define COUNT_LOST (FAULT_ENCODER | FAULT_ENCODER_LOST | FAULT_ENCODER_REVERSED | FAULT_ANGLE_MISMATCH)
 
 void homing_init(axis_t *axis) { axis->home = (home_t){.limit = LIMIT_POSITION}; }
 
 static bool trusted(const home_t *home) { return home->state == HOME_STATE_KNOWN || home->state == HOME_STATE_ASSUMED; }
 
-/* The shaft has to stay near where it was enabled. */
+/* Without a home position the shaft must stay near the position at which the axis was enabled. */
 static bool confined(const axis_t *axis)
 {
     const bool on = (axis->features & FEATURE_HOMING) != 0U && !axis->sensorless;
@@ -46,7 +46,7 @@ static void set_state(axis_t *axis, uint16_t state)
     axis->home.renew = true;
 }
 
-/* ---- what others ask ------------------------------------------------------------------------------------------------ */
+/* ---- queries -------------------------------------------------------------------------------------------------------- */
 
 void homing_forget(axis_t *axis)
 {
@@ -160,7 +160,7 @@ static uint32_t way_max(const axis_t *axis)
     return approaches(axis->home.leg) ? (uint32_t)config->turns_max * axis->config->encoder.counts : config->back_off;
 }
 
-/* Twice the time that the way takes at this speed. */
+/* Timeout: twice the time that the distance takes at this speed. */
 static uint16_t time_for(const axis_t *axis, frac32_t speed)
 {
     const path_position_t step = path_step_of(axis->config, speed);
@@ -169,7 +169,7 @@ static uint16_t time_for(const axis_t *axis, frac32_t speed)
     return (units < UINT16_MAX) ? (uint16_t)units : UINT16_MAX;
 }
 
-/* Of the present leg, with its sign. */
+/* Speed of the present leg, signed. */
 static frac32_t leg_speed(const axis_t *axis)
 {
     const home_t *home = &axis->home;
@@ -191,7 +191,7 @@ static void begin_leg(axis_t *axis, uint16_t leg)
     motion_home(axis, speed);
 }
 
-/* The shaft has come to rest against something that takes all of the current. */
+/* The shaft stands against a stop that withstands the full current. */
 static bool stands(axis_t *axis)
 {
     home_t *home = &axis->home;
@@ -211,7 +211,7 @@ static bool stands(axis_t *axis)
     return home->ticks >= STAND_TICKS && axis->motion.motion == MOTION_PRESS;
 }
 
-/* The first place does not count: it was found at another speed. */
+/* The position of the first approach is not used: it was found at another speed. */
 static void note_place(home_t *home, int32_t place)
 {
     const int32_t off = i32_sub_wrap(place, home->lowest);
@@ -227,7 +227,7 @@ static void note_place(home_t *home, int32_t place)
     }
 }
 
-/* A limit switch is active in the direction of the present leg. */
+/* Is a limit switch active in the direction of the present leg? */
 static bool at_limit_switch(const axis_t *axis)
 {
     const uint16_t ahead = (leg_speed(axis) < 0) ? INPUT_LIMIT_MIN : INPUT_LIMIT_MAX;
@@ -262,7 +262,7 @@ static home_result_t back_off(axis_t *axis, int32_t way)
         return HOME_RESULT_STUCK;
     }
     if (by_switch(home) && active(axis)) {
-        home->origin = axis->feedback.position; /* the way counts from its edge */
+        home->origin = axis->feedback.position; /* the back-off distance counts from the edge of the switch */
     } else if (-direction(home) * way >= (int32_t)axis->config->home.back_off) {
         if (home->leg == LEG_LAST) {
             home->leg = LEG_SETTLE;
@@ -294,7 +294,7 @@ static void run_leg(axis_t *axis)
     }
 }
 
-/* ---- the beginning and the end of one ------------------------------------------------------------------------------- */
+/* ---- start and end of a homing -------------------------------------------------------------------------------------- */
 
 static bool held(const axis_t *axis)
 {

@@ -4,7 +4,8 @@
 #include "drive/limits.h"
 #include "drive/motion.h"
 
-/* A contact that opens and closes again within this time while the shaft leaves the switch has bounced [slow ticks]. */
+/* Bounce time: a contact that opens and closes again within this time while the shaft leaves the switch is ignored
+ * [slow ticks]. */
 #define BOUNCE_TICKS 100U
 
 void inputs_configure(axis_t *axis)
@@ -18,7 +19,7 @@ bool inputs_permit(const axis_t *axis)
     return (missing & INPUT_ENABLE) == 0U && (axis->inputs & INPUT_LIMITS) != INPUT_LIMITS;
 }
 
-/* A level holds from its second slow tick on. */
+/* A changed level is accepted in its second slow tick. */
 static uint16_t filtered(axis_t *axis, uint16_t levels)
 {
     const uint16_t changing = levels ^ axis->inputs_state.seen;
@@ -26,7 +27,8 @@ static uint16_t filtered(axis_t *axis, uint16_t levels)
     return (uint16_t)((axis->inputs & changing) | (levels & (uint16_t)~changing));
 }
 
-/* The hardware has opened the switches already: not a tick is lost. At rest it is no fault, and a closed input counts again. */
+/* The hardware has already switched the outputs off, so the fault is raised without filtering. At rest an open input is
+ * no fault, and it is armed again when it closes. */
 static void check_enable(axis_t *axis)
 {
     if ((axis->config->pins.fitted & INPUT_ENABLE) == 0U || (axis->inputs_state.seen & INPUT_ENABLE) != 0U) {
@@ -40,7 +42,8 @@ static void check_enable(axis_t *axis)
     }
 }
 
-/* A switch in the way of the motion; or one behind the shaft, which cannot be reached: its wire, or the wrong switch. */
+/* A switch in the direction of motion; or one behind the shaft, which the shaft cannot have reached: its wire is
+ * broken, or the wrong switch is connected. */
 static bool reached(const axis_t *axis, uint16_t fresh)
 {
     const frac32_t speed = axis->feedback.speed;
@@ -58,7 +61,7 @@ static void check_limits(axis_t *axis, uint16_t before)
         limits_tighten(axis);
         if (axis->sm.state == STATE_RUN && driven && reached(axis, fresh)) {
             axis_raise(axis, FOUND(FINDING_LIMIT_SWITCH));
-            motion_leave_path(axis); /* also where that is no fault */
+            motion_leave_path(axis); /* also if the fault is not enabled */
         }
     }
     if ((axis->inputs & INPUT_LIMITS) != 0U) {

@@ -51,12 +51,12 @@ axis_limits_t limits_at_switches(const axis_t *axis, axis_limits_t limits)
     return limits;
 }
 
-/* Limits from now on. */
+/* Put new limits into force. */
 static void apply(axis_t *axis, const axis_limits_t *written)
 {
     const axis_limits_t limits = limits_at_switches(axis, *written);
     if (same(&limits, &axis->limits)) {
-        return; /* almost always */
+        return; /* the usual case */
     }
     axis->limits = limits;
     axis->path_limits.step = path_step_of(axis->config, limits.speed);

@@ -10,9 +10,9 @@ finding_set_t monitor_bus_now(const axis_t *axis)
     return bus_monitor_findings(&axis->diagnosis.bus, axis->u_dc, settled, hal_break_active(axis->hal, axis->index));
 }
 
-/* ---- observing ------------------------------------------------------------------------------------------------------ */
+/* ---- observation ---------------------------------------------------------------------------------------------------- */
 
-/* The vector of the last period in STARTUP. */
+/* Angle of the vector in the last period of STARTUP. */
 static frac16_t startup_angle(const axis_t *axis)
 {
     const startup_t *startup = &axis->startup;
@@ -22,7 +22,7 @@ static frac16_t startup_angle(const axis_t *axis)
     return (startup->phase == STARTUP_RAMP) ? pll_upper(startup->angle - (uint32_t)startup->step) : 0;
 }
 
-/* Is a current controlled, and where lies its d axis? */
+/* Is a current controlled, and at which angle is its d axis? */
 static void observe_d_axis(axis_t *axis)
 {
     observation_t *o = &axis->observation;
@@ -44,7 +44,7 @@ static void observe_d_axis(axis_t *axis)
     }
 }
 
-/* `before` is the current of the last slow tick. */
+/* `before` is the current of the previous slow tick. */
 static void observe_currents(axis_t *axis, dq_t before)
 {
     observation_t *o = &axis->observation;
@@ -53,7 +53,7 @@ static void observe_currents(axis_t *axis, dq_t before)
     o->position = axis->feedback.position;
     o->current_ref = axis->current_ref;
     o->voltage = loop->voltage;
-    if (axis->diagnosis.encoder.sudden) { /* else nothing is probed */
+    if (axis->diagnosis.encoder.sudden) { /* not needed without a probe */
         o->steady_d = loop->d.integral;
         o->steady_q = loop->q.integral;
     }
@@ -66,7 +66,7 @@ static void observe_currents(axis_t *axis, dq_t before)
     o->stop_unconfirmed = encoder_monitor_stop_unconfirmed(&axis->diagnosis.encoder);
 }
 
-/* Another pair of converters each time: all three say something within three ticks, whatever is asked of them. */
+/* Rotate the sensed pair: all three converters are sampled within three ticks, independently of the duty cycles. */
 static void rotate_sense_pair(axis_t *axis)
 {
     axis->sense.pair = (axis->sense.pair == PHASE_PAIR_CA) ? PHASE_PAIR_AB : (phase_pair_t)(axis->sense.pair + 1);
@@ -75,7 +75,7 @@ static void rotate_sense_pair(axis_t *axis)
 
 /* ---- the monitors --------------------------------------------------------------------------------------------------- */
 
-/* The pair AB, BC or CA. */
+/* The sensed pair is AB, BC or CA. */
 static void monitor_converters(axis_t *axis, evidence_t *evidence)
 {
     const adc_pair_t codes = hal_adc_offsets(axis->hal, axis->index);
@@ -117,7 +117,7 @@ void monitor_currents(axis_t *axis)
     }
 }
 
-/* By what the encoder showed in the tick before. */
+/* Uses the encoder observation of the previous tick. */
 void monitor_encoder(axis_t *axis)
 {
     const axis_config_t *config = axis->config;

@@ -6,15 +6,15 @@
 #include "drive/soft_limits.h"
 #include "drive/speed_control.h"
 
-/* A shaft that comes to rest this close to its target is left alone until it is farther off than that. Closer than the
- * encoder can tell, the integral part of the speed controller would hunt against the friction for ever. */
-#define GAIN_TICKS 256 /* slow ticks: time constant of the way to another position gain */
+#define GAIN_TICKS 256 /* slow ticks: time constant of a change of the position gain */
+/* The axis counts as at rest within REST_COUNTS of its target, and until it is more than REST_LEFT off. Below the
+ * resolution of the encoder the integral part of the speed controller would hunt against friction. */
 #define REST_COUNTS 1
 #define REST_LEFT 2
 
 /* ---- entering a motion ------------------------------------------------------------------------------------------ */
 
-/* Steady motion at `speed`: what follows finds no acceleration in the change of motion itself. */
+/* Start in steady motion at `speed`: the change of motion itself causes no acceleration feed-forward. */
 static void enter(axis_t *axis, motion_t motion, frac32_t speed)
 {
     motion_state_t *m = &axis->motion;
@@ -36,8 +36,8 @@ static void begin(axis_t *axis, motion_t motion)
     }
 }
 
-/* How far the shaft trails its position set-point at this speed: the position controller is a plain gain, which
- * needs an error to ask for speed, unless the speed is fed forward. */
+/* Steady lag of the shaft behind its position set-point at this speed: the position controller is proportional, so
+ * without speed feed-forward it needs an error to command a speed. */
 static int32_t lag_of(const axis_t *axis, frac32_t speed)
 {
     return axis->motion.path_forward ? 0 : speed / axis->config->position_gain;
@@ -60,10 +60,10 @@ static void hold(axis_t *axis) { start_path(axis, axis->feedback.position, 0); }
 
 /* ---- commands --------------------------------------------------------------------------------------------------- */
 
-/* Modes without a set-point that goes on by itself: until there is one the axis comes to rest. */
+/* Modes without a default set-point: the axis comes to rest until one is written. */
 static bool mode_holds(uint16_t mode) { return mode != CONTROL_MODE_SPEED && mode != CONTROL_MODE_TORQUE; }
 
-/* A new mode without a set-point brings the axis to rest, or without current in torque mode. */
+/* A new mode without a set-point brings the axis to rest; torque mode starts at zero current. */
 static void take_mode(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
@@ -110,10 +110,10 @@ static void take_set_point(axis_t *axis)
     }
 }
 
-/* What an axis without an encoder cannot do is neither begun nor remembered. */
+/* Modes that need an encoder are neither started nor stored on an axis without one. */
 static bool impossible(const axis_t *axis) { return axis->sensorless && mode_holds(axis->command.mode); }
 
-/* Speed and torque go on by themselves: a set-point that is not written again ends in a stop. */
+/* Speed and torque commands expire: a set-point that is not written again within the timeout ends in a stop. */
 static bool expired(const axis_t *axis)
 {
     return axis->command_timeout != 0U && axis->command.age >= axis->command_timeout;
@@ -138,7 +138,7 @@ void motion_expire_speed(axis_t *axis)
     }
 }
 
-/* A stop ends by holding the position: of a drive that is wanted, or for some time. */
+/* Does the stop end with position hold? Yes if the drive is requested, or if the stop holds for a time. */
 static bool stop_holds(const axis_t *axis)
 {
     return axis->requested || axis->stop.category == STOP_CATEGORY_HOLD || holding_brake_takes_over(axis);
@@ -197,7 +197,7 @@ static frac32_t limited_speed(axis_t *axis, frac32_t speed)
     return limited;
 }
 
-/* Where the shaft might leave its soft limits: everywhere but on the way to a target, which lies inside. */
+/* Confine the speed to the soft limits. Not used on the way to a position target, which is inside of them. */
 static frac32_t confined_speed(axis_t *axis, frac32_t speed)
 {
     if (!soft_limits_given(axis)) {
@@ -236,14 +236,15 @@ static void follow_path(axis_t *axis)
     motion_state_t *m = &axis->motion;
     const path_position_t before = m->path.output;
     if (m->shaped_speed == 0) {
-        m->path_forward = (axis->features & FEATURE_SPEED_FORWARD) != 0U; /* switched in motion it would be a blow */
+        m->path_forward = (axis->features & FEATURE_SPEED_FORWARD) != 0U; /* in motion this would be a step */
     }
     path_step(&m->path, m->target, axis->path_limits.step, axis->path_limits.acceleration,
               axis->path_limits.omega_n_ts);
     shape(m, path_speed_of(axis->config, m->path.output - before));
 }
 
-/* A current that pushes off the target creeps on, count by count, wherever the friction only just holds it. */
+/* At rest near the target the set-point is 0, unless the integrator still pushes away from the target: then the shaft
+ * would creep on, count by count, at the limit of static friction. */
 static bool rests(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
@@ -265,7 +266,7 @@ static frac32_t wanted_speed(const axis_t *axis, path_position_t behind)
     return sat32(forward + asr64((int64_t)behind_q8 * axis->motion.position_gain, 8));
 }
 
-/* Speed within the limit, or within the path's own speed while that still comes down to a lower limit. */
+/* Limit of the speed: the speed limit, or the speed of the path while that is still decelerating to a lower limit. */
 static frac32_t followed_speed(axis_t *axis, path_position_t behind)
 {
     const frac32_t speed = wanted_speed(axis, behind);
@@ -303,7 +304,7 @@ static frac32_t position_controller(axis_t *axis)
 
 /* ---- trajectories ------------------------------------------------------------------------------------------------ */
 
-/* The position is one that can be followed: a path, or a trajectory. */
+/* Motions with a position set-point: a path or a trajectory. */
 static bool follows_position(const motion_state_t *m)
 {
     return m->motion == MOTION_POSITION || m->motion == MOTION_TRAJECTORY;
@@ -331,7 +332,7 @@ void motion_plan(axis_t *axis, uint32_t tick)
     }
 }
 
-/* The last point is a place to stay at. */
+/* After the last point the axis holds its position. */
 static void rest_at_end(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
@@ -341,7 +342,7 @@ static void rest_at_end(axis_t *axis)
     enter(axis, MOTION_POSITION, 0);
 }
 
-/* There is a speed, and no point that says where to go on to. */
+/* The points have run out at a speed other than 0. */
 static void starve(axis_t *axis)
 {
     enter(axis, MOTION_STOP, axis->motion.shaped_speed);
@@ -368,7 +369,7 @@ static frac32_t trajectory_controller(axis_t *axis)
     return speed;
 }
 
-/* The way fits without a sign. */
+/* The unsigned difference cannot overflow. */
 static frac32_t ramp(frac32_t from, frac32_t to, frac32_t step)
 {
     if (to >= from) {
@@ -377,16 +378,16 @@ static frac32_t ramp(frac32_t from, frac32_t to, frac32_t step)
     return ((uint32_t)from - (uint32_t)to > (uint32_t)step) ? from - step : to;
 }
 
-/* Slow enough to hold, or to coast. */
+/* Slow enough for position hold or for coasting. */
 static bool slow(const axis_t *axis) { return f32_abs(axis->feedback.speed) <= axis->config->stop_speed; }
 
-/* The shaft of a stop has come to rest, or has turned round between two looks at it. */
+/* At the end of a stop the shaft is at rest, or has reversed between two samples. */
 static bool at_rest(const axis_t *axis)
 {
     return slow(axis) || (axis->feedback.speed < 0) != (axis->motion.entry_speed < 0);
 }
 
-/* Towards the set-point, within the limits; or to rest. */
+/* Ramp towards the set-point within the limits, or to rest. */
 static frac32_t ramped_speed(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
@@ -409,10 +410,10 @@ static void end_stop(axis_t *axis)
     if (m->speed_ramp != 0) {
         return;
     }
-    if (m->stop_ticks < UINT16_MAX && !m->held_back) { /* what the bus holds back takes the time that it takes */
+    if (m->stop_ticks < UINT16_MAX && !m->held_back) { /* time with limited regeneration does not count */
         m->stop_ticks++;
     }
-    /* With little current the shaft is behind the ramp: a point latched now would have to be run back to. */
+    /* With a low current limit the shaft lags the ramp: a position held now would require a motion back to it. */
     if (stop_holds(axis) && at_rest(axis) && !axis->sensorless) {
         hold(axis);
     }
@@ -512,7 +513,7 @@ static void follow_gain(axis_t *axis)
     }
 }
 
-/* With a test signal on it; limits hold for the sum. */
+/* Speed set-point plus test signal; the limits apply to the sum. */
 static frac32_t excited_speed(axis_t *axis)
 {
     const frac32_t speed = f32_add(axis->motion.speed_ref, axis->motion.speed_excitation);

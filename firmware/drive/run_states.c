@@ -25,14 +25,14 @@ static void track_offsets(axis_t *axis)
     current_sense_track(&axis->sense, hal_adc_offsets(axis->hal, axis->index), axis->config->offset_duty_min);
 }
 
-/* Currents in the rotor frame while nothing is controlled. */
+/* Calculates the currents in the rotor frame while they are not controlled. */
 static void measure(axis_t *axis)
 {
     const abc_t current = current_sense_read(&axis->sense, hal_adc_currents(axis->hal, axis->index));
     axis->current_loop.current = park(clarke(current), sin_cos_of(axis->feedback.theta_e));
 }
 
-/* Dead time is compensated if that is among `features`; the observer of a sensorless axis cannot do without. */
+/* Dead time is compensated if `features` says so, and always on a sensorless axis, because the observer requires it. */
 static void choose_dead_time(axis_t *axis, uint16_t features)
 {
     axis->current_loop.dead_time_off = (features & FEATURE_DEAD_TIME) == 0U && !axis->sensorless;
@@ -45,7 +45,8 @@ static void enter(axis_t *axis, substate_t substate)
     axis->ticks = 0;
 }
 
-/* A shaft that something keeps turning must not start to move by itself, minutes later, when it comes to rest. */
+/* A shaft that is still driven by its load must not start to move minutes later, when it comes to rest: the request is
+ * cleared after a time. */
 static void wait_for_rest(axis_t *axis)
 {
     axis->ticks++;
@@ -68,7 +69,7 @@ static void to_ready(axis_t *axis)
 
 static void ready_align(axis_t *axis)
 {
-    choose_dead_time(axis, FEATURE_DEAD_TIME); /* always: the search looks at voltages */
+    choose_dead_time(axis, FEATURE_DEAD_TIME); /* always: the search evaluates voltages */
     if (holding_brake_fitted(axis)) {
         rotor_hold_start(&axis->search, &axis->config->rotor_search, axis->feedback.position,
                          axis->config->speed_observer.acceleration_per_current);
@@ -91,7 +92,7 @@ static void to_spin(axis_t *axis)
     enter(axis, SUBSTATE_SPIN);
 }
 
-/* The torque that the load took last is there at once. */
+/* Start with the torque that the load required last. */
 static void to_loaded_spin(axis_t *axis)
 {
     to_spin(axis);
@@ -109,7 +110,7 @@ static void align_spin(axis_t *axis)
     to_loaded_spin(axis);
 }
 
-/* What the stall test looks at. */
+/* Inputs of the stall test. */
 static void observe_stall(axis_t *axis)
 {
     observation_t *o = &axis->observation;
@@ -118,7 +119,7 @@ static void observe_stall(axis_t *axis)
     o->current_ref = axis->current_ref;
 }
 
-/* Before a shaft is called stalled: where is the rotor? */
+/* Start of the stall test: locate the rotor before the fault is raised. */
 static void spin_align(axis_t *axis)
 {
     estimate_stop(axis);
@@ -139,7 +140,7 @@ static void to_freewheel(axis_t *axis)
     enter(axis, SUBSTATE_FREEWHEEL);
 }
 
-/* Braked by its own windings: the low sides see the current, the supply does not. */
+/* Braking with shorted windings: the current flows through the low sides only, not through the supply. */
 static void spin_short(axis_t *axis)
 {
     axis_short(axis);
@@ -160,7 +161,7 @@ static void ready_startup(axis_t *axis)
     enter(axis, SUBSTATE_STARTUP);
 }
 
-/* The vector may leave the rotor anywhere: the angle of the last search still holds. */
+/* The test vector may move the rotor anywhere; the angle of the last search remains valid. */
 static void ready_test(axis_t *axis)
 {
     axis_zero_voltage(axis, true);
@@ -179,7 +180,8 @@ static void startup_spin(axis_t *axis)
 }
 
 /* ---- CALIB: offsets of the current amplifiers, outputs off -------------------------------------------------------- */
-/* A coasting shaft, left over from a fault, is waited for here: READY would short its windings at full speed. */
+/* CALIB waits until a shaft that still coasts after a fault has stopped: READY would short its windings at full
+ * speed. */
 
 static void calib_fast(axis_t *axis)
 {
@@ -226,18 +228,18 @@ static void ready_slow(axis_t *axis)
         return;
     }
     if (holding_brake_fitted(axis) && axis->aligned && !axis->sensorless) {
-        to_loaded_spin(axis); /* the brake opens when the position is controlled */
+        to_loaded_spin(axis); /* the brake opens once the position is controlled */
     } else if (!axis->sensorless) {
         ready_align(axis);
     } else {
-        holding_brake_ask(axis, true); /* the start has to turn the shaft: meanwhile the shorted windings brake it */
+        holding_brake_ask(axis, true); /* needed for a sensorless start; meanwhile shorted windings brake */
         if (holding_brake_open(axis)) {
             ready_startup(axis);
         }
     }
 }
 
-/* ---- ALIGN: where is the rotor? ----------------------------------------------------------------------------------- */
+/* ---- ALIGN: rotor search and stall test --------------------------------------------------------------------------- */
 
 static void align_fast(axis_t *axis)
 {
@@ -252,7 +254,7 @@ static void align_fast(axis_t *axis)
     }
 }
 
-/* A shaft that does not move, or is not pulled at all. */
+/* Finding for a shaft that has not moved, or on which no torque acts. */
 static finding_t search_failure(const axis_t *axis)
 {
     const int32_t silent = axis->config->winding.silent;
@@ -260,7 +262,7 @@ static finding_t search_failure(const axis_t *axis)
     return (asked && f16_abs(axis->current_loop.current.d) < silent) ? FINDING_SEARCH_SILENT : FINDING_SEARCH_HELD;
 }
 
-/* One slow tick of a full current that has not moved the shaft: the vector turns. */
+/* One slow tick of the stall test: the vector rotates at full current. */
 static void test_stall(axis_t *axis)
 {
     evidence_t evidence = {0};
@@ -269,7 +271,7 @@ static void test_stall(axis_t *axis)
     axis_raise(axis, evidence.confirmed);
 }
 
-/* What the end of a search means; FINDINGS while it goes on. */
+/* Finding at the end of a search; FINDINGS while it goes on. */
 static finding_t search_end(const axis_t *axis, finding_t failure)
 {
     switch (axis->search.phase) {
@@ -323,13 +325,13 @@ static void align_slow(axis_t *axis)
     } else if (axis->search.phase == ROTOR_SEARCH_FOUND) {
         align_spin(axis);
     } else if (driven && !rotor_search_drives(&axis->search)) {
-        axis_zero_voltage(axis, true); /* rest: the shorted windings brake what is left */
+        axis_zero_voltage(axis, true); /* to rest: the shorted windings brake the remaining motion */
     }
 }
 
 /* ---- SPIN: field-oriented control ---------------------------------------------------------------------------------- */
 
-/* Sensorless: the speed has come down to where the observer ends. The current goes first, then the outputs. */
+/* Sensorless: at the lower speed limit of the observer the current fades out, then the outputs go off. */
 static void leave_slowly(axis_t *axis)
 {
     axis->fading_out = axis->fading_out || motion_too_slow(axis);
@@ -340,7 +342,7 @@ static void leave_slowly(axis_t *axis)
     axis->current_q_left = axis->current_ref.q;
 }
 
-/* Sensorless: the PLL, and then whether it still follows the rotor. */
+/* Sensorless: run the PLL, then check whether it still follows the rotor. */
 static void follow_rotor(axis_t *axis)
 {
     estimate_t *estimate = &axis->estimate;
@@ -385,7 +387,7 @@ static void bring_to_rest(axis_t *axis)
     }
 }
 
-/* i_q gives way to an i_d that is asked for besides. */
+/* The circle of the current limit applies to i_d first; i_q gets the remainder. */
 static void bound_current(axis_t *axis)
 {
     const frac16_t limit = axis->current_max.vector;
@@ -400,7 +402,7 @@ static void bound_current(axis_t *axis)
 
 static finding_set_t monitor_shaft(axis_t *axis)
 {
-    const bool full = axis->motion.saturated && !axis->motion.held_back; /* less is no test of a shaft */
+    const bool full = axis->motion.saturated && !axis->motion.held_back; /* a reduced limit is no evidence */
     const bool opposed = (axis->feedback.speed < 0) != (axis->current_ref.q < 0);
     shaft_observation_t seen = {
         .features = axis->features,
@@ -417,7 +419,7 @@ static finding_set_t monitor_shaft(axis_t *axis)
     return shaft_monitor_step(&axis->diagnosis.shaft, &axis->config->shaft, &seen);
 }
 
-/* A shaft that stands, runs away or leaves its set-point. It is tested before it is called stalled. */
+/* Stalled, runaway or following error. Before STALLED is raised, the stall test runs. */
 static void judge_shaft(axis_t *axis, finding_set_t findings)
 {
     const finding_set_t wanted = fault_wanted(findings, axis->latch.enabled);
@@ -521,7 +523,7 @@ static void test_slow(axis_t *axis)
         test_mode_slow(axis);
         return;
     }
-    axis->requested = false; /* what comes next has to be enabled */
+    axis->requested = false; /* the next motion needs a new enable command */
     axis->fast = LOOP_FAST;
     if (stop_may_short(axis)) {
         to_ready(axis);
@@ -536,7 +538,7 @@ static void test_estimate(axis_t *axis)
     choose_dead_time(axis, axis->features);
 }
 
-/* The vector does not know what the shaft does. */
+/* An imposed vector gives no feedback of the shaft: only over-speed is checked. */
 static void test_check(axis_t *axis)
 {
     const shaft_observation_t seen = {
@@ -548,7 +550,7 @@ static void test_check(axis_t *axis)
     axis_raise(axis, shaft_monitor_step(&axis->diagnosis.shaft, &axis->config->shaft, &seen));
 }
 
-/* ---- FREEWHEEL: outputs off until the rotor is still; or shorted windings, which become the same ------------------- */
+/* ---- FREEWHEEL: outputs off, or first shorted windings, until the rotor is at rest -------------------------------- */
 
 static void freewheel_fast(axis_t *axis)
 {

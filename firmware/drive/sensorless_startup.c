@@ -6,8 +6,8 @@
 
 #define QUARTER_TURN INT16_C(16384)
 #define SETTLE_TICKS 6 /* slow ticks until the observer has the back-EMF of a turning shaft */
-#define LOCK_TICKS 24  /* slow ticks that the PLL needs at the minimum speed */
-#define PROVE_TICKS 72 /* slow ticks: until the current flows, and 64 speeds after it */
+#define LOCK_TICKS 24  /* lock time of the PLL at the minimum speed, in slow ticks */
+#define PROVE_TICKS 72 /* slow ticks: rise of the current plus 64 speed samples */
 #define RATIO_BITS 14
 
 static frac32_t turned(frac32_t speed, bool backwards) { return backwards ? -speed : speed; }
@@ -53,7 +53,7 @@ void startup_fast(axis_t *axis)
     }
 }
 
-/* ---- a shaft that turns already ------------------------------------------------------------------------------------- */
+/* ---- catching a turning shaft --------------------------------------------------------------------------------------- */
 
 static frac16_t least_emf(const axis_t *axis) { return estimate_emf_at(axis, axis->config->startup.minimum_speed); }
 
@@ -70,7 +70,7 @@ static void begin_ramp(axis_t *axis)
     pi_reset(&axis->current_loop.q, 0);
 }
 
-/* Two directions of the back-EMF, a slow tick apart, tell the speed; the PLL need not look for it. */
+/* Two back-EMF angles, one slow tick apart, give the speed, so the PLL starts in lock. */
 static void begin_track(axis_t *axis)
 {
     startup_t *startup = &axis->startup;
@@ -97,8 +97,8 @@ static void seek(axis_t *axis)
     startup->emf = axis->estimate.emf;
 }
 
-/* Has the back-EMF been seen? At low speed dead time and resistance may explain that there is none, and a PLL that nothing
- * disturbs goes with the vector. */
+/* Has the back-EMF been detected? At low speed its absence may be masked by dead time and resistance, and an
+ * undisturbed PLL follows the vector. */
 static bool seen(const axis_t *axis)
 {
     const estimate_t *estimate = &axis->estimate;
@@ -112,8 +112,8 @@ static dq_t rotate(dq_t x, uint32_t angle)
     return (dq_t){turned_x.alpha, turned_x.beta};
 }
 
-/* Currents and voltages stay what they are, seen from the rotor from now on: it is `between` behind the frame that they
- * were in, and was `at_sample` when the current was taken. Returns the current. */
+/* Transform current and voltage to the rotor frame without changing them. The rotor frame trails the previous frame by
+ * `between`, and trailed it by `at_sample` when the current was sampled. Returns the current. */
 static dq_t enter_rotor_frame(axis_t *axis, uint32_t between, uint32_t at_sample)
 {
     const dq_t current = rotate(axis->current_loop.current, at_sample);
@@ -143,7 +143,7 @@ static void track(axis_t *axis)
 static void prove(axis_t *axis)
 {
     startup_t *startup = &axis->startup;
-    const frac32_t kept = f32_from_f16(axis->config->startup.first_current) / 2; /* as without load later on */
+    const frac32_t kept = f32_from_f16(axis->config->startup.first_current) / 2; /* same value as later without load */
     startup->fade += f32_clip(kept - startup->fade, axis->config->startup.fade_step);
     axis->current_ref = (dq_t){f16_from_f32(startup->fade), 0};
     axis->estimate.pll.backwards = axis->estimate.pll.integral < 0;
@@ -164,7 +164,7 @@ static startup_result_t judge_prove(axis_t *axis)
 
 /* ---- the ramps ------------------------------------------------------------------------------------------------------ */
 
-/* The swing about the vector shows as back-EMF across it that the speed of the vector does not explain. */
+/* A swing about the vector appears as back-EMF across the vector, in excess of that of the vector's speed. */
 static frac16_t damping_current(const axis_t *axis, frac32_t speed)
 {
     const startup_t *startup = &axis->startup;
@@ -175,7 +175,7 @@ static frac16_t damping_current(const axis_t *axis, frac32_t speed)
     return f16_limit(asr32(current, 16), axis->config->startup.damping_limit);
 }
 
-/* While the back-EMF is too small the PLL goes with the vector, which the rotor trails by less than a quarter turn. */
+/* While the back-EMF is too small the PLL follows the vector, which the rotor trails by less than a quarter turn. */
 static void lock(axis_t *axis, int32_t before)
 {
     const startup_t *startup = &axis->startup;
@@ -206,7 +206,8 @@ static void ramp(axis_t *axis)
     axis->current_ref = (dq_t){f16_from_f32(startup->current), damping_current(axis, speed)};
 }
 
-/* The slide's criterion; the upper bound has a tolerance, because at the end of the ramp the mean is the forced speed. */
+/* Criterion of the reference design; the upper bound has a tolerance, because at the end of the ramp the mean equals
+ * the forced speed. */
 static bool converged(const axis_t *axis)
 {
     const startup_config_t *config = &axis->config->startup;
@@ -268,14 +269,14 @@ finding_t startup_failure(const axis_t *axis)
     return starved ? FINDING_START_UP_SILENT : FINDING_START_UP_SLOW;
 }
 
-/* ---- the hand-over -------------------------------------------------------------------------------------------------- */
+/* ---- hand-over ------------------------------------------------------------------------------------------------------ */
 
 void startup_hand_over(axis_t *axis)
 {
     startup_t *startup = &axis->startup;
     dq_t current = axis->current_loop.current;
     if (startup->phase == STARTUP_RAMP) {
-        /* the voltage of the ramp runs ahead of the vector as it will run ahead of the rotor */
+        /* the voltage of the ramp leads the vector by the angle by which it will lead the rotor */
         const uint32_t between = startup->angle - axis->estimate.pll.angle;
         current = enter_rotor_frame(axis, between, between);
     }
@@ -290,7 +291,8 @@ frac16_t startup_fade(axis_t *axis)
 {
     startup_t *startup = &axis->startup;
     const startup_config_t *config = &axis->config->startup;
-    /* Without load some of it stays: phase currents near zero leave it to the dead time what voltage there is. */
+    /* Without load part of the d current remains: with phase currents near zero the dead time would determine the
+     * voltage. */
     const frac32_t first = axis->motion.held_back ? 0 : f32_from_f16(config->first_current);
     const frac32_t spare = first - f32_from_f16(f16_abs(axis->current_ref.q));
     const frac32_t kept = (spare > first / 2) ? first / 2 : ((spare > 0) ? spare : 0);

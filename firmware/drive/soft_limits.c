@@ -6,11 +6,11 @@
 #define ONE_OVER_E_Q16 24109       /* 1 / e, 16 fraction bits */
 #define HALF_E_SQUARED_Q12 15133 /* e^2 / 2, 12 fraction bits */
 
-/* Close to a limit the speed towards it falls with the distance d, which needs the acceleration (omega_n / e) v: what the
- * path filter may need at the same speed (E40). Farther off, where that is more than half of the acceleration limit, a, it
- * goes on as a stop at constant acceleration, without a bend. With k = omega_n / e that is v = sqrt(2 a (d - a / (2 k^2))). The
- * other half of the limit is for the shaft, which trails its speed set-point, and for position control that takes over,
- * which needs the way of its lag. */
+/* Speed limit as a function of the distance d to a soft limit. Close to it v = k d with k = omega_n / e, an acceleration of
+ * k v, which the path filter may also require at that speed (E40). Where this exceeds a, half of the acceleration limit,
+ * the curve continues smoothly as a stop at constant acceleration: v = sqrt(2 a (d - a / (2 k^2))). The other half of the
+ * acceleration limit is a reserve: for the shaft, which lags its speed set-point, and for a position controller that
+ * takes over, which needs the distance of its lag. */
 path_limits_t soft_limits_path(const axis_config_t *config, const axis_limits_t *limits, uint16_t omega_n_ts)
 {
     const path_position_t acceleration = path_step_of(config, limits->acceleration);
@@ -29,7 +29,7 @@ static frac32_t approach_speed(const axis_t *axis, int64_t distance)
     if (distance <= 0) {
         return 0;
     }
-    const int32_t k = (int32_t)limits->omega_n_ts * ONE_OVER_E_Q16; /* of one slow tick, 32 fraction bits */
+    const int32_t k = (int32_t)limits->omega_n_ts * ONE_OVER_E_Q16; /* per slow tick, 32 fraction bits */
     const path_position_t near = asr64(distance * k, 32 - PATH_BITS);
     path_position_t step = (near < limits->step) ? near : limits->step;
     const path_position_t acceleration = asr64(limits->acceleration, 1);
@@ -61,7 +61,7 @@ frac32_t soft_limits_confined(const axis_t *axis, frac32_t speed)
                         : f32_clip(within, approach_speed(axis, here - axis->limits.position_min));
 }
 
-/* `target`, or the end of a range that lies before it on the shorter way from `here`: counts wrap. */
+/* `target`, or the end of the range if that is reached first on the shorter way from `here`: counts wrap. */
 static int32_t confined(int32_t target, int32_t here, int32_t range_min, int32_t range_max)
 {
     const int64_t there = (int64_t)here + i32_sub_wrap(target, here);

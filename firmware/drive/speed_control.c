@@ -2,7 +2,7 @@
 
 #include "drive/soft_limits.h"
 
-/* What is known to be needed, before there is an error: current against friction and for the acceleration. */
+/* Feed-forward current, for friction and for the acceleration. */
 static frac32_t forward_current(const axis_t *axis, const axis_config_t *config)
 {
     const motion_state_t *m = &axis->motion;
@@ -10,7 +10,7 @@ static frac32_t forward_current(const axis_t *axis, const axis_config_t *config)
     if ((axis->features & FEATURE_FRICTION) != 0U) {
         i_q = friction_current(&config->friction, m->shaped_speed);
     }
-    /* On a path that the shaft trails, the acceleration of the shaft is another one. */
+    /* If the shaft lags the path, its acceleration differs from that of the path. */
     const bool in_time = m->motion != MOTION_POSITION || m->path_forward;
     const bool timed = m->motion == MOTION_TRAJECTORY;
     if (timed || ((axis->features & FEATURE_ACCELERATION_FORWARD) != 0U && in_time)) {
@@ -23,21 +23,21 @@ static frac32_t forward_current(const axis_t *axis, const axis_config_t *config)
     return i_q;
 }
 
-/* True if a current takes energy out of a shaft that turns fast enough to return it to the bus. */
+/* Does a current of this sign brake a shaft that is fast enough to return energy to the bus? */
 static bool returns_energy(const axis_t *axis, bool negative)
 {
     const frac32_t speed = axis->feedback.speed;
     return f32_abs(speed) > axis->config->regeneration_speed && (speed < 0) != negative;
 }
 
-/* The bus, or the current that weakens the field, leaves less than the limit of the host in some direction. */
+/* Is the current limit below that of the host in some direction, because of the bus or of field weakening? */
 static bool restricted(const axis_t *axis)
 {
     return axis->regen_derating != FRAC16_MAX || field_weakening_active(&axis->weakening);
 }
 
-/* What is left then in a direction: less against the motion while the bus cannot take what braking returns, and less
- * beside the current that weakens the field. */
+/* Current limit for one direction: reduced against the motion while the bus cannot accept the regenerated power, and
+ * reduced by the field-weakening current. */
 static frac16_t restricted_limit(const axis_t *axis, bool negative)
 {
     const field_weakening_t *weakening = &axis->weakening;
@@ -49,7 +49,7 @@ static frac16_t restricted_limit(const axis_t *axis, bool negative)
     return returns ? f16_mul(limit, axis->regen_derating) : limit;
 }
 
-/* `held`: there is less current than what is wanted, which is negative or not. */
+/* `held`: the limit is below the requested current, whose sign is given by `negative`. */
 static void hold_back(axis_t *axis, bool held, bool negative)
 {
     axis->motion.held_back = held;
@@ -63,17 +63,18 @@ static void hold_back(axis_t *axis, bool held, bool negative)
     }
 }
 
-/* i_d*; `less` is what restricted() says, `held` that it has cost a part of i_q. */
+/* Set i_d*. `less` is the result of restricted(); `held` means that i_q has been limited by it. */
 static void set_i_d(axis_t *axis, bool less, bool held, bool negative)
 {
     axis->motion.held_back = false;
-    axis->current_ref.d = 0; /* E23; almost always */
+    axis->current_ref.d = 0; /* E23; the usual case */
     if (less) {
         hold_back(axis, held, negative);
     }
 }
 
-/* Says why the current is at its limit; returns whether it is less than that of the host because the winding is hot. */
+/* Report the reason for a current at its limit; true if the limit is below that of the host because the winding is
+ * hot. */
 static bool report_current(axis_t *axis)
 {
     const bool derated = axis->current_max.q < axis->limits.i_q;
@@ -103,10 +104,10 @@ frac16_t speed_control(axis_t *axis)
     const frac32_t error = f32_sub(m->speed_ref, axis->feedback.speed);
     const pi_gains_t *gains = speed_gains(axis);
     if ((axis->features & FEATURE_ANTI_WINDUP) == 0U) {
-        m->speed_pi.excess = 0; /* as with Kc = 0 */
+        m->speed_pi.excess = 0; /* equivalent to Kc = 0 */
     }
-    /* The integral part sums the way that the encoder has counted. M/T's speed falls for tens of milliseconds after the
-     * shaft has stopped: its sum would push the shaft off again. */
+    /* The integral part uses the mean speed, i.e. the counted distance. The M/T speed decays for tens of milliseconds
+     * after the shaft has stopped; its integral would push the shaft off again. */
     pi_integrate(&m->speed_pi, gains, f32_sub(m->speed_ref, axis->feedback.mean_speed));
     const pi_sum_t sum =
         pi_sum_add(m->speed_pi.integral, error, gains->kp) + pi_sum_of(forward_current(axis, axis->config));
@@ -121,9 +122,9 @@ frac16_t speed_control(axis_t *axis)
     return f16_from_f32(i_q);
 }
 
-/* Current up to which a torque may push towards a limit of the speed that is ahead by this much, and by so much of the mean
- * speed. Near the limit the speed controller's proportional part takes the current back. Beyond it the integral part,
- * `held`, which is not above 0, grows against a load that drives the shaft, and is given back within it. */
+/* Largest current towards a limit of the speed, given the margin of the speed and of the mean speed. Near the limit the
+ * proportional part of the speed controller reduces the current. Beyond it the integral part `held` (<= 0) grows
+ * against a load that drives the shaft, and decays again within the limit. */
 static frac32_t room(const axis_t *axis, frac32_t ahead, frac32_t mean_ahead, frac32_t *held)
 {
     const pi_gains_t *gains = speed_gains(axis);
@@ -161,7 +162,7 @@ frac16_t torque_control(axis_t *axis)
     set_i_d(axis, less, f32_abs(i_q) > f32_from_f16(limit) && limit < axis->current_max.q, i_q < 0);
     m->speed_ref = axis->feedback.speed;
     m->saturated = false;
-    pi_reset(&m->speed_pi, f32_from_f16(result)); /* the speed controller takes over from here without a jump */
+    pi_reset(&m->speed_pi, f32_from_f16(result)); /* bumpless transfer to the speed controller */
     return result;
 }
 

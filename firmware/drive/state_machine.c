@@ -17,7 +17,7 @@ static void enter(sm_t *sm, state_t state)
     sm->entered = EVENT_TICKS;
 }
 
-/* A fault ends in FAULT at once. No request outlives it: the drive never starts again by itself. */
+/* A fault leads to FAULT at once and clears all requests: the drive never restarts without a new command. */
 static bool faulty(sm_t *sm, struct axis *axis, axis_function_t to_fault)
 {
     if ((sm->ctrl & SM_CTRL_FAULT) == 0U) {
@@ -29,7 +29,8 @@ static bool faulty(sm_t *sm, struct axis *axis, axis_function_t to_fault)
     return true;
 }
 
-/* Call a state's function unless there is a fault; false when there was one, from before or from within. */
+/* Call the function of a state unless there is a fault; false if there was one before the call, or if the call raised
+ * one. */
 static bool run_unless_fault(sm_t *sm, struct axis *axis, axis_loop_t loop, state_function_t state,
                              axis_function_t to_fault)
 {
@@ -80,7 +81,7 @@ static void step_run(sm_t *sm, struct axis *axis, axis_loop_t loop)
     if ((sm->ctrl & SM_CTRL_FAULT) == 0U) {
         sm->states->run(axis, loop);
         if ((sm->ctrl & (SM_CTRL_FAULT | SM_CTRL_STOP)) == 0U) {
-            return; /* almost always */
+            return; /* the usual case */
         }
     }
     if (faulty(sm, axis, sm->transitions->run_fault)) {
@@ -96,7 +97,7 @@ static void step_run(sm_t *sm, struct axis *axis, axis_loop_t loop)
 void sm_step(sm_t *sm, struct axis *axis, axis_loop_t loop)
 {
     if (sm->state == STATE_RUN) {
-        step_run(sm, axis, loop); /* first: this is where time matters */
+        step_run(sm, axis, loop); /* first, because RUN is time-critical */
         return;
     }
     switch (sm->state) {

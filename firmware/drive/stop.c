@@ -45,7 +45,7 @@ static bool held_long_enough(axis_t *axis)
     return axis->stop.held > axis->config->stop.hold_ticks;
 }
 
-/* The position is held until the brake holds it. One that cannot be held is left to the brake as it is. */
+/* Hold the position until the holding brake has closed. Without position hold the brake closes as it is. */
 static bool handed_to_brake(axis_t *axis, bool long_enough)
 {
     if (axis->motion.motion != MOTION_STOP && long_enough) {

@@ -9,7 +9,7 @@ bool axis_takes_any_config(const axis_t *axis)
     return axis->sm.state != STATE_RUN && f32_abs(axis->feedback.speed) <= axis->config->stop_speed;
 }
 
-/* A slow load takes the acceleration that the current gives less by the new values. */
+/* Adjust the load estimates, so that the estimated net acceleration does not step with the new values. */
 static void keep_estimates(axis_t *axis, const axis_config_t *config)
 {
     const axis_config_t *before = axis->config;

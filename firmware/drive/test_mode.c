@@ -7,7 +7,7 @@
 #include "drive/motion.h"
 #include "drive/soft_limits.h"
 
-/* The vector lives in the state of the sensorless start-up, which an axis with an encoder does not use. */
+/* The imposed vector uses the state of the sensorless start-up, which an axis with an encoder does not need. */
 
 bool test_mode_wanted(const axis_t *axis)
 {
@@ -44,7 +44,7 @@ frac16_t test_mode_angle(const axis_t *axis)
     return (frac16_t)(uint16_t)((axis->startup.angle - (uint32_t)axis->startup.step) >> 16);
 }
 
-/* A set-point takes effect by being written. One that expires leaves the vector where it is: it may hold a load. */
+/* Set-points take effect when written. After a timeout the vector stops at its angle, because it may hold a load. */
 static void take_set_points(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
@@ -62,7 +62,7 @@ static void take_set_points(axis_t *axis)
     motion_expire_speed(axis);
 }
 
-/* Speed of the vector within the limits; none that turns the shaft out of its range. */
+/* Speed of the vector within the limits; 0 if it would turn the shaft out of its range. */
 static frac32_t wanted_speed(axis_t *axis)
 {
     const frac32_t speed = f32_clip(axis->motion.speed_target, axis->limits.speed);

@@ -47,7 +47,8 @@ path_position_t trajectory_position(const trajectory_point_t *point, path_positi
     return near - path_beyond(near, point->position) + part;
 }
 
-/* To the next point that can still be reached in time. A late point has waited in the queue for longer than it was ahead. */
+/* Start a segment to the next point that can still be reached in time. A point is late if it has been queued for longer
+ * than its lead time. */
 static void set_out(trajectory_t *t, const axis_config_t *config, hermite_state_t from, uint32_t begin, frac16_t i_q)
 {
     while (t->in != t->out) {
@@ -79,7 +80,7 @@ void trajectory_step(trajectory_t *t, const axis_config_t *config, hermite_state
         t->leads = false;
         set_out(t, config, from, t->end.tick, t->end.i_q);
         if (!t->leads) {
-            t->leads = true; /* once more */
+            t->leads = true; /* until the caller has handled the end */
             *reference = (trajectory_reference_t){t->end_position, 0, true};
             return;
         }

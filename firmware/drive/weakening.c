@@ -1,12 +1,12 @@
 #include "drive/weakening.h"
 
-/* Demand of a controller before the limit of the voltage. */
+/* Voltage that a controller demands, before limitation. */
 static frac16_t demand_of(frac16_t voltage, const pi_state_t *controller)
 {
     return f16_sub(voltage, f16_from_f32(controller->excess));
 }
 
-/* Back-EMF of the magnets, as the decoupling has it. */
+/* Back-EMF of the magnets, as used by the decoupling. */
 static frac16_t emf_of(const axis_t *axis)
 {
     return (frac16_t)current_loop_rounded(

@@ -14,7 +14,8 @@ void winding_init(axis_t *axis)
     set_limit(axis, FRAC16_MAX);
 }
 
-/* A limit that ends is one that widens: like those that a host writes, it waits for the next set-point. */
+/* The end of the derating widens the limit: like a limit written by the host, it takes effect with the next
+ * set-point. */
 static bool may_release(const axis_t *axis) { return axis->sm.state != STATE_RUN || axis->command.age == 0U; }
 
 void winding_protect(axis_t *axis)

@@ -27,7 +27,7 @@ void zero_shift(axis_t *axis, int32_t counts)
     encoder->count_init = i32_sub_wrap(encoder->count_init, counts);
     add(&encoder->position, counts);
     add(&encoder->integral, counts);
-    axis->encoder.found = true; /* the next rotor search keeps it */
+    axis->encoder.found = true; /* preserved by the next rotor search */
     add(&axis->encoder.observer.count, counts);
     add(&axis->feedback.position, counts);
     add(&m->target, counts);

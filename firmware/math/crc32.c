@@ -2,7 +2,7 @@
 
 #define POLYNOMIAL UINT32_C(0xEDB88320)
 
-/* Bit by bit: a table would lie in the RAM, and only the background sums up. */
+/* Bit by bit: a table would occupy RAM, and only the background computes checksums. */
 uint32_t crc32_add(uint32_t crc, uint32_t value, uint16_t size)
 {
     for (uint16_t k = 0; k < 8U * size; k++) {

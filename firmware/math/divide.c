@@ -1,6 +1,6 @@
 #include "math/divide.h"
 
-/* On paper, with a first digit of 32 bits and two of 16: what is left of each, and the next one, have 32 together. */
+/* Long division with one digit of 32 bits and two of 16: the remainder and the next digit together fit 32 bits. */
 int64_t i64_over_u16(int64_t x, uint16_t divisor)
 {
     const uint64_t magnitude = (uint64_t)((x < 0) ? -x : x);

@@ -1,7 +1,7 @@
 #include "math/root.h"
 
-/* Of 2^30 or more, rounded down. A straight line is at most 7 % off; Heron's method squares and halves that twice, and
- * ends on the root or next above it. */
+/* Root of a number of 2^30 or more, rounded down. The linear estimate has an error of at most 7 %; each of two Heron
+ * steps squares and halves it, and the result is the root or one above it. */
 static uint32_t upper_half(uint32_t high)
 {
     uint32_t root = (high >> 17) + (high >> 18) + UINT32_C(20800);
@@ -14,7 +14,7 @@ uint32_t u64_sqrt(uint64_t x)
 {
     uint32_t high = (uint32_t)(x >> 32);
     uint32_t low = (uint32_t)(x & UINT32_C(0xFFFFFFFF));
-    uint16_t shift = 0; /* of the root: half as far as the number */
+    uint16_t shift = 0; /* shift of the root: half of the shift of the number */
     if (high == 0U) {
         high = low;
         low = 0;
@@ -44,7 +44,7 @@ uint32_t u64_sqrt(uint64_t x)
         shift = (uint16_t)(shift + 1U);
     }
     const uint32_t upper = upper_half(high);
-    /* (upper 2^16 + lower)^2 = x without the square of `lower`, which can make it one too many. */
+    /* Solves (upper 2^16 + lower)^2 = x without the term lower^2, so the result may be one too large. */
     uint32_t lower = ((high - upper * upper) << 15 | low >> 17) / upper;
     if (lower > UINT32_C(0xFFFF)) {
         lower = UINT32_C(0xFFFF);

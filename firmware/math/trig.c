@@ -27,7 +27,7 @@ const int16_t trig_quarter_wave[TRIG_QUARTER_STEPS + 1] = {
 };
 /* clang-format on */
 
-/* A step of Heron's method towards sqrt(square). */
+/* One Heron step towards sqrt(square). */
 static uint32_t nearer(uint32_t root, uint32_t square) { return (root + square / root) >> 1; }
 
 frac16_t f16_sqrt(frac32_t x)
@@ -35,8 +35,8 @@ frac16_t f16_sqrt(frac32_t x)
     if (x < 2) {
         return 0;
     }
-    /* sqrt(raw / 2^31) x 2^15 = sqrt(raw / 2). From a power of two that is at most twice the root, four steps bring an
-     * error of 100 % down to 5e-8. */
+    /* sqrt(raw / 2^31) x 2^15 = sqrt(raw / 2). Starting at a power of two of at most twice the root, four steps reduce
+     * an error of 100 % to 5e-8. */
     const uint32_t square = (uint32_t)x >> 1;
     uint32_t rest = square;
     uint32_t root = 2;
@@ -59,8 +59,8 @@ frac16_t f16_sqrt(frac32_t x)
     return (frac16_t)((root * root > square) ? root - 1U : root);
 }
 
-#define EIGHTH INT32_C(8192) /* of a turn */
-#define BULGE INT32_C(2847)  /* 0.273 rad: atan(r) is nearly r (pi/4 + 0.273 (1 - r)) */
+#define EIGHTH INT32_C(8192) /* fraction of a turn */
+#define BULGE INT32_C(2847)  /* atan(r) = r (pi/4 + 0.273 (1 - r)) approximately, r in 0 .. 1 */
 
 frac16_t f16_angle(frac16_t x, frac16_t y)
 {

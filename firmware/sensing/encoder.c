@@ -6,12 +6,12 @@ int16_t encoder_count_at(const encoder_config_t *config, frac16_t theta_e)
     return (int16_t)asr32(scaled + INT32_C(0x8000), 16);
 }
 
-/* Difference of two counts, wrapped. */
+/* Difference of two counts, wrapped to plus or minus half a turn. */
 static int32_t wrapped(const encoder_config_t *config, int32_t difference)
 {
     const int32_t counts = config->counts;
     const int32_t half = counts / 2;
-    /* Once at most, between two samples of a turning shaft; any two counts are less than two turns apart. */
+    /* At most one pass for consecutive samples of a turning shaft; any two counts differ by less than two turns. */
     while (difference > half) {
         difference -= counts;
     }
@@ -49,8 +49,8 @@ bool encoder_update(encoder_t *encoder, const encoder_config_t *config, uint16_t
     const int32_t raw = (int32_t)(int16_t)count - (int16_t)encoder->count;
     const int32_t moved = wrapped(config, raw);
 
-    /* F14, but an index pulse only counts together with the wrap that it announces: the shaft may touch the compare
-     * value and turn back. */
+    /* F14, except that an index pulse counts only together with the wrap that it announces: the shaft may reach the
+     * compare value and turn back. */
     encoder->pending = (uint16_t)(encoder->pending + (uint16_t)(index - encoder->index));
     if (raw != moved) {
         if (encoder->pending != 0U) {
@@ -61,7 +61,7 @@ bool encoder_update(encoder_t *encoder, const encoder_config_t *config, uint16_t
         const int32_t half = config->counts / 2;
         const int32_t from_zero = (int16_t)count;
         if (from_zero < half && from_zero > -half) {
-            encoder->pending = 0; /* far from the compare values: the shaft did turn back */
+            encoder->pending = 0; /* far from the compare values: the shaft turned back */
         }
     }
     encoder->count = count;

@@ -1,6 +1,6 @@
 #include "sensing/mt_speed.h"
 
-/* Two 32-bit divisions instead of one of 64 bits, which costs hundreds of instructions. */
+/* Two 32-bit divisions instead of a 64-bit one, which takes hundreds of instructions. */
 
 /* counts x factor / interval as a fraction with 31 bits. */
 static frac32_t ratio(int16_t counts, uint32_t factor, uint16_t interval)
@@ -48,7 +48,7 @@ void mt_speed_edge(mt_speed_t *mt, const mt_speed_config_t *config, const encode
         mt->edge_speed = ratio(counts, config->speed_per_ratio, interval);
         mt->interval = interval;
     } else {
-        mt->edge_speed = 0; /* no earlier edge, or the 16-bit timer has gone round since it: next to standstill */
+        mt->edge_speed = 0; /* no earlier edge, or the 16-bit timer has overflowed since: nearly at standstill */
     }
     mt->waited = 0;
     mt->last = capture;
@@ -60,17 +60,18 @@ void mt_speed_edge(mt_speed_t *mt, const mt_speed_config_t *config, const encode
 void mt_speed_slow(mt_speed_t *mt, uint32_t age, bool enhanced)
 {
     if (mt->fresh) {
-        mt->fresh = false; /* measured within this loop: nothing is stagnant */
+        mt->fresh = false; /* measured within this loop: not stagnant */
         return;
     }
     mt->waited = age;
     if (age >= HAL_EDGE_AGE_OVERFLOW) {
-        /* Below 0.36 rpm: standstill. The next edge starts a new measurement, its interval would be ambiguous. */
+        /* Below 0.36 rpm: standstill. The next edge starts a new measurement, because its interval would be
+         * ambiguous. */
         mt->primed = false;
         mt->edge_speed = 0;
         mt->speed = 0;
     } else if (enhanced && age > mt->interval) {
-        /* F19: had the shaft kept its speed, an edge would have come after M2. */
+        /* F19: at constant speed an edge would have come after M2, so the speed is reduced. */
         mt->speed = stretched(mt->edge_speed, mt->interval, age);
     }
 }

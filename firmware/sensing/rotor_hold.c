@@ -3,25 +3,26 @@
 #include "math/trig.h"
 
 typedef enum {
-    STAGE_RISE,   /* the brake holds, the current grows */
+    STAGE_RISE,   /* the brake is closed, the current rises */
     STAGE_CATCH,  /* the brake opens */
-    STAGE_AWAY,   /* does the shaft follow a vector that turns a little? */
-    STAGE_BACK,   /* where it was */
-    STAGE_WEAKEN, /* half of the current */
+    STAGE_AWAY,   /* check: does the shaft follow a small rotation of the vector? */
+    STAGE_BACK,   /* back to the original position */
+    STAGE_WEAKEN, /* reduction to half of the current */
 } rotor_hold_stage_t;
 
-/* With a the largest acceleration of the electrical angle per slow tick squared, and the vector at -(P x + D dx), the shaft
- * is a second-order system with omega^2 = a (1 + P) and 2 zeta omega = D a. A rotor that is opposite to the vector at first is
- * driven until that has turned by half a turn: the more damping, the sooner. D a = 0.7 leaves room for an inertia half as
- * large as assumed; larger D than 80 makes too much of a count. */
+/* Let a be the largest acceleration of the electrical angle per slow tick squared, and the vector at -(P x + D dx): the
+ * shaft is then a second-order system with omega^2 = a (1 + P) and 2 zeta omega = D a. A rotor that starts opposite to
+ * the vector accelerates until the vector has turned by half a turn; more damping shortens this. D a = 0.7 allows for
+ * an inertia of half the assumed one; D above 80 amplifies a single count too much. */
 #define GAIN 2
 #define DAMPING_TIMES_ACCELERATION UINT32_C(7301) /* 0.7 / 2 pi x 2^16 */
 #define DAMPING_MAX UINT32_C(80)
-#define DAMPED_PARTS 3 /* of D, one for the first count */
-#define INTEGRAL_SHIFT 3 /* of P, per slow tick */
+#define DAMPED_PARTS 3 /* parts of D; one of them applies to the first count */
+#define INTEGRAL_SHIFT 3 /* fraction of P, per slow tick */
 
-#define AWAY_OVER_MOVE 8 /* the small turn, in counts that are a twitch */
-/* The shaft does not obey: half a turn from where it was, and once it has been caught an eighth; 2^32 is a turn. */
+#define AWAY_OVER_MOVE 8 /* small rotation, in multiples of the detection threshold */
+/* Loss of control: half a turn away from the original position, or an eighth after the shaft has been caught; 2^32 is a
+ * turn. */
 #define ASTRAY (INT64_C(1) << 31)
 #define ASTRAY_CAUGHT (INT64_C(1) << 29)
 #define SOLVE_BITS 12
@@ -49,7 +50,7 @@ bool rotor_hold_holds(const rotor_search_t *search)
 
 static frac16_t upper(uint32_t angle) { return (frac16_t)(uint16_t)(angle >> 16); }
 
-/* phi_1 of sin(phi_1 + turned) = 2 sin(phi_1); a load of more than the largest torque is the end of the range. */
+/* phi_1 of sin(phi_1 + turned) = 2 sin(phi_1); the end of the range for a load above the largest torque. */
 static frac16_t lead(frac16_t turned)
 {
     const frac16_t size = f16_abs(turned);
@@ -78,15 +79,16 @@ static void next(rotor_search_t *search, rotor_hold_stage_t stage)
     search->calm = 0;
 }
 
-/* The vector turns against what moves the shaft. Returns slow ticks for which that has been where it was. */
+/* Turn the vector against the displacement of the shaft. Returns the number of slow ticks for which the shaft has been
+ * at its original position. */
 static uint16_t balance(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     const int32_t off = i32_sub_wrap(position, search->origin);
     const int32_t moved = i32_sub_wrap(position, search->last);
     const uint32_t per_count = (uint32_t)config->angle_per_count;
-    const uint32_t angle = (uint32_t)off * per_count; /* modulo a turn, as the vector */
-    search->balance -= (uint32_t)(off * (int32_t)(per_count >> INTEGRAL_SHIFT)); /* less than a turn: see ASTRAY */
-    const int32_t first = (moved > 0) - (moved < 0); /* less for this count, or the shaft would dither about it */
+    const uint32_t angle = (uint32_t)off * per_count; /* modulo a turn, like the vector */
+    search->balance -= (uint32_t)(off * (int32_t)(per_count >> INTEGRAL_SHIFT)); /* below a turn: see ASTRAY */
+    const int32_t first = (moved > 0) - (moved < 0); /* less damping for this count prevents dither */
     const int32_t rate = DAMPED_PARTS * moved - (DAMPED_PARTS - 1) * first;
     const uint32_t damped = (uint32_t)(rate * (int32_t)search->damping) * (per_count / DAMPED_PARTS);
     search->vector = upper(search->balance - GAIN * angle - damped);
@@ -95,8 +97,9 @@ static uint16_t balance(rotor_search_t *search, const rotor_search_config_t *con
     return search->timer;
 }
 
-/* The vector turns until the shaft has followed. Two balances are none: the rotor opposite to the vector, held by friction
- * alone, moves the other way, and begins anew from there; that of a reversed encoder runs away without the control. */
+/* Rotate the vector until the shaft has followed. Two states of balance are invalid: a rotor opposite to the vector,
+ * held by friction alone, moves the other way, and is caught again from there; with a reversed encoder the shaft runs
+ * away once the control is off. */
 static void away(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     const int32_t counts = AWAY_OVER_MOVE * (int32_t)config->move_counts;

@@ -3,23 +3,23 @@
 #define HALF_TURN UINT16_C(32768)
 #define QUARTER_TURN UINT16_C(16384)
 #define GROWTH_MAX UINT16_C(4)
-#define HELD_OVER_HOLD UINT16_C(4)  /* an edge that dithers is no reason to pull for ever */
-#define CALM_OVER_REST UINT16_C(10) /* nor to wait; so dithers an encoder with a dead line, too */
+#define HELD_OVER_HOLD UINT16_C(4)  /* limits the pull if an edge dithers */
+#define CALM_OVER_REST UINT16_C(10) /* limits the wait likewise; an encoder with a dead channel dithers too */
 
-/* The first count comes after one count of movement at most, the twitch after two or more. With a torque that is constant
- * or grows from zero, the time in between is more than a quarter of the movement's; the brake takes no longer than that,
- * or it would drive back a shaft without friction. */
+/* The first count appears after at most one count of movement, the twitch is detected after two or more. With a torque
+ * that is constant or grows from zero the time between them is more than a quarter of the time of movement. The brake
+ * takes at most four times that interval: longer braking would drive back a shaft without friction. */
 #define BRAKE_OVER_MOVING UINT16_C(4)
 
-/* A vector beside theta_M moves the shaft so much farther: off an end stop that leaves room for the twitch back. */
+/* A vector beside theta_M moves the shaft by this factor more: at an end stop this leaves room for the twitch back. */
 #define SIDE_OVER_MOVE UINT16_C(2)
 
-/* So often the shaft may run away from where it was found: once, a knock may have led the search astray. And so often it
- * may not follow there: twice, the search may have begun too close to an end stop. */
+/* The search ends as reversed when the shaft has run away from the assumed position this often (once may be a
+ * disturbance), and as held when it has not followed this often (twice may be a start too close to an end stop). */
 #define ESCAPES_MAX UINT16_C(2)
 #define REFUSALS_MAX UINT16_C(3)
 
-/* What the shaft has moved since the start of this pull, electrical, wrapped as all angles are. */
+/* Movement of the shaft since the start of this pull, as an electrical angle (wraps). */
 static frac16_t shift_of(const rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     const int64_t moved = (int64_t)i32_sub_wrap(position, search->origin) * config->angle_per_count;
@@ -33,17 +33,18 @@ static uint32_t distance(int32_t from, int32_t to)
     return (moved < 0) ? 0U - (uint32_t)moved : (uint32_t)moved;
 }
 
-/* theta_M and so many times an angle. */
+/* theta_M plus a multiple of an angle. */
 static frac16_t beside(const rotor_search_t *search, int16_t times, uint16_t angle)
 {
     return (frac16_t)(uint16_t)((uint16_t)search->theta_m + (uint32_t)(uint16_t)times * angle);
 }
 
-/* Angle of the vector while the shaft stands where this pull has begun. */
+/* Angle of the vector for a shaft at the position where this pull began. */
 static frac16_t aim(const rotor_search_t *search) { return beside(search, search->side, QUARTER_TURN); }
 
-/* The torque is the current times the sine of the angle between rotor and vector, and the bounds say how small that may
- * be: a faster growth makes up for it in part. In full it would leave the brake too few slow ticks. */
+/* The torque is the current times the sine of the angle between rotor and vector; the bounds give the smallest possible
+ * sine. Faster growth of the current compensates for it in part: full compensation would leave too few slow ticks for
+ * the brake. */
 static frac32_t growth(const rotor_search_t *search, const rotor_search_config_t *config)
 {
     int64_t step = config->current_step;
@@ -53,7 +54,7 @@ static frac32_t growth(const rotor_search_t *search, const rotor_search_config_t
     return (step < config->current_slew) ? (frac32_t)step : config->current_slew;
 }
 
-/* As far towards a current as the current controller follows. */
+/* Next current on the way to `target`, at the slew rate that the current controller follows. */
 static frac32_t slew(const rotor_search_t *search, const rotor_search_config_t *config, frac32_t target)
 {
     return (frac32_t)(search->current + f32_limit((int64_t)target - search->current, config->current_slew));
@@ -97,7 +98,7 @@ void rotor_search_start(rotor_search_t *search, int32_t position)
     pull(search, position);
 }
 
-/* The rotor is assumed to lie at theta_M; the current may still be that of the pull. */
+/* Verify the assumed rotor angle theta_M; the current may still be that of the pull. */
 static void verify(rotor_search_t *search, int32_t position)
 {
     search->phase = ROTOR_SEARCH_VERIFY;
@@ -108,7 +109,7 @@ static void verify(rotor_search_t *search, int32_t position)
     search->follows = false;
 }
 
-/* The assumed position is wrong and no other is known: try from the side, or give up. */
+/* The assumed position is wrong and there is no other candidate: try from the side, or give up. */
 static void doubt(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     if (search->escapes >= ESCAPES_MAX) {
@@ -123,8 +124,8 @@ static void doubt(rotor_search_t *search, const rotor_search_config_t *config, i
     }
 }
 
-/* The largest current has moved nothing. With a twitch before it the rotor ought to lie on the vector. Without one it may
- * lie opposite as well; vectors from the sides tell, first one, then - the shaft may lean on an end stop - the other. */
+/* No movement at full current. After a twitch the rotor should lie on the vector. Without one it may also lie opposite
+ * to it: vectors at either side decide, one after the other, because the shaft may be against an end stop. */
 static void nothing_moved(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     if (search->side == 0 && search->reach <= QUARTER_TURN) {
@@ -140,10 +141,10 @@ static void nothing_moved(rotor_search_t *search, const rotor_search_config_t *c
     }
 }
 
-/* The current is reversed in equal steps, which cancel out, as far each as the current controller follows. */
+/* Reverse the current in equal steps, which cancel each other, within the slew rate of the current controller. */
 static void brake(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    const uint32_t reversal = 2U * (uint32_t)search->current; /* while it pulls it is not negative */
+    const uint32_t reversal = 2U * (uint32_t)search->current; /* not negative during a pull */
     const uint32_t steps = reversal / (uint32_t)config->current_slew + 1U;
     search->phase = ROTOR_SEARCH_BRAKE;
     search->last = position;
@@ -177,7 +178,7 @@ static void pull_step(rotor_search_t *search, const rotor_search_config_t *confi
     }
 }
 
-/* Until the shaft turns back, or has lost what it had won: the pull backwards, with the current reversed. */
+/* Mirrors the pull with reversed current, until the shaft turns back or the speed gained by the pull is cancelled. */
 static void brake_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     const int32_t ahead = i32_sub_wrap(position, search->last);
@@ -201,14 +202,16 @@ static void brake_step(rotor_search_t *search, const rotor_search_config_t *conf
     }
 }
 
-/* The direction of the twitch halves the bounds: pulled upwards, the rotor was below the vector. */
+/* The direction of the twitch halves the interval of possible angles: after a positive twitch the rotor was below the
+ * vector. */
 static void halve(rotor_search_t *search)
 {
     search->reach = (uint16_t)(search->reach >> 1);
     search->theta_m = beside(search, (int16_t)-search->direction, search->reach);
 }
 
-/* A vector beside theta_M has moved the shaft: the rotor lies within a quarter turn of theta_M, or of its opposite. */
+/* A vector beside theta_M has moved the shaft: the rotor lies within a quarter turn of theta_M, or of the opposite
+ * angle. */
 static void decide_side(rotor_search_t *search)
 {
     search->theta_m = beside(search, (search->direction == search->side) ? 0 : 2, QUARTER_TURN);
@@ -230,7 +233,7 @@ static void rest_step(rotor_search_t *search, const rotor_search_config_t *confi
         search->calm = 0;
     }
     search->calm++;
-    /* A shaft without friction would coast: better to take it over as it is. */
+    /* A shaft without friction would coast on: it is accepted while it moves. */
     const bool coasts = search->verified && distance(search->origin, position) > 2U * config->move_counts;
     const bool rests =
         search->timer >= config->rest_ticks || search->calm >= (uint32_t)CALM_OVER_REST * config->rest_ticks;
@@ -255,16 +258,16 @@ static void rest_step(rotor_search_t *search, const rotor_search_config_t *confi
     }
 }
 
-/* The vector turns to one side until the shaft has followed, then back until the shaft is back; if it does not follow, to
- * the other side. How far vector and rotor are apart by what was found, friction has a part in that: the mean of there and
- * back is the error of what was found. */
+/* Rotate the vector to one side until the shaft has followed, then back until the shaft has returned; if it does not
+ * follow, to the other side. Friction contributes to the angle between vector and assumed rotor angle; the mean of both
+ * directions is the error of the assumed angle. */
 static void verify_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     const frac32_t limit = f32_from_f16(config->current_limit);
     const frac16_t rotor = f16_add_wrap(search->theta_m, shift_of(search, config, position));
     const frac16_t ahead = f16_sub_wrap(search->vector, rotor);
     const int64_t gone = (int64_t)distance(search->origin, position) * config->angle_per_count;
-    if (gone > (int64_t)config->verify_angle << 14) { /* a quarter of the largest turn: the vector does not hold it */
+    if (gone > (int64_t)config->verify_angle << 14) { /* a quarter of the largest turn: not held by the vector */
         search->escapes++;
         doubt(search, config, position);
         return;
@@ -293,13 +296,13 @@ static void verify_step(rotor_search_t *search, const rotor_search_config_t *con
         search->theta_m = f16_add_wrap(rotor, (frac16_t)(((int32_t)search->ahead + ahead) / 2));
         search->origin = position;
         search->verified = true;
-        rest(search, config, position); /* it has just been moved: what takes over had better find it at rest */
+        rest(search, config, position); /* the shaft has just moved: wait for standstill before the hand-over */
     }
 }
 
 static void turn_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    if (distance(search->origin, position) >= config->move_counts) { /* the shaft has come free, and is seen */
+    if (distance(search->origin, position) >= config->move_counts) { /* free again, and counted */
         search->refusals++;
         doubt(search, config, position);
         return;
@@ -318,8 +321,8 @@ void rotor_search_watch(rotor_search_t *search, const rotor_search_config_t *con
     if (search->phase == ROTOR_SEARCH_TURN) {
         rotor_follow_add(&search->follow, &config->follow, u_across);
     }
-    /* An open motor cable. A quarter, of either sign: the rotor of a strong motor that swings unseen upsets the current
-     * too, but does not take it away. */
+    /* Detects an open motor cable: less than a quarter of the current flows, in either sign. A strong motor's rotor
+     * that swings with a dead encoder disturbs the current too, but does not suppress it. */
     const bool much = search->current >= f32_from_f16(config->current_limit) / 4;
     const bool starved = much && f32_abs(f32_from_f16(current)) < search->current / 4;
     search->starved = starved ? (uint16_t)(search->starved + 1U) : 0U;

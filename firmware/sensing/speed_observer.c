@@ -2,7 +2,7 @@
 
 #define COUNT (INT32_C(1) << SPEED_OBSERVER_BITS)
 #define HALF_COUNT (COUNT / 2)
-#define LOST (64 * COUNT) /* an estimate that is so far off has lost the shaft */
+#define LOST (64 * COUNT) /* an estimate with this error no longer follows the shaft */
 
 static frac32_t speed_of(const speed_observer_t *observer, const speed_observer_config_t *config)
 {
@@ -18,7 +18,7 @@ void speed_observer_reset(speed_observer_t *observer, const speed_observer_confi
     observer->acceleration = 0;
 }
 
-/* How far the estimate lies outside the count that is read: the shaft may be anywhere within it. */
+/* Distance of the estimate from the interval of the measured count: the shaft may be anywhere within that count. */
 static int32_t outside(int32_t offset)
 {
     if (offset > HALF_COUNT) {

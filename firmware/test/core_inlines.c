@@ -1,4 +1,4 @@
-/* core_inlines.c - the inline functions of the core as functions that a test can call: read as if they were not inline. */
+/* core_inlines.c - the inline functions of the core as ordinary functions that a test can call. */
 #include <stdbool.h>
 #include <stdint.h>
 

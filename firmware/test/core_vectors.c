@@ -1,4 +1,4 @@
-/* core_vectors.c - runs the portable core on many inputs and prints what comes out, for comparing targets. */
+/* core_vectors.c - runs the portable core on many inputs and prints the outputs, to compare targets. */
 #include <stdio.h>
 
 #include "config/axis_config.h"
@@ -60,7 +60,8 @@ static int16_t random16(void) { return (int16_t)(uint16_t)(random32() >> 11); }
 
 static uint32_t sum;
 
-/* The product spreads a difference, the rotation keeps one of the highest bit: equal errors do not cancel each other. */
+/* The product spreads a difference over the word, the rotation keeps one of the highest bit: equal errors do not
+ * cancel. */
 static void add(int32_t value)
 {
     const uint32_t mixed = sum ^ (uint32_t)value;
@@ -106,7 +107,7 @@ static void products(frac16_t a, frac16_t b)
     }
 }
 
-/* Every pair of the ends of the ranges and of what lies beside them. */
+/* Every pair of the range limits and of their neighbours. */
 static void ends(void)
 {
     static const frac16_t narrow[] = {FRAC16_MIN, FRAC16_MIN + 1, -16384, -182, -1, 0, 1, 181, 16384, FRAC16_MAX};
@@ -206,7 +207,7 @@ static void control(void)
     report("control");
 }
 
-/* A shaft that wanders through the compare values, with and without an index pulse. */
+/* A shaft that moves through the compare values, with and without an index pulse. */
 static void encoder(void)
 {
     const encoder_config_t *config = &servo_config.axis[0].encoder;

@@ -1,4 +1,5 @@
-/* diagnosis_inlines.c - the inline functions of the diagnosis as functions that a test can call (core_inlines.c). */
+/* diagnosis_inlines.c - the inline functions of the diagnosis as ordinary functions that a test can call
+ * (core_inlines.c). */
 #include <stdbool.h>
 #include <stdint.h>
 

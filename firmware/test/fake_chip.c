@@ -20,7 +20,7 @@ static void enter(fake_chip_t *chip, fake_kind_t kind, uint32_t address, uint16_
     }
 }
 
-/* Nothing is zero that the port has not made zero, but for flags. */
+/* Registers are not zero unless the port has cleared them, except for flags. */
 static void fill(uint16_t *memory)
 {
     for (uint32_t address = 0xE000; address < 0xE800; address++) {
@@ -76,7 +76,7 @@ void fake_receive(fake_chip_t *chip, uint8_t byte) { chip->data[chip->data_in++ 
 
 /* ---- registers -------------------------------------------------------------------------------------------------- */
 
-/* Crystal, PLL and converter are as quick as the software. */
+/* Crystal, PLL and converter respond immediately. */
 static uint16_t clock_status(const fake_chip_t *chip)
 {
     const uint16_t ctrl = chip->memory[OCCS_CTRL];

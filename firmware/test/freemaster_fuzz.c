@@ -5,9 +5,8 @@
  *   0  bytes on the line as they are         2  the application prints them
  *   1  a frame: command and payload          3  the application finishes a command: result code and data
  *   4  a loop samples a recorder for each of them
- * A whole frame has to be answered by one whole frame, but for the one behind bytes as they are, whose start may complete
- * theirs; no step may break the rules of the application, or change memory
- * that is not writable. */
+ * Each whole frame must be answered by one whole frame, except after a step 0, whose bytes it may complete. No step may
+ * violate the interface of the application, or change memory that is not writable. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>

@@ -18,7 +18,7 @@ struct hal {
 struct harness {
     hal_t hal;
     freemaster_t server;
-    /* Exactly the sizes told to the server, so that a sanitizer sees every byte too far. */
+    /* Exactly the sizes passed to the server, so that a sanitizer detects any access beyond them. */
     uint8_t *memory;
     uint8_t *live;
     uint32_t *samples;
@@ -63,7 +63,7 @@ static void note(harness_t *harness, harness_event_t code, uint16_t offset, uint
     }
 }
 
-/* The memory makes sense only while it is held: bytes copied at any other time are visibly wrong. */
+/* The memory is valid only while interrupts are masked: bytes copied at any other time are visibly wrong. */
 static void scramble(harness_t *harness)
 {
     for (uint16_t i = 0; i < fixture_memory_size; i++) {
@@ -83,7 +83,7 @@ static void hold(void *context, bool on)
     note(harness, on ? EVENT_HOLD : EVENT_RELEASE, 0, 0);
 }
 
-/* Touches every byte that it is given, so that a sanitizer sees one too many. */
+/* Accesses every byte that it is given, so that a sanitizer detects an access beyond them. */
 static bool accepts(void *context, uint16_t offset, const uint8_t *data, const uint8_t *mask, uint16_t size)
 {
     harness_t *harness = context;
@@ -285,7 +285,7 @@ void harness_poke_live(harness_t *harness, uint16_t offset, const uint8_t *data,
     memcpy(harness->live + offset, data, size);
 }
 
-/* The loop sees the memory as it is. */
+/* A loop accesses the memory directly. */
 void harness_sample(harness_t *harness, uint16_t recorder)
 {
     scramble(harness);

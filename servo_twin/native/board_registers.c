@@ -19,6 +19,7 @@ struct board {
     chip_t chip;
     servo_t servo;
     hal_t hal;
+    double baud; /* of the serial line [bit/s] */
     void *allocated; /* what the board lies in */
     uint64_t time_ns;  /* since `zero` */
     uint64_t zero;     /* clock at which the first period with loops begins: t0 of DRM F34 */
@@ -69,17 +70,17 @@ static const struct {
     [6] = {BUS, 0, 0},     [14] = {SINK, 0, 0},   [15] = {SINK, 1, 0},
 };
 
-/* ---- the world of the chip ------------------------------------------------------------------------------------------ */
+/* ---- environment of the chip ---------------------------------------------------------------------------------------- */
 
-void world_advance(void *world, uint64_t clock)
+static void advance_plant(void *self, uint64_t clock)
 {
-    board_t *board = (board_t *)world;
+    board_t *board = (board_t *)self;
     switching_advance(&board->plant, clock);
 }
 
-uint64_t world_next(void *world)
+static uint64_t next_event(void *self)
 {
-    board_t *board = (board_t *)world;
+    board_t *board = (board_t *)self;
     const switching_t *plant = &board->plant;
     return (plant->pending > 0) ? plant->now : switching_next(&board->plant); /* an edge may have shorted the bus */
 }
@@ -91,10 +92,10 @@ static inline unsigned line_pin(const board_t *board, int axis, int line)
 }
 
 /* Edges that only count are kept back by the plant, which has less to do for each then. */
-void world_deferrable_edges(void *world)
+static void deferrable_edges_changed(void *self)
 {
-    board_t *board = (board_t *)world;
-    board->chip.core.horizon = 0; /* the plant may have something sooner */
+    board_t *board = (board_t *)self;
+    chip_plant_changed(&board->chip);
     for (int axis = 0; axis < BOARD_AXES; axis++) {
         const unsigned a = chip_deferrable_edges(&board->chip, encoder_pin[axis][0]);
         const unsigned b = chip_deferrable_edges(&board->chip, encoder_pin[axis][1]);
@@ -105,9 +106,9 @@ void world_deferrable_edges(void *world)
     }
 }
 
-void world_late(void *world)
+static void report_deferred(void *self)
 {
-    board_t *board = (board_t *)world;
+    board_t *board = (board_t *)self;
     switching_event_t event;
     for (int axis = 0; axis < BOARD_AXES; axis++) {
         while (switching_take_deferred(&board->plant, axis, &event)) {
@@ -116,11 +117,11 @@ void world_late(void *world)
     }
 }
 
-void world_events(void *world)
+static void handle_events(void *self)
 {
-    board_t *board = (board_t *)world;
+    board_t *board = (board_t *)self;
     switching_event_t event;
-    world_late(world);
+    report_deferred(self);
     while (switching_take(&board->plant, &event)) {
         if (event.kind == SWITCHING_ENCODER) {
             chip_pin(&board->chip, line_pin(board, event.axis, event.line), event.level);
@@ -132,19 +133,19 @@ void world_events(void *world)
     }
 }
 
-void world_gates(void *world, unsigned module, unsigned submodule, unsigned levels)
+static void set_gates(void *self, unsigned module, unsigned submodule, unsigned levels)
 {
-    board_t *board = (board_t *)world;
+    board_t *board = (board_t *)self;
     if (submodule >= 3u) {
         return; /* the monitor outputs drive no inverter */
     }
-    board->chip.core.horizon = 0;
+    chip_plant_changed(&board->chip);
     switching_edge(&board->plant, (int)module, (int)submodule, (switching_leg_t)levels);
 }
 
-uint16_t world_convert(void *world, unsigned channel)
+static uint16_t convert(void *self, unsigned channel)
 {
-    board_t *board = (board_t *)world;
+    board_t *board = (board_t *)self;
     switch (analog[channel].kind) {
     case CURRENT:
         return switching_current_code(&board->plant, analog[channel].axis, analog[channel].phase);
@@ -157,7 +158,7 @@ uint16_t world_convert(void *world, unsigned channel)
     }
 }
 
-static double seconds_of(const board_t *board) { return (double)board->chip.now * (CLOCK_NS * 1e-9); }
+static double seconds_of(const board_t *board) { return (double)board->chip.core.bus.now * (CLOCK_NS * 1e-9); }
 
 static void show_contacts(board_t *board, int axis)
 {
@@ -177,22 +178,22 @@ static void look_at_pins(board_t *board)
     for (int axis = 0; axis < BOARD_AXES; axis++) {
         plant_pins_t *pins = &board->pins[axis];
         if (plant_pins_follow(pins, seconds_of(board))) {
-            switching_advance(&board->plant, board->chip.now);
+            switching_advance(&board->plant, board->chip.core.bus.now);
             switching_set_friction(&board->plant, axis, plant_pins_friction(pins));
-            board->chip.core.horizon = 0;
+            chip_plant_changed(&board->chip);
         }
         show_contacts(board, axis);
     }
 }
 
 /* The switch of the brake resistor follows its pin, as software has left it. */
-void world_outputs(void *world)
+static void outputs_changed(void *self)
 {
-    board_t *board = (board_t *)world;
-    board->chip.core.horizon = 0; /* the plant may have something sooner */
+    board_t *board = (board_t *)self;
+    chip_plant_changed(&board->chip);
     const bool on = chip_pin_level(&board->chip, brake_pin);
     if (on != board->plant.supply.braking) {
-        switching_advance(&board->plant, board->chip.now); /* the plant stands where the chip met it last */
+        switching_advance(&board->plant, board->chip.core.bus.now); /* the plant stands where the chip met it last */
         switching_brake(&board->plant, on);
     }
     for (int axis = 0; axis < BOARD_AXES; axis++) {
@@ -200,19 +201,19 @@ void world_outputs(void *world)
     }
 }
 
-void world_boot(void *world)
+static void boot(void *self)
 {
-    board_t *board = (board_t *)world;
+    board_t *board = (board_t *)self;
     memset(&board->servo, 0, sizeof board->servo);
     memset(&board->hal, 0, sizeof board->hal);
     board->hal.chip = &board->chip;
-    board->hal.baud = (uint32_t)(board->chip.config.baud + 0.5); /* both ends of the line are told the same */
+    board->hal.baud = (uint32_t)(board->baud + 0.5); /* both ends of the line are told the same */
     board->up = port_init(&board->hal, &board->servo);
 }
 
-uint32_t world_interrupt(void *world, unsigned vector)
+static uint32_t interrupt(void *self, unsigned vector)
 {
-    board_t *board = (board_t *)world;
+    board_t *board = (board_t *)self;
     const uint32_t tick = board->servo.snapshot.tick;
     look_at_pins(board);
     port_isr(&board->hal, (uint16_t)vector);
@@ -221,23 +222,37 @@ uint32_t world_interrupt(void *world, unsigned vector)
     const bool starts = board->starting && vector == VECTOR_START;
     const bool published = second && board->servo.snapshot.tick != tick;
     board->starting = board->starting && !starts;
-    board->chip.stop = board->chip.stop || starts || (board->recording && published);
+    board->chip.core.stop = board->chip.core.stop || starts || (board->recording && published);
     const uint32_t stall = loop ? board->stall_clocks : 0u;
     board->stall_clocks -= stall;
     return stall;
 }
 
-void world_background(void *world)
+static void background(void *self)
 {
-    board_t *board = (board_t *)world;
+    board_t *board = (board_t *)self;
     if (board->up) {
         servo_background(&board->servo);
     }
 }
 
+static const chip_environment_t environment = {
+    .advance = advance_plant,
+    .next_event = next_event,
+    .handle_events = handle_events,
+    .deferrable_edges_changed = deferrable_edges_changed,
+    .report_deferred = report_deferred,
+    .set_gates = set_gates,
+    .outputs_changed = outputs_changed,
+    .convert = convert,
+    .boot = boot,
+    .interrupt = interrupt,
+    .background = background,
+};
+
 flash_t *board_flash(board_t *board, uint64_t *now_ns)
 {
-    *now_ns = board->chip.now * CLOCK_NS;
+    *now_ns = board->chip.core.bus.now * CLOCK_NS;
     return &board->chip.ftfl.flash;
 }
 
@@ -251,6 +266,7 @@ board_t *board_new(const board_config_t *config)
     }
     board_t *board = (board_t *)(void *)(room + SWITCHING_LINE - (uintptr_t)room % SWITCHING_LINE);
     board->allocated = room;
+    board->baud = config->baud;
     switching_init(&board->plant, config);
     const chip_config_t chip = {
         .wiring = wiring,
@@ -260,7 +276,7 @@ board_t *board_new(const board_config_t *config)
         .seed = config->seed,
         .core = {config->core.cycles_per_instruction, config->core.entry_cycles},
     };
-    chip_init(&board->chip, &chip, board);
+    chip_init(&board->chip, &chip, &environment, board);
     for (int axis = 0; axis < BOARD_AXES; axis++) {
         for (int line = 0; line < 2; line++) {
             chip_pin(&board->chip, encoder_pin[axis][line], switching_line(&board->plant, axis, line));
@@ -273,7 +289,7 @@ board_t *board_new(const board_config_t *config)
     return board;
 }
 
-#define START_MOST 100000u /* clocks within which the sequence starts after the boot */
+#define START_CLOCKS_MAX 100000u /* clocks within which the sequence starts after the boot */
 
 /* The software boots with the first look at the board, so that a trace can begin at power-on. For everybody else time
  * begins when both loops are at work, with the low-side centre of motor 1: as on the board with the ideal chip. */
@@ -285,12 +301,12 @@ static void boot_once(board_t *board)
     board->booted = true;
     (void)chip_run(&board->chip, 0);
     board->starting = true;
-    (void)chip_run(&board->chip, board->chip.now + START_MOST);
-    board->zero = board->chip.now;
+    (void)chip_run(&board->chip, board->chip.core.bus.now + START_CLOCKS_MAX);
+    board->zero = board->chip.core.bus.now;
     if (!board->starting) {
-        const pwm_submodule_t *master = &board->chip.pwm[0].sub[0];
+        const pwm_submodule_t *master = &board->chip.pwm.module[0].sub[0];
         board->zero = master->origin + master->distance[PWM_CYCLE];
-        board->chip.stop = false;
+        board->chip.core.stop = false;
         (void)chip_run(&board->chip, board->zero - 1u);
     }
     board->starting = false;
@@ -309,18 +325,22 @@ servo_t *board_servo(board_t *board)
     return &board->servo;
 }
 
-const char *board_error(const board_t *board) { return board->chip.failed ? board->chip.error : NULL; }
+const char *board_error(const board_t *board)
+{
+    return board->chip.core.bus.failed ? board->chip.core.bus.error : NULL;
+}
 
 /* Returns true if it has stopped before `until_ns`, for a slow tick. */
 static bool run(board_t *board, uint64_t until_ns)
 {
     boot_once(board);
-    board->chip.stop = false;
+    board->chip.core.stop = false;
     (void)chip_run(&board->chip, board->zero + until_ns / CLOCK_NS);
-    const uint64_t reached = (board->chip.now > board->zero) ? (board->chip.now - board->zero) * CLOCK_NS : 0u;
-    if (board->chip.stop || board->chip.failed) {
+    const uint64_t reached =
+        (board->chip.core.bus.now > board->zero) ? (board->chip.core.bus.now - board->zero) * CLOCK_NS : 0u;
+    if (board->chip.core.stop || board->chip.core.bus.failed) {
         board->time_ns = (reached > board->time_ns) ? reached : board->time_ns;
-        return board->chip.stop;
+        return board->chip.core.stop;
     }
     board->time_ns = (until_ns > board->time_ns) ? until_ns : board->time_ns;
     board->time_ns = (reached > board->time_ns) ? reached : board->time_ns;
@@ -346,10 +366,10 @@ size_t board_record(board_t *board, uint64_t until_ns, uint8_t *log, size_t max_
 
 size_t board_trace(board_t *board, uint64_t until_ns, trace_entry_t *log, size_t room)
 {
-    board->chip.trace = (trace_t){.entry = log, .size = 0, .left = room};
+    board->chip.core.bus.trace = (trace_t){.entry = log, .size = 0, .left = room};
     board_advance(board, until_ns);
-    const size_t size = board->chip.trace.size;
-    board->chip.trace = (trace_t){.entry = NULL, .size = 0, .left = 0};
+    const size_t size = board->chip.core.bus.trace.size;
+    board->chip.core.bus.trace = (trace_t){.entry = NULL, .size = 0, .left = 0};
     return size;
 }
 
@@ -368,14 +388,17 @@ int board_poke(board_t *board, uint32_t address, uint16_t value)
 size_t board_serial_in(board_t *board, const uint8_t *data, size_t size)
 {
     boot_once(board);
-    return chip_line_write(&board->chip, data, size);
+    return sci_line_write(&board->chip.sci, data, size);
 }
 
-size_t board_serial_out(board_t *board, uint8_t *data, size_t room) { return chip_line_read(&board->chip, data, room); }
+size_t board_serial_out(board_t *board, uint8_t *data, size_t room)
+{
+    return sci_line_read(&board->chip.sci, data, room);
+}
 
 uint64_t board_serial_next_ns(const board_t *board)
 {
-    const uint64_t clock = chip_line_next(&board->chip);
+    const uint64_t clock = sci_line_next(&board->chip.sci);
     return (clock == CHIP_NEVER) ? UINT64_MAX : (clock > board->zero) ? (clock - board->zero) * CLOCK_NS : 0u;
 }
 
@@ -415,8 +438,8 @@ void board_truth(const board_t *board, int axis, board_truth_t *truth)
 void board_stats(const board_t *board, board_stats_t *stats)
 {
     *stats = (board_stats_t){
-        .serial_overruns = board->chip.line.overruns,
-        .serial_lost = board->chip.line.lost,
+        .serial_overruns = board->chip.sci.line.overruns,
+        .serial_lost = board->chip.sci.line.lost,
         .breaks = board->breaks,
         .watchdog_services = board->chip.cop.services,
     };
@@ -431,7 +454,7 @@ void board_change_plant(board_t *board, const board_config_t *config)
         switching_set_friction(&board->plant, axis, plant_pins_friction(&board->pins[axis]));
         show_contacts(board, axis);
     }
-    board->chip.core.horizon = 0; /* the plant may have something sooner */
+    chip_plant_changed(&board->chip);
 }
 
 void board_set_load(board_t *board, int axis, double torque) { switching_set_load(&board->plant, axis, torque); }
@@ -454,7 +477,7 @@ void board_reverse_encoder(board_t *board, int axis)
     for (int line = 0; line < 2; line++) {
         chip_pin(&board->chip, line_pin(board, axis, line), switching_line(&board->plant, axis, line));
     }
-    world_deferrable_edges(board); /* these changes have used some */
+    deferrable_edges_changed(board); /* these changes have used some */
 }
 
 void board_obstruct_shaft(board_t *board, int axis, double below, double above)

@@ -1,50 +1,37 @@
-"""The chip alone: registers are written by the tests, the rest of the world is written in Python."""
+"""The chip alone: registers are written by the tests, its environment is written in Python."""
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from cffi import FFI
-
-NATIVE = Path(__file__).resolve().parents[1] / "native"
+from native_library import NATIVE, Native, compile_c
+from servo_twin._build_native import declarations
 
 NEVER = (1 << 64) - 1
 PERIOD, HALF = 6250, 3125
 """Of the PWM, in bus clocks of 10 ns."""
 
-WORLD = """
-typedef struct {
-    void (*advance)(uint64_t);
-    uint64_t (*next)(void);
-    void (*events)(void);
-    void (*late)(void);
-    void (*gates)(unsigned, unsigned, unsigned);
-    void (*outputs)(void);
-    uint16_t (*convert)(unsigned);
-    void (*boot)(void);
-    uint32_t (*interrupt)(unsigned);
-    void (*background)(void);
-} rig_world_t;
-"""
+HEADERS = [NATIVE / "chip" / name for name in ("trace.h", "environment.h", "bus.h")]
+SHARED = "".join(declarations(header.read_text(encoding="utf-8")) for header in HEADERS)
+"""What the chip shares with its environment and its peripherals with each other, for `cffi.FFI.cdef`."""
 
-CDEF = (
-    WORLD
-    + """
+CDEF = """
 typedef struct { uint8_t gate[2][3][2]; uint8_t txd, rxd; } chip_wiring_t;
 typedef struct { double cycles_per_instruction; unsigned entry_clocks; } core_speed_t;
 typedef struct { chip_wiring_t wiring; double baud; unsigned crossbar_clocks; core_speed_t core;
                  const uint8_t *flash; uint64_t seed; } chip_config_t;
-typedef struct { uint64_t clock; uint16_t kind, a; uint32_t b; } trace_entry_t;
 typedef struct { trace_entry_t *entry; size_t size, left; } trace_t;
+typedef struct { uint64_t now; trace_t trace; bool failed; char error[200]; ...; } bus_t;
 typedef struct { uint32_t overruns, lost; ...; } sci_line_t;
+typedef struct { sci_line_t line; ...; } sci_t;
 typedef struct { uint32_t services; ...; } cop_t;
-typedef struct { uint32_t locked_writes; ...; } pwm_t;
-typedef struct { uint64_t now; sci_line_t line; trace_t trace; cop_t cop; pwm_t pwm[2]; bool stop, failed;
-                 char error[200]; ...; } chip_t;
-void chip_init(chip_t *chip, const chip_config_t *config, void *world);
+typedef struct { uint32_t locked_writes; ...; } pwm_module_t;
+typedef struct { pwm_module_t module[2]; ...; } pwm_t;
+typedef struct { bus_t bus; bool stop; ...; } core_t;
+typedef struct { sci_t sci; cop_t cop; pwm_t pwm; core_t core; ...; } chip_t;
+void chip_init(chip_t *chip, const chip_config_t *config, const chip_environment_t *environment, void *board);
 bool chip_run(chip_t *chip, uint64_t until);
 uint16_t chip_read(chip_t *chip, uint32_t address);
 void chip_write(chip_t *chip, uint32_t address, uint16_t value);
@@ -53,73 +40,50 @@ void chip_pin(chip_t *chip, unsigned pin, bool level);
 unsigned chip_deferrable_edges(const chip_t *chip, unsigned pin);
 void chip_pin_late(chip_t *chip, unsigned pin, bool level, uint64_t clock);
 bool chip_pin_level(const chip_t *chip, unsigned pin);
-size_t chip_line_write(chip_t *chip, const uint8_t *data, size_t size);
-size_t chip_line_read(chip_t *chip, uint8_t *data, size_t room);
-uint64_t chip_line_next(const chip_t *chip);
+size_t sci_line_write(sci_t *sci, const uint8_t *data, size_t size);
+size_t sci_line_read(sci_t *sci, uint8_t *data, size_t room);
+uint64_t sci_line_next(const sci_t *sci);
 void chip_register_name(uint32_t address, char *name, size_t size);
 /* A call that may end in an error: 0, or -1. */
 int try_read(chip_t *chip, uint32_t address);
 int try_write(chip_t *chip, uint32_t address, uint16_t value);
-/* What the software of the tests is charged with, in 1/16 instruction. */
+/* Charges the software of the tests, in 1/16 instruction. */
 void try_spend(int units);
 """
-)
 
-PREAMBLE = (
-    """
+PREAMBLE = """
 #include <setjmp.h>
 #include <string.h>
+#include "chip/chip.h"
 #include "chip/core_time.h"
-#include "chip/parts.h"
-"""
-    + WORLD
-    + """
-/* The world is written in Python. */
-static const rig_world_t *rig(void *world) { return (const rig_world_t *)world; }
-
-void world_advance(void *world, uint64_t clock) { rig(world)->advance(clock); }
-uint64_t world_next(void *world) { return rig(world)->next(); }
-void world_events(void *world) { rig(world)->events(); }
-void world_deferrable_edges(void *world) { (void)world; /* asks whenever it wants to know */ }
-void world_late(void *world) { rig(world)->late(); }
-void world_gates(void *world, unsigned module, unsigned submodule, unsigned levels)
-{
-    rig(world)->gates(module, submodule, levels);
-}
-void world_outputs(void *world) { rig(world)->outputs(); }
-uint16_t world_convert(void *world, unsigned channel) { return rig(world)->convert(channel); }
-void world_boot(void *world) { rig(world)->boot(); }
-uint32_t world_interrupt(void *world, unsigned vector) { return rig(world)->interrupt(vector); }
-void world_background(void *world) { rig(world)->background(); }
 
 static void try_spend(int units) { core_spend(units); }
 
-/* The tests act as software from outside of chip_run, and from handlers: errors come back to here. */
+/* The tests act as software from outside of chip_run, and from handlers: errors return to here. */
 static int try_read(chip_t *chip, uint32_t address)
 {
     jmp_buf outer;
     volatile int value = -1;
-    memcpy(&outer, &chip->escape, sizeof outer);
-    if (setjmp(chip->escape) == 0) {
+    memcpy(&outer, &chip->core.bus.escape, sizeof outer);
+    if (setjmp(chip->core.bus.escape) == 0) {
         value = chip_read(chip, address);
     }
-    memcpy(&chip->escape, &outer, sizeof outer);
+    memcpy(&chip->core.bus.escape, &outer, sizeof outer);
     return value;
 }
 
 static int try_write(chip_t *chip, uint32_t address, uint16_t value)
 {
     jmp_buf outer;
-    memcpy(&outer, &chip->escape, sizeof outer);
-    const int reason = setjmp(chip->escape);
+    memcpy(&outer, &chip->core.bus.escape, sizeof outer);
+    const int reason = setjmp(chip->core.bus.escape);
     if (reason == 0) {
         chip_write(chip, address, value);
     }
-    memcpy(&chip->escape, &outer, sizeof outer);
-    return (reason == 1) ? -1 : 0;
+    memcpy(&chip->core.bus.escape, &outer, sizeof outer);
+    return (reason == ESCAPE_FAILURE) ? -1 : 0;
 }
 """
-)
 
 KINDS = (
     "cycle",
@@ -137,11 +101,6 @@ KINDS = (
 )
 
 
-class Native(NamedTuple):
-    ffi: FFI
-    lib: Any
-
-
 class Event(NamedTuple):
     clock: int
     kind: str
@@ -150,21 +109,8 @@ class Event(NamedTuple):
 
 
 def build(folder: Path) -> Native:
-    builder = FFI()
-    builder.cdef(CDEF)
-    builder.set_source(
-        "_chip_under_test",
-        PREAMBLE,
-        sources=[str(path) for path in [NATIVE / "flash.c", *sorted((NATIVE / "chip").glob("*.c"))]],
-        include_dirs=[str(NATIVE)],
-        extra_compile_args=["-std=c99", "-O1"],
-    )
-    spec = importlib.util.spec_from_file_location("_chip_under_test", builder.compile(tmpdir=str(folder)))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return Native(module.ffi, module.lib)
+    sources = [NATIVE / "flash.c", *sorted((NATIVE / "chip").glob("*.c"))]
+    return compile_c(folder, "_chip_under_test", SHARED + CDEF, PREAMBLE, sources)
 
 
 def pin(name: str) -> int:
@@ -255,7 +201,7 @@ class ChipError(Exception):
 
 
 class ChipRig:
-    """A chip with its clocks up and every gate open, and a world that does as the test says.
+    """A chip with its clocks up and every gate open, and an environment that the test defines.
 
     Attributes
     ----------
@@ -264,7 +210,7 @@ class ChipRig:
     handlers : dict
         By vector: what the software does, a function that returns the clocks it takes.
     edges : list of (clock, pin, level)
-        What the world will put on pins; sorted.
+        Levels that the environment will drive at pins; sorted.
     keeps_back : bool
         As many of them as the chip can defer come when it asks for them; all are of one timer module then.
     kept_back : int
@@ -291,31 +237,31 @@ class ChipRig:
         self.boots = 0
         self.raised: list[BaseException] = []
         self._settled = start
-        world = self.ffi.new("rig_world_t *")
-        calls = {
-            "advance": ("void(uint64_t)", lambda _: None),
-            "next": ("uint64_t(void)", self._next),
-            "events": ("void(void)", self._events),
-            "late": ("void(void)", self._late),
-            "gates": ("void(unsigned, unsigned, unsigned)", self._gates),
-            "outputs": ("void(void)", lambda: None),
-            "convert": ("uint16_t(unsigned)", self._convert),
-            "boot": ("void(void)", self._boot),
-            "interrupt": ("uint32_t(unsigned)", self._interrupt),
-            "background": ("void(void)", lambda: self.background()),
+        environment = {
+            "advance": ("void(void *, uint64_t)", lambda _, __: None),
+            "next_event": ("uint64_t(void *)", lambda _: self._next()),
+            "handle_events": ("void(void *)", lambda _: self._events()),
+            "deferrable_edges_changed": ("void(void *)", lambda _: None),
+            "report_deferred": ("void(void *)", lambda _: self._late()),
+            "set_gates": ("void(void *, unsigned, unsigned, unsigned)", lambda _, *gates: self._gates(*gates)),
+            "outputs_changed": ("void(void *)", lambda _: None),
+            "convert": ("uint16_t(void *, unsigned)", lambda _, channel: self._convert(channel)),
+            "boot": ("void(void *)", lambda _: self._boot()),
+            "interrupt": ("uint32_t(void *, unsigned)", lambda _, vector: self._interrupt(vector)),
+            "background": ("void(void *)", lambda _: self.background()),
         }
-        self._keep = {name: self.ffi.callback(kind, call) for name, (kind, call) in calls.items()}
-        for name, call in self._keep.items():
-            setattr(world, name, call)
+        calls = {name: self.ffi.callback(kind, call) for name, (kind, call) in environment.items()}
+        self._environment = self.ffi.new("chip_environment_t *", calls)
+        self._keep = calls
         self.chip = self.ffi.new("chip_t *")
         config = {"wiring": WIRING, "baud": baud, "crossbar_clocks": crossbar_clocks, "core": core}
-        self.lib.chip_init(self.chip, self.ffi.new("chip_config_t *", config), world)
-        self._world = world
+        self.lib.chip_init(self.chip, self.ffi.new("chip_config_t *", config), self._environment, self.ffi.NULL)
+        self.line = self.ffi.addressof(self.chip, "sci")
         self._trace = self.ffi.new("trace_entry_t[]", 200_000)
         self.run(0)
         self.clear()
 
-    # ---- the world -------------------------------------------------------------------------------------------------
+    # ---- the environment -------------------------------------------------------------------------------------------
 
     def _next(self) -> int:
         first = 0
@@ -324,25 +270,25 @@ class ChipRig:
         return self.edges[first][0] if first < len(self.edges) else NEVER
 
     def _late(self) -> None:
-        while self.keeps_back and self.edges and self.edges[0][0] <= self.chip.now:
+        while self.keeps_back and self.edges and self.edges[0][0] <= self.chip.core.bus.now:
             if self.lib.chip_deferrable_edges(self.chip, pin(self.edges[0][1])) == 0:
                 break  # an event
             clock, name, level = self.edges.pop(0)
-            self.kept_back += clock < self.chip.now
+            self.kept_back += clock < self.chip.core.bus.now
             self.lib.chip_pin_late(self.chip, pin(name), level, clock)
 
     def _events(self) -> None:
         self._late()
-        while self.edges and self.edges[0][0] <= self.chip.now:
+        while self.edges and self.edges[0][0] <= self.chip.core.bus.now:
             _, name, level = self.edges.pop(0)
             self.lib.chip_pin(self.chip, pin(name), level)
 
     def _gates(self, module: int, submodule: int, levels: int) -> None:
-        self.gates.append((self.chip.now, module, submodule, levels))
+        self.gates.append((self.chip.core.bus.now, module, submodule, levels))
 
     def _convert(self, channel: int) -> int:
         code = self.codes[channel]
-        return code(self.chip.now) if callable(code) else code
+        return code(self.chip.core.bus.now) if callable(code) else code
 
     def _interrupt(self, vector: int) -> int:
         return self.handlers[vector]() or 100
@@ -370,11 +316,11 @@ class ChipRig:
 
     @property
     def now(self) -> int:
-        return int(self.chip.now)
+        return int(self.chip.core.bus.now)
 
     def _check(self, good: bool) -> None:
         if not good:
-            raise ChipError(self.ffi.string(self.chip.error).decode())
+            raise ChipError(self.ffi.string(self.chip.core.bus.error).decode())
 
     def run(self, until: int) -> None:
         """Run up to and including a clock."""
@@ -409,11 +355,11 @@ class ChipRig:
 
     def clear(self) -> None:
         """Forget what has been recorded."""
-        self.chip.trace = {"entry": self._trace, "size": 0, "left": 200_000}
+        self.chip.core.bus.trace = {"entry": self._trace, "size": 0, "left": 200_000}
         self.gates.clear()
 
     def events(self, *kinds: str) -> list[Event]:
-        log = self._trace[0 : self.chip.trace.size]
+        log = self._trace[0 : self.chip.core.bus.trace.size]
         events = [Event(int(e.clock), KINDS[e.kind], int(e.a), int(e.b)) for e in log]
         return [e for e in events if not kinds or e.kind in kinds]
 
@@ -422,11 +368,11 @@ class ChipRig:
         return [e.clock for e in self.events(kind) if (a is None or e.a == a) and (b is None or e.b == b)]
 
     def host_write(self, data: bytes) -> None:
-        assert self.lib.chip_line_write(self.chip, data, len(data)) == len(data)
+        assert self.lib.sci_line_write(self.line, data, len(data)) == len(data)
 
     def host_read(self) -> bytes:
         buffer = self.ffi.new("uint8_t[]", 70_000)
-        return bytes(self.ffi.buffer(buffer, self.lib.chip_line_read(self.chip, buffer, 70_000)))
+        return bytes(self.ffi.buffer(buffer, self.lib.sci_line_read(self.line, buffer, 70_000)))
 
     def name(self, address: int) -> str:
         buffer = self.ffi.new("char[]", 64)

@@ -82,12 +82,12 @@ def stepping_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
 
 
 @pytest.fixture(scope="session")
-def registers_c(tmp_path_factory: pytest.TempPathFactory) -> chip_rig.Native:
+def registers_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
     """The chip at register level, alone (``ffi``, ``lib``)."""
     return chip_rig.build(tmp_path_factory.mktemp("registers"))
 
 
 @pytest.fixture
-def rig(registers_c: chip_rig.Native) -> chip_rig.ChipRig:
-    """A chip with its clocks up, in a world that the test makes."""
+def rig(registers_c: Native) -> chip_rig.ChipRig:
+    """A chip with its clocks up, in an environment that the test makes."""
     return chip_rig.ChipRig(registers_c)

@@ -130,22 +130,22 @@ uint64_t uart_next_ns(const uart_t *uart);
 """
 
 
-def build(
+def compile_c(
     folder: Path,
     name: str,
     cdef: str,
     preamble: str,
-    include: Sequence[Path],
     sources: Sequence[Path],
+    include: Sequence[Path] = (NATIVE,),
     defines: Sequence[str] = (),
 ) -> Native:
-    """Compile the plant and more C files into a module of their own in `folder`."""
+    """Compile C files into a module in `folder`."""
     builder = FFI()
     builder.cdef(cdef)
     builder.set_source(
         name,
         preamble,
-        sources=[str(path) for path in [*sorted((NATIVE / "plant").glob("*.c")), *sources]],
+        sources=[str(path) for path in sources],
         include_dirs=[str(path) for path in include],
         libraries=["m"],
         define_macros=[(macro, None) for macro in defines],
@@ -157,6 +157,21 @@ def build(
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return Native(module.ffi, module.lib)
+
+
+def build(
+    folder: Path,
+    name: str,
+    cdef: str,
+    preamble: str,
+    include: Sequence[Path],
+    sources: Sequence[Path],
+    defines: Sequence[str] = (),
+) -> Native:
+    """Compile the plant and more C files into a module of their own in `folder`."""
+    return compile_c(
+        folder, name, cdef, preamble, [*sorted((NATIVE / "plant").glob("*.c")), *sources], include, defines
+    )
 
 
 def c_axis(native: Native, axis: AxisPlant) -> Any:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from chip_rig import ChipError, ChipRig, Native
+from chip_rig import ChipError, ChipRig
+from native_library import Native
 
 DATA = 0x8000
 CCIF, RDCOLERR, ACCERR, MGSTAT0 = 0x80, 0x40, 0x20, 0x01

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from chip_rig import HALF, PERIOD, PWM_PINS, ChipError, ChipRig, Native, pwm_module, start_pwm
+from chip_rig import HALF, PERIOD, PWM_PINS, ChipError, ChipRig, pwm_module, start_pwm
+from native_library import Native
 
 OPEN, HIGH, LOW = 0, 1, 2
 TRIG_A1 = 22  # VAL4 of PWMA SM1 at the crossbar
@@ -269,7 +270,7 @@ class TestLoading:
         set_duty(rig, 500)
         rig.write("PWMA0_VAL3", 700)
         assert rig.read("PWMA0_VAL3") == 500
-        assert rig.chip.pwm[0].locked_writes == 1
+        assert rig.chip.pwm.module[0].locked_writes == 1
         rig.run(start + PERIOD)
         assert gates(rig, start)[2] == (HALF + 500, OPEN)
 

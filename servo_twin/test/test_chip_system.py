@@ -6,7 +6,8 @@ from functools import partial
 from typing import ClassVar
 
 import pytest
-from chip_rig import ADDRESS, HALF, PERIOD, PWM_PINS, ChipError, ChipRig, Native, pwm_module, start_pwm
+from chip_rig import ADDRESS, HALF, PERIOD, PWM_PINS, ChipError, ChipRig, pwm_module, start_pwm
+from native_library import Native
 
 SERIAL = {"GPIOC_PER": 0x0180, "SIM_GPSCL": 1 << 14, "SIM_GPSCH": 1, "SCI0_RATE": 434, "SCI0_CTRL1": 0x000C,
           "SCI0_CTRL2": 0x0020}  # fmt: skip
@@ -68,7 +69,7 @@ class TestAccess:
     @pytest.mark.parametrize("address", [0xE400 + 6, 0xDE00, 0xC000, 0xE1E0, 0xE6AA, 0xE6CF, 0xE556, 0x0100])
     def test_no_such_register(self, rig: ChipRig, address: int) -> None:
         assert rig.lib.try_read(rig.chip, address) == -1
-        text = rig.ffi.string(rig.chip.error).decode()
+        text = rig.ffi.string(rig.chip.core.bus.error).decode()
         assert f"({address:04X}h) is not modelled (at " in text
 
     def test_after_an_error_the_chip_stands_still(self, rig: ChipRig) -> None:
@@ -424,7 +425,7 @@ class TestSerial:
         serial.write("SCI0_STAT", 0)
         serial.step(2 * BYTE)
         assert bytes(serial.read("SCI0_DATA") for _ in range(2)) == b"gh"
-        assert serial.chip.line.overruns == 2
+        assert serial.chip.sci.line.overruns == 2
 
     def test_interrupts_by_received_bytes(self, serial: ChipRig) -> None:
         got = []

@@ -6,7 +6,8 @@ import random
 from typing import Any
 
 import pytest
-from chip_rig import ChipError, ChipRig, Native, pin
+from chip_rig import ChipError, ChipRig, pin
+from native_library import Native
 
 TICK = 128
 """Bus clocks per count of the time stamps."""

@@ -6,6 +6,7 @@ import pytest
 from servo_twin.board import Board
 from servo_twin.experiments import feed_forward, rig
 from servo_twin.experiments.feed_forward import Mismatch
+from servo_twin.experiments.plant_limits import believed
 from servo_twin.experiments.rig import spinning, watch
 from servo_twin.plant import PlantConfig
 
@@ -33,10 +34,13 @@ def test_agrees(changes: dict[str, float]) -> None:
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("missing", ["SPEED_FORWARD", "ACCELERATION_FORWARD"])
 def test_a_feature_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
-    def features(board: Board, axis: int, **switches: bool) -> None:
-        rig.features(board, axis, **{name: on for name, on in switches.items() if name != missing})
+    genuine, beliefs = rig.features, believed(PlantConfig.load(), 4)
 
-    monkeypatch.setattr(feed_forward, "features", features)
+    def features(board: Board, axis: int, **switches: bool) -> None:
+        genuine(board, axis, **{name: on for name, on in switches.items() if name != missing})
+
+    monkeypatch.setattr(rig, "features", features)
+    monkeypatch.setattr(feed_forward, "believed", lambda plant, seed: beliefs)
     found = rows()
     for axis in (1, 2):
         if missing == "SPEED_FORWARD":

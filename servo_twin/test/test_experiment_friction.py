@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from servo_twin.board import Board
 from servo_twin.experiments import friction, rig
+from servo_twin.experiments.plant_limits import believed
 from servo_twin.plant import PlantConfig
 
 
@@ -30,13 +31,13 @@ def test_the_right_belief_agrees() -> None:
 def test_a_feature_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """By every figure, with twice the friction that is believed: what a start loses to less, the encoder may hide."""
     monkeypatch.setattr(friction, "TIMES", (2.0,))
-
-    genuine = rig.features
+    genuine, beliefs = rig.features, believed(PlantConfig.load(), 5)
 
     def features(board: Board, axis: int, **switches: bool) -> None:
         genuine(board, axis, **{name: on for name, on in switches.items() if name != "FRICTION"})
 
     monkeypatch.setattr(rig, "features", features)
+    monkeypatch.setattr(friction, "believed", lambda plant, seed: beliefs)
     assert len(wrong()) == 6
 
 

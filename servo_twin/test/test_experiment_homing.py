@@ -36,7 +36,7 @@ def test_without_a_switch_that_is_fitted_nothing_is_found(monkeypatch: pytest.Mo
 
 
 def test_an_axis_without_the_feature_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(homing, "features", lambda board, axis, **switches: None)
+    monkeypatch.setattr(rig, "features", lambda board, axis, **switches: None)
     it = homing.unhomed(PlantConfig.load(), 6)
     for still in it.still.values():
         assert np.ptp(still.shaft) > 1000.0

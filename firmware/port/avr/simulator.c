@@ -1,8 +1,8 @@
 /* simulator.c - runs on the host: `simulator PROGRAM.elf IMAGE` executes a program for machine.h in simavr.
  *
- * The processor is an ATmega2560 with more RAM than it has: 60 KB, as the 56800EX has 32 K words. The image is no part of
- * the program: three general-purpose registers hold an address, and the third one reads as the byte there. The EEPROM, which
- * nothing else needs, has its registers taken for console and end.
+ * The processor is an ATmega2560 with more RAM than it has: 60 KB, as the 56800EX has 32 K words. The image is not
+ * part of the program: three general-purpose registers hold an address, and the third one reads as the byte there. The
+ * registers of the EEPROM, which is not used, serve as console and exit.
  */
 #include <simavr/sim_avr.h>
 #include <simavr/sim_core.h>
@@ -83,7 +83,7 @@ int main(int count, char **words)
     avr_register_io_write(avr, STOP, stop, &status);
     avr_register_io_read(avr, IMAGE_HIGH, image_byte, &image);
 
-    /* The core alone: no timer, no interrupt, no peripheral. */
+    /* The core only: no timer, no interrupt, no peripheral. */
     while (avr->state == cpu_Running) {
         avr->pc = avr_run_one(avr);
     }

@@ -20,7 +20,7 @@
 
 /* With -icount shift=10 one instruction takes 1024 ns: 25.6 ticks. */
 #define TICKS_OF_5 128u
-/* From the reading of one clock value to that of the next nothing but the reading itself has run. */
+/* Between the readings of two consecutive clock values only the reading itself runs. */
 #define READING 3u
 
 #define EXTERNAL_MEMORY 0x21000000u

@@ -1,4 +1,4 @@
-/* startup.c - vector table and the way from reset to main. */
+/* startup.c - vector table and reset handler. */
 #include "machine.h"
 
 extern uint32_t startup_stack[];
@@ -49,7 +49,7 @@ void startup_reset(void)
     machine_stop(main());
 }
 
-/* Nothing here uses interrupts: every exception is an error. */
+/* No interrupts are used here: every exception is an error. */
 void startup_trap(void)
 {
     machine_print("exception\n");

@@ -4,7 +4,7 @@
 #define M1 0U
 #define M2 1U
 
-/* What each loop reads: the currents, and the bus, which is converted last. */
+/* Samples of each half: the currents, then the bus voltage. */
 #define FIRST_HALF (ADC_SAMPLES_MASK(PAIR_M1_CURRENTS, 1U) | BIT(PAIR_BUS_1))
 #define SECOND_HALF (ADC_SAMPLES_MASK(PAIR_M2_CURRENTS, 1U) | BIT(PAIR_BUS_2))
 #define BOTH_HALVES (FIRST_HALF | SECOND_HALF)
@@ -37,7 +37,7 @@ static void write_lists(hal_t *hal)
               ADC_CLIST_SAMPLE(PAIR_M1_OFFSETS, m1->b) | ADC_CLIST_SAMPLE(PAIR_BUS_2, CHANNEL_SINK_2));
 }
 
-/* The lists may change while the scan pauses; what has not been sampled yet follows them. */
+/* The lists may be changed while the scan pauses: the remaining samples use the new lists. */
 void hal_adc_select(hal_t *hal, uint16_t axis, phase_pair_t pair)
 {
     if (hal->axis[axis].pair != pair) {
@@ -85,7 +85,7 @@ void adc_stop(hal_t *hal)
     REG_WRITE(hal, ADC_CTRL2, SET_ADC_CTRL2_STOPPED);
 }
 
-/* From here on the next trigger is that of motor 1. */
+/* After this call the next trigger is that of motor 1. */
 void adc_arm(hal_t *hal)
 {
     drop_results(hal);
@@ -101,7 +101,7 @@ static uint16_t code(hal_t *hal, uint16_t sample)
     return (uint16_t)((REG_READ(hal, ADC_RSLT(sample)) & ADC_RSLT_MASK) >> ADC_RSLT_SHIFT);
 }
 
-/* For the pair CA converter A has phase a, the second of the pair. */
+/* Pair CA: converter A samples phase a, the second phase of the pair. */
 static adc_pair_t phases(hal_t *hal, uint16_t axis, uint16_t pair)
 {
     const uint16_t a = code(hal, pair);
@@ -114,7 +114,7 @@ static adc_pair_t phases(hal_t *hal, uint16_t axis, uint16_t pair)
     return codes;
 }
 
-/* One lost trigger would swap the motors from then on: unread results tell which half the scan has done. */
+/* A lost trigger would swap the motors permanently: unread results show which half of the scan is complete. */
 static bool half_done(hal_t *hal, uint16_t half) { return (REG_READ(hal, ADC_RDY) & BOTH_HALVES) == half; }
 
 bool adc_take_first(hal_t *hal)
@@ -139,7 +139,7 @@ bool adc_take_second(hal_t *hal)
 
 adc_pair_t hal_adc_currents(hal_t *hal, uint16_t axis) { return hal->axis[axis].currents; }
 
-/* They stand until the same half of the next period. */
+/* The results remain valid until the same half of the next period. */
 adc_pair_t hal_adc_offsets(hal_t *hal, uint16_t axis)
 {
     return phases(hal, axis, (axis == M1) ? PAIR_M1_OFFSETS : PAIR_M2_OFFSETS);

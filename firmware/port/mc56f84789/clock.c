@@ -1,8 +1,8 @@
-/* clock.c - crystal, PLL, and the way to them in an order in which the core never loses its clock. */
+/* clock.c - start of crystal and PLL, in an order in which the core never loses its clock. */
 #include "port/mc56f84789/drivers.h"
 
 #define POLLS_MAX 60000U
-#define SWITCH_NOPS 6U /* that a change of the reference takes */
+#define SWITCH_NOPS 6U /* duration of a change of the reference */
 
 bool wait_for(hal_t *hal, uint16_t address, uint16_t mask, uint16_t value)
 {
@@ -14,7 +14,7 @@ bool wait_for(hal_t *hal, uint16_t address, uint16_t mask, uint16_t value)
     return false;
 }
 
-/* The internal oscillator drives the watchdog: give it the frequency that the factory measured. */
+/* The internal oscillator clocks the watchdog: set it to the frequency that the factory measured. */
 static void trim(hal_t *hal)
 {
     const uint16_t factory = REG_READ(hal, SIM_NVMOPT2H);
@@ -32,7 +32,7 @@ bool clock_init(hal_t *hal)
 {
     trim(hal);
 
-    /* Back to the oscillator that the chip starts with, PLL off. */
+    /* Back to the oscillator that is active after reset, PLL off. */
     REG_WRITE(hal, OCCS_CTRL, OCCS_CTRL_PRECS(OCCS_PRECS_INTERNAL) | OCCS_CTRL_PLLPD);
     if (!wait_for(hal, OCCS_STAT, OCCS_STAT_ZSRCS_MASK, OCCS_STAT_ZSRCS(OCCS_ZSRCS_OSCILLATOR))) {
         return false;
@@ -52,7 +52,7 @@ bool clock_init(hal_t *hal)
     }
 
     REG_WRITE(hal, OCCS_DIVBY, SET_OCCS_DIVBY);
-    REG_WRITE(hal, OCCS_CTRL, SET_OCCS_CTRL_PLL | OCCS_CTRL_PLLPD); /* lock detector first */
+    REG_WRITE(hal, OCCS_CTRL, SET_OCCS_CTRL_PLL | OCCS_CTRL_PLLPD); /* the lock detector first */
     REG_WRITE(hal, OCCS_CTRL, SET_OCCS_CTRL_PLL);
     if (!wait_for(hal, OCCS_STAT, OCCS_STAT_LCK0, OCCS_STAT_LCK0) ||
         !wait_for(hal, OCCS_STAT, OCCS_STAT_LCK1, OCCS_STAT_LCK1)) {

@@ -1,15 +1,14 @@
-/* flash.c - the last sectors of the data flash; the first ones have the tables of the linker file.
- *
- * A command runs by itself while the program goes on in the program flash, another block. What lies in the data flash
- * cannot be read meanwhile. */
+/* flash.c - the last sectors of the data flash; the first ones hold the tables of the linker file. A flash command runs
+ * while the program continues from the program flash, which is another block. The data flash cannot be read
+ * meanwhile. */
 #include "port/mc56f84789/drivers.h"
 
 #define FIRST_SECTOR (DATA_FLASH_SECTORS - HAL_FLASH_SECTORS)
-#define WORDS_16 2U /* in a word of 32 bits */
+#define WORDS_16 2U /* within a word of 32 bits */
 
 bool hal_flash_present(hal_t *hal) { return wait_for(hal, FTFL_STAT, FTFL_STAT_CCIF, FTFL_STAT_CCIF); }
 
-/* In words of 16 bits from the beginning of the data flash. */
+/* Offset in 16-bit words from the beginning of the data flash. */
 static uint16_t offset_of(uint16_t word)
 {
     return (uint16_t)((FIRST_SECTOR * HAL_FLASH_SECTOR_WORDS + word) * WORDS_16);
@@ -22,7 +21,7 @@ uint32_t hal_flash_read(hal_t *hal, uint16_t word)
     return (uint32_t)REG_READ(hal, address + 1U) << 16 | low;
 }
 
-/* Errors of the last command would keep this one from starting. The controller counts bytes. */
+/* Error flags of the previous command would block this one. The controller addresses bytes. */
 static void launch(hal_t *hal, uint16_t command, uint16_t word)
 {
     REG_WRITE(hal, FTFL_STAT, FTFL_STAT_ERRORS);

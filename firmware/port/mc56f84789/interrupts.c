@@ -1,4 +1,4 @@
-/* interrupts.c - levels of the interrupts, and the handler of each. */
+/* interrupts.c - priority levels and handlers of the interrupts. */
 #include "port/mc56f84789/drivers.h"
 #include "port/mc56f84789/port.h"
 #include "port/mc56f84789/vectors.h"

@@ -1,9 +1,9 @@
-/* port.c - the circle of the two loops (DRM 4.3). */
+/* port.c - the cycle of the two fast loops (DRM 4.3). */
 #include "port/mc56f84789/port.h"
 
 #include "port/mc56f84789/drivers.h"
 
-/* Losses are forgotten by one per period, so that more than four in 16 ms are too many. */
+/* The loss counter decays by one per period: more than four losses in 16 ms are too many. */
 #define LOSS 64U
 #define LOSSES_MAX 256U
 
@@ -11,7 +11,7 @@
 
 /* ---- sequence --------------------------------------------------------------------------------------------------- */
 
-/* Neither motor samples, M1 does not run; the scan begins anew with the first pair. */
+/* Stop sampling and M1 of both motors; the next scan begins with the first pair. */
 static void sequence_stop(hal_t *hal)
 {
     REG_WRITE(hal, PWMA_BASE + PWM_SM(0U) + PWM_INTEN, 0U);
@@ -40,8 +40,8 @@ void port_start(hal_t *hal)
     REG_WRITE(hal, PWMA_BASE + PWM_SM(0U) + PWM_INTEN, 0U);
 }
 
-/* A trigger was lost. The duties stand for one period while the scan starts anew; where that happens again and again the
- * switches open, and the watchdog, which only running loops serve, resets the board. */
+/* After a lost trigger the duty cycles stay constant for one period while the scan restarts. After repeated losses the
+ * outputs are switched off, and the watchdog, which only running loops serve, resets the board. */
 static void sequence_lost(hal_t *hal)
 {
     sequence_stop(hal);
@@ -59,8 +59,8 @@ static void sequence_lost(hal_t *hal)
 
 static void scope(hal_t *hal, uint16_t pins) { REG_WRITE(hal, GPIO(GPIO_F) + GPIO_DR, pins); }
 
-/* Pairs of loops that were left out since the last M1, on the encoder's time stamps, which count whatever the core does.
- * The servo notices a single one. */
+/* Pairs of loops omitted since the last M1, from the encoder's time stamps, which run independently of the core. The
+ * application detects a single omitted loop. */
 static void note_gap(hal_t *hal)
 {
     const uint16_t now = REG_READ(hal, TMRA_BASE + TMR_CHANNEL(1U) + TMR_CNTR);
@@ -75,7 +75,8 @@ static void note_gap(hal_t *hal)
     hal->running = true;
 }
 
-/* New duties are loaded where the counter of their module passes zero: where it was when they were released. */
+/* New duty cycles are loaded when the counter of their module passes zero: the counter at their release shows whether
+ * they are late. */
 void hal_duties_done(hal_t *hal, uint16_t axis)
 {
     if (hal->axis[axis].behind) {

@@ -9,9 +9,9 @@ static int16_t half_pulse(int16_t duty)
     return (int16_t)(((int32_t)duty * PWM_HALF_PERIOD + INT32_C(0x4000)) / INT32_C(0x8000));
 }
 
-/* Without a pulse the low side stays on. The shortest one would open it for the dead time, and a current out of the motor
- * would go into the bus meanwhile: windings that are shorted have to be so all the time. VAL3 still ends a pulse that is
- * under way when the values are loaded. */
+/* Without a pulse the low side stays on. The shortest pulse would switch it off for the dead time, and a current out of
+ * the motor would flow into the bus meanwhile: shorted windings must be shorted all the time. VAL3 still ends a pulse
+ * in progress when the values are loaded. */
 static void write_pulse(hal_t *hal, uint16_t submodule, int16_t half)
 {
     if (half < HALF_PULSE_MIN_CLOCKS) {
@@ -28,7 +28,7 @@ void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int
     const uint16_t module = hal->axis[axis].pwm;
     const uint16_t mctrl = REG_READ(hal, module + PWM_MCTRL);
     const uint16_t run = mctrl & PWM_MCTRL_RUN_MASK;
-    if ((mctrl & PWM_MCTRL_LDOK_MASK) != 0U) { /* not loaded yet, and locked until it is: take it back */
+    if ((mctrl & PWM_MCTRL_LDOK_MASK) != 0U) { /* not loaded yet, and locked until then: cancel the load */
         REG_WRITE(hal, module + PWM_MCTRL, run | PWM_MCTRL_CLDOK(PWM_ALL));
     }
     write_pulse(hal, module + PWM_SM(0U), half_pulse(duty_a));
@@ -68,7 +68,7 @@ void hal_analog_out(hal_t *hal, uint16_t channel, uint16_t value)
     REG_WRITE(hal, PWMB_BASE + PWM_MCTRL, run | PWM_MCTRL_RUN(BIT(MONITOR_SM)) | PWM_MCTRL_LDOK(BIT(MONITOR_SM)));
 }
 
-/* ---- over-current: the outputs are off already, the flag stays until the application clears it ------------------ */
+/* ---- over-current: the hardware has switched the outputs off; the flag stays set until the application clears it  */
 
 static void over_current(hal_t *hal, uint16_t axis)
 {

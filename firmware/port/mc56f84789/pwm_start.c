@@ -7,7 +7,7 @@ static void submodule_init(hal_t *hal, uint16_t module, uint16_t sm)
     pwm_write(hal, module, sm, PWM_INIT, SET_PWM_INIT);
     pwm_write(hal, module, sm, PWM_VAL0, SET_PWM_VAL0);
     pwm_write(hal, module, sm, PWM_VAL1, SET_PWM_VAL1);
-    pwm_write(hal, module, sm, PWM_VAL2, WORD(-PWM_HALF_PERIOD / 2)); /* 50 %, as the states before RUN have it */
+    pwm_write(hal, module, sm, PWM_VAL2, WORD(-PWM_HALF_PERIOD / 2)); /* 50 %, as in the states before RUN */
     pwm_write(hal, module, sm, PWM_VAL3, WORD(PWM_HALF_PERIOD / 2));
     pwm_write(hal, module, sm, PWM_VAL4, SET_PWM_VAL4);
     pwm_write(hal, module, sm, PWM_VAL5, 0U);
@@ -33,7 +33,7 @@ static void module_init(hal_t *hal, uint16_t module, uint16_t ctrl2_first, uint1
     REG_WRITE(hal, module + PWM_MASK, 0U);
 }
 
-/* Buffers are loaded, FORCE takes the outputs' sources over, then the faults are armed. */
+/* Load the buffers, switch the sources of the outputs with FORCE, then arm the faults. */
 static void module_finish(hal_t *hal, uint16_t module)
 {
     REG_WRITE(hal, module + PWM_MCTRL, PWM_MCTRL_LDOK(PWM_ALL));
@@ -58,7 +58,8 @@ void pwm_init(hal_t *hal)
     module_finish(hal, PWMB_BASE);
 }
 
-/* The flag holds the outputs off as the over-current's does; here it is cleared, and an open input sets it again. */
+/* The fault flag keeps the outputs off, like that of the over-current. It is cleared here; an open input sets it
+ * again. */
 void hal_enable_input(hal_t *hal, uint16_t axis, bool used)
 {
     const uint16_t module = hal->axis[axis].pwm;
@@ -68,14 +69,15 @@ void hal_enable_input(hal_t *hal, uint16_t axis, bool used)
     REG_WRITE(hal, module + PWM_FSTS0, SET_PWM_FSTS0 | PWM_FSTS_FFLAG(ENABLE_INPUT));
 }
 
-/* The follower first: the master's first VAL0 already finds it running. */
+/* Start the follower first, so that it runs before the first VAL0 of the master. */
 void pwm_run(hal_t *hal)
 {
     REG_WRITE(hal, PWMB_BASE + PWM_MCTRL, PWM_MCTRL_RUN(PWM_ALL) | PWM_MCTRL_LDOK(PWM_ALL));
     REG_WRITE(hal, PWMA_BASE + PWM_MCTRL, PWM_MCTRL_RUN(PWM_ALL) | PWM_MCTRL_LDOK(PWM_ALL));
 }
 
-/* The fourth submodule of PWMB has two outputs of its own: pulses that begin with the period, in the middle at first. */
+/* The fourth submodule of PWMB has two outputs of its own: pulses that begin with the period, initially at half
+ * scale. */
 void pwm_monitor_start(hal_t *hal)
 {
     pwm_write(hal, PWMB_BASE, MONITOR_SM, PWM_CTRL, SET_MONITOR_CTRL);
@@ -90,7 +92,7 @@ void pwm_monitor_start(hal_t *hal)
     pwm_write(hal, PWMB_BASE, MONITOR_SM, PWM_OCTRL, 0U);
     pwm_write(hal, PWMB_BASE, MONITOR_SM, PWM_INTEN, 0U);
     pwm_write(hal, PWMB_BASE, MONITOR_SM, PWM_TCTRL, 0U);
-    pwm_write(hal, PWMB_BASE, MONITOR_SM, PWM_DISMAP0, SET_MONITOR_DISMAP); /* no fault of the drive blinds it */
+    pwm_write(hal, PWMB_BASE, MONITOR_SM, PWM_DISMAP0, SET_MONITOR_DISMAP); /* not switched off by faults */
     pwm_write(hal, PWMB_BASE, MONITOR_SM, PWM_DISMAP1, SET_MONITOR_DISMAP);
     pwm_write(hal, PWMB_BASE, MONITOR_SM, PWM_CTRL2, SET_MONITOR_CTRL2);
     hal->axis[1].others = SET_MONITOR_OUTEN;

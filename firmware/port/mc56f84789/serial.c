@@ -30,7 +30,7 @@ void serial_init(hal_t *hal)
 
 static bool waiting(hal_t *hal) { return (REG_READ(hal, REG(QSCI_CTRL2)) & QSCI_CTRL2_RFCNT_MASK) != 0U; }
 
-/* RDRF goes with reading STAT and then the data; errors go with reading and then writing STAT. */
+/* RDRF is cleared by reading STAT and then the data; errors are cleared by reading and then writing STAT. */
 void port_receive(hal_t *hal)
 {
     const uint16_t stat = REG_READ(hal, REG(QSCI_STAT));
@@ -45,7 +45,7 @@ void port_receive(hal_t *hal)
             hal->overruns++;
         }
     }
-    if ((stat & ERRORS) != 0U) { /* a frame's checksum finds what is wrong with the bytes */
+    if ((stat & ERRORS) != 0U) { /* the checksum of a frame detects corrupted bytes */
         if ((stat & QSCI_STAT_OR) != 0U) {
             hal->overruns++;
         }
@@ -55,9 +55,9 @@ void port_receive(hal_t *hal)
 
 uint16_t hal_receiver_overruns(hal_t *hal) { return hal->overruns; }
 
-/* What is below the watermark. On a slow line the background takes it: an interrupt for every byte would delay M1 and M2.
- * On a fast one M1 and M2 may interrupt the background for longer than the FIFO takes to fill: one byte is enough for the
- * interrupt then. */
+/* Bytes below the watermark. On a slow line the background reads them: an interrupt per byte would delay M1 and M2. On
+ * a fast line M1 and M2 may interrupt the background for longer than the FIFO takes to fill: then the interrupt is set
+ * to a single byte. */
 static void fetch_rest(hal_t *hal)
 {
     if (hal->slow_line) {
@@ -78,7 +78,7 @@ bool hal_serial_get(hal_t *hal, uint8_t *byte)
         }
         fetch_rest(hal);
         if (out == hal->ring_in) {
-            return false; /* the interrupt is on its way */
+            return false; /* the interrupt is pending */
         }
     }
     *byte = hal->ring[out & RING_MASK];

@@ -25,7 +25,7 @@ void hal_holding_brake(hal_t *hal, uint16_t axis, bool release)
     REG_WRITE(hal, GPIO(GPIO_D) + GPIO_DR, release ? others | PIN_HOLDING(axis) : others);
 }
 
-/* An open contact is high: a home switch is closed within its range, a limit switch opens at the end of the way. */
+/* An open contact reads high: a home switch is closed within its range, a limit switch opens at the end of travel. */
 uint16_t hal_inputs(hal_t *hal, uint16_t axis)
 {
     const uint16_t levels = REG_READ(hal, GPIO(GPIO_F) + GPIO_RAWDATA) >> SWITCHES_SHIFT(axis) & SWITCHES_MASK;
@@ -34,7 +34,7 @@ uint16_t hal_inputs(hal_t *hal, uint16_t axis)
     return (uint16_t)((levels ^ HAL_INPUT_HOME) | (open ? 0U : HAL_INPUT_ENABLE));
 }
 
-/* The function of a pin first, then the peripheral gets it. */
+/* Select the function of a pin first, then connect it to the peripheral. */
 void pins_init(hal_t *hal)
 {
     REG_WRITE(hal, SIM_GPSAL, SET_GPSAL);

@@ -1,4 +1,4 @@
-/* start.c - how the board starts (DRM 4.3). */
+/* start.c - start of the board (DRM 4.3). */
 #include "port/mc56f84789/drivers.h"
 #include "port/mc56f84789/port.h"
 
@@ -36,7 +36,7 @@ static bool peripherals_init(hal_t *hal)
         return false;
     }
     sim_init(hal);
-    pwm_init(hal); /* outputs off before a pin belongs to a PWM */
+    pwm_init(hal); /* outputs off before a pin is assigned to a PWM */
     pins_init(hal);
     crossbar_init(hal);
     timers_init(hal);

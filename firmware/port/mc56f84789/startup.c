@@ -13,7 +13,7 @@ int main(void)
             servo_background(&servo);
         }
     }
-    for (;;) { /* no clock or no converter: the watchdog tries again */
+    for (;;) { /* no clock or no converter: the watchdog resets the board, which tries again */
     }
 }
 

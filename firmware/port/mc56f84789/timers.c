@@ -20,7 +20,7 @@ uint16_t hal_index_count(hal_t *hal, uint16_t axis)
     return REG_READ(hal, timer_register(hal, axis, TIMER_INDEX, TMR_CNTR));
 }
 
-/* Counter before flag: it may run over between the two. */
+/* Read the counter before the flag: it may overflow between the two. */
 uint32_t hal_edge_age(hal_t *hal, uint16_t axis)
 {
     const uint16_t age = REG_READ(hal, timer_register(hal, axis, TIMER_AGE, TMR_CNTR));
@@ -35,7 +35,7 @@ static bool latched(hal_t *hal, uint16_t axis, uint16_t channel)
     return (REG_READ(hal, timer_register(hal, axis, channel, TMR_SCTRL)) & TMR_SCTRL_IEF) != 0U;
 }
 
-/* Flags are cleared by writing 0; the timer's overflow survives, unless an edge has ended it. */
+/* Flags are cleared by writing 0; the overflow flag of the timer is kept, unless an edge has ended the overflow. */
 static void age_open(hal_t *hal, uint16_t axis)
 {
     const uint16_t sctrl = REG_READ(hal, timer_register(hal, axis, TIMER_AGE, TMR_SCTRL));
@@ -50,7 +50,7 @@ void hal_capture_arm(hal_t *hal, uint16_t axis)
         age_open(hal, axis);
         REG_WRITE(hal, timer_register(hal, axis, TIMER_STAMP, TMR_SCTRL), SET_TMR_SCTRL_CAPTURE);
         REG_WRITE(hal, timer_register(hal, axis, TIMER_COUNT, TMR_SCTRL), SET_TMR_SCTRL_CAPTURE | TMR_SCTRL_IEFIE);
-        /* An edge between these writes is in some of the captures and not in the others: once more. */
+        /* An edge between these writes is in only some of the captures: repeat. */
         const bool count = latched(hal, axis, TIMER_COUNT);
         if (count == latched(hal, axis, TIMER_STAMP)) {
             break;
@@ -60,7 +60,7 @@ void hal_capture_arm(hal_t *hal, uint16_t axis)
     state->armed = true;
 }
 
-/* The loops may interrupt the edge handler right here, take the edge and arm anew: then it is theirs. */
+/* A loop may interrupt the edge handler here, take the capture and arm again: the capture then belongs to the loop. */
 bool hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture)
 {
     port_axis_t *state = &hal->axis[axis];
@@ -74,7 +74,7 @@ bool hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture)
     if (state->arms != arms) {
         return false;
     }
-    /* IEF stays set and keeps later edges out. */
+    /* IEF stays set and blocks later captures. */
     REG_WRITE(hal, timer_register(hal, axis, TIMER_COUNT, TMR_SCTRL), SET_TMR_SCTRL_CAPTURE | TMR_SCTRL_IEF);
     REG_WRITE(hal, timer_register(hal, axis, TIMER_AGE, TMR_SCTRL),
               SET_TMR_SCTRL_CAPTURE | TMR_SCTRL_IEF); /* the edge ends an overflow */
@@ -88,7 +88,7 @@ bool hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture)
 static void edge(hal_t *hal, uint16_t axis)
 {
     servo_edge_isr(hal->servo, axis);
-    /* Who did not take the edge must not be asked again and again. */
+    /* An edge that was not taken must not cause the interrupt again and again. */
     const uint16_t waiting = TMR_SCTRL_IEF | TMR_SCTRL_IEFIE;
     if ((REG_READ(hal, timer_register(hal, axis, TIMER_COUNT, TMR_SCTRL)) & waiting) == waiting) {
         REG_WRITE(hal, timer_register(hal, axis, TIMER_COUNT, TMR_SCTRL), SET_TMR_SCTRL_CAPTURE | TMR_SCTRL_IEF);

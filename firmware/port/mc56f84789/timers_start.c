@@ -12,7 +12,7 @@ static void module_init(hal_t *hal, uint16_t axis)
         REG_WRITE(hal, timer_register(hal, axis, channel, TMR_SCTRL), 0U);
         REG_WRITE(hal, timer_register(hal, axis, channel, TMR_FILT), 0U);
     }
-    /* The filter of a channel is that of the input with its number, for all channels. */
+    /* The filter register of channel n belongs to input n, for all channels that use that input. */
     REG_WRITE(hal, timer_register(hal, axis, INPUT_A, TMR_FILT), SET_TMR_FILT);
     REG_WRITE(hal, timer_register(hal, axis, INPUT_B, TMR_FILT), SET_TMR_FILT);
 

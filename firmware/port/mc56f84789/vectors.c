@@ -1,4 +1,4 @@
-/* vectors.c - the vector table in program flash, and the interrupts that it calls. Silicon only. */
+/* vectors.c - vector table in program flash, and interrupt entry. Silicon only. */
 #include "port/mc56f84789/vectors.h"
 
 #include "port/mc56f84789/access.h"
@@ -35,7 +35,7 @@ void isr_edge_1(void) { port_edge_1(&startup_hal); }
 void isr_edge_2(void) { port_edge_2(&startup_hal); }
 void isr_receive(void) { port_receive(&startup_hal); }
 
-/* An interrupt that was not enabled: open the switches and let the watchdog reset the board. */
+/* An interrupt that was not enabled: switch the outputs off and let the watchdog reset the board. */
 void isr_unexpected(void)
 {
     REG_WRITE(&startup_hal, PWMA_BASE + PWM_OUTEN, 0U);

@@ -2,37 +2,49 @@
  *
  * A scan begins with the first edge of the ADC clock at or after the sync pulse. The first pair is held 2.5 ADC clocks
  * later and complete after 8.5; each further one follows after 6 (DRM 1.4). A pause ends the row: the next pair starts
- * like a first one.
+ * like a first one. Clocks are those of the bus (10 ns).
  */
 #ifndef CHIP_ADC_H
 #define CHIP_ADC_H
 
-#include <stdbool.h>
-#include <stdint.h>
+#include "chip/bus.h"
+
+#define ADC_BASE 0xE500u
+#define ADC_END 0xE556u
 
 #define ADC_SAMPLES 16
 #define ADC_PAIRS 8
-#define ADC_CONVERTERS 2
 
 typedef struct {
-    bool scanning;        /* CIP */
-    bool converting;      /* between a sync and the last result of the row */
-    unsigned pair;        /* next to be held */
-    uint64_t hold_clock;  /* when it is */
-    uint64_t ready_clock; /* when its result is there */
-    uint64_t end_clock;   /* last result of the row; CHIP_NEVER while more follow */
-    uint64_t sync_clock;  /* last sync pulse */
+    bool scanning;         /* CIP */
+    bool converting;       /* between a sync pulse and the last result of the row */
+    unsigned pair;         /* to be held next */
+    uint64_t sample_clock; /* when it is held */
+    uint64_t ready_clock;  /* when its result is ready */
+    uint64_t end_clock;    /* of the last result of the row; CHIP_NEVER while more pairs follow */
+    uint64_t sync_clock;   /* of the last sync pulse */
 } adc_converter_t;
 
 typedef struct {
+    bus_t *bus;
+    uint16_t connected; /* bit per analogue pin that is routed to the ADC: 0..7 ANA0-7, 8..15 ANB0-7 */
+    /* registers; results and offsets in 1/8 codes of 12 bits */
     uint16_t ctrl1, ctrl2, clist[4], sdis, stat, rdy, result[ADC_SAMPLES], offset[ADC_SAMPLES];
     uint16_t pwr, cal, sctrl, pwr2, ctrl3, schlten;
-    uint8_t channel[ADC_SAMPLES];  /* of each sample, as CLIST has it */
-    uint64_t ready[ADC_SAMPLES];   /* clock at which `waiting` becomes the result; CHIP_NEVER without one */
-    uint16_t waiting[ADC_SAMPLES];
-    unsigned waits;                /* bit n: sample n waits */
-    uint64_t power_clock[ADC_CONVERTERS]; /* when the power-up delay is over */
+    uint8_t channel[ADC_SAMPLES];         /* pin of each sample, from CLIST */
+    uint64_t ready[ADC_SAMPLES];          /* clock at which `waiting` becomes the result */
+    uint16_t waiting[ADC_SAMPLES];        /* 1/8 codes */
+    unsigned waits;                       /* bit n: sample n is not ready yet */
+    uint64_t power_clock[ADC_CONVERTERS]; /* end of the power-up delay */
     adc_converter_t converter[ADC_CONVERTERS];
 } adc_t;
+
+uint16_t adc_read(void *adc, uint32_t address);
+void adc_write(void *adc, uint32_t address, uint16_t value);
+void adc_reset(void *adc);
+NOINLINE void adc_event(void *adc, unsigned source);
+
+/* Pulse at a sync input. */
+void adc_sync(adc_t *adc, unsigned converter);
 
 #endif

@@ -1,272 +1,220 @@
 #include "chip/chip.h"
 
-#include <stdarg.h>
-#include <stdio.h>
 #include <string.h>
 
-#include "chip/parts.h"
+#define POLLS_MAX 20000u /* reads at one clock: the software polls a flag that cannot change */
 
-#define ESCAPE_FAILURE 1
-#define ESCAPE_RESET 2
-#define POLLS_MAX 20000u /* reads at one instant: software that waits for time, which stands still */
-
-/* ---- errors ------------------------------------------------------------------------------------------------------- */
-
-void chip_fail(chip_t *chip, const char *format, ...)
-{
-    if (!chip->failed) {
-        char text[CHIP_ERROR_SIZE];
-        va_list arguments;
-        va_start(arguments, format);
-        (void)vsnprintf(text, sizeof text, format, arguments);
-        va_end(arguments);
-        (void)snprintf(chip->error, sizeof chip->error, "%.150s (at %.2f us)", text, (double)chip->now * 0.01);
-    }
-    chip->failed = true;
-    longjmp(chip->escape, ESCAPE_FAILURE);
-}
-
-void chip_no_register(chip_t *chip, uint32_t address)
-{
-    char name[64];
-    chip_register_name(address, name, sizeof name);
-    chip_fail(chip, "%s (%04lXh) is not modelled", name, (unsigned long)address);
-}
-
-void chip_no_value(chip_t *chip, uint32_t address, uint16_t value, const char *why)
-{
-    char name[64];
-    chip_register_name(address, name, sizeof name);
-    chip_fail(chip, "%s = %04Xh: %s", name, (unsigned)value, why);
-}
-
-void chip_reset(chip_t *chip, reset_cause_t cause)
-{
-    qtmr_catch_up(chip); /* the pins stay what they are */
-    for (unsigned i = 0; i < CHIP_SOURCES_MOST; i++) {
-        chip_set_turn(chip, i, CHIP_NEVER);
-        chip_find_first(chip, i / CHIP_GROUP);
-    }
-    chip->quiet_turn = chip->turn[SOURCE_FAULT]; /* the lowest of them */
-    core_reset(chip);
-    system_reset(chip, cause);
-    pwm_reset(chip);
-    adc_reset(chip);
-    qtmr_reset(chip);
-    xbar_reset(chip);
-    sci_reset(chip);
-    pins_reroute(chip);
-    ftfl_reset(chip);
-    chip->must_boot = true;
-    chip->alive = chip->alive && core_runs(chip); /* from outside: the software that ran is gone */
-    longjmp(chip->escape, ESCAPE_RESET);
-}
-
-/* ---- access ------------------------------------------------------------------------------------------------------- */
+/* ---- peripherals ---------------------------------------------------------------------------------------------------- */
 
 typedef struct {
-    uint32_t begin, end;
-    uint16_t (*read)(chip_t *chip, uint32_t address);
-    void (*write)(chip_t *chip, uint32_t address, uint16_t value);
-} block_t;
+    uint32_t base, end; /* addresses of the registers, the end excluded */
+    size_t offset; /* of the peripheral in chip_t */
+    uint16_t (*read)(void *peripheral, uint32_t address);
+    void (*write)(void *peripheral, uint32_t address, uint16_t value);
+    void (*reset)(void *peripheral); /* NULL: another entry resets it */
+} peripheral_t;
 
-static const block_t blocks[] = {
-    /* in order of address */
-    {0xE080, 0xE0B0, sci_read, sci_write},   {0xE140, 0xE1C0, qtmr_read, qtmr_write},
-    {0xE200, 0xE270, gpio_read, gpio_write}, {0xE2B0, 0xE2B9, occs_read, occs_write},
-    {0xE300, 0xE31C, intc_read, intc_write}, {0xE320, 0xE324, cop_read, cop_write},
-    {0xE340, 0xE388, xbar_read, xbar_write}, {FTFL_BEGIN, FTFL_END, ftfl_read, ftfl_write},
-    {0xE400, 0xE42E, sim_read, sim_write},   {0xE500, 0xE556, adc_read, adc_write},
-    {0xE600, 0xE800, pwm_read, pwm_write},
+#define AT(member) offsetof(chip_t, member)
+
+/* The first one is tried for addresses outside of the pages. */
+static const peripheral_t peripherals[] = {
+    {FTFL_DATA_BASE, FTFL_DATA_END, AT(ftfl), ftfl_data_read, ftfl_data_write, NULL},
+    {SCI_BASE, SCI_END, AT(sci), sci_read, sci_write, sci_reset},
+    {QTMR_BASE, QTMR_END, AT(qtmr), qtmr_read, qtmr_write, qtmr_reset},
+    {GPIO_BASE, GPIO_END, AT(pins), gpio_read, gpio_write, pins_reset},
+    {OCCS_BASE, OCCS_END, AT(occs), occs_read, occs_write, occs_reset},
+    {INTC_BASE, INTC_END, AT(intc), intc_read, intc_write, intc_reset},
+    {COP_BASE, COP_END, AT(cop), cop_read, cop_write, cop_reset},
+    {XBAR_BASE, XBAR_END, AT(xbar), xbar_read, xbar_write, xbar_reset},
+    {FTFL_BASE, FTFL_END, AT(ftfl), ftfl_read, ftfl_write, ftfl_reset},
+    {SIM_BASE, SIM_END, AT(sim), sim_read, sim_write, sim_reset},
+    {ADC_BASE, ADC_END, AT(adc), adc_read, adc_write, adc_reset},
+    {PWM_BASE, PWM_END, AT(pwm), pwm_read, pwm_write, pwm_reset},
 };
 
-/* The first block that may hold an address, by its bits 8 to 10. */
-static const block_t *const first_block[8] = {&blocks[0], &blocks[1], &blocks[2],  &blocks[4],
-                                              &blocks[8], &blocks[9], &blocks[10], &blocks[10]};
+#define PERIPHERALS (sizeof peripherals / sizeof peripherals[0])
 
-static inline const block_t *block_of(chip_t *chip, uint32_t address)
+static const struct {
+    unsigned source, count; /* first of the sources, and how many there are */
+    size_t offset;
+    void (*handle)(void *peripheral, unsigned source);
+} handlers[] = {
+    {SOURCE_PWM, PWM_MODULES * PWM_SUBMODULES, AT(pwm), pwm_event},
+    {SOURCE_FAULT, 1, AT(pwm), pwm_fault_event},
+    {SOURCE_TIMER, QTMR_MODULES, AT(qtmr), qtmr_event},
+    {SOURCE_ADC, ADC_CONVERTERS, AT(adc), adc_event},
+    {SOURCE_SERIAL, 1, AT(sci), sci_event},
+    {SOURCE_COP, 1, AT(cop), cop_event},
+};
+
+#define PAGE_BASE 0xE000u
+#define PAGE_SIZE 16u /* no page has registers of two peripherals */
+
+static inline void *at(chip_t *chip, size_t offset) { return (uint8_t *)chip + offset; }
+
+static inline const peripheral_t *find_peripheral(chip_t *chip, uint32_t address)
 {
-    if (address >> 11 != 0xE000u >> 11) {
-        chip_no_register(chip, address);
+    const uint32_t page = (address - PAGE_BASE) / PAGE_SIZE;
+    const peripheral_t *found = &peripherals[(page < CHIP_PAGES) ? chip->peripheral_of[page] : 0u];
+    if (address < found->base || address >= found->end) {
+        bus_no_register(&chip->core.bus, address);
     }
-    const block_t *block = first_block[(address >> 8) & 7u];
-    while (address >= block->end) {
-        block++;
-    }
-    if (address < block->begin) {
-        chip_no_register(chip, address);
-    }
-    return block;
+    return found;
 }
+
+static void connect_peripherals(chip_t *chip)
+{
+    for (unsigned i = 1; i < PERIPHERALS; i++) {
+        for (uint32_t address = peripherals[i].base; address < peripherals[i].end; address++) {
+            chip->peripheral_of[(address - PAGE_BASE) / PAGE_SIZE] = (uint8_t)i;
+        }
+    }
+    for (unsigned i = 0; i < sizeof handlers / sizeof handlers[0]; i++) {
+        for (unsigned n = 0; n < handlers[i].count; n++) {
+            chip->core.bus.events.handler[handlers[i].source + n] =
+                (event_handler_t){handlers[i].handle, at(chip, handlers[i].offset)};
+        }
+    }
+}
+
+/* ---- signals between peripherals ------------------------------------------------------------------------------------ */
+
+static chip_t *chip_of(void *chip) { return (chip_t *)chip; }
+
+static void signal_crossbar(void *chip, int a_input, int b_input, xbar_edge_t edge)
+{
+    xbar_signal(&chip_of(chip)->xbar, a_input, b_input, edge);
+}
+
+static void signal_adc_sync(void *chip, unsigned converter) { adc_sync(&chip_of(chip)->adc, converter); }
+
+static void signal_pwm_ext_sync(void *chip, unsigned module, unsigned submodule)
+{
+    pwm_ext_sync(&chip_of(chip)->pwm, module, submodule);
+}
+
+static void signal_pwm_fault(void *chip, unsigned module, unsigned input, bool level)
+{
+    pwm_fault_input(&chip_of(chip)->pwm, module, input, level);
+}
+
+static void signal_timer_input(void *chip, unsigned module, unsigned input, bool level)
+{
+    qtmr_input(&chip_of(chip)->qtmr, module, input, level, chip_of(chip)->core.bus.now);
+}
+
+static void signal_timer_pulse(void *chip, unsigned module, unsigned input)
+{
+    qtmr_pulse(&chip_of(chip)->qtmr, module, input);
+}
+
+static void signal_timer_catch_up(void *chip) { qtmr_catch_up(&chip_of(chip)->qtmr); }
+
+static void signal_clock_gates_changed(void *chip)
+{
+    pwm_gates_changed(&chip_of(chip)->pwm);
+    qtmr_gates_changed(&chip_of(chip)->qtmr);
+}
+
+static void signal_route_pins(void *chip) { pins_route(&chip_of(chip)->pins); }
+
+static void connect_gates(chip_t *chip)
+{
+    for (unsigned i = 0; i < PINS_GATES; i++) {
+        const unsigned module = i / 6u, submodule = i % 6u / 2u, side = i % 2u;
+        chip->pwm.module[module].sub[submodule].pin[side] = (uint8_t)pins_gate(&chip->pins, module, submodule, side);
+    }
+}
+
+static void signal_pins_routed(void *self)
+{
+    chip_t *chip = chip_of(self);
+    chip->adc.connected = chip->pins.analog;
+    chip->sci.sender = pins_sender(&chip->pins);
+    chip->sci.receiver = pins_receiver(&chip->pins);
+    connect_gates(chip);
+}
+
+static void signal_gate_pins_changed(void *chip)
+{
+    connect_gates(chip_of(chip));
+    pwm_pins_changed(&chip_of(chip)->pwm);
+}
+
+static bool signal_gate_level(void *chip, unsigned module, unsigned submodule, unsigned side)
+{
+    return ((chip_of(chip)->pwm.module[module].sub[submodule].levels >> side) & 1u) != 0;
+}
+
+static void signal_need_bus_clock(void *chip, const char *what) { occs_need_bus_clock(&chip_of(chip)->occs, what); }
+
+CHIP_NORETURN static void signal_reset(void *self, reset_cause_t cause)
+{
+    chip_t *chip = chip_of(self);
+    qtmr_catch_up(&chip->qtmr); /* the levels at the pins stay */
+    events_reset(&chip->core.bus.events);
+    core_reset(&chip->core);
+    chip->sim.cause = cause;
+    for (unsigned i = 0; i < PERIPHERALS; i++) {
+        if (peripherals[i].reset != NULL) {
+            peripherals[i].reset(at(chip, peripherals[i].offset));
+        }
+    }
+    pins_route(&chip->pins);
+    longjmp(chip->core.bus.escape, ESCAPE_RESET);
+}
+
+static const chip_signals_t signals = {
+    .crossbar = signal_crossbar,
+    .adc_sync = signal_adc_sync,
+    .pwm_ext_sync = signal_pwm_ext_sync,
+    .pwm_fault = signal_pwm_fault,
+    .timer_input = signal_timer_input,
+    .timer_pulse = signal_timer_pulse,
+    .timer_catch_up = signal_timer_catch_up,
+    .clock_gates_changed = signal_clock_gates_changed,
+    .route_pins = signal_route_pins,
+    .pins_routed = signal_pins_routed,
+    .gate_pins_changed = signal_gate_pins_changed,
+    .gate_level = signal_gate_level,
+    .need_bus_clock = signal_need_bus_clock,
+    .reset = signal_reset,
+};
+
+/* ---- access --------------------------------------------------------------------------------------------------------- */
 
 CHIP_NORETURN NOINLINE static void fail_waiting(chip_t *chip, uint32_t address)
 {
     char name[64];
     chip_register_name(address, name, sizeof name);
-    chip_fail(chip, "the software waits for %s, which cannot change meanwhile", name);
-}
-
-static inline uint16_t read_register(chip_t *chip, uint32_t address)
-{
-    if (++chip->core.polls > POLLS_MAX) {
-        fail_waiting(chip, address);
-    }
-    if (address >= FTFL_DATA_BEGIN && address < FTFL_DATA_END) {
-        return ftfl_data_read(chip, address);
-    }
-    return block_of(chip, address)->read(chip, address);
-}
-
-static inline void write_register(chip_t *chip, uint32_t address, uint16_t value)
-{
-    chip_note(chip, TRACE_WRITE, address, value);
-    block_of(chip, address)->write(chip, address, value);
-}
-
-/* What comes before the access takes its time, and while the software boots so does the access. */
-static inline void reach(chip_t *chip)
-{
-    core_settle(chip);
-    if (chip->core.booting) {
-        core_busy(chip, chip->core.access_clocks);
-    }
+    bus_fail(&chip->core.bus, "the software waits for %s, which cannot change meanwhile", name);
 }
 
 uint16_t chip_read(chip_t *chip, uint32_t address)
 {
-    reach(chip);
-    const uint16_t value = read_register(chip, address);
-    core_accessed(chip);
+    core_before_access(&chip->core);
+    if (++chip->core.bus.polls > POLLS_MAX) {
+        fail_waiting(chip, address);
+    }
+    const peripheral_t *peripheral = find_peripheral(chip, address);
+    const uint16_t value = peripheral->read(at(chip, peripheral->offset), address);
+    core_after_access(&chip->core);
     return value;
 }
 
 void chip_write(chip_t *chip, uint32_t address, uint16_t value)
 {
-    reach(chip);
-    write_register(chip, address, value);
-    core_accessed(chip);
+    core_before_access(&chip->core);
+    bus_note(&chip->core.bus, TRACE_WRITE, address, value);
+    const peripheral_t *peripheral = find_peripheral(chip, address);
+    peripheral->write(at(chip, peripheral->offset), address, value);
+    core_after_access(&chip->core);
 }
 
 void chip_interrupts(chip_t *chip, bool on)
 {
     chip->core.masked = !on;
-    chip->core.changed = true;
-}
-
-/* ---- time --------------------------------------------------------------------------------------------------------- */
-
-static inline void serve(chip_t *chip, unsigned source)
-{
-    if (source < SOURCE_FAULT) {
-        pwm_event(chip, source - SOURCE_PWM);
-    } else if (source == SOURCE_FAULT) {
-        pwm_fault_event(chip);
-    } else if (source < SOURCE_ADC) {
-        qtmr_event(chip, source - SOURCE_TIMER);
-    } else if (source < SOURCE_SERIAL) {
-        adc_event(chip, source - SOURCE_ADC);
-    } else if (source == SOURCE_SERIAL) {
-        sci_event(chip);
-    } else {
-        cop_event(chip);
-    }
-}
-
-/* Nothing happens any more before `until`. */
-static bool stand_still(chip_t *chip, uint64_t until)
-{
-    if (until > chip->now) {
-        chip_pass_time(chip, until);
-    }
-    return false;
-}
-
-/* The next event up to `until`, or else that clock itself; false then. */
-static inline bool step(chip_t *chip, uint64_t until)
-{
-    const uint64_t turn = chip_next_turn(chip);
-    const uint64_t clock = CHIP_TURN_CLOCK(turn);
-    const uint64_t outside = world_next(chip->world);
-    if (outside <= clock) { /* the world first: it may change what is due */
-        if (outside > until) {
-            return stand_still(chip, until);
-        }
-        chip_pass_time(chip, outside);
-        sync_plant(chip);
-        world_events(chip->world);
-        return true;
-    }
-    if (clock > until) {
-        return stand_still(chip, until);
-    }
-    chip_pass_time(chip, clock);
-    serve(chip, CHIP_TURN_SOURCE(turn));
-    return true;
-}
-
-static void leave(chip_t *chip)
-{
-    core_pause();
-    (void)swapcontext(&chip->inside, &chip->outside);
-    core_run(chip);
-}
-
-bool chip_step(chip_t *chip, uint64_t until)
-{
-    if (chip->stop) {
-        leave(chip);
-        return true;
-    }
-    if (chip->core.booting || until <= chip->limit) {
-        return step(chip, until);
-    }
-    if (!step(chip, chip->limit)) {
-        leave(chip);
-    }
-    return true;
-}
-
-/* Where the chip's life begins, with its address in two halves. */
-static void inside(unsigned upper, unsigned lower)
-{
-    /* NOLINTNEXTLINE(performance-no-int-to-ptr): a context takes ints */
-    chip_t *chip = (chip_t *)(uintptr_t)((uint64_t)upper << 32 | lower);
-    core_run(chip);
-    while (setjmp(chip->escape) == ESCAPE_FAILURE) {
-        leave(chip);
-    }
-    if (chip->must_boot) {
-        chip->must_boot = false;
-        core_boot(chip);
-    }
-    core_live(chip);
-}
-
-static void enter(chip_t *chip)
-{
-    if (!chip->alive) {
-        const uint64_t address = (uintptr_t)chip;
-        (void)getcontext(&chip->inside);
-        chip->inside.uc_stack.ss_sp = chip->stack;
-        chip->inside.uc_stack.ss_size = sizeof chip->stack;
-        chip->inside.uc_link = NULL;
-        makecontext(&chip->inside, (void (*)(void))inside, 2, (unsigned)(address >> 32), (unsigned)address);
-        chip->alive = true;
-    }
-    (void)swapcontext(&chip->outside, &chip->inside);
-}
-
-bool chip_run(chip_t *chip, uint64_t until)
-{
-    if (chip->failed) {
-        return false;
-    }
-    chip->limit = until;
-    enter(chip);
-    if (!chip->failed) {
-        qtmr_catch_up(chip);
-    }
-    return !chip->failed;
+    chip->core.bus.changed = true;
 }
 
 /* Errors of an access from outside end there. */
@@ -274,23 +222,23 @@ int32_t chip_peek(chip_t *chip, uint32_t address)
 {
     jmp_buf within;
     volatile int32_t value = -1;
-    memcpy(&within, &chip->escape, sizeof within);
-    if (!chip->failed && setjmp(chip->escape) == 0) {
-        chip->core.polls = 0;
+    memcpy(&within, &chip->core.bus.escape, sizeof within);
+    if (!chip->core.bus.failed && setjmp(chip->core.bus.escape) == 0) {
+        chip->core.bus.polls = 0;
         value = chip_read(chip, address);
     }
-    memcpy(&chip->escape, &within, sizeof within);
+    memcpy(&chip->core.bus.escape, &within, sizeof within);
     return value;
 }
 
 int chip_poke(chip_t *chip, uint32_t address, uint16_t value)
 {
     jmp_buf within;
-    volatile int result = chip->failed ? -1 : 0;
-    memcpy(&within, &chip->escape, sizeof within);
-    switch (setjmp(chip->escape)) {
+    volatile int result = chip->core.bus.failed ? -1 : 0;
+    memcpy(&within, &chip->core.bus.escape, sizeof within);
+    switch (setjmp(chip->core.bus.escape)) {
     case 0:
-        if (!chip->failed && !chip->must_boot) {
+        if (!chip->core.bus.failed && !chip->core.must_boot) {
             chip_write(chip, address, value);
         }
         break;
@@ -300,19 +248,63 @@ int chip_poke(chip_t *chip, uint32_t address, uint16_t value)
     default:
         break;
     }
-    memcpy(&chip->escape, &within, sizeof within);
+    memcpy(&chip->core.bus.escape, &within, sizeof within);
     return result;
 }
 
-void chip_init(chip_t *chip, const chip_config_t *config, void *world)
+/* ---- pins ----------------------------------------------------------------------------------------------------------- */
+
+void chip_pin(chip_t *chip, unsigned pin, bool level) { pins_set(&chip->pins, pin, level); }
+
+bool chip_pin_level(const chip_t *chip, unsigned pin) { return pins_level(&chip->pins, pin); }
+
+unsigned chip_deferrable_edges(const chip_t *chip, unsigned pin)
+{
+    const unsigned input = pins_timer_input(&chip->pins, pin);
+    return (input < PINS_TIMER_INPUTS) ? chip->qtmr.module[input / QTMR_CHANNELS].deferrable_edges : 0u;
+}
+
+void chip_pin_late(chip_t *chip, unsigned pin, bool level, uint64_t clock)
+{
+    const unsigned input = pins_timer_input(&chip->pins, pin);
+    if (input < PINS_TIMER_INPUTS) {
+        pins_set_late(&chip->pins, pin, level);
+        qtmr_input(&chip->qtmr, input / QTMR_CHANNELS, input % QTMR_CHANNELS, level, clock);
+    } else {
+        chip_pin(chip, pin, level);
+    }
+}
+
+/* ---- life ----------------------------------------------------------------------------------------------------------- */
+
+bool chip_run(chip_t *chip, uint64_t until)
+{
+    if (!chip->core.bus.failed) {
+        core_run(&chip->core, until);
+    }
+    if (!chip->core.bus.failed) {
+        qtmr_catch_up(&chip->qtmr);
+    }
+    return !chip->core.bus.failed;
+}
+
+void chip_init(chip_t *chip, const chip_config_t *config, const chip_environment_t *environment, void *board)
 {
     memset(chip, 0, sizeof *chip);
-    chip->config = *config;
-    chip->world = world;
+    bus_t *bus = &chip->core.bus;
+    bus->environment = environment;
+    bus->board = board;
+    bus->signals = &signals;
+    bus->chip = chip;
+    bus->crossbar_clocks = config->crossbar_clocks;
+    chip->pwm.bus = chip->qtmr.bus = chip->adc.bus = chip->xbar.bus = chip->intc.bus = chip->occs.bus = bus;
+    chip->sim.bus = chip->cop.bus = chip->ftfl.bus = bus;
+    pins_power_on(&chip->pins, bus, &config->wiring);
+    sci_init(&chip->sci, bus, config->baud);
     flash_init(&chip->ftfl.flash, config->flash, config->seed);
-    chip->line.byte_clocks = 10.0 * (double)CHIP_BUS_HZ / config->baud;
-    chip->line.in_clock = CHIP_NEVER;
-    if (setjmp(chip->escape) == 0) {
-        chip_reset(chip, RESET_POWER_ON);
+    core_init(&chip->core, &chip->intc, &config->core, chip->stack);
+    connect_peripherals(chip);
+    if (setjmp(bus->escape) == 0) {
+        signal_reset(chip, RESET_POWER_ON);
     }
 }

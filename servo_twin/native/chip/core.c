@@ -1,122 +1,89 @@
 #include "chip/core.h"
 
 #include "chip/core_time.h"
-#include "chip/parts.h"
 
 #include <limits.h>
-
-#define IPR_FIRST 0xE300u
-#define VBA 0xE30Du
-#define FIM0 0xE30Eu
-#define IRQP0 0xE314u
-#define INTC_CTRL 0xE31Bu
-#define INTC_CTRL_INT_DIS 0x0020u
 
 #define UNITS 16.0 /* per instruction */
 #define PART_BITS 20
 
-void core_reset(chip_t *chip)
-{
-    const double unit = chip->config.core.cycles_per_instruction / UNITS * (double)(1u << PART_BITS);
-    chip->core = (core_t){.masked = true,
-                          .changed = true,
-                          .access_clocks = 4,
-                          .level = CORE_BACKGROUND,
-                          .unit_clocks = (uint64_t)(unit + 0.5)};
-}
-
-/* ---- interrupt controller ----------------------------------------------------------------------------------------- */
-
-/* Peripherals have their fields in the order of their vectors; code c is level c - 1 from the timers on. */
-static void enable_vectors(chip_t *chip)
-{
-    core_t *core = &chip->core;
-    for (int level = 0; level < CORE_LEVELS; level++) {
-        core->enabled[level][0] = core->enabled[level][1] = 0;
-    }
-    for (unsigned vector = VECTOR_TMRB3; vector <= VECTOR_COP; vector++) {
-        const unsigned index = vector - 9u;
-        const unsigned code = (core->ipr[index / 8u] >> (2u * (index % 8u))) & 3u;
-        if (code > 0) {
-            core->enabled[code - 1u][vector >> 6] |= UINT64_C(1) << (vector & 63u);
-        }
-    }
-    core->changed = true;
-}
-
-uint16_t intc_read(chip_t *chip, uint32_t address)
-{
-    const core_t *core = &chip->core;
-    if (address < VBA) {
-        return core->ipr[address - IPR_FIRST];
-    }
-    if (address == VBA) {
-        return core->vba;
-    }
-    if (address >= IRQP0 && address < INTC_CTRL) {
-        const unsigned first = (address - IRQP0) * 16u;
-        uint16_t pending = 0xFFFF; /* active low */
-        for (unsigned bit = 0; bit < 16u && first + bit < CORE_VECTORS; bit++) {
-            const unsigned vector = first + bit;
-            if (((core->request[vector >> 6] >> (vector & 63u)) & 1u) != 0) {
-                pending = (uint16_t)(pending & ~(1u << bit));
-            }
-        }
-        return pending;
-    }
-    if (address == INTC_CTRL) {
-        return core->ctrl;
-    }
-    chip_no_register(chip, address);
-}
-
-void intc_write(chip_t *chip, uint32_t address, uint16_t value)
-{
-    core_t *core = &chip->core;
-    if (address < VBA) {
-        core->ipr[address - IPR_FIRST] = value;
-        enable_vectors(chip);
-    } else if (address == VBA) {
-        core->vba = value & 0x1FFFu;
-    } else if (address >= FIM0 && address < IRQP0) {
-        chip_only(chip, address, value, 0, "fast interrupts are not modelled");
-    } else if (address == INTC_CTRL) {
-        core->ctrl = value & INTC_CTRL_INT_DIS;
-        core->changed = true;
-    } else {
-        chip_no_register(chip, address);
-    }
-}
-
-/* Most urgent request above `level`; the lower vector of two at one level. */
-static bool most_urgent(const core_t *core, int level, unsigned *vector, int *its_level)
-{
-    for (int l = CORE_LEVELS - 1; l > level; l--) {
-        for (unsigned word = 0; word < 2u; word++) {
-            const uint64_t pending = core->request[word] & core->enabled[l][word];
-            if (pending != 0) {
-                *vector = 64u * word + chip_lowest_bit(pending);
-                *its_level = l;
-                return true;
-            }
-        }
-    }
-    return false;
-}
-
-/* ---- the core's time ---------------------------------------------------------------------------------------------- */
-
-/* The chip whose software runs in this thread. */
-static CORE_THREAD chip_t *running;
+/* The core whose software runs in this thread. */
+static CORE_THREAD core_t *running;
 CORE_THREAD int core_left = INT_MAX;
 
-/* From now on charges are paid from the time until the next event. */
-static void give(chip_t *chip)
+/* ---- events --------------------------------------------------------------------------------------------------------- */
+
+static inline void pass_time(core_t *core, uint64_t clock)
 {
-    core_t *core = &chip->core;
-    const uint64_t event = chip_sooner(CHIP_TURN_CLOCK(chip_next_turn(chip)), world_next(chip->world));
-    const uint64_t next = chip_sooner(event, chip->limit);
-    const uint64_t clocks = (next > chip->now) ? next - chip->now : 0;
+    core->bus.now = clock;
+    core->bus.polls = 0;
+}
+
+static inline uint64_t next_of_plant(const bus_t *bus) { return bus->environment->next_event(bus->board); }
+
+/* Handle the next event up to `until`; without one, go to that clock and return false. */
+static inline bool step(core_t *core, uint64_t until)
+{
+    bus_t *bus = &core->bus;
+    const uint64_t key = events_next(&bus->events);
+    const uint64_t clock = EVENT_CLOCK(key);
+    const uint64_t plant = next_of_plant(bus);
+    core->next = events_earlier(plant, clock);
+    if (core->next > until) {
+        if (until > bus->now) {
+            pass_time(core, until);
+        }
+        return false;
+    }
+    if (plant <= clock) { /* the plant first: it may change which events are due */
+        pass_time(core, plant);
+        bus_sync_plant(bus);
+        bus->environment->handle_events(bus->board);
+    } else {
+        pass_time(core, clock);
+        events_handle(&bus->events, EVENT_SOURCE(key));
+    }
+    return true;
+}
+
+static void enter(core_t *core)
+{
+    running = core;
+    core->running = true;
+}
+
+static void leave(core_t *core)
+{
+    running = NULL;
+    core_left = INT_MAX;
+    core->running = false;
+    (void)swapcontext(&core->inside, &core->outside);
+    enter(core);
+}
+
+/* As step(); suspended at the end of a core_run. */
+static bool run_event(core_t *core, uint64_t until)
+{
+    if (core->stop) {
+        leave(core);
+        return true;
+    }
+    if (core->booting || until <= core->limit) {
+        return step(core, until);
+    }
+    if (!step(core, core->limit)) {
+        leave(core);
+    }
+    return true;
+}
+
+/* ---- charges -------------------------------------------------------------------------------------------------------- */
+
+static inline void give_until(core_t *core, uint64_t event)
+{
+    const bus_t *bus = &core->bus;
+    const uint64_t next = events_earlier(event, core->limit);
+    const uint64_t clocks = (next > bus->now) ? next - bus->now : 0;
     core->horizon = next;
     const bool far = core->unit_clocks == 0 || clocks > UINT32_MAX;
     const uint64_t units = far ? INT_MAX : (clocks << PART_BITS) / core->unit_clocks;
@@ -124,13 +91,18 @@ static void give(chip_t *chip)
     core_left = core->given;
 }
 
-/* What has been spent since takes its time. */
-void core_settle(chip_t *chip)
+void core_give(core_t *core)
 {
-    if (running != chip) {
+    const bus_t *bus = &core->bus;
+    give_until(core, events_earlier(EVENT_CLOCK(events_next(&bus->events)), next_of_plant(bus)));
+}
+
+void core_settle(core_t *core)
+{
+    const bus_t *bus = &core->bus;
+    if (!core->running) {
         return;
     }
-    core_t *core = &chip->core;
     core->part += (uint64_t)((int64_t)core->given - core_left) * core->unit_clocks;
     core->given = core_left;
     const uint64_t clocks = core->part >> PART_BITS;
@@ -138,18 +110,10 @@ void core_settle(chip_t *chip)
     if (clocks == 0) {
         return;
     }
-    if (chip->now + clocks < core->horizon && !core->changed && !chip->stop) {
-        chip_pass_time(chip, chip->now + clocks); /* almost always */
+    if (bus->now + clocks < core->horizon && !bus->changed && !core->stop) {
+        pass_time(core, bus->now + clocks); /* almost always */
     } else {
-        core_busy(chip, clocks);
-    }
-}
-
-void core_accessed(chip_t *chip)
-{
-    const uint64_t horizon = chip->core.horizon;
-    if (running == chip && (horizon == 0 || CHIP_TURN_CLOCK(chip_next_turn(chip)) < horizon)) {
-        give(chip);
+        core_busy(core, clocks);
     }
 }
 
@@ -172,94 +136,135 @@ void core_spend(int units)
 }
 #endif
 
-NOINLINE static void start(chip_t *chip, unsigned vector, int level)
+/* ---- software ------------------------------------------------------------------------------------------------------- */
+
+NOINLINE static void run_handler(core_t *core, unsigned vector, int level)
 {
-    core_t *core = &chip->core;
+    bus_t *bus = &core->bus;
     const int outer = core->level;
     const uint64_t part = core->part;
     core->level = level;
     core->part = 0;
-    chip_note(chip, TRACE_ENTER, vector, (uint32_t)level);
-    core_busy(chip, chip->config.core.entry_clocks);
-    const uint32_t more = world_interrupt(chip->world, vector);
-    core_settle(chip);
-    core_busy(chip, more);
+    bus_note(bus, TRACE_ENTER, vector, (uint32_t)level);
+    core_busy(core, core->speed.entry_clocks);
+    const uint32_t more = bus->environment->interrupt(bus->board, vector);
+    core_settle(core);
+    core_busy(core, more);
     core->level = outer;
     core->part = part;
-    chip_note(chip, TRACE_LEAVE, vector, 0);
-    core_wake(chip);
+    bus_note(bus, TRACE_LEAVE, vector, 0);
+    bus_wake_background(bus);
 }
 
-NOINLINE static void look_for_requests(chip_t *chip)
+NOINLINE static void serve_requests(core_t *core)
 {
-    core_t *core = &chip->core;
-    while (core->changed) {
-        core->changed = false;
-        if (core->booting || core->masked || (core->ctrl & INTC_CTRL_INT_DIS) != 0) {
-            break;
-        }
+    bus_t *bus = &core->bus;
+    while (bus->changed) {
         unsigned vector;
         int level;
-        if (most_urgent(core, core->level, &vector, &level)) {
-            start(chip, vector, level);
+        bus->changed = false;
+        if (!core->booting && !core->masked && intc_most_urgent(core->intc, core->level, &vector, &level)) {
+            run_handler(core, vector, level);
         }
     }
 }
 
-/* All that happens in one clock comes before a handler. */
-static inline void start_handlers(chip_t *chip)
+/* All events of one clock come before a handler. */
+static inline void start_handlers(core_t *core)
 {
-    if (chip->core.changed && CHIP_TURN_CLOCK(chip_next_turn(chip)) > chip->now) {
-        look_for_requests(chip);
+    const bus_t *bus = &core->bus;
+    if (bus->changed && EVENT_CLOCK(events_next(&bus->events)) > bus->now) {
+        serve_requests(core);
     }
 }
 
-/* The software works for so many clocks; handlers that interrupt it are not among them. */
-void core_busy(chip_t *chip, uint64_t clocks)
+void core_busy(core_t *core, uint64_t clocks)
 {
-    uint64_t end = chip->now + clocks;
-    bool on = true;
-    while (on) {
-        on = chip_step(chip, end);
-        const uint64_t begin = chip->now;
-        start_handlers(chip);
-        end += chip->now - begin;
-        on = on || chip->now > begin;
+    uint64_t end = core->bus.now + clocks;
+    while (run_event(core, end) || core->bus.changed) {
+        const uint64_t begin = core->bus.now;
+        start_handlers(core);
+        end += core->bus.now - begin;
     }
-    give(chip);
+    give_until(core, core->next);
 }
 
-void core_live(chip_t *chip)
+static void boot(core_t *core)
 {
-    core_t *core = &chip->core;
+    core->must_boot = false;
+    core->booting = true;
+    core_give(core);
+    core->bus.environment->boot(core->bus.board);
+    core_settle(core);
+    core->booting = false;
+}
+
+/* Handlers and background, when they are due. */
+CHIP_NORETURN static void live(core_t *core)
+{
+    bus_t *bus = &core->bus;
     for (;;) {
-        start_handlers(chip);
-        if (core->background_due && !core->changed) {
-            core->background_due = false;
-            give(chip);
-            world_background(chip->world);
-            core_settle(chip);
-            core->changed = core->background_due; /* it has woken itself */
+        start_handlers(core);
+        if (bus->background_due && !bus->changed) {
+            bus->background_due = false;
+            core_give(core);
+            bus->environment->background(bus->board);
+            core_settle(core);
+            bus->changed = bus->background_due; /* due again */
         }
-        (void)chip_step(chip, CHIP_NEVER);
+        (void)run_event(core, CHIP_NEVER);
     }
 }
 
-void core_boot(chip_t *chip)
+/* Entry of the context, with the address of the core in two halves. */
+static void inside(unsigned upper, unsigned lower)
 {
-    chip->core.booting = true;
-    give(chip);
-    world_boot(chip->world);
-    core_settle(chip);
-    chip->core.booting = false;
+    /* NOLINTNEXTLINE(performance-no-int-to-ptr): a context takes ints */
+    core_t *core = (core_t *)(uintptr_t)((uint64_t)upper << 32 | lower);
+    enter(core);
+    while (setjmp(core->bus.escape) == ESCAPE_FAILURE) {
+        leave(core);
+    }
+    if (core->must_boot) {
+        boot(core);
+    }
+    live(core);
 }
 
-void core_run(chip_t *chip) { running = chip; }
-
-bool core_runs(const chip_t *chip) { return running == chip; }
-
-void core_pause(void)
+void core_run(core_t *core, uint64_t until)
 {
-    running = NULL;
-    core_left = INT_MAX;
+    core->limit = until;
+    if (!core->alive) {
+        const uint64_t address = (uintptr_t)core;
+        (void)getcontext(&core->inside);
+        core->inside.uc_stack.ss_sp = core->stack;
+        core->inside.uc_stack.ss_size = CORE_STACK;
+        core->inside.uc_link = NULL;
+        makecontext(&core->inside, (void (*)(void))inside, 2, (unsigned)(address >> 32), (unsigned)address);
+        core->alive = true;
+    }
+    (void)swapcontext(&core->outside, &core->inside);
+}
+
+void core_reset(core_t *core)
+{
+    core->level = CORE_BACKGROUND;
+    core->masked = true;
+    core->booting = false;
+    core->given = 0;
+    core->horizon = 0;
+    core->part = 0;
+    core->must_boot = true;
+    core->alive = core->alive && core->running; /* otherwise the context is abandoned */
+    core->bus.changed = true;
+    core->bus.background_due = false;
+    core->bus.polls = 0;
+}
+
+void core_init(core_t *core, intc_t *intc, const core_speed_t *speed, uint8_t *stack)
+{
+    core->intc = intc;
+    core->speed = *speed;
+    core->stack = stack;
+    core->unit_clocks = (uint64_t)(speed->cycles_per_instruction / UNITS * (double)(1u << PART_BITS) + 0.5);
 }

@@ -1,59 +1,77 @@
-/* core.h - interrupt controller and the core as a resource: whose turn it is, and for how long. */
+/* core.h - the core: it runs the software and the events of the peripherals in the order of their clocks.
+ *
+ * The software reports by core_time.h how much time it has taken: an access to a register happens at its clock, and an interrupt
+ * of a higher level comes between two statements. Software without charges takes no time but what the environment's `interrupt`
+ * returns. Events and software run on a stack of their own, so that core_run can end in the middle of a handler.
+ */
 #ifndef CHIP_CORE_H
 #define CHIP_CORE_H
 
-#include <stdbool.h>
-#include <stdint.h>
+#include <ucontext.h>
 
-#define CORE_VECTORS 111
-#define CORE_LEVELS 3   /* priority levels of peripherals */
-#define CORE_BACKGROUND (-1) /* the level of what every interrupt interrupts */
-#define CORE_STACK 0x40000   /* bytes of the host's stack for the software and what it calls */
+#include "chip/intc.h"
 
-/* Interrupt vectors. */
-typedef enum {
-    VECTOR_TMRB3 = 21,
-    VECTOR_TMRB0 = 24,
-    VECTOR_TMRA3 = 25,
-    VECTOR_TMRA0 = 28,
-    VECTOR_ADC_CC1 = 29,
-    VECTOR_ADC_CC0 = 30,
-    VECTOR_SCI2_RERR = 43,
-    VECTOR_SCI1_RERR = 47,
-    VECTOR_SCI0_RERR = 51, /* then RCV, TIDLE, TDRE */
-    VECTOR_PWMB_FAULT = 63,
-    VECTOR_PWMB_RERR = 64,
-    VECTOR_PWMA_FAULT = 77,
-    VECTOR_PWMA_RERR = 78,
-    VECTOR_COP = 108,
-} core_vector_t;
+#define CORE_BACKGROUND (-1) /* level of the software that every interrupt interrupts */
+#define CORE_STACK 0x40000   /* of the software and the host's code that it calls [bytes] */
 
-/* How fast the core is. */
 typedef struct {
     double cycles_per_instruction;
     unsigned entry_clocks; /* of an interrupt: vector, registers saved and restored */
 } core_speed_t;
 
 typedef struct {
-    /* interrupt controller */
-    uint16_t ipr[13], vba, ctrl;
-    uint64_t request[2];            /* bit per vector: the peripheral asks */
-    uint64_t enabled[CORE_LEVELS][2];
-    /* Look for a handler to start, or for the background. Not beside other flags: read together with them, just written, it
-     * would keep a processor waiting until the write is through. */
-    bool changed;
-    /* core */
-    int level;                      /* of the handler that runs */
-    bool booting;                   /* every access takes time, no interrupts */
-    bool masked;                    /* all interrupts of peripherals */
-    bool background_due;
-    uint32_t polls;                 /* reads since time last moved */
-    uint64_t access_clocks;         /* per access while booting */
-    /* the software's time */
-    uint64_t unit_clocks;           /* of 1/16 instruction, 2^-20 clocks */
-    int given;                      /* units until the next event, when time last moved */
-    uint64_t horizon;               /* nothing happens before this clock; 0: it is not known any more */
-    uint64_t part;                  /* of a clock that has been spent since, 2^-20 */
+    bus_t bus; /* embedded, as each step reads it */
+    intc_t *intc;
+    core_speed_t speed;
+    int level;            /* of the handler that runs */
+    bool running;         /* the software of this core runs in the present thread */
+    bool booting;         /* accesses take time, interrupts are masked */
+    bool masked;          /* all interrupts of peripherals */
+    uint64_t unit_clocks; /* duration of 1/16 instruction [2^-20 clocks] */
+    int given;            /* charge until the next event, when time last moved [1/16 instruction] */
+    uint64_t next;        /* clock of the event that was next when the core last looked for one */
+    uint64_t horizon;     /* clock before which there is no event; 0: unknown */
+    uint64_t part;        /* charged since time last moved, less than a clock [2^-20 clocks] */
+    uint64_t limit;       /* last clock of this core_run */
+    bool stop;            /* end core_run before the next event */
+    bool must_boot;
+    bool alive;           /* `inside` is suspended */
+    ucontext_t inside, outside;
+    uint8_t *stack; /* CORE_STACK bytes */
 } core_t;
+
+void core_init(core_t *core, intc_t *intc, const core_speed_t *speed, uint8_t *stack);
+
+/* The software starts anew in the next core_run, or at once if it has caused the reset. */
+void core_reset(core_t *core);
+
+/* All events and software up to and including `until`, unless an error or `stop` ends it; booting may take longer. */
+void core_run(core_t *core, uint64_t until);
+
+/* Let the time pass that the software has been charged with up to here. */
+void core_settle(core_t *core);
+
+/* The software runs for so many clocks; handlers that interrupt it come on top. */
+void core_busy(core_t *core, uint64_t clocks);
+
+/* Charge the software with the time until the next event. */
+void core_give(core_t *core);
+
+/* Before and after an access to a register, after which the next event may be nearer. */
+static inline void core_before_access(core_t *core)
+{
+    core_settle(core);
+    if (core->booting) {
+        core_busy(core, core->bus.access_clocks);
+    }
+}
+
+static inline void core_after_access(core_t *core)
+{
+    const uint64_t horizon = core->horizon;
+    if (core->running && (horizon == 0 || EVENT_CLOCK(events_next(&core->bus.events)) < horizon)) {
+        core_give(core);
+    }
+}
 
 #endif

@@ -1,6 +1,6 @@
 #include <stdio.h>
 
-#include "chip/parts.h"
+#include "chip/bus.h"
 
 /* Names for error messages only. */
 

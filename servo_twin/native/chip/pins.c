@@ -1,9 +1,5 @@
 #include "chip/pins.h"
 
-#include "chip/parts.h"
-
-#define BASE 0xE200u
-
 enum { PUR, DR, DDR, PER, IAR, IENR, IPOLR, IPR, IESR, PPMODE, RAWDATA, DRIVE, PUS, SRE };
 
 /* ---- functions ------------------------------------------------------------------------------------------------------- */
@@ -83,166 +79,197 @@ static const choice_t choices[] = {
 
 #define CHOICES (sizeof choices / sizeof choices[0])
 
-static pin_function_t chosen(const chip_t *chip, const choice_t *choice)
+static bool is_peripheral(const pins_t *pins, unsigned pin)
 {
-    if (((chip->pins.port[choice->pin >> 4].peripheral >> (choice->pin & 15u)) & 1u) == 0) {
+    return ((pins->port[pin >> 4].peripheral >> (pin & 15u)) & 1u) != 0;
+}
+
+static pin_function_t selected(const pins_t *pins, const choice_t *choice)
+{
+    if (!is_peripheral(pins, choice->pin)) {
         return FUNCTION_GPIO;
     }
-    const unsigned code = ((unsigned)chip->pins.select[choice->select] >> choice->shift) & ((1u << choice->width) - 1u);
+    const unsigned code =
+        ((unsigned)pins->bus->sim.gps[choice->select] >> choice->shift) & ((1u << choice->width) - 1u);
     const pin_function_t function = (pin_function_t)choice->function[code];
     return (function == FUNCTION_GPIO) ? FUNCTION_OTHER : function; /* an entry left out: a reserved code */
 }
 
-static pin_function_t find(const chip_t *chip, unsigned pin)
+static pin_function_t find_function(const pins_t *pins, unsigned pin)
 {
     for (unsigned i = 0; i < CHOICES; i++) {
         if (choices[i].pin == pin) {
-            return chosen(chip, &choices[i]);
+            return selected(pins, &choices[i]);
         }
     }
-    const bool peripheral = ((chip->pins.port[pin >> 4].peripheral >> (pin & 15u)) & 1u) != 0;
     const bool analog = pin < CHIP_PIN('C', 0) && (pin & 15u) < 8u;
-    return !peripheral ? FUNCTION_GPIO : analog ? FUNCTION_ANALOG : FUNCTION_OTHER;
+    return !is_peripheral(pins, pin) ? FUNCTION_GPIO : analog ? FUNCTION_ANALOG : FUNCTION_OTHER;
 }
 
-pin_function_t pins_function(const chip_t *chip, unsigned pin)
+static pin_function_t function_of(const pins_t *pins, unsigned pin)
 {
-    return (pin < CHIP_PINS) ? (pin_function_t)chip->pins.function[pin] : FUNCTION_OTHER;
+    return (pin < CHIP_PINS) ? (pin_function_t)pins->function[pin] : FUNCTION_OTHER;
 }
 
-static bool level_of(const chip_t *chip, unsigned pin) { return ((chip->pins.in[pin >> 4] >> (pin & 15u)) & 1u) != 0; }
-
-/* ---- signals from pins ----------------------------------------------------------------------------------------------- */
-
-/* Input of a timer or of the fault logic comes from its pin, unless SIM_IPS0 gives it to the crossbar. */
-static bool from_crossbar(const chip_t *chip, unsigned bit) { return ((chip->sim.ips0 >> bit) & 1u) != 0; }
-
-/* The input of a timer that a function is, 4 module + channel; or NO_TIMER. */
-#define TIMER_INPUTS (QTMR_MODULES * QTMR_CHANNELS)
-#define NO_TIMER TIMER_INPUTS
-
-static inline unsigned timer_input(const chip_t *chip, pin_function_t function)
+/* The SCI that has a pin; `first` is the function of that pin for SCI0. */
+static unsigned sci_of(const pins_t *pins, unsigned pin, unsigned first)
 {
-    const unsigned i = (unsigned)function - FUNCTION_TIMER_A0;
-    return (i < TIMER_INPUTS && !from_crossbar(chip, 8u + i)) ? i : NO_TIMER;
+    const unsigned module = (unsigned)function_of(pins, pin) - first;
+    return (module < SCI_MODULES) ? module : SCI_MODULES;
 }
 
-static void put(chip_t *chip, pin_function_t function, bool level)
+unsigned pins_sender(const pins_t *pins) { return sci_of(pins, pins->wiring.txd, FUNCTION_TXD0); }
+
+unsigned pins_receiver(const pins_t *pins) { return sci_of(pins, pins->wiring.rxd, FUNCTION_RXD0); }
+
+gate_pin_t pins_gate(const pins_t *pins, unsigned module, unsigned submodule, unsigned side)
 {
-    const unsigned timer = timer_input(chip, function);
-    if (timer != NO_TIMER) {
-        qtmr_input(chip, timer / QTMR_CHANNELS, timer % QTMR_CHANNELS, level, chip->now);
-    } else if (function >= FUNCTION_FAULT_A0 && function < FUNCTION_TIMER_A0) {
-        const unsigned i = (unsigned)(function - FUNCTION_FAULT_A0);
-        if ((i & 7u) < PWM_FAULTS && !from_crossbar(chip, (i / 8u) * 4u + (i & 7u))) {
-            pwm_fault_input(chip, i / 8u, i & 7u, level);
-        }
-    } else if (function >= FUNCTION_XB_IN2 && function < FUNCTION_COUNT) {
-        const unsigned n = (unsigned)(function - FUNCTION_XB_IN2) + 2u;
-        const int b = (n == 2u) ? 14 : (n == 3u) ? 15 : (n == 10u) ? 20 : (n == 11u) ? 21 : -1;
-        if (((chip->xbar.level >> n) & 1u) != (level ? 1u : 0u)) {
-            xbar_signal(chip, (int)n, b, level ? XBAR_RISE : XBAR_FALL);
-        }
+    const unsigned pin = pins->wiring.gate[module][submodule][side];
+    const pin_function_t function = function_of(pins, pin);
+    if (function == FUNCTION_GPIO) {
+        const gpio_port_t *port = &pins->port[pin >> 4];
+        return ((port->direction & port->data) >> (pin & 15u) & 1) != 0 ? GATE_HIGH : GATE_LOW;
     }
+    return (function == (pin_function_t)GATE(module, submodule, side)) ? GATE_PWM : GATE_LOW;
 }
 
-static inline void set_level(chip_t *chip, unsigned pin, bool level)
+/* ---- inputs ---------------------------------------------------------------------------------------------------------- */
+
+static bool level_of(const pins_t *pins, unsigned pin) { return ((pins->in[pin >> 4] >> (pin & 15u)) & 1u) != 0; }
+
+void pins_set_late(pins_t *pins, unsigned pin, bool level)
 {
-    uint16_t *in = &chip->pins.in[pin >> 4];
+    uint16_t *in = &pins->in[pin >> 4];
     const unsigned bit = 1u << (pin & 15u);
     *in = (uint16_t)(level ? (*in | bit) : (*in & ~bit));
 }
 
-void chip_pin(chip_t *chip, unsigned pin, bool level)
+/* Input of a timer or of the fault logic comes from its pin, unless SIM_IPS0 gives it to the crossbar. */
+static bool from_crossbar(const pins_t *pins, unsigned bit) { return ((pins->bus->sim.ips0 >> bit) & 1u) != 0; }
+
+static unsigned timer_input(const pins_t *pins, pin_function_t function)
 {
-    set_level(chip, pin, level);
-    put(chip, pins_function(chip, pin), level);
+    const unsigned i = (unsigned)function - FUNCTION_TIMER_A0;
+    return (i < PINS_TIMER_INPUTS && !from_crossbar(pins, 8u + i)) ? i : PINS_TIMER_INPUTS;
 }
 
-unsigned chip_deferrable_edges(const chip_t *chip, unsigned pin)
-{
-    const unsigned i = timer_input(chip, pins_function(chip, pin));
-    return (i != NO_TIMER) ? chip->timer[i / QTMR_CHANNELS].deferrable_edges : 0u;
-}
+unsigned pins_timer_input(const pins_t *pins, unsigned pin) { return timer_input(pins, function_of(pins, pin)); }
 
-void chip_pin_late(chip_t *chip, unsigned pin, bool level, uint64_t clock)
+/* Inputs XB_IN2 to XB_IN11 of crossbar A, some of which go to crossbar B, too. */
+static void set_crossbar(pins_t *pins, unsigned n, bool level)
 {
-    const unsigned i = timer_input(chip, pins_function(chip, pin));
-    if (i == NO_TIMER) {
-        chip_pin(chip, pin, level);
-        return;
+    const int b = (n == 2u) ? 14 : (n == 3u) ? 15 : (n == 10u) ? 20 : (n == 11u) ? 21 : -1;
+    if (((pins->xb_in >> n) & 1u) != (level ? 1u : 0u)) {
+        pins->xb_in ^= 1u << n;
+        pins->bus->signals->crossbar(pins->bus->chip, (int)n, b, level ? XBAR_RISE : XBAR_FALL);
     }
-    set_level(chip, pin, level);
-    qtmr_input(chip, i / QTMR_CHANNELS, i % QTMR_CHANNELS, level, clock);
 }
 
-void pins_reroute(chip_t *chip)
+/* Level at the peripheral that has a function. */
+static void set_input(pins_t *pins, pin_function_t function, bool level)
+{
+    const chip_signals_t *signals = pins->bus->signals;
+    const unsigned timer = timer_input(pins, function);
+    if (timer != PINS_TIMER_INPUTS) {
+        signals->timer_input(pins->bus->chip, timer / QTMR_CHANNELS, timer % QTMR_CHANNELS, level);
+    } else if (function >= FUNCTION_FAULT_A0 && function < FUNCTION_TIMER_A0) {
+        const unsigned i = (unsigned)(function - FUNCTION_FAULT_A0);
+        if ((i & 7u) < PWM_FAULTS && !from_crossbar(pins, (i / 8u) * 4u + (i & 7u))) {
+            signals->pwm_fault(pins->bus->chip, i / 8u, i & 7u, level);
+        }
+    } else if (function >= FUNCTION_XB_IN2 && function < FUNCTION_COUNT) {
+        set_crossbar(pins, (unsigned)(function - FUNCTION_XB_IN2) + 2u, level);
+    }
+}
+
+void pins_set(pins_t *pins, unsigned pin, bool level)
+{
+    pins_set_late(pins, pin, level);
+    set_input(pins, function_of(pins, pin), level);
+}
+
+/* ---- routing --------------------------------------------------------------------------------------------------------- */
+
+void pins_route(pins_t *pins)
 {
     uint8_t before[CHIP_PINS];
-    qtmr_catch_up(chip);
+    const chip_signals_t *signals = pins->bus->signals;
+    signals->timer_catch_up(pins->bus->chip);
     for (unsigned pin = 0; pin < CHIP_PINS; pin++) {
-        before[pin] = chip->pins.function[pin];
-        chip->pins.function[pin] = (uint8_t)find(chip, pin);
+        before[pin] = pins->function[pin];
+        pins->function[pin] = (uint8_t)find_function(pins, pin);
     }
-    chip->pins.analog = 0;
+    pins->analog = 0;
     for (unsigned channel = 0; channel < 16u; channel++) {
         const unsigned pin = CHIP_PIN((channel < 8u) ? 'A' : 'B', channel & 7u);
-        const bool connected = pins_function(chip, pin) == FUNCTION_ANALOG;
-        chip->pins.analog = (uint16_t)(chip->pins.analog | ((connected ? 1u : 0u) << channel));
+        const bool connected = function_of(pins, pin) == FUNCTION_ANALOG;
+        pins->analog = (uint16_t)(pins->analog | ((connected ? 1u : 0u) << channel));
     }
-    for (unsigned i = 0; i < CHOICES; i++) { /* who has lost its pin hears silence */
+    signals->pins_routed(pins->bus->chip);
+    for (unsigned i = 0; i < CHOICES; i++) { /* an input without a pin is low */
         const unsigned pin = choices[i].pin;
-        if (before[pin] != chip->pins.function[pin]) {
-            put(chip, (pin_function_t)before[pin], false);
+        if (before[pin] != pins->function[pin]) {
+            set_input(pins, (pin_function_t)before[pin], false);
         }
     }
     for (unsigned i = 0; i < CHOICES; i++) {
         const unsigned pin = choices[i].pin;
-        put(chip, pins_function(chip, pin), level_of(chip, pin));
+        set_input(pins, function_of(pins, pin), level_of(pins, pin));
     }
-    for (unsigned i = 0; i < GPIO_PORTS; i++) {
-        chip->pins.gates[i] = 0;
-    }
-    for (unsigned i = 0; i < 12u; i++) {
-        const unsigned pin = chip->config.wiring.gate[i / 6u][i % 6u / 2u][i % 2u];
-        if (pin < CHIP_PINS) {
-            chip->pins.gates[pin >> 4] = (uint16_t)(chip->pins.gates[pin >> 4] | (1u << (pin & 15u)));
-        }
-    }
-    pwm_pins_changed(chip);
-    world_deferrable_edges(chip->world);
+    signals->gate_pins_changed(pins->bus->chip);
+    pins->bus->environment->deferrable_edges_changed(pins->bus->board);
 }
 
-bool chip_pin_level(const chip_t *chip, unsigned pin)
+bool pins_level(const pins_t *pins, unsigned pin)
 {
-    const gpio_port_t *port = &chip->pins.port[pin >> 4];
+    const gpio_port_t *port = &pins->port[pin >> 4];
     const unsigned bit = 1u << (pin & 15u);
     if ((port->peripheral & bit) == 0 && (port->direction & bit) != 0) {
         return (port->data & bit) != 0;
     }
-    for (unsigned m = 0; m < 2u; m++) {
-        for (unsigned i = 0; i < 6u; i++) {
-            if (chip->config.wiring.gate[m][i / 2u][i % 2u] == pin) {
-                return ((chip->pwm[m].sub[i / 2u].levels >> (i % 2u)) & 1u) != 0;
-            }
+    for (unsigned i = 0; i < PINS_GATES; i++) {
+        if (pins->wiring.gate[i / 6u][i % 6u / 2u][i % 2u] == pin) {
+            return pins->bus->signals->gate_level(pins->bus->chip, i / 6u, i % 6u / 2u, i % 2u);
         }
     }
-    return level_of(chip, pin);
+    return level_of(pins, pin);
+}
+
+void pins_power_on(pins_t *pins, bus_t *bus, const chip_wiring_t *wiring)
+{
+    pins->bus = bus;
+    pins->wiring = *wiring;
+    for (unsigned i = 0; i < PINS_GATES; i++) {
+        const unsigned pin = wiring->gate[i / 6u][i % 6u / 2u][i % 2u];
+        if (pin < CHIP_PINS) {
+            pins->gates[pin >> 4] = (uint16_t)(pins->gates[pin >> 4] | (1u << (pin & 15u)));
+        }
+    }
+}
+
+void pins_reset(void *peripheral)
+{
+    pins_t *pins = (pins_t *)peripheral;
+    for (unsigned i = 0; i < GPIO_PORTS; i++) {
+        pins->port[i] = (gpio_port_t){.peripheral = 0};
+    }
+    pins->xb_in = 0;
 }
 
 /* ---- registers of the ports ------------------------------------------------------------------------------------------ */
 
-static gpio_port_t *port_of(chip_t *chip, uint32_t address)
+static gpio_port_t *port_of(pins_t *pins, uint32_t address)
 {
-    const unsigned index = (address - BASE) >> 4;
-    sim_gate(chip, address, 0, 6u - index);
-    return &chip->pins.port[index];
+    const unsigned index = (address - GPIO_BASE) >> 4;
+    bus_check_gate(pins->bus, address, 0, 6u - index);
+    return &pins->port[index];
 }
 
-uint16_t gpio_read(chip_t *chip, uint32_t address)
+uint16_t gpio_read(void *peripheral, uint32_t address)
 {
-    const gpio_port_t *port = port_of(chip, address);
-    const unsigned index = (address - BASE) >> 4;
+    pins_t *pins = (pins_t *)peripheral;
+    const gpio_port_t *port = port_of(pins, address);
+    const unsigned index = (address - GPIO_BASE) >> 4;
     switch (address & 0xFu) {
     case PUR:
         return port->pull;
@@ -262,9 +289,9 @@ uint16_t gpio_read(chip_t *chip, uint32_t address)
         return port->drive_mode;
     case RAWDATA: {
         unsigned levels = 0;
-        qtmr_catch_up(chip);
+        pins->bus->signals->timer_catch_up(pins->bus->chip);
         for (unsigned bit = 0; bit < 16u; bit++) {
-            levels |= (chip_pin_level(chip, (index << 4) | bit) ? 1u : 0u) << bit;
+            levels |= (pins_level(pins, (index << 4) | bit) ? 1u : 0u) << bit;
         }
         return (uint16_t)levels;
     }
@@ -275,14 +302,16 @@ uint16_t gpio_read(chip_t *chip, uint32_t address)
     case SRE:
         return port->slew;
     default:
-        chip_no_register(chip, address);
+        bus_no_register(pins->bus, address);
     }
 }
 
-void gpio_write(chip_t *chip, uint32_t address, uint16_t value)
+void gpio_write(void *peripheral, uint32_t address, uint16_t value)
 {
-    gpio_port_t *port = port_of(chip, address);
-    const unsigned index = (address - BASE) >> 4;
+    pins_t *pins = (pins_t *)peripheral;
+    bus_t *bus = pins->bus;
+    gpio_port_t *port = port_of(pins, address);
+    const unsigned index = (address - GPIO_BASE) >> 4;
     unsigned changed;
     switch (address & 0xFu) {
     case PUR:
@@ -291,24 +320,24 @@ void gpio_write(chip_t *chip, uint32_t address, uint16_t value)
     case DR:
         changed = port->data ^ value;
         port->data = value;
-        if ((changed & chip->pins.gates[index]) != 0) {
-            pwm_pins_changed(chip);
+        if ((changed & pins->gates[index]) != 0) {
+            bus->signals->gate_pins_changed(bus->chip);
         }
-        world_outputs(chip->world);
+        bus->environment->outputs_changed(bus->board);
         break;
     case DDR:
         port->direction = value;
-        pwm_pins_changed(chip);
-        world_outputs(chip->world);
+        bus->signals->gate_pins_changed(bus->chip);
+        bus->environment->outputs_changed(bus->board);
         break;
     case PER:
         port->peripheral = value;
-        pins_reroute(chip);
+        pins_route(pins);
         break;
     case IENR:
     case IAR:
     case IPOLR:
-        chip_only(chip, address, value, 0, "interrupts of pins are not modelled");
+        bus_allow(bus, address, value, 0, "interrupts of pins are not modelled");
         break;
     case IESR:
         break; /* clears what is never set */
@@ -325,6 +354,6 @@ void gpio_write(chip_t *chip, uint32_t address, uint16_t value)
         port->slew = value;
         break;
     default:
-        chip_no_register(chip, address);
+        bus_no_register(pins->bus, address);
     }
 }

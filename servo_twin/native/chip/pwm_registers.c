@@ -1,8 +1,7 @@
 /* pwm_registers.c - what the software reads and writes. */
-#include "chip/pwm_parts.h"
+#include "chip/pwm_internal.h"
 
 #define MODULE_SIZE 0x100u
-#define BASE 0xE600u
 #define SUB_SIZE 0x30u
 #define SUB_REGISTERS (PWM_SUBMODULES * SUB_SIZE)
 
@@ -60,9 +59,9 @@ static bool is_value(uint32_t r) { return r == INIT || (r >= VAL0 && r <= VAL5 &
 
 static bool is_fraction(uint32_t r) { return r >= FRACVAL1 && r < VAL5 && (r & 1u) == 0; }
 
-static uint16_t read_sub(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint32_t r)
+static uint16_t read_sub(pwm_t *pwm, uint32_t address, unsigned m, unsigned n, uint32_t r)
 {
-    pwm_submodule_t *s = &chip->pwm[m].sub[n];
+    pwm_submodule_t *s = &pwm->module[m].sub[n];
     if (r == INIT) {
         return s->buffer.init;
     }
@@ -74,7 +73,7 @@ static uint16_t read_sub(chip_t *chip, uint32_t address, unsigned m, unsigned n,
     }
     switch (r) {
     case CNT:
-        return pwm_counter(s, chip->now);
+        return pwm_counter(s, pwm->bus->now);
     case CTRL2:
         return s->ctrl2;
     case CTRL:
@@ -85,7 +84,7 @@ static uint16_t read_sub(chip_t *chip, uint32_t address, unsigned m, unsigned n,
     case OCTRL:
         return (uint16_t)(s->octrl | ((s->levels & 1u) << 15) | ((s->levels & 2u) << 13));
     case STS:
-        pwm_settle(chip, s);
+        pwm_settle(pwm, s);
         return (uint16_t)(s->flags | (s->updated ? STS_RUF : 0u));
     case INTEN:
         return s->inten;
@@ -99,33 +98,33 @@ static uint16_t read_sub(chip_t *chip, uint32_t address, unsigned m, unsigned n,
     case DTCNT1:
         return s->dtcnt[r - DTCNT0];
     default:
-        chip_no_register(chip, address);
+        bus_no_register(pwm->bus, address);
     }
 }
 
-static void write_ctrl2(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint16_t value)
+static void write_ctrl2(pwm_t *pwm, uint32_t address, unsigned m, unsigned n, uint16_t value)
 {
-    pwm_t *pwm = &chip->pwm[m];
-    pwm_submodule_t *s = &pwm->sub[n];
+    pwm_module_t *module = &pwm->module[m];
+    pwm_submodule_t *s = &module->sub[n];
     const unsigned clock = CTRL2_CLK_SEL(value);
     const unsigned force = CTRL2_FORCE_SEL(value);
     const unsigned init = CTRL2_INIT_SEL(value);
     if (clock == 1u || clock == 3u || (n == 0 && clock != 0)) {
-        chip_no_value(chip, address, value, "this CLK_SEL is not modelled");
+        bus_no_value(pwm->bus, address, value, "this CLK_SEL is not modelled");
     }
     if (n == 0 && ((value & CTRL2_RELOAD_SEL) != 0 || init == INIT_MASTER_RELOAD || init == INIT_MASTER_SYNC)) {
-        chip_no_value(chip, address, value, "submodule 0 cannot follow itself");
+        bus_no_value(pwm->bus, address, value, "submodule 0 cannot follow itself");
     }
     if (init == INIT_MASTER_RELOAD || force == FORCE_MASTER_RELOAD || force > FORCE_MASTER_SYNC ||
         (n == 0 && (force & 1u) != 0)) {
-        chip_no_value(chip, address, value, "this INIT_SEL or FORCE_SEL is not modelled");
+        bus_no_value(pwm->bus, address, value, "this INIT_SEL or FORCE_SEL is not modelled");
     }
     s->ctrl2 = (uint16_t)(value & ~CTRL2_FORCE);
-    pwm_watch(chip, s);
-    pwm_follow_run(chip, m);
+    pwm_select_events(pwm, s);
+    pwm_follow_run(pwm, m);
     if ((value & CTRL2_FORCE) != 0) {
         for (unsigned k = n; k < PWM_SUBMODULES; k++) {
-            pwm_submodule_t *other = &pwm->sub[k];
+            pwm_submodule_t *other = &module->sub[k];
             const unsigned by = CTRL2_FORCE_SEL(other->ctrl2);
             if ((k != n || by != FORCE_LOCAL) && !(n == 0 && k > 0 && by == FORCE_MASTER)) {
                 continue;
@@ -134,73 +133,73 @@ static void write_ctrl2(chip_t *chip, uint32_t address, unsigned m, unsigned n, 
                 other->generated = ((other->ctrl2 & CTRL2_PWM23_INIT) != 0 ? 1u : 0u) |
                                    ((other->ctrl2 & CTRL2_PWM45_INIT) != 0 ? 2u : 0u);
                 if (other->running) {
-                    pwm_settle(chip, other);
-                    pwm_begin_cycle(chip, other);
+                    pwm_settle(pwm, other);
+                    pwm_begin_cycle(pwm, other);
                 }
             }
-            pwm_force_out(chip, other);
-            pwm_schedule(chip, other);
+            pwm_force_out(pwm, other);
+            pwm_schedule(pwm, other);
         }
     }
-    pwm_schedule(chip, s);
+    pwm_schedule(pwm, s);
 }
 
-static void write_sub(chip_t *chip, uint32_t address, unsigned m, unsigned n, uint32_t r, uint16_t value)
+static void write_sub(pwm_t *pwm, uint32_t address, unsigned m, unsigned n, uint32_t r, uint16_t value)
 {
-    pwm_t *pwm = &chip->pwm[m];
-    pwm_submodule_t *s = &pwm->sub[n];
+    pwm_module_t *module = &pwm->module[m];
+    pwm_submodule_t *s = &module->sub[n];
     if (is_fraction(r)) {
-        chip_only(chip, address, value, 0, "the fractional unit is not modelled");
+        bus_allow(pwm->bus, address, value, 0, "the fractional unit is not modelled");
         return;
     }
     switch (r) {
     case CTRL2:
-        write_ctrl2(chip, address, m, n, value);
+        write_ctrl2(pwm, address, m, n, value);
         break;
     case CTRL:
-        chip_only(chip, address, value, 0xFF74, "double switching is not modelled");
+        bus_allow(pwm->bus, address, value, 0xFF74, "double switching is not modelled");
         s->ctrl = (uint16_t)(value & ~0x0300u);
-        if (((pwm->ldok >> n) & 1u) == 0) {
+        if (((module->ldok >> n) & 1u) == 0) {
             s->updated = s->updated || CTRL_PRSC(value) != s->buffer.prescaler;
             s->buffer.prescaler = CTRL_PRSC(value);
         }
-        pwm_watch(chip, s);
-        pwm_schedule(chip, s);
+        pwm_select_events(pwm, s);
+        pwm_schedule(pwm, s);
         break;
     case FRCTRL:
-        chip_only(chip, address, value, 0, "the fractional unit is not modelled");
+        bus_allow(pwm->bus, address, value, 0, "the fractional unit is not modelled");
         break;
     case OCTRL:
         s->octrl = value & 0x073Fu;
-        pwm_prepare(chip, s);
-        pwm_show(chip, s);
+        pwm_find_live_pins(pwm, s);
+        pwm_update_pins(pwm, s);
         break;
     case STS:
-        pwm_settle(chip, s);
+        pwm_settle(pwm, s);
         s->flags = (uint16_t)(s->flags & ~value);
-        pwm_request(chip, s);
+        pwm_request(pwm, s);
         break;
     case INTEN:
-        chip_only(chip, address, value, 0x303F, "the capture unit is not modelled");
-        pwm_settle(chip, s);
+        bus_allow(pwm->bus, address, value, 0x303F, "the capture unit is not modelled");
+        pwm_settle(pwm, s);
         s->inten = value;
-        pwm_watch(chip, s);
-        pwm_request(chip, s);
-        pwm_schedule(chip, s);
+        pwm_select_events(pwm, s);
+        pwm_request(pwm, s);
+        pwm_schedule(pwm, s);
         break;
     case DMAEN:
-        chip_only(chip, address, value, 0, "DMA is not modelled");
+        bus_allow(pwm->bus, address, value, 0, "DMA is not modelled");
         break;
     case TCTRL:
-        chip_only(chip, address, value, 0x003F, "PWM waveforms as triggers are not modelled");
+        bus_allow(pwm->bus, address, value, 0x003F, "PWM waveforms as triggers are not modelled");
         s->tctrl = value;
-        pwm_watch(chip, s);
-        pwm_schedule(chip, s);
+        pwm_select_events(pwm, s);
+        pwm_schedule(pwm, s);
         break;
     case DISMAP0:
         s->dismap0 = value;
-        pwm_prepare(chip, s);
-        pwm_show(chip, s);
+        pwm_find_live_pins(pwm, s);
+        pwm_update_pins(pwm, s);
         break;
     case DISMAP1: /* faults 4-7 have no pins here */
         s->dismap1 = value;
@@ -210,180 +209,181 @@ static void write_sub(chip_t *chip, uint32_t address, unsigned m, unsigned n, ui
         s->dtcnt[r - DTCNT0] = value & 0x7FFu;
         break;
     default:
-        chip_no_register(chip, address);
+        bus_no_register(pwm->bus, address);
     }
 }
 
-static void write_mctrl(chip_t *chip, unsigned m, uint16_t value)
+static void write_mctrl(pwm_t *pwm, unsigned m, uint16_t value)
 {
-    pwm_t *pwm = &chip->pwm[m];
-    pwm->ldok = (uint16_t)((pwm->ldok | (value & 0xFu)) & ~((unsigned)value >> 4 & 0xFu));
-    const bool same_run = pwm->run == ((value >> 8) & 0xFu);
+    pwm_module_t *module = &pwm->module[m];
+    module->ldok = (uint16_t)((module->ldok | (value & 0xFu)) & ~((unsigned)value >> 4 & 0xFu));
+    const bool same_run = module->run == ((value >> 8) & 0xFu);
     const uint16_t ipol = (uint16_t)(value >> 12);
-    if (ipol != pwm->ipol) {
-        pwm->ipol = ipol;
+    if (ipol != module->ipol) {
+        module->ipol = ipol;
         for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
-            pwm_watch(chip, &pwm->sub[n]);
+            pwm_select_events(pwm, &module->sub[n]);
         }
     }
-    pwm->run = (value >> 8) & 0xFu;
-    const bool first_stuck = pwm->sub[0].running && pwm->sub[0].stuck;
+    module->run = (value >> 8) & 0xFu;
+    const bool first_stuck = module->sub[0].running && module->sub[0].stuck;
     for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
-        pwm_submodule_t *s = &pwm->sub[n];
-        /* A counter without a cycle meets its reload point, and that of its followers, in every clock. */
+        pwm_submodule_t *s = &module->sub[n];
+        /* A counter whose cycle is one clock reloads in every clock, and so do its followers. */
         const bool led = first_stuck && n > 0 && (s->ctrl2 & CTRL2_RELOAD_SEL) != 0;
         const bool stuck = s->running && (s->stuck || led);
-        if (((pwm->ldok >> n) & 1u) != 0 && ((s->ctrl & CTRL_LDMOD) != 0 || stuck)) {
-            pwm_load(chip, s);
+        if (((module->ldok >> n) & 1u) != 0 && ((s->ctrl & CTRL_LDMOD) != 0 || stuck)) {
+            pwm_load(pwm, s);
             if (stuck) {
-                pwm_begin_cycle(chip, s);
+                pwm_begin_cycle(pwm, s);
             }
-            pwm_schedule(chip, s);
+            pwm_schedule(pwm, s);
         }
     }
     if (!same_run) {
-        pwm_follow_run(chip, m);
+        pwm_follow_run(pwm, m);
     }
 }
 
-static uint16_t fault_status(const pwm_t *pwm)
+static uint16_t fault_status(const pwm_module_t *module)
 {
-    return (uint16_t)(pwm->fault_flag | (unsigned)pwm->fsts_full << 4 | pwm->fault_filtered << 8 |
-                      (unsigned)pwm->fsts_half << 12);
+    return (uint16_t)(module->fault_flag | (unsigned)module->fsts_full << 4 | module->fault_filtered << 8 |
+                      (unsigned)module->fsts_half << 12);
 }
 
-static uint16_t read_module(chip_t *chip, uint32_t address, unsigned m, uint32_t r)
+static uint16_t read_module(pwm_t *pwm, uint32_t address, unsigned m, uint32_t r)
 {
-    const pwm_t *pwm = &chip->pwm[m];
+    const pwm_module_t *module = &pwm->module[m];
     switch (r) {
     case OUTEN:
-        return pwm->outen;
+        return module->outen;
     case MASK:
-        return pwm->mask;
+        return module->mask;
     case SWCOUT:
-        return pwm->swcout;
+        return module->swcout;
     case DTSRCSEL:
-        return pwm->dtsrcsel;
+        return module->dtsrcsel;
     case MCTRL:
-        return (uint16_t)(pwm->ldok | (unsigned)pwm->run << 8 | (unsigned)pwm->ipol << 12);
+        return (uint16_t)(module->ldok | (unsigned)module->run << 8 | (unsigned)module->ipol << 12);
     case MCTRL2:
-        return pwm->mctrl2;
+        return module->mctrl2;
     case FCTRL0:
-        return pwm->fctrl;
+        return module->fctrl;
     case FSTS0:
-        return fault_status(pwm);
+        return fault_status(module);
     case FFILT0:
-        return pwm->ffilt;
+        return module->ffilt;
     case FTST0:
-        return pwm->ftst;
+        return module->ftst;
     case FCTRL1:
-        return pwm->fctrl1;
+        return module->fctrl1;
     case FSTS1:
-        return pwm->fsts1;
+        return module->fsts1;
     case FFILT1:
-        return pwm->ffilt1;
+        return module->ffilt1;
     case FTST1:
-        return pwm->ftst1;
+        return module->ftst1;
     default:
-        chip_no_register(chip, address);
+        bus_no_register(pwm->bus, address);
     }
 }
 
-static void write_module(chip_t *chip, uint32_t address, unsigned m, uint32_t r, uint16_t value)
+static void write_module(pwm_t *pwm, uint32_t address, unsigned m, uint32_t r, uint16_t value)
 {
-    pwm_t *pwm = &chip->pwm[m];
+    pwm_module_t *module = &pwm->module[m];
     switch (r) {
     case OUTEN:
-        chip_only(chip, address, value, 0x0FF0, "PWM_X is not modelled");
-        pwm->outen = value;
-        pwm_show_all(chip, m);
+        bus_allow(pwm->bus, address, value, 0x0FF0, "PWM_X is not modelled");
+        module->outen = value;
+        pwm_update_all_pins(pwm, m);
         break;
     case MASK:
-        pwm->mask = value & 0x0FFFu;
+        module->mask = value & 0x0FFFu;
         break;
     case SWCOUT:
-        pwm->swcout = value & 0x00FFu;
+        module->swcout = value & 0x00FFu;
         break;
     case DTSRCSEL:
         for (unsigned k = 0; k < 8u; k++) {
             if (((value >> (2u * k)) & 3u) == 3u) {
-                chip_no_value(chip, address, value, "external sources are not modelled");
+                bus_no_value(pwm->bus, address, value, "external sources are not modelled");
             }
         }
-        pwm->dtsrcsel = value;
+        module->dtsrcsel = value;
         break;
     case MCTRL:
-        write_mctrl(chip, m, value);
+        write_mctrl(pwm, m, value);
         break;
     case MCTRL2:
-        chip_only(chip, address, value, 0x0003, "reserved");
-        pwm->mctrl2 = value;
+        bus_allow(pwm->bus, address, value, 0x0003, "reserved");
+        module->mctrl2 = value;
         break;
     case FCTRL0:
-        pwm->fctrl = value;
-        pwm_find_faults(chip, m);
-        pwm_request_fault(chip, m);
+        module->fctrl = value;
+        pwm_find_faults(pwm, m);
+        pwm_request_fault(pwm, m);
         break;
     case FSTS0:
-        pwm->fault_flag &= ~(unsigned)value;
-        pwm->fsts_full = (value >> 4) & 0xFu;
-        pwm->fsts_half = (uint16_t)(value >> 12);
+        module->fault_flag &= ~(unsigned)value;
+        module->fsts_full = (value >> 4) & 0xFu;
+        module->fsts_half = (uint16_t)(value >> 12);
         for (unsigned n = 0; n < PWM_SUBMODULES; n++) {
-            pwm_watch(chip, &pwm->sub[n]);
-            pwm_schedule(chip, &pwm->sub[n]);
+            pwm_select_events(pwm, &module->sub[n]);
+            pwm_schedule(pwm, &module->sub[n]);
         }
-        pwm_request_fault(chip, m);
+        pwm_request_fault(pwm, m);
         break;
     case FFILT0:
-        chip_only(chip, address, value, 0x87FF, "reserved");
-        pwm->ffilt = value;
+        bus_allow(pwm->bus, address, value, 0x87FF, "reserved");
+        module->ffilt = value;
         break;
     case FTST0:
-        pwm->ftst = value & 1u;
-        pwm_find_faults(chip, m);
+        module->ftst = value & 1u;
+        pwm_find_faults(pwm, m);
         break;
     case FCTRL1:
-        chip_only(chip, address, value, 0xFFF0, "interrupts of the faults 4-7 are not modelled");
-        pwm->fctrl1 = value;
+        bus_allow(pwm->bus, address, value, 0xFFF0, "interrupts of the faults 4-7 are not modelled");
+        module->fctrl1 = value;
         break;
     case FSTS1:
-        pwm->fsts1 = value & 0xF0F0u;
+        module->fsts1 = value & 0xF0F0u;
         break;
     case FFILT1:
-        pwm->ffilt1 = value;
+        module->ffilt1 = value;
         break;
     case FTST1:
-        chip_only(chip, address, value, 0, "faults 4-7 are not modelled");
+        bus_allow(pwm->bus, address, value, 0, "faults 4-7 are not modelled");
         break;
     default:
-        chip_no_register(chip, address);
+        bus_no_register(pwm->bus, address);
     }
 }
 
-static void check_gate(chip_t *chip, uint32_t address, unsigned m, uint32_t offset)
+static void check_gate(pwm_t *pwm, uint32_t address, unsigned m, uint32_t offset)
 {
     const unsigned first = (m == 0) ? 7u : 3u;
-    sim_gate(chip, address, 3, (offset < SUB_REGISTERS) ? first - offset / SUB_SIZE : first);
+    bus_check_gate(pwm->bus, address, 3, (offset < SUB_REGISTERS) ? first - offset / SUB_SIZE : first);
 }
 
-uint16_t pwm_read(chip_t *chip, uint32_t address)
+uint16_t pwm_read(void *peripheral, uint32_t address)
 {
-    const unsigned m = (address - BASE) / MODULE_SIZE;
-    const uint32_t offset = (address - BASE) % MODULE_SIZE;
-    check_gate(chip, address, m, offset);
+    pwm_t *pwm = (pwm_t *)peripheral;
+    const unsigned m = (address - PWM_BASE) / MODULE_SIZE;
+    const uint32_t offset = (address - PWM_BASE) % MODULE_SIZE;
+    check_gate(pwm, address, m, offset);
     if (offset < SUB_REGISTERS) {
-        return read_sub(chip, address, m, offset / SUB_SIZE, offset % SUB_SIZE);
+        return read_sub(pwm, address, m, offset / SUB_SIZE, offset % SUB_SIZE);
     }
-    return read_module(chip, address, m, offset);
+    return read_module(pwm, address, m, offset);
 }
 
-static void write_buffer(chip_t *chip, uint32_t address, unsigned m, unsigned what, uint16_t value)
+static void write_buffer(pwm_t *pwm, uint32_t address, unsigned m, unsigned what, uint16_t value)
 {
-    pwm_t *pwm = &chip->pwm[m];
-    pwm_submodule_t *s = chip->submodule[PWM_SUBMODULES * m + what / 8u];
-    sim_gate(chip, address, 3, 7u - s->id);
-    if (((pwm->ldok >> s->number) & 1u) != 0) {
-        pwm->locked_writes++;
+    pwm_module_t *module = &pwm->module[m];
+    pwm_submodule_t *s = pwm->submodule[PWM_SUBMODULES * m + what / 8u];
+    bus_check_gate(pwm->bus, address, 3, 7u - s->id);
+    if (((module->ldok >> s->number) & 1u) != 0) {
+        module->locked_writes++;
         return;
     }
     if (what % 8u == 1u) {
@@ -394,24 +394,25 @@ static void write_buffer(chip_t *chip, uint32_t address, unsigned m, unsigned wh
     s->updated = true;
 }
 
-NOINLINE static void write_plain(chip_t *chip, uint32_t address, uint16_t value)
+NOINLINE static void write_plain(pwm_t *pwm, uint32_t address, uint16_t value)
 {
-    const unsigned m = (address - BASE) / MODULE_SIZE;
-    const uint32_t offset = (address - BASE) % MODULE_SIZE;
-    check_gate(chip, address, m, offset);
+    const unsigned m = (address - PWM_BASE) / MODULE_SIZE;
+    const uint32_t offset = (address - PWM_BASE) % MODULE_SIZE;
+    check_gate(pwm, address, m, offset);
     if (offset < SUB_REGISTERS) {
-        write_sub(chip, address, m, offset / SUB_SIZE, offset % SUB_SIZE, value);
+        write_sub(pwm, address, m, offset / SUB_SIZE, offset % SUB_SIZE, value);
     } else {
-        write_module(chip, address, m, offset, value);
+        write_module(pwm, address, m, offset, value);
     }
 }
 
-void pwm_write(chip_t *chip, uint32_t address, uint16_t value)
+void pwm_write(void *peripheral, uint32_t address, uint16_t value)
 {
+    pwm_t *pwm = (pwm_t *)peripheral;
     const unsigned what = buffered[address % MODULE_SIZE];
     if (what != 0 && what != BUFFERED_MCTRL) {
-        write_buffer(chip, address, (address - BASE) / MODULE_SIZE, what, value);
+        write_buffer(pwm, address, (address - PWM_BASE) / MODULE_SIZE, what, value);
     } else {
-        write_plain(chip, address, value);
+        write_plain(pwm, address, value);
     }
 }

@@ -1,8 +1,5 @@
 #include "chip/qtmr.h"
 
-#include "chip/parts.h"
-
-#define BASE 0xE140u
 #define MODULE_SIZE 0x40u
 
 enum { COMP1, COMP2, CAPT, LOAD, HOLD, CNTR, CTRL, SCTRL, CMPLD1, CMPLD2, CSCTRL, FILT, DMA, ENBL = 0x0F };
@@ -40,71 +37,71 @@ enum { OUT_ACTIVE, OUT_CLEAR, OUT_SET, OUT_TOGGLE, OUT_ALTERNATE, OUT_SET_SECOND
 
 #define FIRST_BUS_SOURCE 8u
 
-/* Each channel that a mask names, as it is now. */
+/* Each channel of a mask, which is read once. */
 #define FOR_EACH(n, mask)                                                                                              \
-    for (unsigned left = (mask), n = 0; left != 0 && (n = chip_lowest_bit(left), true); left &= left - 1u)
+    for (unsigned left = (mask), n = 0; left != 0 && (n = lowest_bit(left), true); left &= left - 1u)
 
-static bool enabled(const qtmr_t *timer, unsigned n) { return ((timer->enable >> n) & 1u) != 0; }
+static bool enabled(const qtmr_module_t *timer, unsigned n) { return ((timer->enable >> n) & 1u) != 0; }
 
-static bool runs_on_bus(const qtmr_t *timer, unsigned n) { return ((timer->on_bus >> n) & 1u) != 0; }
+static bool runs_on_bus(const qtmr_module_t *timer, unsigned n) { return ((timer->on_bus >> n) & 1u) != 0; }
 
 static unsigned prescaler(const qtmr_channel_t *c) { return CTRL_PCS(c->ctrl) - FIRST_BUS_SOURCE; }
 
 static bool counts_down(const qtmr_channel_t *c) { return (c->ctrl & CTRL_DIR) != 0; }
 
-static void request(chip_t *chip, qtmr_t *timer, unsigned n)
+static void request(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n)
 {
     const qtmr_channel_t *c = &timer->channel[n];
     const unsigned flags = c->sctrl & (SCTRL_FLAGS);
-    const unsigned wanted = ((unsigned)c->sctrl << 1) & SCTRL_FLAGS; /* each enable stands below its flag */
+    const unsigned wanted = ((unsigned)c->sctrl << 1) & SCTRL_FLAGS; /* each enable is one bit below its flag */
     const bool compare = (((unsigned)c->csctrl << 2) & c->csctrl & (CSCTRL_TCF1EN | CSCTRL_TCF2EN)) != 0;
-    intc_request(chip, ((timer->module == 0) ? VECTOR_TMRA0 : VECTOR_TMRB0) - n, (flags & wanted) != 0 || compare);
+    bus_request(qtmr->bus, ((timer->module == 0) ? VECTOR_TMRA0 : VECTOR_TMRB0) - n, (flags & wanted) != 0 || compare);
 }
 
 /* ---- counting -------------------------------------------------------------------------------------------------------- */
 
-static void count(chip_t *chip, qtmr_t *timer, unsigned n, bool up);
+static void count(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n, bool up);
 
-NOINLINE static void change_oflag(chip_t *chip, qtmr_t *timer, unsigned n, bool level)
+NOINLINE static void change_oflag(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n, bool level)
 {
     qtmr_channel_t *c = &timer->channel[n];
     c->oflag = level;
-    const bool out = level != ((c->sctrl & 2u) != 0); /* OPS inverts what leaves the timer */
-    xbar_signal(chip, (int)((timer->module == 0) ? 36u + n : 16u + n), (int)((timer->module == 0) ? 16u + n : 4u + n),
-                out ? XBAR_RISE : XBAR_FALL);
+    const bool out = level != ((c->sctrl & 2u) != 0); /* OPS inverts the output */
+    qtmr->bus->signals->crossbar(qtmr->bus->chip, (int)((timer->module == 0) ? 36u + n : 16u + n),
+                                 (int)((timer->module == 0) ? 16u + n : 4u + n), out ? XBAR_RISE : XBAR_FALL);
     FOR_EACH(k, timer->follows[n])
     {
         const unsigned mode = CTRL_CM(timer->channel[k].ctrl);
         if (level || mode == CM_BOTH) {
-            count(chip, timer, k, !counts_down(&timer->channel[k]));
+            count(qtmr, timer, k, !counts_down(&timer->channel[k]));
         }
     }
 }
 
-static inline void set_oflag(chip_t *chip, qtmr_t *timer, unsigned n, bool level)
+static inline void set_oflag(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n, bool level)
 {
     if (timer->channel[n].oflag != level) {
-        change_oflag(chip, timer, n, level);
+        change_oflag(qtmr, timer, n, level);
     }
 }
 
-/* The count has met COMP1 (up) or COMP2 (down). */
-NOINLINE static void compare(chip_t *chip, qtmr_t *timer, unsigned n, bool up)
+/* The count equals COMP1 (up) or COMP2 (down). */
+NOINLINE static void compare(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n, bool up)
 {
     qtmr_channel_t *c = &timer->channel[n];
     c->sctrl = (uint16_t)(c->sctrl | SCTRL_TCF);
     c->csctrl = (uint16_t)(c->csctrl | (up ? CSCTRL_TCF1 : CSCTRL_TCF2));
     switch (CTRL_OUTMODE(c->ctrl)) {
     case OUT_CLEAR:
-        set_oflag(chip, timer, n, false);
+        set_oflag(qtmr, timer, n, false);
         break;
     case OUT_SET:
     case OUT_SET_SECONDARY:
     case OUT_SET_ROLLOVER:
-        set_oflag(chip, timer, n, true);
+        set_oflag(qtmr, timer, n, true);
         break;
     case OUT_TOGGLE:
-        set_oflag(chip, timer, n, !c->oflag);
+        set_oflag(qtmr, timer, n, !c->oflag);
         break;
     default:
         break;
@@ -112,29 +109,29 @@ NOINLINE static void compare(chip_t *chip, qtmr_t *timer, unsigned n, bool up)
     FOR_EACH(k, timer->cascade)
     {
         if (CTRL_PCS(timer->channel[k].ctrl) == 4u + n) {
-            count(chip, timer, k, up);
+            count(qtmr, timer, k, up);
         }
     }
     if ((c->ctrl & CTRL_ONCE) != 0) {
         c->ctrl = (uint16_t)(c->ctrl & 0x1FFFu);
         timer->on_bus &= ~(1u << n);
     }
-    request(chip, timer, n);
+    request(qtmr, timer, n);
 }
 
-NOINLINE static void rollover(chip_t *chip, qtmr_t *timer, unsigned n)
+NOINLINE static void rollover(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n)
 {
     qtmr_channel_t *c = &timer->channel[n];
     c->sctrl = (uint16_t)(c->sctrl | SCTRL_TOF);
     if (CTRL_OUTMODE(c->ctrl) == OUT_SET_ROLLOVER) {
-        set_oflag(chip, timer, n, false);
+        set_oflag(qtmr, timer, n, false);
     }
     if ((c->sctrl & SCTRL_TOFIE) != 0) {
-        request(chip, timer, n);
+        request(qtmr, timer, n);
     }
 }
 
-/* One count of which nothing follows. */
+/* A count without a consequence. */
 static inline void only_count(qtmr_channel_t *c, bool up)
 {
     c->csctrl = (uint16_t)(up ? (c->csctrl | CSCTRL_UP) : (c->csctrl & ~CSCTRL_UP));
@@ -142,7 +139,7 @@ static inline void only_count(qtmr_channel_t *c, bool up)
 }
 
 /* One count. With LENGTH the count after a match is LOAD, in the direction of that match. */
-static void count(chip_t *chip, qtmr_t *timer, unsigned n, bool up)
+static void count(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n, bool up)
 {
     qtmr_channel_t *c = &timer->channel[n];
     if (!enabled(timer, n)) {
@@ -155,15 +152,15 @@ static void count(chip_t *chip, qtmr_t *timer, unsigned n, bool up)
     } else {
         c->cntr = (uint16_t)(c->cntr + (up ? 1u : 0xFFFFu));
         if (c->cntr == (up ? 0u : 0xFFFFu)) {
-            rollover(chip, timer, n);
+            rollover(qtmr, timer, n);
         }
     }
     if (c->cntr == limit) {
-        compare(chip, timer, n, up);
+        compare(qtmr, timer, n, up);
     }
 }
 
-/* Counts until something happens to a channel on the bus clock: a compare or a rollover. At least 1. */
+/* Counts to the next compare or rollover of a channel on the bus clock. At least 1. */
 static uint32_t counts_to_event(const qtmr_channel_t *c)
 {
     const bool down = counts_down(c);
@@ -176,7 +173,7 @@ static uint32_t counts_to_event(const qtmr_channel_t *c)
     return (to_limit != 0 && to_limit < to_wrap) ? to_limit : to_wrap;
 }
 
-static inline void settle_to(chip_t *chip, qtmr_t *timer, unsigned n, uint64_t clock)
+static inline void settle_to(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n, uint64_t clock)
 {
     qtmr_channel_t *c = &timer->channel[n];
     const unsigned shift = prescaler(c);
@@ -189,31 +186,31 @@ static inline void settle_to(chip_t *chip, qtmr_t *timer, unsigned n, uint64_t c
             break;
         }
         c->cntr = (uint16_t)(counts_down(c) ? c->cntr - (next - 1u) : c->cntr + (next - 1u));
-        count(chip, timer, n, !counts_down(c));
+        count(qtmr, timer, n, !counts_down(c));
         counts -= next;
     }
 }
 
-NOINLINE static void settle_on_bus(chip_t *chip, qtmr_t *timer, unsigned n)
+NOINLINE static void settle_on_bus(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n)
 {
     if (((timer->holds >> n) & 1u) != 0) {
         timer->holds &= ~(1u << n);
-        settle_to(chip, timer, n, timer->hold_clock);
+        settle_to(qtmr, timer, n, timer->hold_clock);
         timer->channel[n].hold = timer->channel[n].cntr;
     }
-    settle_to(chip, timer, n, chip->now);
+    settle_to(qtmr, timer, n, qtmr->bus->now);
 }
 
-static inline void settle(chip_t *chip, qtmr_t *timer, unsigned n)
+static inline void settle(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n)
 {
     if (runs_on_bus(timer, n)) {
-        settle_on_bus(chip, timer, n);
+        settle_on_bus(qtmr, timer, n);
     }
 }
 
-static void settle_all(chip_t *chip, qtmr_t *timer)
+static void settle_all(qtmr_t *qtmr, qtmr_module_t *timer)
 {
-    FOR_EACH(n, timer->on_bus) { settle(chip, timer, n); }
+    FOR_EACH(n, timer->on_bus) { settle(qtmr, timer, n); }
 }
 
 /* A channel on the bus clock whose compares have no consequence has no events. */
@@ -223,38 +220,38 @@ static bool has_events(const qtmr_channel_t *c)
            CTRL_OUTMODE(c->ctrl) != OUT_ACTIVE || (c->ctrl & CTRL_ONCE) != 0;
 }
 
-/* The next event of the channels whose events have a consequence. */
-NOINLINE static uint64_t next_heard(chip_t *chip, qtmr_t *timer)
+/* The next event of the eventful channels. */
+NOINLINE static uint64_t next_of_eventful(qtmr_t *qtmr, qtmr_module_t *timer)
 {
-    FOR_EACH(n, timer->heard) { settle(chip, timer, n); }
+    FOR_EACH(n, timer->eventful) { settle(qtmr, timer, n); }
     uint64_t next = CHIP_NEVER;
-    FOR_EACH(n, timer->heard & timer->on_bus)
+    FOR_EACH(n, timer->eventful & timer->on_bus)
     {
         const qtmr_channel_t *c = &timer->channel[n];
         const unsigned shift = prescaler(c);
-        const uint64_t clock = ((chip->now >> shift) + counts_to_event(c)) << shift;
+        const uint64_t clock = ((qtmr->bus->now >> shift) + counts_to_event(c)) << shift;
         next = (clock < next) ? clock : next;
     }
     return next;
 }
 
 /* The first change behind the filters. */
-static inline uint64_t first_change(const qtmr_t *timer)
+static inline uint64_t first_change(const qtmr_module_t *timer)
 {
     const uint64_t *change = timer->change_clock;
-    return chip_sooner(chip_sooner(change[0], change[1]), chip_sooner(change[2], change[3]));
+    return events_earlier(events_earlier(change[0], change[1]), events_earlier(change[2], change[3]));
 }
 
-static inline void schedule(chip_t *chip, qtmr_t *timer)
+static inline void schedule(qtmr_t *qtmr, qtmr_module_t *timer)
 {
     timer->quiet_clock = CHIP_NEVER;
-    const uint64_t heard = (timer->heard != 0) ? next_heard(chip, timer) : CHIP_NEVER; /* may change an input */
-    chip_schedule(chip, SOURCE_TIMER + timer->module, chip_sooner(first_change(timer), heard));
+    const uint64_t next = (timer->eventful != 0) ? next_of_eventful(qtmr, timer) : CHIP_NEVER; /* may change an input */
+    bus_plan(qtmr->bus, SOURCE_TIMER + timer->module, events_earlier(first_change(timer), next));
 }
 
 /* ---- inputs ---------------------------------------------------------------------------------------------------------- */
 
-NOINLINE static void capture(chip_t *chip, qtmr_t *timer, unsigned n, bool rises)
+NOINLINE static void capture(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n, bool rises)
 {
     qtmr_channel_t *c = &timer->channel[n];
     const bool inverted = (c->sctrl & SCTRL_IPS) != 0;
@@ -262,24 +259,24 @@ NOINLINE static void capture(chip_t *chip, qtmr_t *timer, unsigned n, bool rises
     if ((SCTRL_CAPTURE(c->sctrl) & edge) == 0) {
         return;
     }
-    settle(chip, timer, n);
+    settle(qtmr, timer, n);
     c->capt = c->cntr;
     c->sctrl = (uint16_t)(c->sctrl | SCTRL_IEF);
     timer->captured |= 1u << n;
     if ((c->csctrl & CSCTRL_ROC) != 0) {
         c->cntr = c->load;
-        if (timer->heard != 0) {
-            schedule(chip, timer);
+        if (timer->eventful != 0) {
+            schedule(qtmr, timer);
         }
     }
-    chip_note(chip, TRACE_CAPTURE, timer->module * QTMR_CHANNELS + n, c->capt);
+    bus_note(qtmr->bus, TRACE_CAPTURE, timer->module * QTMR_CHANNELS + n, c->capt);
     if ((c->sctrl & SCTRL_IEFIE) != 0) {
-        request(chip, timer, n);
+        request(qtmr, timer, n);
     }
 }
 
 /* A leads B upwards: after an edge of A the lines differ then, after one of B they are equal. */
-static inline bool decodes_up(const qtmr_t *timer, const qtmr_channel_t *c, unsigned input)
+static inline bool decodes_up(const qtmr_module_t *timer, const qtmr_channel_t *c, unsigned input)
 {
     const unsigned a = CTRL_PCS(c->ctrl);
     const unsigned b = CTRL_SCS(c->ctrl);
@@ -296,29 +293,28 @@ static inline bool counts_edge(const qtmr_channel_t *c, bool rises)
 
 /* A level behind the filter has changed. What a secondary input does to OFLAG comes before the count, its capture after:
  * the captured count includes the edge. */
-NOINLINE static void edge(chip_t *chip, qtmr_t *timer, unsigned input)
+NOINLINE static void edge(qtmr_t *qtmr, qtmr_module_t *timer, unsigned input)
 {
     timer->in ^= 1u << input;
     const bool rises = ((timer->in >> input) & 1u) != 0;
-    FOR_EACH(n, timer->cleared_by[input]) { set_oflag(chip, timer, n, false); }
-    FOR_EACH(n, timer->decodes[input]) { count(chip, timer, n, decodes_up(timer, &timer->channel[n], input)); }
+    FOR_EACH(n, timer->cleared_by[input]) { set_oflag(qtmr, timer, n, false); }
+    FOR_EACH(n, timer->decodes[input]) { count(qtmr, timer, n, decodes_up(timer, &timer->channel[n], input)); }
     FOR_EACH(n, timer->counts_edges[input])
     {
         if (counts_edge(&timer->channel[n], rises)) {
-            count(chip, timer, n, !counts_down(&timer->channel[n]));
+            count(qtmr, timer, n, !counts_down(&timer->channel[n]));
         }
     }
-    /* what has been captured stays until software clears IEF */
-    FOR_EACH(n, timer->captures[input] & ~timer->captured) { capture(chip, timer, n, rises); }
+    /* a captured count stays until software clears IEF */
+    FOR_EACH(n, timer->captures[input] & ~timer->captured) { capture(qtmr, timer, n, rises); }
 }
 
 /* ---- edges that only count ------------------------------------------------------------------------------------------- */
 
-/* How many edges from now on would change a count, and nothing would follow from that: no compare, rollover, capture or
- * output. */
-static unsigned find_deferrable_edges(const chip_t *chip, const qtmr_t *timer)
+/* Number of coming edges that only change a count: no compare, rollover, capture or output follows. */
+static unsigned find_deferrable_edges(const qtmr_t *qtmr, const qtmr_module_t *timer)
 {
-    if (timer->heard != 0 || chip->turn[SOURCE_TIMER + timer->module] < CHIP_NO_TURN) {
+    if (timer->eventful != 0 || qtmr->bus->events.key[SOURCE_TIMER + timer->module] < EVENT_KEY(CHIP_NEVER, 0)) {
         return 0;
     }
     unsigned counting = 0;
@@ -338,7 +334,7 @@ static unsigned find_deferrable_edges(const chip_t *chip, const qtmr_t *timer)
             return 0;
         }
     }
-    unsigned fewest = QTMR_DEFERRABLE_EDGES_MAX + QTMR_CHANNELS + 1u; /* behind each filter one may be waiting */
+    unsigned least = QTMR_DEFERRABLE_EDGES_MAX + QTMR_CHANNELS + 1u; /* one may be behind each filter */
     FOR_EACH(n, counting)
     {
         const qtmr_channel_t *c = &timer->channel[n];
@@ -346,25 +342,25 @@ static unsigned find_deferrable_edges(const chip_t *chip, const qtmr_t *timer)
         for (unsigned i = 0; i < sizeof special / sizeof special[0]; i++) {
             const uint16_t up = (uint16_t)(special[i] - c->cntr);
             const uint16_t down = (uint16_t)(c->cntr - special[i]);
-            const uint16_t way = (up < down) ? up : down;
-            fewest = (way < fewest) ? way : fewest;
+            const uint16_t distance = (up < down) ? up : down;
+            least = (distance < least) ? distance : least;
         }
     }
-    return (fewest > QTMR_CHANNELS + 1u) ? fewest - QTMR_CHANNELS - 1u : 0u;
+    return (least > QTMR_CHANNELS + 1u) ? least - QTMR_CHANNELS - 1u : 0u;
 }
 
-/* After a change of what the next edges may do. All that have been kept back so far have to be handed over first. */
-static void listen(chip_t *chip, qtmr_t *timer)
+/* After a change of what edges do; the deferred ones must have been counted before. */
+static void update_deferrable(qtmr_t *qtmr, qtmr_module_t *timer)
 {
     const unsigned before = timer->deferrable_edges;
-    timer->deferrable_edges = find_deferrable_edges(chip, timer);
+    timer->deferrable_edges = find_deferrable_edges(qtmr, timer);
     if (timer->deferrable_edges != before) {
-        world_deferrable_edges(chip->world);
+        qtmr->bus->environment->deferrable_edges_changed(qtmr->bus->board);
     }
 }
 
-/* The level behind a filter changes, and nothing follows but counts. */
-static void pass_quietly(qtmr_t *timer, unsigned input)
+/* A deferrable edge passes its filter. */
+static void count_quietly(qtmr_module_t *timer, unsigned input)
 {
     timer->change_clock[input] = CHIP_NEVER;
     timer->in ^= 1u << input;
@@ -383,43 +379,43 @@ static void pass_quietly(qtmr_t *timer, unsigned input)
     }
 }
 
-/* All such changes before `clock`, in their order. */
-static inline void let_through(qtmr_t *timer, uint64_t clock)
+/* All such edges before `clock`, in order. */
+static inline void pass_filters(qtmr_module_t *timer, uint64_t clock)
 {
     while (timer->quiet_clock < clock) {
         unsigned input = 0;
         while (timer->change_clock[input] != timer->quiet_clock) {
             input++;
         }
-        pass_quietly(timer, input);
+        count_quietly(timer, input);
         timer->quiet_clock = first_change(timer);
     }
 }
 
-void qtmr_catch_up(chip_t *chip)
+void qtmr_catch_up(qtmr_t *qtmr)
 {
-    if (chip->caught_up == chip->now) {
+    if (qtmr->caught_up == qtmr->bus->now) {
         return;
     }
-    chip->caught_up = chip->now;
-    sync_plant(chip);
-    world_late(chip->world);
+    qtmr->caught_up = qtmr->bus->now;
+    bus_sync_plant(qtmr->bus);
+    qtmr->bus->environment->report_deferred(qtmr->bus->board);
     for (unsigned m = 0; m < QTMR_MODULES; m++) {
-        qtmr_t *timer = &chip->timer[m];
-        let_through(timer, chip->now + 1u);
+        qtmr_module_t *timer = &qtmr->module[m];
+        pass_filters(timer, qtmr->bus->now + 1u);
         if (timer->deferrable_edges > 0 &&
-            timer->deferrable_edges < QTMR_DEFERRABLE_EDGES_MAX / 2u) { /* before there is none left */
-            listen(chip, timer);
+            timer->deferrable_edges < QTMR_DEFERRABLE_EDGES_MAX / 2u) { /* before none are left */
+            update_deferrable(qtmr, timer);
         }
     }
 }
 
-/* ---- edges ----------------------------------------------------------------------------------------------------------------- */
+/* ---- edges ----------------------------------------------------------------------------------------------------------- */
 
-/* Another level comes to a filter. True if it goes straight through. */
-static inline bool enter_filter(qtmr_t *timer, unsigned input, bool level, uint64_t clock)
+/* A new level at a filter. True if it passes without a delay. */
+static inline bool enter_filter(qtmr_module_t *timer, unsigned input, bool level, uint64_t clock)
 {
-    let_through(timer, clock);
+    pass_filters(timer, clock);
     timer->raw ^= 1u << input;
     if (((timer->in >> input) & 1u) == (level ? 1u : 0u)) {
         timer->change_clock[input] = CHIP_NEVER; /* shorter than the filter */
@@ -432,60 +428,61 @@ static inline bool enter_filter(qtmr_t *timer, unsigned input, bool level, uint6
     return false;
 }
 
-void qtmr_input(chip_t *chip, unsigned m, unsigned input, bool level, uint64_t clock)
+void qtmr_input(qtmr_t *qtmr, unsigned m, unsigned input, bool level, uint64_t clock)
 {
-    qtmr_t *timer = &chip->timer[m];
+    qtmr_module_t *timer = &qtmr->module[m];
     if (((timer->raw >> input) & 1u) == (level ? 1u : 0u)) {
         return;
     }
     if (timer->deferrable_edges > 0) {
         timer->deferrable_edges--;
         if (enter_filter(timer, input, level, clock)) {
-            pass_quietly(timer, input);
+            count_quietly(timer, input);
         }
         timer->quiet_clock = first_change(timer);
         return;
     }
-    if (enter_filter(timer, input, level, chip->now)) {
-        edge(chip, timer, input);
+    if (enter_filter(timer, input, level, qtmr->bus->now)) {
+        edge(qtmr, timer, input);
     }
-    schedule(chip, timer);
-    listen(chip, timer);
+    schedule(qtmr, timer);
+    update_deferrable(qtmr, timer);
 }
 
-void qtmr_pulse(chip_t *chip, unsigned m, unsigned input)
+void qtmr_pulse(qtmr_t *qtmr, unsigned m, unsigned input)
 {
-    qtmr_t *timer = &chip->timer[m];
+    qtmr_module_t *timer = &qtmr->module[m];
     if (timer->delay[input] == 0) {
-        qtmr_catch_up(chip);
-        edge(chip, timer, input);
-        edge(chip, timer, input);
-        schedule(chip, timer);
-        listen(chip, timer);
+        qtmr_catch_up(qtmr);
+        edge(qtmr, timer, input);
+        edge(qtmr, timer, input);
+        schedule(qtmr, timer);
+        update_deferrable(qtmr, timer);
     }
 }
 
-/* Edges that their filters have let through. */
-void qtmr_event(chip_t *chip, unsigned m)
+/* Edges that pass their filters at the present clock. */
+void qtmr_event(void *peripheral, unsigned source)
 {
-    qtmr_t *timer = &chip->timer[m];
-    qtmr_catch_up(chip);
+    qtmr_t *qtmr = (qtmr_t *)peripheral;
+    qtmr_module_t *timer = &qtmr->module[source - SOURCE_TIMER];
+    qtmr_catch_up(qtmr);
     for (unsigned input = 0; input < QTMR_CHANNELS; input++) {
-        if (timer->change_clock[input] <= chip->now) {
+        if (timer->change_clock[input] <= qtmr->bus->now) {
             timer->change_clock[input] = CHIP_NEVER;
-            edge(chip, timer, input);
+            edge(qtmr, timer, input);
         }
     }
-    schedule(chip, timer);
-    listen(chip, timer);
+    schedule(qtmr, timer);
+    update_deferrable(qtmr, timer);
 }
 
 /* ---- registers ------------------------------------------------------------------------------------------------------- */
 
-/* Who counts, captures and follows what. */
-static void derive(chip_t *chip, qtmr_t *timer)
+/* The masks of channels that follow from the registers. */
+static void derive(qtmr_t *qtmr, qtmr_module_t *timer)
 {
-    settle_all(chip, timer);
+    settle_all(qtmr, timer);
     timer->on_bus = timer->cascade = 0;
     for (unsigned i = 0; i < QTMR_CHANNELS; i++) {
         timer->counts_edges[i] = timer->follows[i] = timer->captures[i] = timer->cleared_by[i] = 0;
@@ -496,7 +493,7 @@ static void derive(chip_t *chip, qtmr_t *timer)
         const unsigned bit = 1u << n;
         const unsigned mode = CTRL_CM(c->ctrl);
         const unsigned source = CTRL_PCS(c->ctrl);
-        const bool gate = sim_gate_open(chip, 0, ((timer->module == 0) ? 15u : 11u) - n);
+        const bool gate = bus_gate_open(qtmr->bus, 0, ((timer->module == 0) ? 15u : 11u) - n);
         if (mode == CM_STOP || !gate) {
             continue;
         }
@@ -510,7 +507,7 @@ static void derive(chip_t *chip, qtmr_t *timer)
         } else if (source >= FIRST_BUS_SOURCE) {
             if (enabled(timer, n)) {
                 timer->on_bus |= bit;
-                c->since = chip->now;
+                c->since = qtmr->bus->now;
             }
         } else if (source >= 4u) {
             timer->follows[source - 4u] |= bit;
@@ -524,54 +521,54 @@ static void derive(chip_t *chip, qtmr_t *timer)
             timer->cleared_by[CTRL_SCS(c->ctrl)] |= bit;
         }
     }
-    timer->heard = 0;
+    timer->eventful = 0;
     for (unsigned n = 0; n < QTMR_CHANNELS; n++) {
         if (runs_on_bus(timer, n) &&
             (has_events(&timer->channel[n]) || timer->follows[n] != 0 || timer->cascade != 0)) {
-            timer->heard |= 1u << n;
+            timer->eventful |= 1u << n;
         }
     }
     if (timer->on_bus != 0) {
-        occs_need_bus_clock(chip, "a timer");
+        qtmr->bus->signals->need_bus_clock(qtmr->bus->chip, "a timer");
     }
-    schedule(chip, timer);
+    schedule(qtmr, timer);
 }
 
-void qtmr_gates_changed(chip_t *chip)
+void qtmr_gates_changed(qtmr_t *qtmr)
 {
-    qtmr_catch_up(chip);
+    qtmr_catch_up(qtmr);
     for (unsigned m = 0; m < QTMR_MODULES; m++) {
-        derive(chip, &chip->timer[m]);
-        listen(chip, &chip->timer[m]);
+        derive(qtmr, &qtmr->module[m]);
+        update_deferrable(qtmr, &qtmr->module[m]);
     }
 }
 
-static void write_ctrl(chip_t *chip, uint32_t address, qtmr_t *timer, unsigned n, uint16_t value)
+static void write_ctrl(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, unsigned n, uint16_t value)
 {
     const unsigned mode = CTRL_CM(value);
     const unsigned source = CTRL_PCS(value);
     const unsigned out = CTRL_OUTMODE(value);
     if (mode == CM_GATED || mode == CM_SIGNED || mode == CM_TRIGGERED) {
-        chip_no_value(chip, address, value, "this count mode is not modelled");
+        bus_no_value(qtmr->bus, address, value, "this count mode is not modelled");
     }
     if (out == OUT_ALTERNATE || out == OUT_GATED) {
-        chip_no_value(chip, address, value, "this output mode is not modelled");
+        bus_no_value(qtmr->bus, address, value, "this output mode is not modelled");
     }
     if ((value & CTRL_COINIT) != 0) {
-        chip_no_value(chip, address, value, "COINIT is not modelled");
+        bus_no_value(qtmr->bus, address, value, "COINIT is not modelled");
     }
     if (mode == CM_BOTH && source >= FIRST_BUS_SOURCE) {
-        chip_no_value(chip, address, value, "both edges of the bus clock are not modelled");
+        bus_no_value(qtmr->bus, address, value, "both edges of the bus clock are not modelled");
     }
     if (mode != CM_STOP && source == 4u + n) {
-        chip_no_value(chip, address, value, "a channel cannot count its own output");
+        bus_no_value(qtmr->bus, address, value, "a channel cannot count its own output");
     }
-    settle(chip, timer, n);
+    settle(qtmr, timer, n);
     timer->channel[n].ctrl = value;
-    derive(chip, timer);
+    derive(qtmr, timer);
 }
 
-static uint16_t read_channel(chip_t *chip, uint32_t address, qtmr_t *timer, unsigned n, uint32_t r)
+static uint16_t read_channel(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, unsigned n, uint32_t r)
 {
     const qtmr_channel_t *c = &timer->channel[n];
     switch (r) {
@@ -584,21 +581,21 @@ static uint16_t read_channel(chip_t *chip, uint32_t address, qtmr_t *timer, unsi
     case LOAD:
         return c->load;
     case HOLD:
-        settle(chip, timer, n);
+        settle(qtmr, timer, n);
         return c->hold;
     case CNTR:
-        settle(chip, timer, n);
-        for (unsigned k = 0; k < QTMR_CHANNELS; k++) { /* of those on the bus clock it is enough to know when */
+        settle(qtmr, timer, n);
+        for (unsigned k = 0; k < QTMR_CHANNELS; k++) { /* those on the bus clock are computed when they are read */
             timer->channel[k].hold = timer->channel[k].cntr;
         }
         timer->holds = timer->on_bus & ~(1u << n);
-        timer->hold_clock = chip->now;
+        timer->hold_clock = qtmr->bus->now;
         return c->cntr;
     case CTRL:
-        settle(chip, timer, n);
+        settle(qtmr, timer, n);
         return c->ctrl;
     case SCTRL: {
-        settle(chip, timer, n);
+        settle(qtmr, timer, n);
         const bool level = ((timer->in >> CTRL_SCS(c->ctrl)) & 1u) != 0;
         return (uint16_t)(c->sctrl | ((level != ((c->sctrl & SCTRL_IPS) != 0)) ? SCTRL_INPUT : 0u));
     }
@@ -607,7 +604,7 @@ static uint16_t read_channel(chip_t *chip, uint32_t address, qtmr_t *timer, unsi
     case CMPLD2:
         return c->cmpld2;
     case CSCTRL:
-        settle(chip, timer, n);
+        settle(qtmr, timer, n);
         return c->csctrl;
     case FILT:
         return c->filt;
@@ -617,46 +614,46 @@ static uint16_t read_channel(chip_t *chip, uint32_t address, qtmr_t *timer, unsi
         if (n == 0) {
             return timer->enable;
         }
-        chip_no_register(chip, address);
+        bus_no_register(qtmr->bus, address);
     default:
-        chip_no_register(chip, address);
+        bus_no_register(qtmr->bus, address);
     }
 }
 
-static void write_sctrl(chip_t *chip, uint32_t address, qtmr_t *timer, unsigned n, uint16_t value)
+static void write_sctrl(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, unsigned n, uint16_t value)
 {
     qtmr_channel_t *c = &timer->channel[n];
-    chip_only(chip, address, value, 0xFFCF, "master and external OFLAG modes are not modelled");
-    settle(chip, timer, n);
+    bus_allow(qtmr->bus, address, value, 0xFFCF, "master and external OFLAG modes are not modelled");
+    settle(qtmr, timer, n);
     const unsigned before = c->sctrl;
     const unsigned flags = before & value & SCTRL_FLAGS; /* a flag is cleared by writing 0, never set */
     c->sctrl = (uint16_t)((value & ~(SCTRL_FLAGS | SCTRL_INPUT | SCTRL_FORCE)) | flags);
     timer->captured &= ~((flags & SCTRL_IEF) != 0 ? 0u : 1u << n);
     if ((value & SCTRL_FORCE) != 0) {
-        set_oflag(chip, timer, n, (value & SCTRL_VAL) != 0);
+        set_oflag(qtmr, timer, n, (value & SCTRL_VAL) != 0);
     }
     if (((before ^ c->sctrl) & ~(SCTRL_FLAGS | SCTRL_IEFIE)) != 0) {
-        derive(chip, timer);
+        derive(qtmr, timer);
     }
-    request(chip, timer, n);
+    request(qtmr, timer, n);
 }
 
-static void write_csctrl(chip_t *chip, uint32_t address, qtmr_t *timer, unsigned n, uint16_t value)
+static void write_csctrl(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, unsigned n, uint16_t value)
 {
     qtmr_channel_t *c = &timer->channel[n];
-    chip_only(chip, address, value, 0xCAF0, "preloads, TCI, FAULT and ALT_LOAD are not modelled");
-    settle(chip, timer, n);
+    bus_allow(qtmr->bus, address, value, 0xCAF0, "preloads, TCI, FAULT and ALT_LOAD are not modelled");
+    settle(qtmr, timer, n);
     const unsigned flags = c->csctrl & value & (CSCTRL_TCF1 | CSCTRL_TCF2);
     const unsigned kept = c->csctrl & CSCTRL_UP;
     c->csctrl = (uint16_t)((value & ~(CSCTRL_TCF1 | CSCTRL_TCF2 | CSCTRL_UP)) | flags | kept);
-    derive(chip, timer);
-    request(chip, timer, n);
+    derive(qtmr, timer);
+    request(qtmr, timer, n);
 }
 
-static void write_channel(chip_t *chip, uint32_t address, qtmr_t *timer, unsigned n, uint32_t r, uint16_t value)
+static void write_channel(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, unsigned n, uint32_t r, uint16_t value)
 {
     qtmr_channel_t *c = &timer->channel[n];
-    settle(chip, timer, n);
+    settle(qtmr, timer, n);
     switch (r) {
     case COMP1:
         c->comp1 = value;
@@ -677,10 +674,10 @@ static void write_channel(chip_t *chip, uint32_t address, qtmr_t *timer, unsigne
         c->cntr = value;
         break;
     case CTRL:
-        write_ctrl(chip, address, timer, n, value);
+        write_ctrl(qtmr, address, timer, n, value);
         return;
     case SCTRL:
-        write_sctrl(chip, address, timer, n, value);
+        write_sctrl(qtmr, address, timer, n, value);
         return;
     case CMPLD1:
         c->cmpld1 = value;
@@ -689,65 +686,68 @@ static void write_channel(chip_t *chip, uint32_t address, qtmr_t *timer, unsigne
         c->cmpld2 = value;
         return;
     case CSCTRL:
-        write_csctrl(chip, address, timer, n, value);
+        write_csctrl(qtmr, address, timer, n, value);
         return;
     case FILT:
-        chip_only(chip, address, value, 0x07FF, "reserved");
+        bus_allow(qtmr->bus, address, value, 0x07FF, "reserved");
         c->filt = value;
         timer->delay[n] = (value & 0xFFu) * (((uint32_t)value >> 8) + 3u);
         return;
     case DMA:
-        chip_only(chip, address, value, 0, "DMA is not modelled");
+        bus_allow(qtmr->bus, address, value, 0, "DMA is not modelled");
         return;
     case ENBL:
         if (n == 0) {
-            settle_all(chip, timer);
+            settle_all(qtmr, timer);
             timer->enable = value & 0xFu;
-            derive(chip, timer);
+            derive(qtmr, timer);
             return;
         }
-        chip_no_register(chip, address);
+        bus_no_register(qtmr->bus, address);
     default:
-        chip_no_register(chip, address);
+        bus_no_register(qtmr->bus, address);
     }
-    schedule(chip, timer);
+    schedule(qtmr, timer);
 }
 
-static void check_gate(chip_t *chip, uint32_t address, unsigned m, unsigned n)
+static void check_gate(qtmr_t *qtmr, uint32_t address, unsigned m, unsigned n)
 {
-    sim_gate(chip, address, 0, ((m == 0) ? 15u : 11u) - n);
+    bus_check_gate(qtmr->bus, address, 0, ((m == 0) ? 15u : 11u) - n);
 }
 
-uint16_t qtmr_read(chip_t *chip, uint32_t address)
+uint16_t qtmr_read(void *peripheral, uint32_t address)
 {
-    const unsigned m = (address - BASE) / MODULE_SIZE;
-    const unsigned n = ((address - BASE) / 0x10u) % QTMR_CHANNELS;
-    check_gate(chip, address, m, n);
-    qtmr_catch_up(chip);
-    return read_channel(chip, address, &chip->timer[m], n, address & 0xFu);
+    qtmr_t *qtmr = (qtmr_t *)peripheral;
+    const unsigned m = (address - QTMR_BASE) / MODULE_SIZE;
+    const unsigned n = ((address - QTMR_BASE) / 0x10u) % QTMR_CHANNELS;
+    check_gate(qtmr, address, m, n);
+    qtmr_catch_up(qtmr);
+    return read_channel(qtmr, address, &qtmr->module[m], n, address & 0xFu);
 }
 
-void qtmr_write(chip_t *chip, uint32_t address, uint16_t value)
+void qtmr_write(void *peripheral, uint32_t address, uint16_t value)
 {
-    const unsigned m = (address - BASE) / MODULE_SIZE;
-    const unsigned n = ((address - BASE) / 0x10u) % QTMR_CHANNELS;
-    qtmr_t *timer = &chip->timer[m];
-    check_gate(chip, address, m, n);
-    qtmr_catch_up(chip);
-    write_channel(chip, address, timer, n, address & 0xFu, value);
-    listen(chip, timer);
+    qtmr_t *qtmr = (qtmr_t *)peripheral;
+    const unsigned m = (address - QTMR_BASE) / MODULE_SIZE;
+    const unsigned n = ((address - QTMR_BASE) / 0x10u) % QTMR_CHANNELS;
+    qtmr_module_t *timer = &qtmr->module[m];
+    check_gate(qtmr, address, m, n);
+    qtmr_catch_up(qtmr);
+    write_channel(qtmr, address, timer, n, address & 0xFu, value);
+    update_deferrable(qtmr, timer);
     if (timer->deferrable_edges == 0 && timer->quiet_clock != CHIP_NEVER) {
-        schedule(chip, timer); /* what waits behind a filter may not only count any more */
+        schedule(qtmr, timer); /* an edge behind a filter has become an event */
     }
 }
 
-void qtmr_reset(chip_t *chip)
+void qtmr_reset(void *peripheral)
 {
+    qtmr_t *qtmr = (qtmr_t *)peripheral;
     for (unsigned m = 0; m < QTMR_MODULES; m++) {
-        chip->timer[m] = (qtmr_t){.module = m, .enable = 0xF, .quiet_clock = CHIP_NEVER};
+        qtmr->module[m] = (qtmr_module_t){.module = m, .enable = 0xF, .quiet_clock = CHIP_NEVER};
         for (unsigned i = 0; i < QTMR_CHANNELS; i++) {
-            chip->timer[m].change_clock[i] = CHIP_NEVER;
+            qtmr->module[m].change_clock[i] = CHIP_NEVER;
         }
     }
-    world_deferrable_edges(chip->world);
+    qtmr->bus->environment->deferrable_edges_changed(qtmr->bus->board);
 }

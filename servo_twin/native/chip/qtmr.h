@@ -1,47 +1,72 @@
 /* qtmr.h - quad timers A and B: four channels each, which share four inputs.
  *
  * Channels that count the bus clock are functions of time, brought up to date when they are read or when one of their
- * events has a consequence. Channels that count edges are stepped by them. While a module has deferrable edges these only
- * count: it may hear of them late, and what waits behind its filters is no event.
+ * events has a consequence. Channels that count edges are stepped by them. Edges of which nothing but a count follows are
+ * deferrable: the environment may report them later, with their clocks, and those behind a filter are no events.
+ * Clocks are those of the bus (10 ns).
  */
 #ifndef CHIP_QTMR_H
 #define CHIP_QTMR_H
 
-#include <stdbool.h>
-#include <stdint.h>
+#include "chip/bus.h"
 
-#define QTMR_MODULES 2
-#define QTMR_CHANNELS 4
-#define QTMR_DEFERRABLE_EDGES_MAX 100u /* at most [edges] */
+#define QTMR_BASE 0xE140u
+#define QTMR_END 0xE1C0u
+
+#define QTMR_DEFERRABLE_EDGES_MAX 100u
 
 typedef struct {
-    uint16_t comp1, comp2, capt, load, hold, cntr, ctrl, sctrl, cmpld1, cmpld2, csctrl, filt;
+    uint16_t comp1, comp2, capt, load, hold, cntr, ctrl, sctrl, cmpld1, cmpld2, csctrl, filt; /* registers */
     bool oflag;
-    uint64_t since; /* clock to which a channel on the bus clock has been brought up */
+    uint64_t since; /* clock up to which a channel on the bus clock has counted */
 } qtmr_channel_t;
 
 typedef struct {
     qtmr_channel_t channel[QTMR_CHANNELS];
-    unsigned module;
-    uint16_t enable;
-    unsigned holds;                      /* channels on the bus clock whose HOLD is still to be taken, ... */
-    uint64_t hold_clock;                 /* ... as of this clock */
-    unsigned raw;                        /* levels on the inputs, bit per input */
-    unsigned in;                         /* behind the filters */
-    uint64_t change_clock[QTMR_CHANNELS]; /* when the filter of an input will let its level through */
-    uint32_t delay[QTMR_CHANNELS];       /* of that filter */
-    uint64_t quiet_clock; /* the first such clock, if it is no event: that edge only counts; else CHIP_NEVER */
-    unsigned deferrable_edges; /* so many edges to come would only count, too */
-    /* what follows from the registers */
-    unsigned on_bus; /* channels that count the bus clock */
-    unsigned heard; /* those of them whose compares and rollovers have a consequence */
-    unsigned cascade; /* channels that count compares of a channel, in either direction */
-    unsigned decodes[QTMR_CHANNELS]; /* channels that decode quadrature from an input and another one */
-    unsigned counts_edges[QTMR_CHANNELS]; /* channels that count edges of an input */
-    unsigned follows[QTMR_CHANNELS]; /* channels that count the output of a channel */
-    unsigned captures[QTMR_CHANNELS]; /* channels that capture on an input, ... */
-    unsigned captured; /* ... those that have, and wait for software to clear IEF */
-    unsigned cleared_by[QTMR_CHANNELS]; /* channels whose OFLAG an input clears */
+    unsigned module;                      /* 0: A, 1: B */
+    uint16_t enable;                      /* ENBL */
+    unsigned holds;                       /* channels on the bus clock whose HOLD is not computed yet, ... */
+    uint64_t hold_clock;                  /* ... and the clock that it is to be computed for */
+    unsigned raw;                         /* levels at the inputs, bit per input */
+    unsigned in;                          /* levels behind the filters */
+    uint64_t
+        change_clock[QTMR_CHANNELS]; /* at which a new level passes the filter of an input; CHIP_NEVER without one */
+    uint32_t delay[QTMR_CHANNELS];        /* of that filter [clocks] */
+    uint64_t quiet_clock;                 /* the first change_clock, if that edge is deferrable; else CHIP_NEVER */
+    unsigned deferrable_edges;            /* number of coming edges of which nothing but a count follows */
+    /* derived from the registers: masks of channels */
+    unsigned on_bus;                      /* count the bus clock */
+    unsigned eventful;                    /* those of them whose compares and rollovers have a consequence */
+    unsigned cascade;                     /* count compares of another channel, in either direction */
+    unsigned decodes[QTMR_CHANNELS];      /* decode quadrature from this input and another one */
+    unsigned counts_edges[QTMR_CHANNELS]; /* count edges of this input */
+    unsigned follows[QTMR_CHANNELS];      /* count the output of this channel */
+    unsigned captures[QTMR_CHANNELS];     /* capture at this input, ... */
+    unsigned captured; /* ... those whose IEF is set: no further capture until software clears it */
+    unsigned cleared_by[QTMR_CHANNELS]; /* whose OFLAG this input clears */
+} qtmr_module_t;
+
+typedef struct {
+    bus_t *bus;
+    uint64_t caught_up; /* clock up to which all deferred edges are counted */
+    qtmr_module_t module[QTMR_MODULES];
 } qtmr_t;
+
+uint16_t qtmr_read(void *qtmr, uint32_t address);
+void qtmr_write(void *qtmr, uint32_t address, uint16_t value);
+void qtmr_reset(void *qtmr);
+void qtmr_event(void *qtmr, unsigned source);
+
+/* Level at an input from `clock` on: the present one, or an earlier one if the module has deferrable edges. */
+void qtmr_input(qtmr_t *qtmr, unsigned module, unsigned input, bool level, uint64_t clock);
+
+/* Pulse of one clock at an input. */
+void qtmr_pulse(qtmr_t *qtmr, unsigned module, unsigned input);
+
+/* Count all deferred edges up to the present clock. */
+void qtmr_catch_up(qtmr_t *qtmr);
+
+/* The clock gates in the SIM have changed. */
+void qtmr_gates_changed(qtmr_t *qtmr);
 
 #endif

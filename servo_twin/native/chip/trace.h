@@ -1,4 +1,4 @@
-/* trace.h - what a logic analyser on the chip would show: written while there is a buffer for it. */
+/* trace.h - events as a logic analyser would record them, while there is a buffer. */
 #ifndef CHIP_TRACE_H
 #define CHIP_TRACE_H
 
@@ -8,13 +8,13 @@
 /* CFFI-BEGIN */
 typedef enum {
     TRACE_CYCLE,     /* a counter starts from INIT: a = 4 module + submodule, b = INIT */
-    TRACE_MATCH,     /* a watched compare matches: a = 4 module + submodule, b = number of the VAL */
+    TRACE_MATCH,     /* a compare that is an event matches: a = 4 module + submodule, b = number of the VAL */
     TRACE_LOAD,      /* buffered registers become active: a = 4 module + submodule */
     TRACE_GATES,     /* a pair of pins: a = 4 module + submodule, b = levels (bit 0 upper, bit 1 lower) */
     TRACE_TRIGGER,   /* a pulse into crossbar A: a = its input */
-    TRACE_SYNC,      /* a sync pulse at the ADC: a = converter, b = 1 if it was obeyed */
+    TRACE_SYNC,      /* a sync pulse at the ADC: a = converter, b = 1 if it has started a scan */
     TRACE_SAMPLE,    /* a channel is held: a = sample, b = channel */
-    TRACE_SCAN_END,  /* a = converter */
+    TRACE_SCAN_END,  /* a scan is complete: a = converter */
     TRACE_ENTER,     /* a handler starts: a = vector, b = level */
     TRACE_LEAVE,     /* and ends: a = vector */
     TRACE_WRITE,     /* a register: a = address, b = value */
@@ -22,7 +22,7 @@ typedef enum {
 } trace_kind_t;
 
 typedef struct { /* without padding: the same run gives the same bytes */
-    uint64_t clock;
+    uint64_t clock; /* of 10 ns since power-on */
     uint16_t kind, a;
     uint32_t b;
 } trace_entry_t;
@@ -30,8 +30,8 @@ typedef struct { /* without padding: the same run gives the same bytes */
 
 typedef struct {
     trace_entry_t *entry;
-    size_t size;
-    size_t left; /* room that there still is; nothing is written once it is full */
+    size_t size; /* entries */
+    size_t left; /* free entries; nothing is written without one */
 } trace_t;
 
 #endif

@@ -1,15 +1,13 @@
 #include "chip/xbar.h"
 
-#include "chip/parts.h"
-
-#define A_BASE 0xE340u
+#define A_BASE XBAR_BASE
 #define A_CTRL0 0xE35Eu
 #define B_BASE 0xE360u
 #define B_END 0xE368u
 #define AOI_BASE 0xE380u
 #define FIRST_EVENT_INPUT 46u
 
-/* What the outputs of crossbar A lead to. */
+/* Outputs of crossbar A by the inputs that they drive. */
 enum {
     OUT_XB4 = 4,
     OUT_XB11 = 11,
@@ -22,7 +20,11 @@ enum {
     OUT_PWMB_SYNC = 53
 };
 
-void xbar_reset(chip_t *chip) { chip->xbar = (xbar_t){.level = 2}; /* input 1 is the supply */ }
+void xbar_reset(void *peripheral)
+{
+    xbar_t *xbar = (xbar_t *)peripheral;
+    *xbar = (xbar_t){.bus = xbar->bus, .level = 2}; /* input 1 is the supply */
+}
 
 static unsigned a_select(const xbar_t *xbar, unsigned output)
 {
@@ -61,72 +63,76 @@ static bool evaluate(const xbar_t *xbar, unsigned event, unsigned inputs)
 
 /* ---- signals ---------------------------------------------------------------------------------------------------------- */
 
-NOINLINE static void lead_to_fault(chip_t *chip, unsigned input, xbar_edge_t edge)
+NOINLINE static void drive_fault(xbar_t *xbar, unsigned input, xbar_edge_t edge)
 {
+    const chip_signals_t *signals = xbar->bus->signals;
+    void *chip = xbar->bus->chip;
     const bool level = edge == XBAR_RISE;
     if (edge == XBAR_PULSE) {
-        chip_fail(chip, "XBARA: a pulse of one clock at a fault input is not modelled");
+        bus_fail(xbar->bus, "XBARA: a pulse of one clock at a fault input is not modelled");
     }
-    if (((chip->sim.ips0 >> input) & 1u) != 0) {
-        pwm_fault_input(chip, 0, input, level);
+    if (((xbar->bus->sim.ips0 >> input) & 1u) != 0) {
+        signals->pwm_fault(chip, 0, input, level);
     }
-    if (input < 3u && ((chip->sim.ips0 >> (4u + input)) & 1u) != 0) {
-        pwm_fault_input(chip, 1, input, level);
+    if (input < 3u && ((xbar->bus->sim.ips0 >> (4u + input)) & 1u) != 0) {
+        signals->pwm_fault(chip, 1, input, level);
     }
 }
 
-NOINLINE static void lead_to_timer(chip_t *chip, unsigned module, unsigned input, xbar_edge_t edge)
+NOINLINE static void drive_timer(xbar_t *xbar, unsigned module, unsigned input, xbar_edge_t edge)
 {
-    if (input < QTMR_CHANNELS && ((chip->sim.ips0 >> (8u + 4u * module + input)) & 1u) != 0) {
+    const chip_signals_t *signals = xbar->bus->signals;
+    void *chip = xbar->bus->chip;
+    if (input < QTMR_CHANNELS && ((xbar->bus->sim.ips0 >> (8u + 4u * module + input)) & 1u) != 0) {
         if (edge == XBAR_PULSE) {
-            qtmr_pulse(chip, module, input);
+            signals->timer_pulse(chip, module, input);
         } else {
-            qtmr_catch_up(chip);
-            qtmr_input(chip, module, input, edge == XBAR_RISE, chip->now);
-            world_deferrable_edges(chip->world); /* it has used some */
+            signals->timer_catch_up(chip);
+            signals->timer_input(chip, module, input, edge == XBAR_RISE);
+            xbar->bus->environment->deferrable_edges_changed(xbar->bus->board);
         }
     }
 }
 
-static void lead(chip_t *chip, unsigned output, xbar_edge_t edge)
+static void drive_output(xbar_t *xbar, unsigned output, xbar_edge_t edge)
 {
+    const chip_signals_t *signals = xbar->bus->signals;
+    void *chip = xbar->bus->chip;
     if (output == OUT_ADCA || output == OUT_ADCB) {
         if (edge != XBAR_FALL) {
-            adc_sync(chip, output - OUT_ADCA);
+            signals->adc_sync(chip, output - OUT_ADCA);
         }
     } else if (output >= OUT_PWMA_SYNC && output < OUT_PWMA_SYNC + PWM_SUBMODULES) {
         if (edge != XBAR_FALL) {
-            pwm_ext_sync(chip, 0, output - OUT_PWMA_SYNC);
+            signals->pwm_ext_sync(chip, 0, output - OUT_PWMA_SYNC);
         }
     } else if (output >= OUT_PWMB_SYNC && output < OUT_PWMB_SYNC + PWM_SUBMODULES) {
         if (edge != XBAR_FALL) {
-            pwm_ext_sync(chip, 1, output - OUT_PWMB_SYNC);
+            signals->pwm_ext_sync(chip, 1, output - OUT_PWMB_SYNC);
         }
     } else if (output >= OUT_FAULT0 && output < OUT_FAULT0 + PWM_FAULTS) {
-        lead_to_fault(chip, output - OUT_FAULT0, edge);
+        drive_fault(xbar, output - OUT_FAULT0, edge);
     } else if (output >= OUT_TA0) {
-        lead_to_timer(chip, 0, output - OUT_TA0, edge);
+        drive_timer(xbar, 0, output - OUT_TA0, edge);
     } else {
-        lead_to_timer(chip, 1, output - OUT_TB0, edge);
+        drive_timer(xbar, 1, output - OUT_TB0, edge);
     }
 }
 
-static void follow(chip_t *chip, unsigned input, xbar_edge_t edge)
+static void change_input(xbar_t *xbar, unsigned input, xbar_edge_t edge)
 {
-    xbar_t *xbar = &chip->xbar;
     const uint64_t bit = UINT64_C(1) << input;
     if (edge != XBAR_PULSE) {
         xbar->level = (edge == XBAR_RISE) ? (xbar->level | bit) : (xbar->level & ~bit);
     }
     for (uint64_t outputs = xbar->reaches[input]; outputs != 0; outputs &= outputs - 1u) {
-        lead(chip, chip_lowest_bit(outputs), edge);
+        drive_output(xbar, lowest_bit(outputs), edge);
     }
 }
 
-/* Inputs of the AOI go from one state to another; a pulse comes back. */
-static void combine(chip_t *chip, unsigned before, unsigned after, bool pulse)
+/* Inputs of the AOI change; with a pulse back again. */
+static void change_aoi(xbar_t *xbar, unsigned before, unsigned after, bool pulse)
 {
-    xbar_t *xbar = &chip->xbar;
     if (!pulse) {
         xbar->aoi_in = after;
     }
@@ -137,16 +143,15 @@ static void combine(chip_t *chip, unsigned before, unsigned after, bool pulse)
         const bool from = evaluate(xbar, event, before);
         const bool to = evaluate(xbar, event, after);
         if (from != to) {
-            follow(chip, FIRST_EVENT_INPUT + event, pulse ? XBAR_PULSE : to ? XBAR_RISE : XBAR_FALL);
+            change_input(xbar, FIRST_EVENT_INPUT + event, pulse ? XBAR_PULSE : to ? XBAR_RISE : XBAR_FALL);
         }
     }
 }
 
-void xbar_signal(chip_t *chip, int a_input, int b_input, xbar_edge_t edge)
+void xbar_signal(xbar_t *xbar, int a_input, int b_input, xbar_edge_t edge)
 {
-    xbar_t *xbar = &chip->xbar;
     if (a_input >= 0) {
-        follow(chip, (unsigned)a_input, edge);
+        change_input(xbar, (unsigned)a_input, edge);
     }
     if (b_input >= 0) {
         if (edge != XBAR_PULSE) {
@@ -157,7 +162,7 @@ void xbar_signal(chip_t *chip, int a_input, int b_input, xbar_edge_t edge)
         if (fed != 0) {
             const unsigned before = xbar->aoi_in;
             const unsigned after = (edge == XBAR_FALL) ? (before & ~fed) : (before | fed);
-            combine(chip, before, after, edge == XBAR_PULSE);
+            change_aoi(xbar, before, after, edge == XBAR_PULSE);
         }
     }
 }
@@ -171,15 +176,14 @@ static bool modelled(unsigned output)
            (output >= OUT_TA0 && output < OUT_TA0 + 4u) || (output >= OUT_PWMB_SYNC && output < OUT_PWMB_SYNC + 4u);
 }
 
-static void a_route(chip_t *chip, uint32_t address, uint16_t value)
+static void a_route(xbar_t *xbar, uint32_t address, uint16_t value)
 {
-    xbar_t *xbar = &chip->xbar;
     const unsigned first = 2u * (address - A_BASE);
     uint64_t before[2];
     for (unsigned i = 0; i < 2u; i++) {
         const unsigned input = (value >> (8u * i)) & 0x3Fu;
         if (input >= XBARA_INPUTS || (input != 0 && !modelled(first + i))) {
-            chip_no_value(chip, address, value, "this input or output of the crossbar is not modelled");
+            bus_no_value(xbar->bus, address, value, "this input or output of the crossbar is not modelled");
         }
         before[i] = xbar->level >> a_select(xbar, first + i) & 1u;
     }
@@ -193,16 +197,15 @@ static void a_route(chip_t *chip, uint32_t address, uint16_t value)
     for (unsigned i = 0; i < 2u && first + i < XBARA_OUTPUTS; i++) {
         const uint64_t after = xbar->level >> a_select(xbar, first + i) & 1u;
         if (after != before[i]) {
-            lead(chip, first + i, (after != 0) ? XBAR_RISE : XBAR_FALL);
+            drive_output(xbar, first + i, (after != 0) ? XBAR_RISE : XBAR_FALL);
         }
     }
 }
 
-static void b_route(chip_t *chip, uint32_t address, uint16_t value)
+static void b_route(xbar_t *xbar, uint32_t address, uint16_t value)
 {
-    xbar_t *xbar = &chip->xbar;
     if ((value & 0x1Fu) >= XBARB_INPUTS || ((value >> 8) & 0x1Fu) >= XBARB_INPUTS) {
-        chip_no_value(chip, address, value, "there is no such input of crossbar B");
+        bus_no_value(xbar->bus, address, value, "there is no such input of crossbar B");
     }
     xbar->b_select[address - B_BASE] = value & 0x1F1Fu;
     unsigned levels = 0;
@@ -214,12 +217,11 @@ static void b_route(chip_t *chip, uint32_t address, uint16_t value)
         xbar->feeds[input] |= 1u << output;
         levels |= ((xbar->b_level >> input) & 1u) << output;
     }
-    combine(chip, xbar->aoi_in, levels, false);
+    change_aoi(xbar, xbar->aoi_in, levels, false);
 }
 
-static void aoi_write(chip_t *chip, uint32_t address, uint16_t value)
+static void aoi_write(xbar_t *xbar, uint32_t address, uint16_t value)
 {
-    xbar_t *xbar = &chip->xbar;
     const unsigned event = (address - AOI_BASE) / 2u;
     const bool before = evaluate(xbar, event, xbar->aoi_in);
     xbar->bfcrt[address - AOI_BASE] = value;
@@ -230,13 +232,13 @@ static void aoi_write(chip_t *chip, uint32_t address, uint16_t value)
     }
     const bool after = evaluate(xbar, event, xbar->aoi_in);
     if (before != after) {
-        follow(chip, FIRST_EVENT_INPUT + event, after ? XBAR_RISE : XBAR_FALL);
+        change_input(xbar, FIRST_EVENT_INPUT + event, after ? XBAR_RISE : XBAR_FALL);
     }
 }
 
-uint16_t xbar_read(chip_t *chip, uint32_t address)
+uint16_t xbar_read(void *peripheral, uint32_t address)
 {
-    const xbar_t *xbar = &chip->xbar;
+    xbar_t *xbar = (xbar_t *)peripheral;
     if (address < A_CTRL0) {
         return xbar->a_select[address - A_BASE];
     }
@@ -249,20 +251,21 @@ uint16_t xbar_read(chip_t *chip, uint32_t address)
     if (address >= AOI_BASE) {
         return xbar->bfcrt[address - AOI_BASE];
     }
-    chip_no_register(chip, address);
+    bus_no_register(xbar->bus, address);
 }
 
-void xbar_write(chip_t *chip, uint32_t address, uint16_t value)
+void xbar_write(void *peripheral, uint32_t address, uint16_t value)
 {
+    xbar_t *xbar = (xbar_t *)peripheral;
     if (address < A_CTRL0) {
-        a_route(chip, address, value);
+        a_route(xbar, address, value);
     } else if (address < B_BASE) {
-        chip_only(chip, address, value, 0, "edges that the crossbar detects are not modelled");
+        bus_allow(xbar->bus, address, value, 0, "edges that the crossbar detects are not modelled");
     } else if (address < B_END) {
-        b_route(chip, address, value);
+        b_route(xbar, address, value);
     } else if (address >= AOI_BASE) {
-        aoi_write(chip, address, value);
+        aoi_write(xbar, address, value);
     } else {
-        chip_no_register(chip, address);
+        bus_no_register(xbar->bus, address);
     }
 }

@@ -1,12 +1,15 @@
 /* xbar.h - crossbars A and B and the AND-OR-INVERT unit between them.
  *
- * Nothing is evaluated without a cause: a trigger pulse or a level that changes is followed to the inputs of peripherals
- * that it reaches.
+ * Only changes are evaluated: a trigger pulse or a level that changes is followed to all inputs of peripherals that it is
+ * routed to.
  */
 #ifndef CHIP_XBAR_H
 #define CHIP_XBAR_H
 
-#include <stdint.h>
+#include "chip/bus.h"
+
+#define XBAR_BASE 0xE340u
+#define XBAR_END 0xE388u
 
 #define XBARA_INPUTS 50
 #define XBARA_OUTPUTS 59
@@ -14,19 +17,26 @@
 #define XBARB_OUTPUTS 16
 #define AOI_EVENTS 4
 
-typedef enum { XBAR_FALL = 0, XBAR_RISE = 1, XBAR_PULSE = 2 } xbar_edge_t;
-
 typedef struct {
-    uint16_t a_select[30]; /* XBARA_SEL0-29 */
-    uint16_t b_select[8];  /* XBARB_SEL0-7 */
-    uint16_t bfcrt[2 * AOI_EVENTS];
-    /* what follows from them */
+    bus_t *bus;
+    uint16_t a_select[30];          /* XBARA_SEL0-29 */
+    uint16_t b_select[8];           /* XBARB_SEL0-7 */
+    uint16_t bfcrt[2 * AOI_EVENTS]; /* AOI_BFCRT */
+    /* derived from the registers */
     uint16_t truth[AOI_EVENTS];     /* bit i: result for the inputs i (bit 0 A .. bit 3 D) */
     uint64_t reaches[XBARA_INPUTS]; /* bit per output of crossbar A */
     unsigned feeds[XBARB_INPUTS];   /* bit per input of the AOI */
-    unsigned aoi_in;                /* levels on the sixteen inputs of the AOI */
-    uint64_t level;                 /* levels on the inputs of crossbar A */
-    uint32_t b_level;               /* and B */
+    /* levels, bit per input */
+    unsigned aoi_in;
+    uint64_t level; /* of crossbar A */
+    uint32_t b_level;
 } xbar_t;
+
+uint16_t xbar_read(void *xbar, uint32_t address);
+void xbar_write(void *xbar, uint32_t address, uint16_t value);
+void xbar_reset(void *xbar);
+
+/* Edge or pulse at an input of crossbar A and one of B; -1: none. */
+void xbar_signal(xbar_t *xbar, int a_input, int b_input, xbar_edge_t edge);
 
 #endif

@@ -9,38 +9,10 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from types import ModuleType
 from typing import Final
 
-from servo_twin.experiments import (
-    anti_windup,
-    braking,
-    bus_ripple,
-    fault_campaign,
-    fault_matrix,
-    feed_forward,
-    field_weakening,
-    friction,
-    homing,
-    load_step,
-    low_speed,
-    minimum_speed,
-    mt_speed,
-    observer,
-    path_filter,
-    pins,
-    position,
-    real_shaft,
-    rotor_search,
-    soft_limits,
-    speed_observer,
-    stall,
-    start_up,
-    stiffness,
-    supervision,
-    two_axes,
-    winding,
-)
 from servo_twin.experiments.outcome import Outcome
 from servo_twin.plant import PlantConfig
 
@@ -73,35 +45,13 @@ def _entry(module: ModuleType) -> Experiment:
     return Experiment(module.NAME, module.HELP, module.run, *options)
 
 
+_MODULES: Final = """
+    anti_windup position rotor_search mt_speed path_filter stiffness low_speed bus_ripple two_axes braking feed_forward
+    friction speed_observer soft_limits homing supervision field_weakening pins observer start_up minimum_speed
+    load_step stall winding real_shaft fault_matrix fault_campaign
+"""
+
 EXPERIMENTS: Final[Mapping[str, Experiment]] = {
-    module.NAME: _entry(module)
-    for module in (
-        anti_windup,
-        position,
-        rotor_search,
-        mt_speed,
-        path_filter,
-        stiffness,
-        low_speed,
-        bus_ripple,
-        two_axes,
-        braking,
-        feed_forward,
-        friction,
-        speed_observer,
-        soft_limits,
-        homing,
-        supervision,
-        field_weakening,
-        pins,
-        observer,
-        start_up,
-        minimum_speed,
-        load_step,
-        stall,
-        winding,
-        real_shaft,
-        fault_matrix,
-        fault_campaign,
-    )
+    entry.name: entry for entry in (_entry(import_module(f"{__name__}.{module}")) for module in _MODULES.split())
 }
+"""By their names, in the order of ``servo-sim experiment all``."""

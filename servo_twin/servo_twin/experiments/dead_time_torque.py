@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from servo_twin.experiments.rig import COUNT, TICK, Recording
 from servo_twin.plant import AxisPlant
 
-__all__ = ["KEPT_BACK", "answer", "pushed", "swerve", "whole_counts"]
+__all__ = ["KEPT_BACK", "answer", "pushed", "swerve", "swerve_at", "whole_counts"]
 
 KEPT_BACK: Final = 0.06
 """Current around zero that dead time and drops keep back where every edge of the gates counts [A]."""
@@ -83,6 +83,12 @@ def whole_counts(recording: Recording, axis: AxisPlant, after: float, heavier: f
     """The most that it moves a shaft under position control from `after` on [s], as a position shows it [counts]."""
     way = pushed(recording, axis, position=True, heavier=heavier)
     return float(round(np.abs(way[recording.time > after]).max(initial=0.0)))
+
+
+def swerve_at(recording: Recording, axis: AxisPlant, target: float, within: float) -> float:
+    """The same from when the set-point is within so many counts of a target [counts]."""
+    near = np.abs(recording.position_ref - target) <= within
+    return whole_counts(recording, axis, float(recording.time[int(np.argmax(near))])) if near.any() else 0.0
 
 
 def swerve(axis: AxisPlant) -> int:

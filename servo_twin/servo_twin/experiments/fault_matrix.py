@@ -23,7 +23,7 @@ from servo_twin.experiments.named_faults import (
     word,
 )
 from servo_twin.experiments.outcome import Curve, Item, Judge, Outcome, Panel, Row, experiment
-from servo_twin.experiments.rig import TICK, fresh_board
+from servo_twin.experiments.rig import TICK, fresh_board, until
 from servo_twin.harm import (
     CurrentNoise,
     EncoderGlitches,
@@ -38,7 +38,6 @@ from servo_twin.harm import (
     SupplyDip,
 )
 from servo_twin.plant import PlantConfig
-from servo_twin.simulation import SimulationError
 
 NAME: Final = "fault-matrix"
 HELP: Final = """\
@@ -57,6 +56,7 @@ OTHER_SPEED: Final = 100.0
 OTHER_OFF: Final = 15.0
 """Speed error that the bus and its noise may cause there [rad/s]."""
 
+REACHED: Final = 5.0  # a state, at most [s]
 WAIT: Final = 0.7  # for a fault, in the state itself [s]
 SOON: Final = 1005
 """PWM periods within which a fault that shows in a turning motor has to be off: a turn at 100 rad/s."""
@@ -72,14 +72,6 @@ BY_CHARGE: Final = 0.1
 
 
 # ---- states
-def _until(board: Board, what: str, holds: Callable[[], bool], most: float = 5.0) -> None:
-    for _ in range(round(most / TICK)):
-        if holds():
-            return
-        board.run(TICK)
-    raise SimulationError(f"{what} was not reached; axis 1 is in {place(board, 0)}, faults {faults(board, 0)}")
-
-
 def _keep_awake(board: Board) -> None:
     """A host that says nothing for half a second is a fault."""
     board.write("cmd.quick_stop", [0, 0])
@@ -95,7 +87,7 @@ def _both(board: Board) -> None:
     """Axis 2 turns, axis 1 is in STOP."""
     board.run(0.03)
     board.write("cmd.enable", [0, 1])
-    _until(board, "SPIN of axis 2", lambda: place(board, 1) == "SPIN")
+    until(board, "SPIN of axis 2", lambda: place(board, 1) == "SPIN", REACHED)
     board.write("cmd.mode", [1, 1])
     board.write("cmd.speed", [0.0, OTHER_SPEED])
     _wait(board, 0.2)
@@ -107,7 +99,7 @@ def _reach(where: str, seconds: float) -> Callable[[Board], None]:
     def prepare(board: Board) -> None:
         _both(board)
         board.write("cmd.enable", [1, 1])
-        _until(board, where, lambda: place(board, 0) == where)
+        until(board, where, lambda: place(board, 0) == where, REACHED)
         _wait(board, seconds)
 
     return prepare
@@ -139,7 +131,7 @@ def _coast(board: Board) -> None:
     board.write("param.i_q_limit", [0.1, 4.0])
     board.set_load(0, -0.006)
     board.write("cmd.enable", [0, 1])
-    _until(board, "FREEWHEEL", lambda: place(board, 0) == "FREEWHEEL")
+    until(board, "FREEWHEEL", lambda: place(board, 0) == "FREEWHEEL", REACHED)
     board.set_load(0, 0.0)
 
 

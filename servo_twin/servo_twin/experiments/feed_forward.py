@@ -11,23 +11,11 @@ import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
-from servo_twin.experiments.dead_time_torque import whole_counts
+from servo_twin.experiments import rig
+from servo_twin.experiments.dead_time_torque import swerve_at
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.plant_limits import believed, move_speeds
-from servo_twin.experiments.rig import (
-    COUNT,
-    TICK,
-    Recording,
-    arrives,
-    at,
-    command_position,
-    features,
-    overshoot,
-    position_of,
-    set_axis,
-    spinning,
-    watch,
-)
+from servo_twin.experiments.rig import COUNT, TICK, Recording
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "feed-forward"
@@ -90,29 +78,28 @@ class Move:
 
 def measure(recording: Recording, target: int, shaft: AxisPlant) -> Move:
     """Judge a move of a shaft that began at rest with the recording; `target` in counts."""
-    near = np.abs(recording.position_ref - target) <= ARRIVED
-    swerve = whole_counts(recording, shaft, float(recording.time[int(np.argmax(near))])) if near.any() else 0.0
+    swerve = swerve_at(recording, shaft, target, ARRIVED)
     error = float(np.abs(recording.position_ref - recording.shaft).max())
-    settling = arrives(recording, target, ARRIVED + swerve, 0.0)
-    return Move(recording, error, overshoot(recording, target), settling, swerve)
+    settling = rig.arrives(recording, target, ARRIVED + swerve, 0.0)
+    return Move(recording, error, rig.overshoot(recording, target), settling, swerve)
 
 
 def travel(
     plant: PlantConfig, seed: int, turns: float, switches: Mapping[str, bool], speeds: list[float]
 ) -> list[Move]:
     """Both axes at once, from rest, with speed limits [rad/s]."""
-    with spinning(plant, seed) as board:
+    with rig.spinning(plant, seed) as board:
         for axis in range(AXES):
-            features(board, axis, **switches)
-            set_axis(board, "param.speed_limit", axis, speeds[axis])
-        targets = [position_of(board, axis) + round(turns * COUNTS_PER_TURN) for axis in range(AXES)]
+            rig.features(board, axis, **switches)
+            rig.set_axis(board, "param.speed_limit", axis, speeds[axis])
+        targets = [rig.position_of(board, axis) + round(turns * COUNTS_PER_TURN) for axis in range(AXES)]
 
         def go() -> None:
             for axis, target in enumerate(targets):
-                command_position(board, axis, target)
+                rig.command_position(board, axis, target)
 
         seconds = turns * COUNTS_PER_TURN * COUNT / min(speeds) + REST
-        both = watch(board, range(AXES), seconds, at({TICK: go}))
+        both = rig.watch(board, range(AXES), seconds, rig.at({TICK: go}))
     return [measure(both[axis], target, plant.axes[axis]) for axis, target in enumerate(targets)]
 
 

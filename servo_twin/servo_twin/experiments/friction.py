@@ -12,21 +12,11 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
+from servo_twin.experiments import rig
 from servo_twin.experiments.dead_time_torque import answer, pushed
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import believed
-from servo_twin.experiments.rig import (
-    COUNT,
-    RPM,
-    TICK,
-    Recording,
-    command_position,
-    command_speed,
-    position_of,
-    set_up,
-    spinning,
-    watch,
-)
+from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "friction"
@@ -80,41 +70,41 @@ def behind(recording: Recording) -> NDArray[np.float64]:
 
 def start(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recording]:
     """From rest to a low speed."""
-    with spinning(plant, seed) as board:
+    with rig.spinning(plant, seed) as board:
         for axis in range(AXES):
-            set_up(board, axis, "SPEED", FRICTION=on)
-        watch(board, [0], 10 * TICK)
+            rig.set_up(board, axis, "SPEED", FRICTION=on)
+        rig.watch(board, [0], 10 * TICK)
         for axis in range(AXES):
-            command_speed(board, axis, START)
-        return watch(board, range(AXES), START_WATCHED)
+            rig.command_speed(board, axis, START)
+        return rig.watch(board, range(AXES), START_WATCHED)
 
 
 def reverse_speed(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recording]:
     """Sine of the speed."""
-    with spinning(plant, seed) as board:
+    with rig.spinning(plant, seed) as board:
         for axis in range(AXES):
-            set_up(board, axis, "SPEED", FRICTION=on)
+            rig.set_up(board, axis, "SPEED", FRICTION=on)
 
         def act(k: int) -> None:
             for axis in range(AXES):
-                command_speed(board, axis, SPEED * math.sin(2.0 * math.pi * SPEED_FREQUENCY * k * TICK))
+                rig.command_speed(board, axis, SPEED * math.sin(2.0 * math.pi * SPEED_FREQUENCY * k * TICK))
 
-        return watch(board, range(AXES), SETTLE + MEASURED, act)
+        return rig.watch(board, range(AXES), SETTLE + MEASURED, act)
 
 
 def reverse_position(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recording]:
     """Sine of the position, speed and acceleration fed forward in both runs."""
-    with spinning(plant, seed) as board:
-        starts = [position_of(board, axis) for axis in range(AXES)]
+    with rig.spinning(plant, seed) as board:
+        starts = [rig.position_of(board, axis) for axis in range(AXES)]
         for axis in range(AXES):
-            set_up(board, axis, FRICTION=on, SPEED_FORWARD=True, ACCELERATION_FORWARD=True)
+            rig.set_up(board, axis, FRICTION=on, SPEED_FORWARD=True, ACCELERATION_FORWARD=True)
 
         def act(k: int) -> None:
             way = 0.5 * (1.0 - math.cos(2.0 * math.pi * WAY_FREQUENCY * k * TICK))
             for axis, start in enumerate(starts):
-                command_position(board, axis, round(start + 2.0 * WAY * COUNTS_PER_TURN * way))
+                rig.command_position(board, axis, round(start + 2.0 * WAY * COUNTS_PER_TURN * way))
 
-        return watch(board, range(AXES), SETTLE + MEASURED, act)
+        return rig.watch(board, range(AXES), SETTLE + MEASURED, act)
 
 
 # ---- what is measured ------------------------------------------------------------------------------------------------

@@ -15,24 +15,11 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
+from servo_twin.experiments import rig
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.pins import fit
 from servo_twin.experiments.plant_limits import ripple
-from servo_twin.experiments.rig import (
-    COUNT,
-    TICK_NS,
-    Recording,
-    command_position,
-    features,
-    flags_of,
-    position_of,
-    prepared,
-    set_axis,
-    set_up,
-    spinning,
-    watch,
-    word,
-)
+from servo_twin.experiments.rig import COUNT, TICK_NS, Recording
 from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import STIFFEST, PlantConfig
 
@@ -146,13 +133,13 @@ def stops_of(plant: PlantConfig, seed: int, kind: str, trial: int) -> tuple[Plan
 
 def ask(board: Board, axis: int, method: str, position: float = 0.0) -> None:
     """Write ``cmd.home`` with the position of the reference [rad]."""
-    set_axis(board, "cmd.home_position", axis, position)
-    set_axis(board, "cmd.home", axis, board.catalogue.enums["home_method_t"][method])
+    rig.set_axis(board, "cmd.home_position", axis, position)
+    rig.set_axis(board, "cmd.home", axis, board.catalogue.enums["home_method_t"][method])
 
 
 def _labels(board: Board, what: str) -> list[str]:
     """``home_state`` or ``home_result`` of both axes in words."""
-    return [board.catalogue.label(f"{what}_t", word(board, axis, what)) for axis in range(AXES)]
+    return [board.catalogue.label(f"{what}_t", rig.word(board, axis, what)) for axis in range(AXES)]
 
 
 def _home(board: Board, method: str, stops: list[Stop]) -> tuple[list[float], list[float]]:
@@ -189,12 +176,12 @@ def _wait(board: Board, longest: float) -> None:
 
 
 def _spreads(board: Board) -> list[float]:
-    return [float(word(board, axis, "home_spread")) for axis in range(AXES)]
+    return [float(rig.word(board, axis, "home_spread")) for axis in range(AXES)]
 
 
 def _zeros(board: Board) -> list[float]:
     """True angle at which the position would be 0 [rad]."""
-    return [board.truth(axis).theta_m - position_of(board, axis) * COUNT for axis in range(AXES)]
+    return [board.truth(axis).theta_m - rig.position_of(board, axis) * COUNT for axis in range(AXES)]
 
 
 def contacts(plant: PlantConfig, seed: int, kind: str, trial: int) -> list[Contact]:
@@ -202,13 +189,13 @@ def contacts(plant: PlantConfig, seed: int, kind: str, trial: int) -> list[Conta
     plant, stops = stops_of(plant, seed, kind, trial)
     way = 1.0 if trial % 2 == 0 else -1.0
     method = "STOP_POSITIVE" if way > 0.0 else "STOP_NEGATIVE"
-    with spinning(plant, seed) as board:
+    with rig.spinning(plant, seed) as board:
         home = Settings.of(board)
         currents, torques = _home(board, method, stops)
         zeros, results, spreads = [_zeros(board)], [_labels(board, "home_result")], [_spreads(board)]
         for axis, state in enumerate(_labels(board, "home_state")):
             if state == "KNOWN":
-                command_position(board, axis, round(-way * min(ELSEWHERE, stops[axis].away) / COUNT))
+                rig.command_position(board, axis, round(-way * min(ELSEWHERE, stops[axis].away) / COUNT))
         board.run(1.0)
         _home(board, method, stops)
         zeros.append(_zeros(board))
@@ -258,7 +245,7 @@ def to_switches(plant: PlantConfig, seed: int, trial: int) -> list[Switch]:
         edges.append(entry.theta_start + way * away)
         closed = sorted((edges[-1], edges[-1] + way * WIDE))
         plant = plant.with_axis(axis, pins=replace(entry.pins, home_from=closed[0], home_to=closed[1]))
-    with prepared(lambda board: fit(board, "home")), spinning(plant, seed) as board:
+    with rig.prepared(lambda board: fit(board, "home")), rig.spinning(plant, seed) as board:
         for axis in range(AXES):
             ask(board, axis, "SWITCH_POSITIVE" if way > 0.0 else "SWITCH_NEGATIVE")
         _wait(board, LONGEST)
@@ -274,7 +261,7 @@ def to_switches(plant: PlantConfig, seed: int, trial: int) -> list[Switch]:
 
 def missing(plant: PlantConfig, seed: int) -> Iterator[Row]:
     """Send both axes to stops that are not there."""
-    with spinning(plant, seed) as board:
+    with rig.spinning(plant, seed) as board:
         home = Settings.of(board)
         starts = [board.truth(axis).theta_m for axis in range(AXES)]
         for axis in range(AXES):
@@ -285,7 +272,7 @@ def missing(plant: PlantConfig, seed: int) -> Iterator[Row]:
             judge = Judge(f"{axis_name(axis)}, no stop: ")
             turned = abs(board.truth(axis).theta_m - starts[axis]) / (2.0 * math.pi)
             yield judge.true("NOT_FOUND", result == "NOT_FOUND")
-            yield judge.true("fault HOMING alone", flags_of(board, axis, "faults") == {"HOMING"})
+            yield judge.true("fault HOMING alone", rig.flags_of(board, axis, "faults") == {"HOMING"})
             yield judge("turned", turned, "turns", home.turns_max, home.turns_max + 0.1)
 
 
@@ -307,18 +294,18 @@ class Unhomed:
 
 def unhomed(plant: PlantConfig, seed: int) -> Unhomed:
     """Send both axes away, by a far position and by a speed."""
-    with spinning(plant, seed) as board:
+    with rig.spinning(plant, seed) as board:
         mask, reach = board.catalogue.flag("limits", "NOT_HOMED").mask, Settings.of(board).reach / COUNT
-        here = [position_of(board, axis) for axis in range(AXES)]
+        here = [rig.position_of(board, axis) for axis in range(AXES)]
         for axis in range(AXES):
-            features(board, axis, HOMING=True)
+            rig.features(board, axis, HOMING=True)
         board.run(0.01)
         for axis in range(AXES):
-            command_position(board, axis, here[axis] + round(FAR / COUNT))
-        still = watch(board, range(AXES), 0.3)
+            rig.command_position(board, axis, here[axis] + round(FAR / COUNT))
+        still = rig.watch(board, range(AXES), 0.3)
         for axis in range(AXES):
-            set_up(board, axis, "SPEED", SPEED)
-        return Unhomed(here, still, watch(board, range(AXES), 1.0), reach, mask)
+            rig.set_up(board, axis, "SPEED", SPEED)
+        return Unhomed(here, still, rig.watch(board, range(AXES), 1.0), reach, mask)
 
 
 # ---- the experiment --------------------------------------------------------------------------------------------------

@@ -9,21 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.units import COUNTS_PER_TURN
 
+from servo_twin.experiments import rig
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.plant_limits import current_limits, move_speeds
-from servo_twin.experiments.rig import (
-    COUNT,
-    TICK,
-    Recording,
-    at,
-    command_position,
-    get_axis,
-    largest,
-    position_of,
-    set_up,
-    spinning,
-    watch,
-)
+from servo_twin.experiments.rig import COUNT, TICK, Recording
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "path-filter"
@@ -77,13 +66,13 @@ def fit_omega_n(time: NDArray[np.float64], path: NDArray[np.float64], speed: flo
 
 def record(plant: PlantConfig, seed: int, limit: float) -> tuple[Recording, float, int]:
     """One long move with a speed limit [rad/s]: recording, that limit [counts/s] and distance [counts]."""
-    with spinning(plant, seed) as board:
-        target = position_of(board, AXIS) + round(TURNS * COUNTS_PER_TURN)
-        parameters = {"speed_limit": limit, "acceleration_limit": largest(board, "acceleration_limit")}
-        set_up(board, AXIS, parameters=parameters)
-        speed, distance = get_axis(board, "param.speed_limit", AXIS) / COUNT, target - position_of(board, AXIS)
-        move = at({0.0: lambda: command_position(board, AXIS, target)})
-        return watch(board, [AXIS], distance / speed + REST, move)[AXIS], speed, distance
+    with rig.spinning(plant, seed) as board:
+        target = rig.position_of(board, AXIS) + round(TURNS * COUNTS_PER_TURN)
+        parameters = {"speed_limit": limit, "acceleration_limit": rig.largest(board, "acceleration_limit")}
+        rig.set_up(board, AXIS, parameters=parameters)
+        speed, distance = rig.get_axis(board, "param.speed_limit", AXIS) / COUNT, target - rig.position_of(board, AXIS)
+        move = rig.at({0.0: lambda: rig.command_position(board, AXIS, target)})
+        return rig.watch(board, [AXIS], distance / speed + REST, move)[AXIS], speed, distance
 
 
 def figures(recording: Recording, speed: float, distance: int, axis_limit: float) -> Iterator[Row]:

@@ -15,22 +15,12 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
+from servo_twin.experiments import rig
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.experiments.rig import (
-    COUNT,
-    TICK,
-    choose_mode,
-    command_position,
-    flags_of,
-    fresh_board,
-    position_of,
-    set_up,
-    word,
-)
+from servo_twin.experiments.rig import COUNT, TICK
 from servo_twin.harm import CutWire, Pin
 from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import PlantConfig
-from servo_twin.simulation import SimulationError
 
 NAME: Final = "pins"
 HELP: Final = """\
@@ -85,7 +75,7 @@ def fit(board: Board, *pins: Pin) -> None:
 @contextmanager
 def fitted(plant: PlantConfig, seed: int, *pins: Pin) -> Iterator[Board]:
     """A fresh board in STOP whose axes have these pins."""
-    with fresh_board(plant, seed) as board:
+    with rig.fresh_board(plant, seed) as board:
         board.run(0.03)
         fit(board, *pins)
         yield board
@@ -100,23 +90,20 @@ def wired(plant: PlantConfig, **pins: float) -> PlantConfig:
 
 def _in(board: Board, axis: int, state: str, substate: str | None = None) -> bool:
     enums = board.catalogue.enums
-    found = word(board, axis, "state") == enums["state_t"][state]
+    found = rig.word(board, axis, "state") == enums["state_t"][state]
     if substate is None:
         return found
-    return found and word(board, axis, "substate") == enums["substate_t"][substate]
+    return found and rig.word(board, axis, "substate") == enums["substate_t"][substate]
 
 
-def _until(board: Board, what: str, holds: Callable[[int], bool], seconds: float = 3.0) -> None:
-    for _ in range(round(seconds / 0.005)):
-        if all(holds(axis) for axis in range(AXES)):
-            return
-        board.run(0.005)
-    raise SimulationError(f"not within {seconds:g} s: {what}")
+def _until(board: Board, what: str, holds: Callable[[Board, int], bool], seconds: float = 3.0) -> None:
+    """Run until something holds for both axes."""
+    rig.until(board, what, lambda: all(holds(board, axis) for axis in range(AXES)), seconds, 0.005)
 
 
 def _enable(board: Board) -> None:
     board.write("cmd.enable", [1] * AXES)
-    _until(board, "both axes in SPIN, their brakes open", lambda axis: _ready(board, axis))
+    _until(board, "both axes in SPIN, their brakes open", _ready)
 
 
 def _ready(board: Board, axis: int) -> bool:
@@ -169,14 +156,14 @@ def hang(plant: PlantConfig, seed: int, angle: float) -> Hang:
             board.set_load(axis, load_of(plant, axis))
         board.write("cmd.enable", [1] * AXES)
         first = _ways(board, 1.2)
-        _until(board, "SPIN after the search", lambda axis: _ready(board, axis))
+        _until(board, "SPIN after the search", _ready)
         board.write("cmd.enable", [0] * AXES)
         off = _ways(board, 0.3)
-        _until(board, "STOP", lambda axis: _in(board, axis, "STOP"))
+        _until(board, "STOP", lambda board, axis: _in(board, axis, "STOP"))
         board.run(0.3)  # an axis waits for a shaft that rests
         board.write("cmd.enable", [1] * AXES)
         again = _ways(board, 0.4)
-        _until(board, "SPIN again", lambda axis: _ready(board, axis))
+        _until(board, "SPIN again", _ready)
         for axis in range(AXES):
             board.inject(CutWire(axis, "enable"))
         fault = _ways(board, 0.2)
@@ -212,7 +199,7 @@ def open_enable(plant: PlantConfig, seed: int) -> tuple[float, bool]:
     """
     with fitted(plant, seed, "enable") as board:
         _enable(board)
-        set_up(board, 0, "SPEED", FULL_SPEED)
+        rig.set_up(board, 0, "SPEED", FULL_SPEED)
         board.run(0.4)
         now = board.time_ns + PERIOD_NS
         before = board.trace(now)["clock"]
@@ -221,7 +208,7 @@ def open_enable(plant: PlantConfig, seed: int) -> tuple[float, bool]:
         gates = log["clock"][(log["kind"] == _TRACE_GATES) & (log["a"] < 3)]
         board.run(0.001)
         periods = (int(gates[-1]) - int(before[-1])) * _CLOCK_NS / PERIOD_NS if gates.size else 0.0
-        return periods, flags_of(board, 0, "faults") == {"ENABLE_INPUT"}
+        return periods, rig.flags_of(board, 0, "faults") == {"ENABLE_INPUT"}
 
 
 # ---- a limit switch at speed ---------------------------------------------------------------------------------------
@@ -251,10 +238,10 @@ def overrun(plant: PlantConfig, seed: int) -> list[Overrun]:
     with fitted(plant, seed, "limit_min", "limit_max") as board:
         _enable(board)
         for axis in range(AXES):
-            set_up(board, axis, "SPEED", FULL_SPEED)
-        _until(board, "the stop at the switches", lambda axis: _in(board, axis, "FAULT"))
+            rig.set_up(board, axis, "SPEED", FULL_SPEED)
+        _until(board, "the stop at the switches", lambda board, axis: _in(board, axis, "FAULT"))
         beyond = [board.truth(axis).theta_m - at[axis] for axis in range(AXES)]
-        named = [flags_of(board, axis, "faults") == {"LIMIT_SWITCH"} for axis in range(AXES)]
+        named = [rig.flags_of(board, axis, "faults") == {"LIMIT_SWITCH"} for axis in range(AXES)]
         board.run(0.2)
         board.write("cmd.clear_faults", [1] * AXES)
         board.run(0.1)
@@ -262,12 +249,12 @@ def overrun(plant: PlantConfig, seed: int) -> list[Overrun]:
         board.run(0.2)
         ways = []
         for turns in (1.0, -1.0):
-            here = [position_of(board, axis) for axis in range(AXES)]
+            here = [rig.position_of(board, axis) for axis in range(AXES)]
             for axis in range(AXES):
-                choose_mode(board, axis, "POSITION")
-                command_position(board, axis, here[axis] + round(turns * 4000))
+                rig.choose_mode(board, axis, "POSITION")
+                rig.command_position(board, axis, here[axis] + round(turns * 4000))
             board.run(0.8)
-            ways.append([abs(position_of(board, axis) - here[axis]) for axis in range(AXES)])
+            ways.append([abs(rig.position_of(board, axis) - here[axis]) for axis in range(AXES)])
     return [Overrun(beyond[k], named[k], ways[0][k], ways[1][k]) for k in range(AXES)]
 
 
@@ -291,16 +278,20 @@ def cut_wires(plant: PlantConfig, seed: int) -> dict[str, bool]:
             board.inject(CutWire(0, pin))
             board.run(0.1)
             inputs = {"home": "HOME", "enable": "ENABLE"}.get(pin, pin.upper())
-            seen = (inputs in flags_of(board, 0, "inputs")) == pin.startswith("limit")
+            seen = (inputs in rig.flags_of(board, 0, "inputs")) == pin.startswith("limit")
             said[f"{pin}, holding"] = (
-                flags_of(board, 0, "faults") == faults and seen and not flags_of(board, 1, "faults")
+                rig.flags_of(board, 0, "faults") == faults and seen and not rig.flags_of(board, 1, "faults")
             )
     with fitted(plant, seed, "enable") as board:
         board.inject(CutWire(0, "enable"))
         board.run(0.01)
         board.write("cmd.enable", [1, 0])
         board.run(0.1)
-        refused = _in(board, 0, "STOP") and not flags_of(board, 0, "faults") and "INPUT" in flags_of(board, 0, "limits")
+        refused = (
+            _in(board, 0, "STOP")
+            and not rig.flags_of(board, 0, "faults")
+            and "INPUT" in rig.flags_of(board, 0, "limits")
+        )
         board.heal()
         board.run(0.1)
         said["enable, at rest: refused without a fault"] = refused and _in(board, 0, "STOP")

@@ -14,21 +14,8 @@ from typing import Final
 import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 
-from servo_twin.experiments.rig import (
-    COUNT,
-    TICK,
-    at_level,
-    command_position,
-    command_speed,
-    features,
-    get_axis,
-    largest,
-    level,
-    position_of,
-    set_up,
-    spinning,
-    watch,
-)
+from servo_twin.experiments import rig
+from servo_twin.experiments.rig import COUNT, TICK
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -156,15 +143,17 @@ def _first_current(plant: PlantConfig, seed: int, switch: str | None, speed: flo
 
     At the ideal level, where a feature takes no time: at the other one it moves the instants of everything behind it.
     """
-    with at_level("ideal"), spinning(plant, seed) as board:
+    with rig.at_level("ideal"), rig.spinning(plant, seed) as board:
         for axis in range(AXES):
-            set_up(board, axis, "SPEED", parameters={"acceleration_limit": largest(board, "acceleration_limit")})
-        watch(board, [0], 10 * TICK)
+            rig.set_up(
+                board, axis, "SPEED", parameters={"acceleration_limit": rig.largest(board, "acceleration_limit")}
+            )
+        rig.watch(board, [0], 10 * TICK)
         for axis in range(AXES):
             if switch is not None:
-                features(board, axis, **{switch: True})
-            command_speed(board, axis, speed)
-        both = watch(board, range(AXES), 5 * TICK)
+                rig.features(board, axis, **{switch: True})
+            rig.command_speed(board, axis, speed)
+        both = rig.watch(board, range(AXES), 5 * TICK)
         limited = board.catalogue.flag("limits", "CURRENT").mask
     currents: list[float] = []
     for recording in both.values():
@@ -186,20 +175,23 @@ def current_limits(plant: PlantConfig, seed: int) -> list[float]:
 
 
 def _parameter(plant: PlantConfig, seed: int, name: str) -> list[float]:
-    with spinning(plant, seed) as board:
-        return [get_axis(board, f"param.{name}", axis) for axis in range(AXES)]
+    with rig.spinning(plant, seed) as board:
+        return [rig.get_axis(board, f"param.{name}", axis) for axis in range(AXES)]
 
 
 def path_demands(plant: PlantConfig, seed: int) -> list[Demand]:
     """What the path filter asks for on the way to a far target, by its output, without a limit of acceleration."""
-    with spinning(plant, seed) as board:
+    with rig.spinning(plant, seed) as board:
         speeds, currents = (
-            [get_axis(board, f"param.{name}", axis) for axis in range(AXES)] for name in ("speed_limit", "i_q_limit")
+            [rig.get_axis(board, f"param.{name}", axis) for axis in range(AXES)]
+            for name in ("speed_limit", "i_q_limit")
         )
         for axis in range(AXES):
-            set_up(board, axis, parameters={"acceleration_limit": largest(board, "acceleration_limit")})
-            command_position(board, axis, position_of(board, axis) + round(10.0 * PROBE_PATH * speeds[axis] / COUNT))
-        both = watch(board, range(AXES), PROBE_PATH)
+            rig.set_up(board, axis, parameters={"acceleration_limit": rig.largest(board, "acceleration_limit")})
+            rig.command_position(
+                board, axis, rig.position_of(board, axis) + round(10.0 * PROBE_PATH * speeds[axis] / COUNT)
+            )
+        both = rig.watch(board, range(AXES), PROBE_PATH)
     demands: list[Demand] = []
     for axis, recording in both.items():
         step = PROBE_SLOPE
@@ -310,7 +302,7 @@ def ripple(plant: PlantConfig, axis: int, current: float) -> float:
     u m (1 - m) / (6 f L) for duties that differ by m at most: for the resistance, and for the dead time and the drops
     that are made up for.
     """
-    if level() == "ideal":
+    if rig.level() == "ideal":
         return 0.0
     entry, u = plant.axes[axis], plant.bus.u_source
     lost = entry.dead_time * plant.pwm_frequency + entry.v_drop / u

@@ -12,22 +12,11 @@ from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
-from servo_twin.experiments.dead_time_torque import pushed, whole_counts
+from servo_twin.experiments import rig
+from servo_twin.experiments.dead_time_torque import pushed, swerve_at
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import move_speeds, path_settles
-from servo_twin.experiments.rig import (
-    COUNT,
-    TICK,
-    Recording,
-    arrives,
-    command_position,
-    get_axis,
-    overshoot,
-    position_of,
-    set_axis,
-    spinning,
-    watch,
-)
+from servo_twin.experiments.rig import COUNT, TICK, Recording
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "position"
@@ -73,16 +62,14 @@ class Move:
 def measure(recording: Recording, target: int, ramp_end: float, shaft: AxisPlant) -> Move:
     """Judge a move of a shaft that began with the recording; `target` in counts, `ramp_end` in seconds."""
     last = recording.part(recording.time[-1] - REST / 2.0).position
-    near = np.abs(recording.position_ref - target) <= COUNTS_MAX
-    after = float(recording.time[int(np.argmax(near))]) if near.any() else float(recording.time[-1])
-    swerve = whole_counts(recording, shaft, after)
+    swerve = swerve_at(recording, shaft, target, COUNTS_MAX)
     swing = pushed(recording, shaft, position=True)[-last.size :]
     return Move(
         recording,
-        overshoot=overshoot(recording, target),
+        overshoot=rig.overshoot(recording, target),
         cycle=float(np.ptp(last)),
         error=float(np.abs(last - target).mean()),
-        settling=arrives(recording, target, COUNTS_MAX + swerve, ramp_end),
+        settling=rig.arrives(recording, target, COUNTS_MAX + swerve, ramp_end),
         swerve=swerve,
         swing=float(round(np.ptp(swing))),
     )
@@ -90,18 +77,18 @@ def measure(recording: Recording, target: int, ramp_end: float, shaft: AxisPlant
 
 def travel(board: Board, axis: int, turns: float, ramp: bool, settle: float = SETTLE) -> Move:
     """Move one axis by some turns from where it is; it may take `settle` to arrive [s]."""
-    limit, start = get_axis(board, "param.speed_limit", axis), position_of(board, axis)
+    limit, start = rig.get_axis(board, "param.speed_limit", axis), rig.position_of(board, axis)
     target = start + round(turns * COUNTS_PER_TURN)
     distance = abs(target - start) * COUNT
     duration = max(distance / (RAMP_SPEED * limit), RAMP_MIN) if ramp else distance / limit
 
     def act(k: int) -> None:
         if ramp and k * TICK <= duration + TICK:
-            command_position(board, axis, round(start + (target - start) * min(k * TICK / duration, 1.0)))
+            rig.command_position(board, axis, round(start + (target - start) * min(k * TICK / duration, 1.0)))
         elif not ramp and k == 0:
-            command_position(board, axis, target)
+            rig.command_position(board, axis, target)
 
-    recording = watch(board, [axis], duration + settle + REST, act)[axis]
+    recording = rig.watch(board, [axis], duration + settle + REST, act)[axis]
     return measure(recording, target, duration, board.plant.axes[axis])
 
 
@@ -110,9 +97,9 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Every distance as step and as ramp, there and back, each axis by itself."""
     speeds, lowered = move_speeds(plant, seed, together=False)
     settles = path_settles(plant, seed, SETTLE)
-    with spinning(plant, seed) as board:
+    with rig.spinning(plant, seed) as board:
         for axis, speed in enumerate(speeds):
-            set_axis(board, "param.speed_limit", axis, speed)
+            rig.set_axis(board, "param.speed_limit", axis, speed)
         for distance, ramp in itertools.product(DISTANCES, (False, True)):
             how, way = f"{'ramp' if ramp else 'step'} of {distance:g} turns", -distance if ramp else distance
             moves = [travel(board, axis, way, ramp, settle) for axis, settle in enumerate(settles)]

@@ -48,6 +48,7 @@ __all__ = [
     "set_up",
     "spinning",
     "stays_from",
+    "until",
     "watch",
     "word",
 ]
@@ -343,6 +344,22 @@ def word(board: Board, axis: int, name: str) -> int:
 def flags_of(board: Board, axis: int, name: str) -> set[str]:
     """Flags that are set in a word of an axis, such as ``faults``, by their names."""
     return {flag.name for flag in board.catalogue.active(name, word(board, axis, name))}
+
+
+def until(board: Board, what: str, holds: Callable[[], bool], seconds: float, step: float = TICK) -> None:
+    """Run until something holds, which is looked at every `step` [s].
+
+    Raises
+    ------
+    SimulationError
+        If it does not within so many `seconds`; says `what`, and where the axes are.
+    """
+    for _ in range(round(seconds / step)):
+        if holds():
+            return
+        board.run(step)
+    places = ", ".join(f"{axis_name(axis)} {flags_of(board, axis, 'faults') or 'no fault'}" for axis in range(AXES))
+    raise SimulationError(f"not within {seconds:g} s: {what}; {places}")
 
 
 def position_of(board: Board, axis: int) -> int:

@@ -52,7 +52,6 @@ class Trace:
     angle: NDArray[np.float64]
     """What the observer sees: electrical angle [rad]."""
     speed: NDArray[np.float64]  # mechanical speed [rad/s]
-    reliable: NDArray[np.int64]  # word of the firmware
     used: NDArray[np.float64]
     """Electrical angle that the controllers use [rad]."""
     speed_ref: NDArray[np.float64]  # [rad/s]
@@ -186,21 +185,20 @@ def follow(
         rows.append(board.record(start + (k + 1) * TICK_NS).tobytes())
         for axis, kept in seen.items():
             truth = board.truth(axis)
-            raw = [word(board, axis, f"estimate_{what}") for what in ("theta_e", "speed", "reliable")]
+            raw = [word(board, axis, f"estimate_{what}") for what in ("theta_e", "speed")]
             kept.append((poles[axis] * truth.theta_m, truth.omega_m, truth.i_d, truth.i_q, *raw))
     log = np.frombuffer(b"".join(rows), board.snapshot_dtype)
-    return {axis: _trace(board, log, axis, np.array(kept).reshape(-1, 7).T) for axis, kept in seen.items()}
+    return {axis: _trace(board, log, axis, np.array(kept).reshape(-1, 6).T) for axis, kept in seen.items()}
 
 
 def _trace(board: Board, log: NDArray[np.void], axis: int, seen: NDArray[np.float64]) -> Trace:
     name = axis_name(axis)
-    columns: dict[str, Any] = dict(zip(list(Trace.__dataclass_fields__)[1:8], seen, strict=True))
+    columns: dict[str, Any] = dict(zip(list(Trace.__dataclass_fields__)[1:7], seen, strict=True))
     for column, variable in (("angle", "estimate_theta_e"), ("speed", "estimate_speed")):
         columns[column] = columns[column] * float(board.catalogue[f"{name}.{variable}"].lsb)
     for column, variable in (("used", "theta_e"), ("speed_ref", "speed_ref")):
         columns[column] = log[f"{name}.{variable}"] * float(board.catalogue[f"{name}.{variable}"].lsb)
     columns |= {flags: log[f"{name}.{flags}"].astype(np.int64) for flags in ("substate", "faults")}
-    columns["reliable"] = columns["reliable"].astype(np.int64)
     return Trace(time=TICK * np.arange(1, log.size + 1, dtype=np.float64), **columns)
 
 

@@ -13,21 +13,10 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
+from servo_twin.experiments import rig
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.plant_limits import move_speeds, path_settles, ripple
-from servo_twin.experiments.rig import (
-    COUNT,
-    TICK,
-    Recording,
-    at,
-    command_position,
-    command_speed,
-    position_of,
-    set_axis,
-    set_up,
-    spinning,
-    watch,
-)
+from servo_twin.experiments.rig import COUNT, TICK, Recording
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "soft-limits"
@@ -78,16 +67,16 @@ Ask = Callable[[Board, int, int], None]
 
 MODES: Final[dict[str, tuple[Ask, Ask]]] = {
     "POSITION": (
-        lambda board, axis, limit: command_position(board, axis, limit + round((FAR - AWAY) * COUNTS_PER_TURN)),
-        lambda board, axis, limit: command_position(board, axis, limit - COUNTS_PER_TURN),
+        lambda board, axis, limit: rig.command_position(board, axis, limit + round((FAR - AWAY) * COUNTS_PER_TURN)),
+        lambda board, axis, limit: rig.command_position(board, axis, limit - COUNTS_PER_TURN),
     ),
     "SPEED": (
-        lambda board, axis, limit: command_speed(board, axis, SPEED_ASKED),
-        lambda board, axis, limit: command_speed(board, axis, -BACK_SPEED),
+        lambda board, axis, limit: rig.command_speed(board, axis, SPEED_ASKED),
+        lambda board, axis, limit: rig.command_speed(board, axis, -BACK_SPEED),
     ),
     "TORQUE": (
-        lambda board, axis, limit: set_axis(board, "cmd.i_q", axis, TORQUE),
-        lambda board, axis, limit: set_axis(board, "cmd.i_q", axis, -TORQUE),
+        lambda board, axis, limit: rig.set_axis(board, "cmd.i_q", axis, TORQUE),
+        lambda board, axis, limit: rig.set_axis(board, "cmd.i_q", axis, -TORQUE),
     ),
 }
 """Every mode, with what sends the shaft past the limit and what brings it back."""
@@ -117,18 +106,18 @@ def _named(recording: Recording, mask: int, seconds: float = FLAG_LAST) -> float
 
 def visit(plant: PlantConfig, seed: int, mode: str, limited: bool, speeds: list[float]) -> list[Run]:
     """Both axes at once towards limits of their positions, the speed limited to `speeds` [rad/s], and back."""
-    with spinning(plant, seed) as board:
-        limits = [position_of(board, axis) + round(AWAY * COUNTS_PER_TURN) for axis in range(AXES)]
+    with rig.spinning(plant, seed) as board:
+        limits = [rig.position_of(board, axis) + round(AWAY * COUNTS_PER_TURN) for axis in range(AXES)]
         for axis, limit in enumerate(limits):
             parameters = {"position_max": limit * COUNT, "speed_limit": speeds[axis]}
-            set_up(board, axis, mode, parameters=parameters, POSITION_LIMITS=limited)
+            rig.set_up(board, axis, mode, parameters=parameters, POSITION_LIMITS=limited)
 
         def all_at_once(ask: Ask) -> None:
             for axis, limit in enumerate(limits):
                 ask(board, axis, limit)
 
         out, back = (
-            watch(board, range(AXES), seconds, at({0.0: functools.partial(all_at_once, ask)}))
+            rig.watch(board, range(AXES), seconds, rig.at({0.0: functools.partial(all_at_once, ask)}))
             for seconds, ask in zip((OUT, BACK), MODES[mode], strict=True)
         )
         mask = board.catalogue.flag("limits", "POSITION").mask
@@ -137,54 +126,54 @@ def visit(plant: PlantConfig, seed: int, mode: str, limited: bool, speeds: list[
 
 def lean(plant: PlantConfig, seed: int, limited: bool) -> list[float]:
     """Farthest that a load drives both shafts past their limits, in torque mode without torque [counts]."""
-    with spinning(plant, seed) as board:
-        limits = [position_of(board, axis) + round(LEAN_AWAY * COUNTS_PER_TURN) for axis in range(AXES)]
+    with rig.spinning(plant, seed) as board:
+        limits = [rig.position_of(board, axis) + round(LEAN_AWAY * COUNTS_PER_TURN) for axis in range(AXES)]
         for axis, limit in enumerate(limits):
             parameters = {"position_max": limit * COUNT, "speed_limit": LEAN_SPEED}
-            set_up(board, axis, "TORQUE", parameters=parameters, POSITION_LIMITS=limited)
+            rig.set_up(board, axis, "TORQUE", parameters=parameters, POSITION_LIMITS=limited)
             board.set_load(axis, -LEAN * plant.axes[axis].torque_constant)  # a load opposes positive motion
-        both = watch(board, range(AXES), LEAN_TIME)
+        both = rig.watch(board, range(AXES), LEAN_TIME)
     return [float((both[axis].shaft - limit).max()) for axis, limit in enumerate(limits)]
 
 
 def set_behind(plant: PlantConfig, seed: int) -> list[dict[int, Recording]]:
     """Set the upper limit a little below where both shafts are; then a target farther out, and one inside."""
     settle = max(path_settles(plant, seed, SETTLE))
-    with spinning(plant, seed) as board:
-        here = [position_of(board, axis) for axis in range(AXES)]
+    with rig.spinning(plant, seed) as board:
+        here = [rig.position_of(board, axis) for axis in range(AXES)]
         step = round(BEHIND * COUNTS_PER_TURN)
         for axis, position in enumerate(here):
             parameters = {"position_max": (position - step) * COUNT}
-            set_up(board, axis, parameters=parameters, POSITION_LIMITS=True)
-        found = [watch(board, range(AXES), settle)]
+            rig.set_up(board, axis, parameters=parameters, POSITION_LIMITS=True)
+        found = [rig.watch(board, range(AXES), settle)]
         for target in (step, -2 * step):
             for axis, position in enumerate(here):
-                command_position(board, axis, position + target)
-            found.append(watch(board, range(AXES), settle))
+                rig.command_position(board, axis, position + target)
+            found.append(rig.watch(board, range(AXES), settle))
     return found
 
 
 def turn(plant: PlantConfig, seed: int, mode: str, limit: float | None) -> list[Run]:
     """Both axes are asked for more speed than the limit [rad/s], in speed or torque mode."""
-    with spinning(plant, seed) as board:
+    with rig.spinning(plant, seed) as board:
         for axis in range(AXES):
             speed = SPEED_ASKED if limit is None else limit
-            set_up(board, axis, mode, parameters={"speed_limit": speed, "acceleration_limit": ACCELERATION})
+            rig.set_up(board, axis, mode, parameters={"speed_limit": speed, "acceleration_limit": ACCELERATION})
             MODES[mode][0](board, axis, 0)
-        both = watch(board, range(AXES), OUT)
+        both = rig.watch(board, range(AXES), OUT)
         mask = board.catalogue.flag("limits", "SPEED").mask
     return [Run(0, r, _named(r, mask)) for r in both.values()]
 
 
 def push(plant: PlantConfig, seed: int, limit: float | None) -> list[Run]:
     """Both axes are asked for more current than the limit [A], in torque mode."""
-    with spinning(plant, seed) as board:
+    with rig.spinning(plant, seed) as board:
         for axis in range(AXES):
             parameters = {"speed_limit": SPEED_LIMIT} | ({} if limit is None else {"i_q_limit": limit})
-            set_up(board, axis, "TORQUE", parameters=parameters)
+            rig.set_up(board, axis, "TORQUE", parameters=parameters)
             board.lock_shaft(axis)
-            set_axis(board, "cmd.i_q", axis, 2.0 * CURRENT_LIMIT)
-        both = watch(board, range(AXES), SETTLE)
+            rig.set_axis(board, "cmd.i_q", axis, 2.0 * CURRENT_LIMIT)
+        both = rig.watch(board, range(AXES), SETTLE)
         mask = board.catalogue.flag("limits", "CURRENT").mask
     return [Run(0, r, _named(r, mask, SETTLE)) for r in both.values()]
 

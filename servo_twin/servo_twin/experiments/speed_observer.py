@@ -11,21 +11,11 @@ from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
+from servo_twin.experiments import rig
 from servo_twin.experiments.dead_time_torque import pushed, whole_counts
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import Belief, believed
-from servo_twin.experiments.rig import (
-    COUNT,
-    RPM,
-    TICK,
-    Recording,
-    command_position,
-    features,
-    position_of,
-    set_up,
-    spinning,
-    watch,
-)
+from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "speed-observer"
@@ -70,8 +60,8 @@ def both(plant: PlantConfig, seed: int, axis: int, play: Callable[[Board], Recor
     """Play something to a fresh board, once without and once with the observer."""
 
     def once(observer: bool) -> Recording:
-        with spinning(plant, seed) as board:
-            features(board, axis, SPEED_OBSERVER=observer)
+        with rig.spinning(plant, seed) as board:
+            rig.features(board, axis, SPEED_OBSERVER=observer)
             return play(board)
 
     return once(False), once(True)
@@ -81,8 +71,8 @@ def creep(plant: PlantConfig, seed: int, axis: int, speed: float) -> Pair:
     """A constant speed [rad/s], once it has settled."""
 
     def play(board: Board) -> Recording:
-        set_up(board, axis, "SPEED", speed)
-        return watch(board, [axis], SETTLE + MEASURED)[axis].part(SETTLE)
+        rig.set_up(board, axis, "SPEED", speed)
+        return rig.watch(board, [axis], SETTLE + MEASURED)[axis].part(SETTLE)
 
     return both(plant, seed, axis, play)
 
@@ -96,9 +86,9 @@ def move(plant: PlantConfig, seed: int, axis: int) -> Pair:
     """A move with feed-forward, and the hold after it."""
 
     def play(board: Board) -> Recording:
-        features(board, axis, SPEED_FORWARD=True, ACCELERATION_FORWARD=True)
-        command_position(board, axis, position_of(board, axis) + round(MOVE * COUNTS_PER_TURN))
-        return watch(board, [axis], ARRIVED + HELD)[axis]
+        rig.features(board, axis, SPEED_FORWARD=True, ACCELERATION_FORWARD=True)
+        rig.command_position(board, axis, rig.position_of(board, axis) + round(MOVE * COUNTS_PER_TURN))
+        return rig.watch(board, [axis], ARRIVED + HELD)[axis]
 
     return both(plant, seed, axis, play)
 
@@ -108,7 +98,7 @@ def push(plant: PlantConfig, seed: int, axis: int) -> Pair:
 
     def play(board: Board) -> Recording:
         board.set_load(axis, LOAD * plant.axes[axis].torque_constant)
-        return watch(board, [axis], HELD)[axis]
+        return rig.watch(board, [axis], HELD)[axis]
 
     return both(plant, seed, axis, play)
 

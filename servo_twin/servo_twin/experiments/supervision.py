@@ -12,20 +12,10 @@ from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
+from servo_twin.experiments import rig
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import current_limits, move_speeds
-from servo_twin.experiments.rig import (
-    TICK,
-    Recording,
-    command_position,
-    command_speed,
-    features,
-    position_of,
-    set_axis,
-    set_up,
-    spinning,
-    watch,
-)
+from servo_twin.experiments.rig import TICK, Recording
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "supervision"
@@ -116,12 +106,12 @@ def play(
     bench: Bench, on: bool, prepare: Do, act: Callable[[Board, int], None], seconds: float
 ) -> dict[int, Recording]:
     """Run both axes with the features on or off; `act` is called with the number of each slow tick."""
-    with spinning(bench.plant, bench.seed) as board:
+    with rig.spinning(bench.plant, bench.seed) as board:
         for axis in range(AXES):
             parameters = {"following_error": FOLLOWING, "speed_limit": bench.speeds[axis]}
-            set_up(board, axis, parameters=parameters, FOLLOWING_ERROR=on, OVER_SPEED=on)
+            rig.set_up(board, axis, parameters=parameters, FOLLOWING_ERROR=on, OVER_SPEED=on)
             prepare(bench, board, axis)
-        return watch(board, range(AXES), seconds, lambda k: act(board, k), may_fail=True)
+        return rig.watch(board, range(AXES), seconds, lambda k: act(board, k), may_fail=True)
 
 
 # ---- what the axes do, and what happens to them ----------------------------------------------------------------------
@@ -129,21 +119,21 @@ def play(
 
 def _far(_: Bench, board: Board, axis: int) -> None:
     """A move that does not end."""
-    command_position(board, axis, position_of(board, axis) + 1000 * COUNTS_PER_TURN)
+    rig.command_position(board, axis, rig.position_of(board, axis) + 1000 * COUNTS_PER_TURN)
 
 
 def _turn(bench: Bench, board: Board, axis: int) -> None:
     """Half the speed, and what is too fast."""
     speed = TURNS_SPEED * bench.speeds[axis]
     parameters = {"acceleration_limit": ACCELERATION, "over_speed": OVER_SPEED * speed}
-    set_up(board, axis, "SPEED", speed, parameters=parameters)
+    rig.set_up(board, axis, "SPEED", speed, parameters=parameters)
 
 
 def _pull(bench: Bench, board: Board, axis: int) -> None:
     """The same in torque mode, at that limit of the speed."""
     _turn(bench, board, axis)
-    set_up(board, axis, "TORQUE", parameters={"speed_limit": TURNS_SPEED * bench.speeds[axis]})
-    set_axis(board, "cmd.i_q", axis, 0.25 * bench.peaks[axis] / bench.plant.axes[axis].torque_constant)
+    rig.set_up(board, axis, "TORQUE", parameters={"speed_limit": TURNS_SPEED * bench.speeds[axis]})
+    rig.set_axis(board, "cmd.i_q", axis, 0.25 * bench.peaks[axis] / bench.plant.axes[axis].torque_constant)
 
 
 def blocked_max(bench: Bench, axis: int) -> float:
@@ -202,7 +192,7 @@ CAUSES: Final = (
     ),
     Cause(
         "set-point too fast", "OVER_SPEED", _turn,
-        lambda bench, board, axis: command_speed(board, axis, ASKED * TURNS_SPEED * bench.speeds[axis]),
+        lambda bench, board, axis: rig.command_speed(board, axis, ASKED * TURNS_SPEED * bench.speeds[axis]),
     ),
 )  # fmt: skip
 
@@ -212,13 +202,13 @@ def legal(bench: Bench, forward: bool) -> int:
     faults, turns = 0, list(HARD_MOVES)
 
     def begin(_: Bench, board: Board, axis: int) -> None:
-        features(board, axis, SPEED_FORWARD=forward, ACCELERATION_FORWARD=forward, FRICTION=forward)
+        rig.features(board, axis, SPEED_FORWARD=forward, ACCELERATION_FORWARD=forward, FRICTION=forward)
 
     def move(board: Board, k: int) -> None:
         if k % round(TURN_ROUND / TICK) == 0 and turns:
             far = turns.pop(0)
             for axis in range(AXES):
-                command_position(board, axis, position_of(board, axis) + round(far * COUNTS_PER_TURN))
+                rig.command_position(board, axis, rig.position_of(board, axis) + round(far * COUNTS_PER_TURN))
 
     def load(board: Board, k: int) -> None:
         share = {round(REST / TICK): LEGAL_LOAD, round(2.0 * REST / TICK): -LEGAL_LOAD, round(3.0 * REST / TICK): 0.0}

@@ -11,19 +11,10 @@ import numpy as np
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 
 from servo_twin.board import Board
+from servo_twin.experiments import rig
 from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import OVER_VOLTAGE, current_limits, top_speed
-from servo_twin.experiments.rig import (
-    RPM,
-    TICK,
-    Recording,
-    at,
-    command_speed,
-    get_axis,
-    set_up,
-    spinning,
-    watch,
-)
+from servo_twin.experiments.rig import RPM, TICK, Recording
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "two-axes"
@@ -81,12 +72,12 @@ class Reversals:
 
     def prepare(self, board: Board, axis: int) -> Callable[[int], None]:
         """Set the axis up; returns what has to be done in every slow tick."""
-        set_up(board, axis, "SPEED", parameters={"acceleration_limit": self.acceleration})
+        rig.set_up(board, axis, "SPEED", parameters={"acceleration_limit": self.acceleration})
         half = round(0.5 * PERIOD / TICK)
 
         def act(k: int) -> None:
             if k % half == 0:
-                command_speed(board, axis, self.speed if (k // half) % 2 == 0 else -self.speed)
+                rig.command_speed(board, axis, self.speed if (k // half) % 2 == 0 else -self.speed)
 
         return act
 
@@ -104,34 +95,34 @@ def pushed(plant: PlantConfig, seed: int, axis: int) -> float:
 def turn(plant: PlantConfig, seed: int, watched: int, reversals: Reversals | None, compensated: bool = True) -> Pair:
     """The watched axis turns evenly, the other rests or reverses."""
     other = 1 - watched
-    with spinning(plant, seed) as board:
-        set_up(board, watched, "SPEED", EVEN, BUS_COMPENSATION=compensated)
-        watch(board, [watched], SETTLE)
+    with rig.spinning(plant, seed) as board:
+        rig.set_up(board, watched, "SPEED", EVEN, BUS_COMPENSATION=compensated)
+        rig.watch(board, [watched], SETTLE)
         act = None if reversals is None else reversals.prepare(board, other)
-        both = watch(board, [watched, other], MEASURED, act)
+        both = rig.watch(board, [watched, other], MEASURED, act)
     return both[watched], both[other]
 
 
 def hold(plant: PlantConfig, seed: int, watched: int, reversals: Reversals) -> Recording:
     """The watched axis holds its position while the other reverses."""
-    with spinning(plant, seed) as board:
-        return watch(board, [watched], MEASURED, reversals.prepare(board, 1 - watched))[watched]
+    with rig.spinning(plant, seed) as board:
+        return rig.watch(board, [watched], MEASURED, reversals.prepare(board, 1 - watched))[watched]
 
 
 def brake(plant: PlantConfig, seed: int, speed: float) -> dict[int, Recording]:
     """Both axes at a speed [rad/s], then set-point zero for both at once."""
     accelerations = [pushed(plant, seed, axis) for axis in range(AXES)]
-    with spinning(plant, seed) as board:
+    with rig.spinning(plant, seed) as board:
         for axis, able in enumerate(accelerations):
-            able = min(get_axis(board, "param.acceleration_limit", axis), able)
-            set_up(board, axis, "SPEED", speed, parameters={"acceleration_limit": able})
-        watch(board, [0], SETTLE)
+            able = min(rig.get_axis(board, "param.acceleration_limit", axis), able)
+            rig.set_up(board, axis, "SPEED", speed, parameters={"acceleration_limit": able})
+        rig.watch(board, [0], SETTLE)
 
         def stop() -> None:
             for axis in range(AXES):
-                command_speed(board, axis, 0.0)
+                rig.command_speed(board, axis, 0.0)
 
-        return watch(board, range(AXES), BRAKE_TIME, at({0.0: stop}), may_fail=True)
+        return rig.watch(board, range(AXES), BRAKE_TIME, rig.at({0.0: stop}), may_fail=True)
 
 
 def deviation(recording: Recording) -> float:

@@ -1,8 +1,7 @@
-/* pwm_parts.h - what the parts of the PWM share; included there only. */
-#ifndef CHIP_PWM_PARTS_H
-#define CHIP_PWM_PARTS_H
+/* pwm_internal.h - what the three files of the PWM share. */
+#ifndef CHIP_PWM_INTERNAL_H
+#define CHIP_PWM_INTERNAL_H
 
-#include "chip/parts.h"
 #include "chip/pwm.h"
 
 #define CTRL2_CLK_SEL(x) ((x) & 3u)
@@ -37,59 +36,59 @@ enum { FORCE_LOCAL, FORCE_MASTER, FORCE_RELOAD, FORCE_MASTER_RELOAD, FORCE_SYNC,
 #define FCTRL_FAUTO(x, i) ((((x) >> 8) >> (i)) & 1u)
 #define FCTRL_FLVL(x) (((x) >> 12) & 0xFu)
 
-static inline pwm_t *pwm_of(chip_t *chip, const pwm_submodule_t *s) { return &chip->pwm[s->module]; }
+static inline pwm_module_t *module_of(pwm_t *pwm, const pwm_submodule_t *s) { return &pwm->module[s->module]; }
 
 /* ---- counters and compares (pwm.c) ---------------------------------------------------------------------------------- */
 
 uint16_t pwm_counter(const pwm_submodule_t *s, uint64_t now);
 
 /* Flags of the compares up to the present clock. */
-void pwm_settle(const chip_t *chip, pwm_submodule_t *s);
+void pwm_settle(const pwm_t *pwm, pwm_submodule_t *s);
 
-/* Which compares are events: after a change of what they do. */
-void pwm_watch(chip_t *chip, pwm_submodule_t *s);
+/* Which compares are events; after a change of what they do. */
+void pwm_select_events(pwm_t *pwm, pwm_submodule_t *s);
 
-/* When the next event is: after a change of when. */
-void pwm_schedule(chip_t *chip, pwm_submodule_t *s);
+/* Plan the next event; after a change of its clock. */
+void pwm_schedule(pwm_t *pwm, pwm_submodule_t *s);
 
-/* Interrupts, after a change of flags or enables. */
-void pwm_request(chip_t *chip, pwm_submodule_t *s);
-void pwm_request_fault(chip_t *chip, unsigned m);
+/* Requests of interrupts; after a change of flags or enables. */
+void pwm_request(pwm_t *pwm, pwm_submodule_t *s);
+void pwm_request_fault(pwm_t *pwm, unsigned m);
 
-void pwm_load(chip_t *chip, pwm_submodule_t *s);
+void pwm_load(pwm_t *pwm, pwm_submodule_t *s);
 
 /* The counter begins anew from INIT in the present clock. */
-void pwm_begin_cycle(chip_t *chip, pwm_submodule_t *s);
+void pwm_begin_cycle(pwm_t *pwm, pwm_submodule_t *s);
 
 /* Submodule n counts while its RUN bit, or that of submodule 0 with whose clock it runs, and its gate are open. */
-void pwm_follow_run(chip_t *chip, unsigned m);
+void pwm_follow_run(pwm_t *pwm, unsigned m);
 
 /* ---- outputs and faults (pwm_outputs.c) ------------------------------------------------------------------------------ */
 
 /* Which pins of a pair follow its outputs. */
-void pwm_prepare(chip_t *chip, pwm_submodule_t *s);
-void pwm_show_all(chip_t *chip, unsigned m);
+void pwm_find_live_pins(pwm_t *pwm, pwm_submodule_t *s);
+void pwm_update_all_pins(pwm_t *pwm, unsigned m);
 
-/* What the outputs have become, at the pins. */
-static inline void pwm_show(chip_t *chip, pwm_submodule_t *s)
+/* Apply the outputs to the pins. */
+static inline void pwm_update_pins(pwm_t *pwm, pwm_submodule_t *s)
 {
     const unsigned levels = (s->out & s->live) ^ s->fixed;
     if (levels != s->levels) {
         s->levels = levels;
-        chip_note(chip, TRACE_GATES, s->id, levels);
-        sync_plant(chip);
-        world_gates(chip->world, s->module, s->number, levels);
+        bus_note(pwm->bus, TRACE_GATES, s->id, levels);
+        bus_sync_plant(pwm->bus);
+        pwm->bus->environment->set_gates(pwm->bus->board, s->module, s->number, levels);
     }
 }
 
-/* The dead-time unit of a pair: the switch that closes waits for its count, the other opens at once. */
-static inline void pwm_drive_pair(const chip_t *chip, pwm_submodule_t *s, bool pair)
+/* The dead-time unit of a pair: the switch that closes is delayed by its count, the other one opens at once. */
+static inline void pwm_drive_pair(const pwm_t *pwm, pwm_submodule_t *s, bool pair)
 {
     if (pair != s->pair || (s->out == 0 && s->dead_clock == CHIP_NEVER)) {
         s->pair = pair;
         const unsigned dead = s->dtcnt[pair ? 0 : 1];
         s->out = (dead > 0) ? 0u : pair ? 1u : 2u;
-        s->dead_clock = (dead > 0) ? chip->now + dead : CHIP_NEVER;
+        s->dead_clock = (dead > 0) ? pwm->bus->now + dead : CHIP_NEVER;
     }
 }
 
@@ -100,21 +99,21 @@ static inline void pwm_end_dead_time(pwm_submodule_t *s)
     s->out |= s->pair ? 1u : 2u;
 }
 
-/* The outputs, after a change of what they follow. */
-void pwm_drive(chip_t *chip, pwm_submodule_t *s);
+/* The outputs; after a change of their inputs. */
+void pwm_drive(pwm_t *pwm, pwm_submodule_t *s);
 
-void pwm_force_out(chip_t *chip, pwm_submodule_t *s);
+void pwm_force_out(pwm_t *pwm, pwm_submodule_t *s);
 
-/* The cycle (or half of it) begins: outputs resume that were waiting for it. */
-void pwm_resume_blocked(chip_t *chip, pwm_submodule_t *s, uint16_t boundary);
+/* At a full or half cycle outputs resume that a fault has disabled. */
+void pwm_resume_blocked(pwm_t *pwm, pwm_submodule_t *s, uint16_t boundary);
 
-static inline void pwm_resume(chip_t *chip, pwm_submodule_t *s, uint16_t boundary)
+static inline void pwm_resume(pwm_t *pwm, pwm_submodule_t *s, uint16_t boundary)
 {
     if (s->blocked != 0) {
-        pwm_resume_blocked(chip, s, boundary);
+        pwm_resume_blocked(pwm, s, boundary);
     }
 }
 
-void pwm_find_faults(chip_t *chip, unsigned m);
+void pwm_find_faults(pwm_t *pwm, unsigned m);
 
 #endif
