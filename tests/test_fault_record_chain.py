@@ -19,7 +19,7 @@ from servo_msgs_py.fault_record import COLUMNS, FaultRecord
 from servo_msgs_py.runtime.qos import latched_qos
 from servo_twin.board import Board
 from servo_twin.experiments.named_faults import fault_record
-from servo_twin.harm import ShortedPhase, StuckConverter
+from servo_twin.fault_injection import ShortedPhase, StuckConverter
 from servo_twin.simulation import enable
 from servo_twin.virtual_board import Pacer, Terminal, serve
 from std_msgs.msg import Float64MultiArray
@@ -97,7 +97,7 @@ def board() -> Iterator[Board]:
         board.run(0.05)
         board.inject(SHORT)
         board.run(0.005)
-        board.heal(SHORT)
+        board.clear_fault(SHORT)
         yield board
 
 
@@ -158,7 +158,7 @@ def test_the_topic_has_the_first_fault_until_it_is_cleared(chain: Chain, bench: 
             late = listen(later)
             later.until(lambda: late, what="nothing latched")
             assert late == messages
-        bench.do(lambda board: board.heal(STUCK))
+        bench.do(lambda board: board.clear_fault(STUCK))
         first.until(lambda: first.clear_faults()[0], 30.0, "not cleared")
         first.until(lambda: "STOP" in first.last("/servo/state"), what="not cleared")
         bench.do(lambda board: board.set_supply(36.0))

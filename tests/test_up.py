@@ -214,5 +214,6 @@ def test_help_names_every_option() -> None:
         "--demo",
         "--out",
         "--twin-plant",
+        "--thresholds",
     ):
         assert option in text

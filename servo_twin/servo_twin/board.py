@@ -23,7 +23,7 @@ from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 from servo_twin.board_memory import BoardError, BoardMemory
 from servo_twin.board_sampler import BoardSampler
 from servo_twin.core_speed import CoreSpeed
-from servo_twin.harm import ChangedValue, Harm, NativeHarm
+from servo_twin.fault_injection import ChangedValue, InjectedFault, NativeFault
 from servo_twin.level import Level, chosen_level
 from servo_twin.plant import BUILT_IN, PlantConfig, PlantError
 
@@ -251,7 +251,7 @@ class Board:
         self._handle: Any = self._ffi.gc(handle, self._lib.board_free)
         self._own_memory = BoardMemory(self._ffi, self._lib, self._handle)
         self._dtype: np.dtype[np.void] | None = None
-        self._harms: list[Harm] = []
+        self._injected: list[InjectedFault] = []
         self._sampler: BoardSampler | None = None
 
     # ---- life -----------------------------------------------------------------------------------------------------
@@ -562,29 +562,29 @@ class Board:
         self._lib.board_stats(self._board, stats)
         return BoardStats(**{name: getattr(stats, name) for name in BoardStats.__dataclass_fields__})
 
-    def inject(self, harm: Harm) -> None:
-        """Break something, from this moment on (`servo_twin.harm`); `plant` stays what it is without the damage."""
-        if isinstance(harm, ChangedValue):
-            harm.applied(self.plant)  # what cannot be is refused before anything changes
-            self._harms.append(harm)
+    def inject(self, fault: InjectedFault) -> None:
+        """Inject a fault, from this moment on (`servo_twin.fault_injection`); `plant` stays what it is without it."""
+        if isinstance(fault, ChangedValue):
+            fault.applied(self.plant)  # what cannot be is refused before anything changes
+            self._injected.append(fault)
             self._change_plant()
             return
-        self._lib.board_inject_fault(self._board, self._raw(harm))
-        self._harms.append(harm)
+        self._lib.board_inject_fault(self._board, self._raw(fault))
+        self._injected.append(fault)
 
-    def heal(self, harm: Harm | None = None) -> None:
-        """Make whole again what `inject` has broken; everything by default."""
-        harms = self._harms if harm is None else [harm]
-        for one in reversed(harms):
+    def clear_fault(self, fault: InjectedFault | None = None) -> None:
+        """Undo what `inject` has done; everything by default."""
+        faults = self._injected if fault is None else [fault]
+        for one in reversed(faults):
             if not isinstance(one, ChangedValue):
                 self._lib.board_clear_fault(self._board, self._raw(one))
-        changed = any(isinstance(one, ChangedValue) for one in harms)
-        self._harms = [one for one in self._harms if one not in harms]
+        changed = any(isinstance(one, ChangedValue) for one in faults)
+        self._injected = [one for one in self._injected if one not in faults]
         if changed:
             self._change_plant()
 
-    def _raw(self, harm: NativeHarm) -> Any:
-        kind, *where = harm.raw()
+    def _raw(self, fault: NativeFault) -> Any:
+        kind, *where = fault.raw()
         return self._ffi.new("board_fault_t *", (getattr(self._lib, kind), *where))
 
     def set_plant(self, name: str, value: float) -> None:
@@ -608,8 +608,8 @@ class Board:
 
     def _change_plant(self) -> None:
         plant = self.plant
-        for harm in self._harms:
-            plant = harm.applied(plant) if isinstance(harm, ChangedValue) else plant
+        for fault in self._injected:
+            plant = fault.applied(plant) if isinstance(fault, ChangedValue) else plant
         plant.drawn(self._seed).fill(self._config)
         self._lib.board_change_plant(self._board, self._config)
 

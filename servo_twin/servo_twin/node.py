@@ -69,7 +69,7 @@ PARAMETERS: Final = {
     "effort_tolerance": Spec(0.05, "largest effort residual of a healthy twin [N m at the joint]", 1e-5, 1e3),
     "healthy_after": Spec(0.5, "how long the residual has to be small first [s]", 0.0, 60.0),
     "unhealthy_after": Spec(0.1, "how long the residual may be large [s]", 0.0, 60.0),
-    "patience": Spec(
+    "report_timeout": Spec(
         0.05, "how much newer telemetry may be before a late report of a command counts as lost [s]", 0.0, 1.0
     ),
     "variable_rate": Spec(20.0, "rate of the residual/<variable> topics [Hz]", 0.1, 1000.0),
@@ -119,7 +119,7 @@ class ServoTwin(Node):
         self._plant, learned = self._files()
         self._diagnosis = DiagnosisMonitor(self._plant, learned)
         self._adaptations = 0
-        self._twin = Twin(self._new_board, TwinSettings(patience=self._values["patience"]), self._catalogue)
+        self._twin = Twin(self._new_board, TwinSettings(report_timeout=self._values["report_timeout"]), self._catalogue)
         self._monitor = HealthMonitor(
             Thresholds(
                 position=self._values["position_tolerance"],

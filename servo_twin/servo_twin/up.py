@@ -127,6 +127,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--seed", type=int, default=1, help="seed of the virtual board (default: %(default)s)")
     result.add_argument("--plant", type=Path, help="plant file of the virtual board and of its twin")
     result.add_argument("--twin-plant", type=Path, help="another plant file for the twin")
+    result.add_argument("--thresholds", type=Path, help="of `servo_twin calibrate`, for the diagnosis of the twin")
     add_level_option(result, "virtual board and twin are")
     result.add_argument("--no-web", action="store_true", help="no viewer in the browser")
     result.add_argument("--record", type=Path, help="record to this .rrd file")
@@ -251,8 +252,9 @@ def _bring_up(stack: Stack, args: argparse.Namespace, folder: Path, record: Path
     wanted = json.dumps(args.set or [""])
     bridge = stack.start("servo_bridge", *_ros(port=port, baud=args.baud, board_parameters=wanted))
     # The twin knows the model of the virtual board, but not its luck: start angles and noise are others.
-    plant = args.twin_plant or args.plant
-    twin = stack.start("servo_twin", *_ros(seed=args.seed + 1, **({"plant": plant.absolute()} if plant else {})))
+    files = {"plant": args.twin_plant or args.plant, "thresholds": args.thresholds}
+    given = {name: path.absolute() for name, path in files.items() if path}
+    twin = stack.start("servo_twin", *_ros(seed=args.seed + 1, **given))
     web = not (args.no_web or args.demo)
     viewer = None
     if web or record:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from servo_twin.diagnosis.channel import Channel, Finding, Kind
 from servo_twin.diagnosis.hypotheses import Unknowns
 from servo_twin.diagnosis.monitor import PLANT_VALUES, DiagnosisMonitor
@@ -15,7 +17,7 @@ from servo_twin.diagnosis.signal_watch import WATCHED, SignalWatch
 from servo_twin.diagnosis.thresholds import Thresholds, ThresholdsError
 from servo_twin.diagnosis.trials import NOTHING, Change, HealthyRuns, Trials
 from servo_twin.diagnosis.window import Rows
-from servo_twin.harm import SlippedEncoder
+from servo_twin.fault_injection import SlippedEncoder
 from servo_twin.lockstep.twin import Pair
 from servo_twin.plant import PlantConfig
 
@@ -65,7 +67,7 @@ def test_nothing_is_said_of_a_healthy_pair() -> None:
 # ---- more than one, and none that is known --------------------------------------------------------------------------
 
 
-def watched(*changes: tuple[str, float], harm: SlippedEncoder | None = None, seconds: float = 10.0) -> DiagnosisMonitor:
+def watched(*changes: tuple[str, float], slip: SlippedEncoder | None = None, seconds: float = 10.0) -> DiagnosisMonitor:
     """A monitor after changes in the middle of a motion."""
     monitor = DiagnosisMonitor(PLANT, LEARNED)
     with BoardPair(PLANT, PLANT, seed=11, level="ideal") as pair:
@@ -76,8 +78,8 @@ def watched(*changes: tuple[str, float], harm: SlippedEncoder | None = None, sec
         assert not monitor.findings()
         for name, value in changes:
             pair.board.set_plant(name, value)
-        if harm is not None:
-            pair.board.inject(harm)
+        if slip is not None:
+            pair.board.inject(slip)
         for one in motion.run(seconds):
             monitor.update(one)
     return monitor
@@ -99,19 +101,25 @@ def test_the_twin_takes_over_all_of_several_changes() -> None:
 
 
 def test_a_slipped_encoder_is_an_angle() -> None:
-    (found,) = watched(harm=SlippedEncoder(1, 100)).findings()
+    (found,) = watched(slip=SlippedEncoder(1, 100)).findings()
     assert (found.axis, found.finding.changes) == (1, ("encoder_angle",))
     assert abs(found.finding.value) == pytest.approx(np.deg2rad(18.0), rel=0.1)
+
+
+def rows(samples: Sequence[tuple[float, NDArray[np.float64]]]) -> Rows:
+    """One equation of weight 1 per sample."""
+    y = np.array([[left] for left, _ in samples])
+    return Rows(y, np.array([phi for _, phi in samples]), np.ones_like(y), np.ones_like(y))
 
 
 def test_what_no_equation_has_is_unknown() -> None:
     """Noise three times as large as that of a healthy pair."""
     unknowns = Unknowns(("one", "two"), np.array([0.01, 0.01]), np.ones(2))
-    channel = Channel(unknowns, 10.0, np.array([2.0]), np.empty(0))
+    channel = Channel(unknowns, 10.0, np.array([2.0]), np.empty(0), rows)
     draw = np.random.default_rng(1)
     for tick in range(0, 400_000, 136):
         phi = draw.normal(size=(1, 2))
-        channel.add(tick, 0.0085, Rows(draw.normal(size=1) * 3.0, phi, np.ones(1), np.ones(1)))
+        channel.add(tick, 0.0085, (draw.normal() * 3.0, phi))
     assert channel.finding is not None
     assert channel.finding.kind is Kind.UNKNOWN
 
@@ -119,10 +127,10 @@ def test_what_no_equation_has_is_unknown() -> None:
 def test_what_the_motion_does_not_tell_apart_is_said_to_be_one_of_two() -> None:
     """Friction and load are the same while the shaft turns one way only."""
     unknowns = Unknowns(("friction", "load"), np.array([0.01, 0.01]), np.ones(2))
-    channel = Channel(unknowns, 10.0, np.array([5.0]), np.empty(0))
+    channel = Channel(unknowns, 10.0, np.array([5.0]), np.empty(0), rows)
     draw = np.random.default_rng(2)
     for tick in range(0, 1_000_000, 136):
-        channel.add(tick, 0.0085, Rows(draw.normal(size=1) + 1.0, np.ones((1, 2)), np.ones(1), np.ones(1)))
+        channel.add(tick, 0.0085, (draw.normal() + 1.0, np.ones((1, 2))))
     assert channel.finding is not None
     assert (channel.finding.kind, set(channel.finding.changes)) == (Kind.ONE_OF, {"friction", "load"})
 
@@ -225,6 +233,28 @@ def test_thresholds_are_learned_and_read_again(tmp_path: Path) -> None:
     path.write_text(learned.text().replace("spread = [", "spread = [true, "))
     with pytest.raises(ThresholdsError, match=r"thresholds.toml: spread is not a list of 6 numbers"):
         Thresholds.load(path)
+
+
+def test_another_motor_is_learned_and_its_changes_are_named(tmp_path: Path) -> None:
+    """Other motors on both axes and another supply, of board and twin, with the firmware for the usual ones."""
+    plant, learned = tmp_path / "plant.toml", tmp_path / "thresholds.toml"
+    plant.write_text(
+        "[bus]\nu_source = 26.0\n"
+        "[axis1]\nr_s = 0.8\npsi_m = 0.0125\ninertia = 1.4e-5\nfriction = 4e-3\n"
+        "[axis2]\nr_s = 0.7\npsi_m = 0.011\ninertia = 2e-5\nfriction = 3e-3\n"
+    )
+    options = ["--plant", str(plant), "--workers", "1"]
+    assert cli.main(["calibrate", *options, "--runs", "2", "--time", "120", "--out", str(learned)]) == 0
+    assert Thresholds.load(learned).axes[0].voltage_q != LEARNED.axes[0].voltage_q
+    changes = [word for name in ("friction", "inertia", "flux") for word in ("--change", f"{name}=1.15")]
+    assert cli.main(["diagnose", *options, "--thresholds", str(learned), "--trials", "3", *changes]) == 0
+
+
+def test_a_board_with_a_fault_teaches_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plant = tmp_path / "plant.toml"
+    plant.write_text("[axis1]\npsi_m = 0.004\n")
+    assert cli.main(["calibrate", "--plant", str(plant), "--runs", "1", "--workers", "1"]) == 1
+    assert "axis1 of the board is in FAULT" in capsys.readouterr().err
 
 
 def test_too_little_motion_teaches_nothing() -> None:

@@ -8,14 +8,14 @@ import sys
 from pathlib import Path
 
 import pytest
-from servo_twin.experiments.campaign_damage import DAMAGES, NO_DAMAGE, Damage, Seen, Where
+from servo_twin.experiments.campaign_damage import DAMAGES, NO_DAMAGE, Damage, Seen, Where, no_damage
 from servo_twin.experiments.campaign_motors import MOTORS, OTHERS, OWN, Motor
 from servo_twin.experiments.campaign_states import STATES, Bench, Script
 from servo_twin.experiments.fault_campaign import Result, Trial, draw, judge, run_trial
 from servo_twin.experiments.named_faults import NOTHING
 from servo_twin.experiments.rig import at_level
+from servo_twin.fault_injection import OpenPhase
 from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
-from servo_twin.harm import OpenPhase
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -29,15 +29,42 @@ PLANT = PlantConfig.load()
 
 def open_phase(*names: str) -> Trial:
     """A phase of axis 1 opens at 0.1 .. 0.6 of the speed limit."""
-    harm = OpenPhase(0, "b")
-    damage = Damage("open phase", str(harm), lambda board: board.inject(harm), lambda seen: names)
+    fault = OpenPhase(0, "b")
+    damage = Damage("open phase", str(fault), lambda board: board.inject(fault), lambda seen: names)
     return Trial(1, 0, Motor.of("axis1", PLANT), STATES["under load"], damage, PLANT)
 
 
 def test_trials_on_the_own_motors() -> None:
-    results = [run_trial(draw(PLANT, 4, number, OWN)) for number in range(25)]
+    results = [run_trial(draw(PLANT, 5, number, OWN)) for number in range(25)]
     assert not [str(result) for result in results if result.lost]
-    assert {result.trial.damage.kind for result in results} > {NO_DAMAGE, "supply dip"}
+    assert {result.trial.damage.kind for result in results} > {
+        NO_DAMAGE,
+        "weak magnet",
+        "bad contact",
+        "shifted disc",
+        "dry bearing",
+    }
+
+
+@pytest.mark.xfail(strict=True, reason="no fault: one in seven of these trials at level ideal")
+def test_a_held_rotor_is_noticed_without_an_encoder() -> None:
+    trial = draw(PLANT, 6, 5, OWN)
+    assert (trial.state.name, trial.damage.kind) == ("observer, stop", "rotor held")
+    with at_level("ideal"):
+        result = run_trial(trial)
+    assert not result.lost, str(result)
+
+
+def test_a_worn_shaft_plays_and_is_no_fault() -> None:
+    make, _ = DAMAGES["worn shaft"]
+    trial = Trial(1, 0, Motor.of("axis1", PLANT), STATES["reversal"], no_damage(Where(PLANT, 0, STATES["stop"])), PLANT)
+    worn = make(random.Random(1), Where(PLANT, 0, trial.state))
+    with trial.motor.board(PLANT, 1) as board:
+        worn.strike(board)
+        assert board.plant.axes[0].inertia + board.plant.axes[0].load_inertia == pytest.approx(PLANT.axes[0].inertia)
+        assert board.plant.axes[0].resonance == pytest.approx(400.0)
+    result = run_trial(dataclasses.replace(trial, damage=worn))
+    assert (result.name, result.lost) == (NOTHING, False), str(result)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import pytest
 from servo_twin.board import Board
 from servo_twin.experiments import rotor_search
 from servo_twin.experiments.outcome import Outcome
-from servo_twin.experiments.rotor_search import Harm, Search
+from servo_twin.experiments.rotor_search import Damage, Search
 from servo_twin.plant import PlantConfig
 
 
@@ -22,14 +22,14 @@ def plant() -> PlantConfig:
 def outcome(plant: PlantConfig) -> Outcome:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rotor_search, "EVERY", 30)
-        patch.setattr(rotor_search, "HARM_EVERY", 120)
+        patch.setattr(rotor_search, "DAMAGE_EVERY", 120)
         return rotor_search.run(plant, seed=11)
 
 
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fewer angles; what is tested here shows at any of them."""
     monkeypatch.setattr(rotor_search, "EVERY", 180)
-    monkeypatch.setattr(rotor_search, "HARM_EVERY", 240)
+    monkeypatch.setattr(rotor_search, "DAMAGE_EVERY", 240)
     monkeypatch.setattr(rotor_search, "UNDER_WAY", (0.1,))
 
 
@@ -95,25 +95,25 @@ def test_a_long_way_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: Plant
     assert all(name.endswith("movement") for name in long)
 
 
-@pytest.mark.parametrize("harm", rotor_search.HARMS, ids=lambda harm: harm.name)
-def test_one_axis_may_fail_alone(plant: PlantConfig, harm: Harm) -> None:
-    first, second = rotor_search.find(plant, 3, harm=harm, axes=[1])
+@pytest.mark.parametrize("damage", rotor_search.DAMAGES, ids=lambda damage: damage.name)
+def test_one_axis_may_fail_alone(plant: PlantConfig, damage: Damage) -> None:
+    first, second = rotor_search.find(plant, 3, damage=damage, axes=[1])
     assert isinstance(first, Search)
     assert first.error is not None
     assert first.faults == frozenset()
     assert second.error is None
-    assert second.faults == {harm.fault}
+    assert second.faults == {damage.fault}
 
 
-def test_harms_are_told_apart_without_dead_time_compensation(plant: PlantConfig) -> None:
+def test_damages_are_told_apart_without_dead_time_compensation(plant: PlantConfig) -> None:
     """The host may switch it off; the search compares voltages and does not let it."""
-    for k, harm in enumerate((rotor_search.HELD, rotor_search.UNPLUGGED)):
+    for k, damage in enumerate((rotor_search.HELD, rotor_search.UNPLUGGED)):
         with Board(rotor_search.start_at(plant, 75.0), seed=k) as board:
             board.write_raw("param.features", [0, 0])
             board.run(0.03)
             for axis in range(2):
-                harm.do(board, axis)
+                damage.do(board, axis)
             board.write("cmd.enable", [1, 1])
             board.run(1.2)
-            wanted = board.catalogue.flag("faults", harm.fault).mask
+            wanted = board.catalogue.flag("faults", damage.fault).mask
             assert board.read_raw("axis1.faults") == board.read_raw("axis2.faults") == [wanted]

@@ -10,7 +10,7 @@ import pytest
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.experiments.pins import fit
-from servo_twin.harm import CutWire, StalledCore
+from servo_twin.fault_injection import CutWire, StalledCore
 from servo_twin.level import Level
 from servo_twin.plant import PinsPlant, PlantConfig, PlantError
 from servo_twin.simulation import enable
@@ -49,7 +49,7 @@ def test_an_open_enable_circuit_opens_the_switches_without_software(level: Level
         board.run(3.0 * PERIOD)
         assert abs(board.truth(0).i_q) < 1e-3
         assert board.truth(1).i_q > 1.8
-        board.heal()  # closed again: the latch keeps the switches open until the firmware has seen it
+        board.clear_fault()  # closed again: the latch keeps the switches open until the firmware has seen it
         board.run(0.005)
         assert abs(board.truth(0).i_q) < 1e-3
         assert [flag.name for flag in board.catalogue.active("faults", board.read_raw("axis1.faults")[0])] == [
@@ -97,7 +97,7 @@ def test_the_brake_takes_its_time_and_a_reset_closes_it(level: Level) -> None:
         board.run(0.004)
         assert board.truth(0).brake_holds == 1.0
         assert board.truth(1).brake_holds == 0.0
-        board.heal()
+        board.clear_fault()
         board.run(0.03)
         assert board.truth(0).brake_holds == 0.0
         board.inject(StalledCore(0.2))

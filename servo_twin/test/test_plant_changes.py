@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from servo_twin.board import Board
 from servo_twin.experiments.rig import TICK, choose_mode, command_speed
-from servo_twin.harm import BadContact, CurrentNoise, DryBearing, ShiftedDisc, WeakMagnet, WornShaft
+from servo_twin.fault_injection import BadContact, CurrentNoise, DryBearing, ShiftedDisc, WeakMagnet, WornShaft
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig, PlantError
 from servo_twin.simulation import enable
@@ -97,22 +97,22 @@ def test_no_change_changes_no_bit(level: Level) -> None:
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_a_noisy_sensor_outlives_a_change_and_heals_to_the_present_value(level: Level) -> None:
-    harm = CurrentNoise(0, 0.04)
+    fault = CurrentNoise(0, 0.04)
     spread = []
     with Board(level=level) as board:
         enable(board)
-        for step in ("whole", "harmed", "changed", "healed"):
-            if step == "harmed":
-                board.inject(harm)
+        for step in ("whole", "broken", "changed", "repaired"):
+            if step == "broken":
+                board.inject(fault)
             elif step == "changed":
                 board.set_plant("axis1.i_noise", 0.0)
-            elif step == "healed":
-                board.heal(harm)
+            elif step == "repaired":
+                board.clear_fault(fault)
             spread.append(float(np.std(board.si(board.record(board.time_ns + 30_000_000))["axis1.i_d"])))
-    whole, harmed, changed, healed = spread
-    assert harmed > 1.5 * whole
+    whole, broken, changed, repaired = spread
+    assert broken > 1.5 * whole
     assert changed > 1.5 * whole
-    assert healed < 0.7 * whole
+    assert repaired < 0.7 * whole
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_what_cannot_change_says_so(name: str, value: float, text: str) -> None:
 
 @pytest.mark.parametrize("level", LEVELS)
 def test_damages_that_are_other_values(level: Level) -> None:
-    """Each is seen in the truth, several of one value add up, and healing leaves what there was."""
+    """Each is seen in the truth, several of one value add up, and their removal leaves what there was."""
     plant = PlantConfig.load().with_axis(0, load_inertia=1e-5, shaft_stiffness=50.0, backlash=1e-3)
     axis = plant.axes[0]
     with Board(plant, level=level) as board:
@@ -148,10 +148,10 @@ def test_damages_that_are_other_values(level: Level) -> None:
         board.set_plant("axis1.r_s", 0.7)  # the damage is on top of whatever there is
         assert board.truth(0).r_s == pytest.approx(0.7 + 0.5)
         assert board.plant == plant.with_value("axis1.r_s", 0.7)
-        board.heal(BadContact(0, 0.3))
+        board.clear_fault(BadContact(0, 0.3))
         assert board.truth(0).r_s == pytest.approx(0.7 + 0.2)
         board.set_plant("axis1.r_s", axis.r_s)
-        board.heal()
+        board.clear_fault()
         assert (board.truth(0).r_s, board.truth(0).psi_m) == (whole.r_s, whole.psi_m)
 
 
@@ -196,10 +196,10 @@ def test_a_disc_that_shifts_moves_the_position(level: Level) -> None:
             return board.read_raw("axis1.position")[0] * 2.0 * np.pi / 4000.0 - board.truth(0).theta_m
 
         before = np.array([error() for _ in range(400)])
-        harm = ShiftedDisc(0, 0.02, 1.0)
-        board.inject(harm)
+        fault = ShiftedDisc(0, 0.02, 1.0)
+        board.inject(fault)
         during = np.array([error() for _ in range(400)])
-        board.heal(harm)
+        board.clear_fault(fault)
         after = np.array([error() for _ in range(400)])
     assert np.ptp(during) == pytest.approx(0.04, rel=0.2)
     assert np.mean(after) == pytest.approx(np.mean(before), abs=2.0 * np.pi / 4000.0)
@@ -207,7 +207,7 @@ def test_a_disc_that_shifts_moves_the_position(level: Level) -> None:
 
 def test_damages_that_cannot_be_say_so() -> None:
     with Board(level="ideal") as board:
-        for harm, text in (
+        for fault, text in (
             (WornShaft(0, 0.01), "axis 0 has no second mass"),
             (WeakMagnet(0, 1.5), "part 1.5 is not within 0 .. 1"),
             (BadContact(0, -0.1), "resistance -0.1 is not"),
@@ -215,7 +215,7 @@ def test_damages_that_cannot_be_say_so() -> None:
             (DryBearing(2, 1.0), "axis 2: a board has the axes 0 .. 1"),
         ):
             with pytest.raises((ValueError, IndexError), match=text):
-                board.inject(harm)
+                board.inject(fault)
 
 
 def test_a_sweep_varies_every_part_of_a_real_shaft() -> None:

@@ -12,7 +12,7 @@ from servo_msgs_py.fault_record import COLUMNS, FaultRecord
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 from servo_twin.board import Board
 from servo_twin.experiments.named_faults import fault_record, faults
-from servo_twin.harm import HotPowerStage, OpenPhase, ShortedPhase
+from servo_twin.fault_injection import HotPowerStage, OpenPhase, ShortedPhase
 from servo_twin.simulation import enable
 
 pytestmark = pytest.mark.usefixtures("level")
@@ -130,7 +130,7 @@ def test_a_fault_after_clearing_is_a_first_one_again(board: Board, axis: int) ->
     board.run(0.01)
     before = fault_record(board, axis)
     assert fault(before) == "OVER_CURRENT"
-    board.heal(short)
+    board.clear_fault(short)
     board.run(0.05)
     board.write("cmd.clear_faults", [1, 1])
     board.run(0.05)

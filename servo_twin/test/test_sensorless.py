@@ -12,7 +12,7 @@ from servo_msgs_py.catalogue import numbers
 from servo_twin.board import Board
 from servo_twin.experiments import named_faults
 from servo_twin.experiments.rig import RPM, TICK_NS, choose_mode, features, set_axis
-from servo_twin.harm import SlippedEncoder
+from servo_twin.fault_injection import SlippedEncoder
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable, keep_set_points

@@ -10,7 +10,7 @@ import pytest
 from servo_twin.board import Board
 from servo_twin.experiments.named_faults import faults, place
 from servo_twin.experiments.rig import TICK, choose_mode, command_speed, features, set_axis
-from servo_twin.harm import SlippedEncoder
+from servo_twin.fault_injection import SlippedEncoder
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable
 
@@ -68,7 +68,7 @@ def until_fault(board: Board, axis: int, seconds: float) -> tuple[float, set[str
     return math.inf, set(), fastest
 
 
-# ---- the harm itself -------------------------------------------------------------------------------------------------
+# ---- the fault itself ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("counts", [300, -1500, 9000])

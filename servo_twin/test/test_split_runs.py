@@ -12,10 +12,10 @@ import pytest
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES
 from servo_twin.board import Board
-from servo_twin.harm import (
+from servo_twin.fault_injection import (
     CurrentNoise,
     EncoderGlitches,
-    Harm,
+    InjectedFault,
     OpenPhase,
     SlippedEncoder,
     StalledCore,
@@ -38,8 +38,8 @@ def sends(variable: str, *values: float) -> Callable[[Board], object]:
     return lambda board: board.write(variable, list(values))
 
 
-def breaks(harm: Harm) -> Callable[[Board], object]:
-    return lambda board: board.inject(harm)
+def breaks(fault: InjectedFault) -> Callable[[Board], object]:
+    return lambda board: board.inject(fault)
 
 
 # Both axes are under control after 540 ms.

@@ -15,7 +15,7 @@ from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.timed_points import TimedPoint
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
-from servo_twin.harm import HotPowerStage, SlippedEncoder
+from servo_twin.fault_injection import HotPowerStage, SlippedEncoder
 from servo_twin.lockstep.replica import Replica
 from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
 from servo_twin.plant import PlantConfig

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from servo_msgs_py.recorder_setup import RecorderSetup, setup_from_message, setup_message
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
-from servo_twin.harm import HotPowerStage
+from servo_twin.fault_injection import HotPowerStage
 from servo_twin.lockstep.bursts import BurstAnswer
 from servo_twin.plant import PlantConfig
 from twin_rig import CATALOGUE, EPOCH_NS, TwinRig

@@ -32,7 +32,7 @@ from servo_msgs_py.robot_description import describe
 from servo_msgs_py.runtime.node_shell import ParameterError
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
-from servo_twin.harm import HotPowerStage, SlippedEncoder
+from servo_twin.fault_injection import HotPowerStage, SlippedEncoder
 from servo_twin.node import PARAMETERS, ServoTwin, main
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
@@ -428,7 +428,7 @@ def test_parameters_of_another_version_are_named(rig: Rig) -> None:
     rig.until(lambda: rig.last("/twin/healthy"))
 
 
-def test_messages_of_another_form_do_no_harm(rig: Rig) -> None:
+def test_messages_of_another_form_change_nothing(rig: Rig) -> None:
     rig.snapshot.publish(Float64MultiArray(data=[1.0, 2.0]))
     rig.applied.publish(Float64MultiArray(data=[1.5]))
     rig.snapshot.publish(snapshot_message(["tick"], [[8.0]]))

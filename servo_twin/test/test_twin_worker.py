@@ -12,7 +12,7 @@ from servo_twin.lockstep.twin import Pair, Twin
 from servo_twin.lockstep.worker import TwinWorker
 from twin_rig import COLUMNS, TwinRig
 
-PATIENCE = 10.0  # [s]
+TIMEOUT = 10.0  # [s]
 
 
 class Recorder:
@@ -38,7 +38,7 @@ class Recorder:
 
     def wait_for(self, condition: Any) -> None:
         with self._changed:
-            assert self._changed.wait_for(condition, PATIENCE)
+            assert self._changed.wait_for(condition, TIMEOUT)
 
 
 class Line:
@@ -146,6 +146,6 @@ def test_a_failure_is_told_and_ends_the_thread(line: Line, monkeypatch: pytest.M
 def test_stops_while_there_is_work(line: Line) -> None:
     line.rig.run(3.0)
     line.worker.start()
-    line.worker.stop(PATIENCE)
+    line.worker.stop(TIMEOUT)
     assert line.twin.status == "closed"
     assert "twin" not in [thread.name for thread in threading.enumerate()]

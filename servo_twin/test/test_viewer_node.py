@@ -47,12 +47,12 @@ pytestmark = [
 ]  # one that is still being written
 
 DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 20 + os.getpid() % 80
-PATIENCE = 30.0  # [s]
+TIMEOUT = 30.0  # [s]
 YAML = Path(__file__).resolve().parents[1] / "config" / "servo_viewer.yaml"
 MAIN = "import sys; from servo_twin.viewer_node import main; sys.exit(main())"
 
 
-def _wait(condition: Callable[[], bool], what: str, seconds: float = PATIENCE) -> None:
+def _wait(condition: Callable[[], bool], what: str, seconds: float = TIMEOUT) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, f"not within {seconds:g} s: {what}"
@@ -293,7 +293,7 @@ def test_parameters_that_make_no_sense_end_it_with_one_sentence(
     start: Start, parameters: dict[str, object], message: str
 ) -> None:
     viewer = start(**parameters)
-    assert viewer.process.wait(PATIENCE) == 2
+    assert viewer.process.wait(TIMEOUT) == 2
     assert message in viewer.text()
     assert "Traceback" not in viewer.text()
 

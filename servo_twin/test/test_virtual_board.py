@@ -22,7 +22,7 @@ pytestmark = pytest.mark.realtime
 
 MS = 1_000_000
 GET_TABLE = bytes.fromhex("2B 29 01 00 6C")  # FreeMASTER v4 GETTSAINFO of table 0
-PATIENCE_S = 20.0
+TIMEOUT_S = 20.0
 
 
 class TestPacer:
@@ -195,7 +195,7 @@ class TestSlipReport:
 
 def read_for(fd: int, size: int) -> bytes:
     """At least `size` bytes, within a bounded time."""
-    data, end = b"", time.monotonic() + PATIENCE_S
+    data, end = b"", time.monotonic() + TIMEOUT_S
     while len(data) < size and time.monotonic() < end:
         if select.select([fd], [], [], 0.1)[0]:
             data += os.read(fd, 4096)
@@ -221,7 +221,7 @@ class TestTerminal:
             os.write(client, data)
             received = b""
             while len(received) < 256:
-                assert line.wait(PATIENCE_S)
+                assert line.wait(TIMEOUT_S)
                 received += line.read()
             assert received == data
             assert line.read() == b""
@@ -231,7 +231,7 @@ class TestTerminal:
             for k in range(3):
                 with opened(line.device) as client:
                     os.write(client, b"%d" % k)
-                    assert line.wait(PATIENCE_S)
+                    assert line.wait(TIMEOUT_S)
                     assert line.read() == b"%d" % k
                 assert not line.wait(0.0)
 
@@ -292,13 +292,13 @@ def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
         yield process
     finally:
         process.terminate()
-        process.communicate(timeout=PATIENCE_S)
+        process.communicate(timeout=TIMEOUT_S)
 
 
-def ask(client: int, patience_s: float = PATIENCE_S) -> bytes:
+def ask(client: int, timeout_s: float = TIMEOUT_S) -> bytes:
     """One whole answer (2Bh, status 40h, length, data, checksum), or what there is of it within the time."""
     os.write(client, GET_TABLE)
-    data, end = b"", time.monotonic() + patience_s
+    data, end = b"", time.monotonic() + timeout_s
     while time.monotonic() < end and (len(data) < 3 or len(data) < 4 + data[2]):
         if select.select([client], [], [], 0.1)[0]:
             data += os.read(client, 64)
@@ -319,7 +319,7 @@ class TestProgram:
             assert answers[0] == answers[1]
             assert answers[0][:2] == bytes.fromhex("2B 40")
             process.send_signal(stop)
-            out, err = process.communicate(timeout=PATIENCE_S)
+            out, err = process.communicate(timeout=TIMEOUT_S)
             assert process.returncode == 0
             assert "stopped after" in out
             assert err == ""

@@ -11,7 +11,7 @@ from servo_bridge.freemaster.commands import Request
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.timed_points import TimedPoint, encode_points
 from servo_twin.board_memory import BoardMemory
-from servo_twin.harm import NativeHarm
+from servo_twin.fault_injection import NativeFault
 from servo_twin.plant import PlantConfig
 
 BAUD: Final = 1_000_000.0
@@ -215,16 +215,16 @@ class Rig:
         """Connect or disconnect the cable of a motor."""
         self._lib.board_set_motor(self._board, axis, int(connected))
 
-    def inject(self, harm: NativeHarm) -> None:
+    def inject(self, fault: NativeFault) -> None:
         """Break something."""
-        self._lib.board_inject_fault(self._board, self._harm(harm))
+        self._lib.board_inject_fault(self._board, self._raw(fault))
 
-    def heal(self, harm: NativeHarm) -> None:
+    def clear_fault(self, fault: NativeFault) -> None:
         """Make it whole again."""
-        self._lib.board_clear_fault(self._board, self._harm(harm))
+        self._lib.board_clear_fault(self._board, self._raw(fault))
 
-    def _harm(self, harm: NativeHarm) -> Any:
-        kind, *where = harm.raw()
+    def _raw(self, fault: NativeFault) -> Any:
+        kind, *where = fault.raw()
         return self._ffi.new("board_fault_t *", (getattr(self._lib, kind), *where))
 
     def disturb(self, *axes: int, one_in: int, seed: int = 1) -> None:

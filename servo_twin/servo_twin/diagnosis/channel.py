@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Final
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +18,14 @@ __all__ = ["Channel", "Estimate", "Finding", "Kind"]
 _INTERVAL: Final = 1.96  # of 95 %
 _SEPARATE: Final = 6.0  # by which the likelihood of the change that is named exceeds that of any other,
 _SEPARATE_PART: Final = 0.1  # and by which part of itself
-_PATIENCE: Final = 30  # blocks after which changes that cannot be told apart are named together
+_AMBIGUOUS: Final = 30  # blocks after which changes that cannot be told apart are named together
 _SEVERAL: Final = 0.02  # part of what the first change explains that its own nonlinearity may leave to others
 _LEFT: Final = 0.1  # part of the residual that a single change may leave, whatever the noise
 _ENOUGH: Final = 5  # blocks from which a mean square is one
 _SETTLED: Final = 10  # blocks after which the time of a change is final
 
 _Array = NDArray[np.float64]
+_Sample = TypeVar("_Sample")
 
 
 class Kind(Enum):
@@ -75,7 +77,7 @@ class Estimate:
     half_width: float
 
 
-class Channel:
+class Channel(Generic[_Sample]):
     """One set of equations: those of an axis, or that of the bus.
 
     Parameters
@@ -86,7 +88,7 @@ class Channel:
         Logarithm of the likelihood ratio from which a change is one.
     unexplained : ndarray, shape (equations,)
         Mean square over its variance from which something is left to explain.
-    prior : ndarray, shape (nuisances,)
+    prior, rows
         See `Window`.
 
     Attributes
@@ -95,11 +97,18 @@ class Channel:
         None: nothing has changed.
     """
 
-    def __init__(self, unknowns: Unknowns, detect: float, unexplained: _Array, prior: _Array) -> None:
+    def __init__(
+        self,
+        unknowns: Unknowns,
+        detect: float,
+        unexplained: _Array,
+        prior: _Array,
+        rows: Callable[[Sequence[_Sample]], Rows],
+    ) -> None:
         self.unknowns = unknowns
         self._detect = detect
         self._unexplained = unexplained
-        self._window = Window(len(unknowns.names), len(unexplained), prior)
+        self._window = Window(len(unknowns.names), prior, rows)
         self._age = 0  # blocks since the first sign of a change
         self.finding: Finding | None = None
 
@@ -109,9 +118,9 @@ class Channel:
         self._age = 0
         self.finding = None
 
-    def add(self, tick: int, seconds: float, rows: Rows) -> bool:
+    def add(self, tick: int, seconds: float, sample: _Sample) -> bool:
         """Add a sample; returns whether there is something new to say. Arguments as of `Window.add`."""
-        if not self._window.add(tick, seconds, rows):
+        if not self._window.add(tick, seconds, sample):
             return False
         self._judge(tick)
         return True
@@ -204,7 +213,7 @@ class Channel:
             return Finding(Kind.SEVERAL, both, *known) if self._age > 3 else None
         if found.ratio - found.rival_ratio > _SEPARATE + _SEPARATE_PART * found.ratio:
             return Finding(Kind.SINGLE, (single,), *known)
-        if self._age > _PATIENCE:
+        if self._age > _AMBIGUOUS:
             return Finding(Kind.ONE_OF, (single, names[found.rival]), *known)
         return None
 

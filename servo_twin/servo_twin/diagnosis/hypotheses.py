@@ -17,6 +17,14 @@ _TRANSIENT: Final = 3  # blocks after a change in which the loops may still sett
 _Array = NDArray[np.float64]
 
 
+_ANGLE: Final = "encoder_angle"
+
+
+def _flux_lost(sine: float | _Array) -> _Array:
+    """Relative flux that the q axis seems to lose when the encoder is off by an angle with this sine."""
+    return np.asarray(np.sqrt(np.maximum(1.0 - np.square(sine), 0.0)) - 1.0)
+
+
 @dataclass(frozen=True)
 class Evidence:
     """What a window says.
@@ -78,9 +86,19 @@ class Unknowns:
         """All unknowns (unknowns,) at a single change; an encoder that has slipped also takes flux from the q axis."""
         vector = np.zeros(len(self.names))
         vector[change] = value
-        if self.names[change] == "encoder_angle":
-            vector[change], vector[self.names.index("flux")] = np.sin(value), np.cos(value) - 1.0
+        if self.names[change] == _ANGLE:
+            vector[self.names.index("flux")] = _flux_lost(value)
         return vector
+
+    def _singles(self, sums: Sums) -> tuple[_Array, _Array]:
+        """As `_ratios`, since every block, with the flux that an encoder's angle takes from the q axis."""
+        values, ratios = self._ratios(np.einsum("nii->ni", sums.a), sums.b)
+        if _ANGLE in self.names:
+            angle, flux = self.names.index(_ANGLE), self.names.index("flux")
+            lost = _flux_lost(values[:, angle])
+            left = sums.b[:, flux] - sums.a[:, angle, flux] * values[:, angle] - 0.5 * sums.a[:, flux, flux] * lost
+            ratios[:, angle] += np.where(ratios[:, angle] > 0.0, lost * left, 0.0) / self.spread[flux] ** 2
+        return values, ratios
 
     def _ratios(self, a: _Array, b: _Array) -> tuple[_Array, _Array]:
         """Estimates of single changes and logarithms of their likelihood ratios.
@@ -97,11 +115,11 @@ class Unknowns:
 
     def strongest(self, sums: Sums) -> float:
         """Largest logarithm of a likelihood ratio of any change since any block."""
-        return float(self._ratios(np.einsum("nii->ni", sums.a), sums.b)[1][:-1].max())
+        return float(self._singles(sums)[1][:-1].max())
 
     def evidence(self, sums: Sums) -> Evidence:
         """The single change, and the block since which it is there, that explain most."""
-        values, ratios = self._ratios(np.einsum("nii->ni", sums.a), sums.b)
+        values, ratios = self._singles(sums)
         ratios = ratios[: max(len(ratios) - 1, 1)]  # the last block alone is no evidence
         block, change = (int(k) for k in np.unravel_index(int(np.argmax(ratios)), ratios.shape))
         since = block

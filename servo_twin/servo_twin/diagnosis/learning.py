@@ -16,6 +16,7 @@ from servo_twin.diagnosis.hypotheses import Unknowns
 from servo_twin.diagnosis.monitor import MARGINS
 from servo_twin.diagnosis.signal_watch import WATCHED, SignalMeans
 from servo_twin.diagnosis.signals import (
+    ALIASES,
     CHANGES,
     EQUATIONS,
     TORQUE,
@@ -44,6 +45,7 @@ _ENOUGH: Final = 5  # blocks from which a mean square is one
 _INFLATION: Final = 2.0  # of the largest mean square of the residual that was seen
 
 _Array = NDArray[np.float64]
+_Span = Window[AxisEquations]
 
 
 class Learner:
@@ -156,9 +158,9 @@ def _noise(entries: Sequence[AxisEquations]) -> AxisNoise:
     """Alias, noise and baseline of an axis."""
     y, phi, z = (np.array(part) for part in zip(*((e.y, e.phi, e.alias) for e in entries), strict=True))
     share = np.array([e.share for e in entries])
-    bins = np.array([bin_of(e.current, e.speed) for e in entries])
-    alias = [_slope(y, z[:, :, k]) for k in (0, 1)]
-    left = y - z @ np.array(alias)
+    bins = bin_of(np.array([e.current for e in entries]), np.array([e.speed for e in entries]))
+    alias = np.linalg.lstsq(z.reshape(-1, len(ALIASES)), y.ravel(), rcond=None)[0]
+    left = y - z @ alias
     baseline = np.zeros(len(CHANGES))
     for _ in range(3):
         rest = left - phi @ baseline
@@ -168,7 +170,7 @@ def _noise(entries: Sequence[AxisEquations]) -> AxisNoise:
         information = np.einsum("nei,ne,nej->ij", phi, weight, phi)
         baseline = np.linalg.solve(information, np.einsum("nei,ne,ne->i", phi, weight, left))
     return AxisNoise(
-        alias=tuple(alias),
+        alias=tuple(alias.tolist()),
         torque=torque,
         voltage_q=tuple(voltages[VOLTAGE_Q].tolist()),
         voltage_d=tuple(voltages[VOLTAGE_D].tolist()),
@@ -177,12 +179,6 @@ def _noise(entries: Sequence[AxisEquations]) -> AxisNoise:
         unexplained=(1.0,) * len(EQUATIONS),
         means=(1.0,) * len(WATCHED),
     )
-
-
-def _slope(y: _Array, z: _Array) -> float:
-    """What `y` is in proportion to `z`; `z` is zero in the equations that it has no part in."""
-    square = float(np.vdot(z, z))
-    return float(np.vdot(y, z)) / square if square > 0.0 else 0.0
 
 
 def _root_mean_square(values: _Array) -> float:
@@ -196,24 +192,25 @@ def _by_bin(rest: _Array, bins: NDArray[np.int64]) -> _Array:
     return np.array([_root_mean_square(part) if len(part) >= _FEW else whole for part in parts])
 
 
-def _spans(entries: Sequence[tuple[int, AxisEquations]], noise: AxisNoise) -> tuple[list[Window], tuple[float, ...]]:
+def _spans(entries: Sequence[tuple[int, AxisEquations]], noise: AxisNoise) -> tuple[list[_Span], tuple[float, ...]]:
     """Windows of `_SPAN` blocks one after the other, and the spread of their estimates."""
-    spans: list[Window] = []
-    window = Window(len(CHANGES), len(EQUATIONS), noise.prior)
+    spans: list[_Span] = []
+    window = Window(len(CHANGES), noise.prior, noise.rows)
     before: int | None = None
     for tick, equations in entries:
         seconds = 0.0 if before is None else min(max(tick - before, 0) * PERIOD_NS * 1e-9, 0.05)
         before = tick
-        full = window.add(tick, seconds, noise.rows(equations))
+        full = window.add(tick, seconds, equations)
         if full and len(window.ticks) == _SPAN:
             spans.append(window)
-            window = Window(len(CHANGES), len(EQUATIONS), noise.prior)
+            window = Window(len(CHANGES), noise.prior, noise.rows)
     if len(spans) < 2:
         return spans, (1.0,) * len(CHANGES)
     units: list[_Array] = []  # estimates of tenths of a span over their deviations for white noise
     for span in spans:
         sums = span.sums()
-        a, b = (-np.diff(part[::10].sum(axis=1), axis=0) for part in (sums.parts_a, sums.parts_b))
+        tenths = range(0, len(sums.samples), _SPAN // 10)
+        a, b = (np.add.reduceat(part.sum(axis=1), tenths) for part in (sums.parts_a, sums.parts_b))
         a, b = a[:, : len(CHANGES), : len(CHANGES)], b[:, : len(CHANGES)]
         diagonal = np.einsum("nii->ni", a)
         units.append(b / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)))
@@ -221,7 +218,7 @@ def _spans(entries: Sequence[tuple[int, AxisEquations]], noise: AxisNoise) -> tu
     return spans, tuple(float(max(x, 1.0)) for x in spread)
 
 
-def _maxima(spans: Sequence[Window], spread: _Array) -> tuple[list[float], _Array]:
+def _maxima(spans: Sequence[_Span], spread: _Array) -> tuple[list[float], _Array]:
     """Per span the strongest likelihood ratio; per equation the largest mean square of every beginning in any."""
     unknowns = Unknowns(CHANGES, np.array(MARGINS), spread)
     ratios: list[float] = []

@@ -13,9 +13,8 @@ from servo_msgs_py.units import PERIOD_NS
 from servo_twin.diagnosis.channel import Channel, Estimate, Finding, Kind
 from servo_twin.diagnosis.hypotheses import Unknowns
 from servo_twin.diagnosis.signal_watch import SignalWatch
-from servo_twin.diagnosis.signals import CHANGES, NEEDED, AxisSignals, BusSignal
+from servo_twin.diagnosis.signals import CHANGES, NEEDED, AxisEquations, AxisSignals, BusSignal
 from servo_twin.diagnosis.thresholds import Thresholds
-from servo_twin.diagnosis.window import Rows
 from servo_twin.lockstep.twin import Pair
 from servo_twin.plant import PlantConfig
 
@@ -42,6 +41,7 @@ _BUS_MARGIN: Final = 0.02  # the resistance of the supply is not known well
 _SURE: Final = 1.5  # for which something has been found before the twin takes it over [s]
 _REMAINDER_MIN: Final = 0.05  # part of a value that is left at least
 _GAP: Final = 0.05  # longest time that one sample stands for [s]
+_NEEDED: Final = ("u_dc", *(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in NEEDED))
 
 
 @dataclass(frozen=True)
@@ -88,11 +88,12 @@ class DiagnosisMonitor:
                 thresholds.detect,
                 np.array(noise.unexplained),
                 noise.prior,
+                noise.rows,
             )
             for noise in thresholds.axes
         ]
         bus = Unknowns((SUPPLY,), np.array([_BUS_MARGIN]), np.ones(1))
-        self.bus = Channel(bus, thresholds.detect, np.array([np.inf]), np.empty(0))
+        self.bus = Channel(bus, thresholds.detect, np.array([np.inf]), np.empty(0), thresholds.bus_rows)
         self.watch = SignalWatch([noise.means for noise in thresholds.axes])
         self.believe(plant)
 
@@ -103,7 +104,7 @@ class DiagnosisMonitor:
         self._signals = [AxisSignals(axis, entry) for axis, entry in enumerate(plant.axes)]
         self._bus_signal = BusSignal(plant.bus.u_source)
         self._tick: int | None = None
-        for channel in (*self.axes, self.bus):
+        for _, channel in self._places():
             channel.clear()
 
     def interrupt(self) -> None:
@@ -120,10 +121,8 @@ class DiagnosisMonitor:
             self.interrupt()
             return self._leave_to_the_board(pair)
         self.watch.update(pair)
-        needed = ("u_dc", *(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in NEEDED))
-        missing = [name for name in needed if name not in pair.real]
-        self.missing = ", ".join(missing)
-        if missing:
+        self.missing = ", ".join(name for name in _NEEDED if name not in pair.real)
+        if self.missing:
             return False
         before, self._tick = self._tick, pair.tick
         seconds = 0.0 if before is None else min((pair.tick - before) * PERIOD_NS * 1e-9, _GAP)
@@ -135,12 +134,10 @@ class DiagnosisMonitor:
             equations = None if pair.stopping[axis] else signals.update(pair.tick, pair.real, pair.twin)
             if equations is None:
                 continue
-            changed |= self.axes[axis].add(pair.tick, seconds, self.thresholds.axes[axis].rows(equations))
+            changed |= self.axes[axis].add(pair.tick, seconds, equations)
         voltage = self._bus_signal.update(pair.tick, pair.real, pair.twin)
         if voltage is not None:
-            y = np.array([voltage - self.thresholds.bus_baseline])
-            rows = Rows(y, np.ones((1, 1)), np.array([self.thresholds.bus_noise**-2]), np.ones(1))
-            changed |= self.bus.add(pair.tick, seconds, rows)
+            changed |= self.bus.add(pair.tick, seconds, voltage)
         return changed
 
     def _leave_to_the_board(self, pair: Pair) -> bool:
@@ -153,8 +150,10 @@ class DiagnosisMonitor:
 
     def findings(self) -> list[Located]:
         """What has changed; empty if nothing has."""
-        places: list[tuple[int | None, Channel]] = [*enumerate(self.axes), (None, self.bus)]
-        return [Located(axis, channel.finding) for axis, channel in places if channel.finding is not None]
+        return [Located(axis, channel.finding) for axis, channel in self._places() if channel.finding is not None]
+
+    def _places(self) -> list[tuple[int | None, Channel[AxisEquations] | Channel[float]]]:
+        return [*enumerate(self.axes), (None, self.bus)]
 
     def estimates(self) -> dict[str, Estimate]:
         """Every estimate by its name, such as ``axis1.inertia`` or ``supply``."""

@@ -179,11 +179,20 @@ class Motion:
         self._repeat = pair.time
 
     def run(self, seconds: float) -> Iterator[Pair]:
-        """Pairs of so much time of the board [s]."""
+        """Pairs of so much time of the board [s].
+
+        Raises
+        ------
+        SimulationError
+            If the board has a fault: there is no motion then.
+        """
         end = self._pair.time + seconds
         while self._pair.time < end:
             self._command()
-            yield from self._pair.sample()
+            for one in self._pair.sample():
+                if one.fault:
+                    raise SimulationError(one.fault)
+                yield one
 
     def _command(self) -> None:
         now = self._pair.time

@@ -18,6 +18,7 @@ __all__ = ["WATCHED", "SignalMeans", "SignalWatch"]
 WATCHED: Final = {"position": "rad", "speed": "rad/s", "i_q": "A", "u_q": "V", "u_d": "V"}
 """Variables of an axis, in the motor's units."""
 
+_NAMES: Final = tuple(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in WATCHED)
 _TIME: Final = 0.2  # over which a mean is taken [s]
 _AFTER: Final = 2.0  # of it, after which a mean is one
 
@@ -48,12 +49,11 @@ class SignalMeans:
         seconds = (pair.tick - before) * PERIOD_NS * 1e-9
         self._age += seconds
         share = 1.0 - math.exp(-seconds / _TIME)
-        for axis in range(AXES):
-            names = [f"{axis_name(axis)}.{name}" for name in WATCHED]
-            difference = np.array([pair.real[n] - pair.twin[n] if n in pair.twin else 0.0 for n in names])
-            if pair.stopping[axis]:
-                difference[0] = 0.0  # each comes to rest elsewhere
-            self._means[axis] += share * (difference - self._means[axis])
+        real, twin = pair.real, pair.twin
+        difference = np.array([real[name] - twin[name] if name in twin else 0.0 for name in _NAMES])
+        difference = difference.reshape(self._means.shape)
+        difference[list(pair.stopping), 0] = 0.0  # each comes to rest elsewhere
+        self._means += share * (difference - self._means)
         return self._means if self._age > _AFTER * _TIME else None
 
 

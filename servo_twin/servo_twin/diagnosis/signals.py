@@ -9,30 +9,33 @@ With ``d`` for board minus twin, values of the twin's plant with index 0 and a f
 Linear in the relative changes a of resistance, flux, inertia and Coulomb friction, the load torque T and the error e of
 the encoder's angle, however large they are. What both boards do alike (dead time, ripple, delays) cancels.
 
-Samples are 8 ms apart and alias what the loops do to noise in between. Two differences of the same sample know the
-alias: that of the sampled speed against the shaft's position for the torque, that of the current against its set-point
-for the voltage. Their coefficients are the gains of the loops, `AxisNoise.alias` with the gains of the healthy run, and
-nuisances of the estimation where the loops have other ones.
+Samples are 8 ms apart and alias what the loops do to noise in between. Differences of the same sample know the alias
+(`ALIASES`): for the torque, those of the sampled speed against the shaft's position and of the current set-point
+against its filtered value; for the voltage, that of the current against its set-point, apart at large and at small
+currents, where dead time and drops change their signs. Their coefficients depend on the loops, `AxisNoise.alias` with
+those of the healthy run, and are nuisances of the estimation where the loops have other ones.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.plant import AxisPlant
 
-__all__ = ["CHANGES", "EQUATIONS", "NEEDED", "AxisEquations", "AxisSignals", "BusSignal"]
+__all__ = ["ALIASES", "CHANGES", "EQUATIONS", "NEEDED", "AxisEquations", "AxisSignals", "BusSignal"]
 
 CHANGES: Final = ("resistance", "flux", "inertia", "friction", "load", "encoder_angle")
 """Unknowns of an axis: relative changes, a torque [N m] and an electrical angle [rad]."""
 
 EQUATIONS: Final = ("torque", "voltage_q", "voltage_d")
+
+ALIASES: Final = ("speed [N m s/rad]", "set-point [N m/A]", "large current [V/A]", "small current [V/A]")
+"""What knows the alias, and the units of its coefficients."""
 
 NEEDED: Final = ("position", "speed", "speed_ref", "i_q", "i_q_ref", "u_d", "u_q")
 """Variables of an axis that a sample has to carry."""
@@ -55,8 +58,9 @@ _SMALL_CURRENT: Final = 1.5
 _SECOND: Final = PERIOD_NS * 1e-9
 _RETURNED_ALIKE: Final = 0.02  # energy by which boards may differ: 0.2 V in 4.7 mF at 24 V [J]
 _RETURNED_MAX: Final = 1.0  # [J]
+_POWERS: Final = tuple((f"{axis_name(axis)}.u_q", f"{axis_name(axis)}.i_q") for axis in range(AXES))
 
-_Array = NDArray[np.float64]
+_Row = tuple[float, ...]
 
 
 class AxisEquations(NamedTuple):
@@ -64,12 +68,12 @@ class AxisEquations(NamedTuple):
 
     Attributes
     ----------
-    y : ndarray, shape (3,)
+    y : tuple of float, shape (3,)
         Left sides, per equation [N m], [V], [V].
-    phi : ndarray, shape (3, 6)
+    phi : tuple of tuple of float, shape (3, 6)
         Right sides, per equation and unknown.
-    alias : ndarray, shape (3, 2)
-        What the alias is proportional to, of the torque [rad/s] and of the voltage [A].
+    alias : tuple of tuple of float, shape (3, 4)
+        What the alias is proportional to, per equation and entry of `ALIASES`.
     share : float
         Part of an independent sample that the torque equation is.
     current, speed : float
@@ -79,9 +83,9 @@ class AxisEquations(NamedTuple):
         a small current [V].
     """
 
-    y: _Array
-    phi: _Array
-    alias: _Array
+    y: _Row
+    phi: tuple[_Row, ...]
+    alias: tuple[_Row, ...]
     share: float
     current: float
     speed: float
@@ -91,27 +95,28 @@ class AxisEquations(NamedTuple):
 class _Filter:
     """``F = 1 / (1 + s T)`` of some inputs at once, over samples at any times; inputs run straight between them."""
 
-    def __init__(self, size: int) -> None:
-        self._size = size
+    def __init__(self) -> None:
         self._started = False
 
     def reset(self) -> None:
         """Begin with the next sample: F starts from zero there."""
         self._started = False
 
-    def update(self, x: _Array, seconds: float) -> tuple[_Array, _Array] | None:
+    def update(self, x: Sequence[float], seconds: float) -> tuple[list[float], list[float]] | None:
         """F and ``s F`` of the inputs; None at the first sample."""
         if not self._started:
             self._started = True
-            self._x0, self._x, self._f, self._rest = x, x, np.zeros(self._size), 1.0
+            self._x0, self._x, self._f, self._rest = x, x, [0.0] * len(x), 1.0
             return None
         ratio = seconds / _TIME
-        decay = float(np.exp(-ratio))
+        decay = math.exp(-ratio)
         new = 1.0 - (1.0 - decay) / ratio
-        self._f = decay * self._f + (1.0 - decay - new) * self._x + new * x
+        old = 1.0 - decay - new
+        self._f = [decay * f + old * before + new * now for f, before, now in zip(self._f, self._x, x, strict=True)]
         self._x = x
         self._rest *= decay
-        return self._f, (x - self._f - self._rest * self._x0) / _TIME
+        rate = [(now - f - self._rest * x0) / _TIME for now, f, x0 in zip(x, self._f, self._x0, strict=True)]
+        return self._f, rate
 
 
 class AxisSignals:
@@ -128,7 +133,7 @@ class AxisSignals:
     def __init__(self, axis: int, plant: AxisPlant) -> None:
         self._names = {name: f"{axis_name(axis)}.{name}" for name in NEEDED}
         self.plant = plant
-        self._filter = _Filter(8)
+        self._filter = _Filter()
         self._tick: int | None = None
         self._sign = 0.0
 
@@ -139,10 +144,9 @@ class AxisSignals:
     def update(self, tick: int, real: Mapping[str, float], twin: Mapping[str, float]) -> AxisEquations | None:
         """Equations of a sample; None unless both shafts move the same way, as they did at the sample before."""
         names, plant = self._names, self.plant
-        speed = real[names["speed"]]
-        sign = float(np.sign(speed)) if min(speed * twin[names["speed"]], speed * speed) > 0.0 else 0.0
-        if min(abs(speed), abs(twin[names["speed"]])) < _MOVES:
-            sign = 0.0
+        speed, twin_speed = real[names["speed"]], twin[names["speed"]]
+        moves = speed * twin_speed > 0.0 and min(abs(speed), abs(twin_speed)) >= _MOVES
+        sign = math.copysign(1.0, speed) if moves else 0.0
         before, self._tick = self._tick, tick
         seconds = 0.0 if before is None else (tick - before) * _SECOND
         if sign == 0.0 or sign != self._sign or not 0.0 < seconds < _GAP:
@@ -152,32 +156,42 @@ class AxisSignals:
             return None
         d = {name: real[key] - twin[key] for name, key in names.items()}
         current = real[names["i_q_ref"]]
-        inputs = np.array([d["i_q_ref"], d["speed"], d["position"], current, speed, sign, 1.0, 0.0])
+        inputs = (d["i_q_ref"], d["speed"], d["position"], current, speed, sign, 1.0)
         filtered = self._filter.update(inputs, seconds)
         k_t, flux = plant.torque_constant, plant.pole_pairs * plant.psi_m
         resistance = plant.r_s + plant.r_on
-        y, alias = np.zeros(len(EQUATIONS)), np.zeros((len(EQUATIONS), 2))
-        phi = np.zeros((len(EQUATIONS), len(CHANGES)))
-        share = 0.0
+        y_torque = alias_speed = alias_current = share = 0.0
+        torque: _Row = (0.0,) * len(CHANGES)
         if filtered is not None:
             f, rate = filtered
-            y[TORQUE] = k_t * f[0] - plant.inertia * rate[1] - plant.viscous * f[1]
-            alias[TORQUE, 0] = f[1] - rate[2]
-            phi[TORQUE, FLUX : LOAD + 1] = -k_t * f[3], plant.inertia * rate[4], plant.friction * f[5], f[6]
+            y_torque = k_t * f[0] - plant.inertia * rate[1] - plant.viscous * f[1]
+            alias_speed, alias_current = f[1] - rate[2], d["i_q_ref"] - f[0]
+            torque = (0.0, -k_t * f[3], plant.inertia * rate[4], plant.friction * f[5], f[6], 0.0)
             share = min(seconds / (2.0 * _TIME), 1.0)
+        y_q = alias_q = by_resistance = by_flux = 0.0
         carries = min(abs(current), abs(twin[names["i_q_ref"]])) > _CARRIES * plant.i_full_scale
         if carries or abs(flux * speed) > _INDUCES:
-            y[VOLTAGE_Q] = d["u_q"] - resistance * d["i_q_ref"] - flux * d["speed"]
-            alias[VOLTAGE_Q, 1] = d["i_q_ref"] - d["i_q"]
-            phi[VOLTAGE_Q, RESISTANCE] = plant.r_s * current if carries else 0.0
-            phi[VOLTAGE_Q, FLUX] = flux * speed
-        cross = speed * current - twin[names["speed"]] * twin[names["i_q_ref"]]
-        y[VOLTAGE_D] = d["u_d"] + plant.pole_pairs * plant.l_q * cross
-        phi[VOLTAGE_D, ANGLE] = flux * speed
+            y_q = d["u_q"] - resistance * d["i_q_ref"] - flux * d["speed"]
+            alias_q = d["i_q_ref"] - d["i_q"]
+            by_resistance = plant.r_s * current if carries else 0.0
+            by_flux = flux * speed
+        y_d = d["u_d"] + plant.pole_pairs * plant.l_q * (speed * current - twin_speed * twin[names["i_q_ref"]])
         error = _DEAD_TIME * abs(real["u_dc"] - twin["u_dc"])
         if not carries:
             error += _SMALL_CURRENT * abs(d["i_q_ref"])
-        return AxisEquations(y, phi, alias, share, abs(current), abs(speed), error)
+        return AxisEquations(
+            y=(y_torque, y_q, y_d),
+            phi=(torque, (by_resistance, by_flux, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, flux * speed)),
+            alias=(
+                (alias_speed, alias_current, 0.0, 0.0),
+                (0.0, 0.0, alias_q, 0.0) if carries else (0.0, 0.0, 0.0, alias_q),
+                (0.0, 0.0, 0.0, 0.0),
+            ),
+            share=share,
+            current=abs(current),
+            speed=abs(speed),
+            error=error,
+        )
 
 
 class BusSignal:
@@ -208,7 +222,7 @@ class BusSignal:
             return None
         seconds = (tick - before) * _SECOND
         for k, values in enumerate((real, twin)):
-            power = sum(1.5 * values[f"{name}.u_q"] * values[f"{name}.i_q"] for name in map(axis_name, range(AXES)))
+            power = sum(1.5 * values[u_q] * values[i_q] for u_q, i_q in _POWERS)
             self._returned[k] = min(max(self._returned[k] - power * seconds, 0.0), _RETURNED_MAX)
         if abs(self._returned[0] - self._returned[1]) > _RETURNED_ALIKE:
             return None

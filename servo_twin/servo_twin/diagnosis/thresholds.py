@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.diagnosis.signal_watch import WATCHED
-from servo_twin.diagnosis.signals import CHANGES, EQUATIONS, RESISTANCE, VOLTAGE_Q, AxisEquations
+from servo_twin.diagnosis.signals import ALIASES, CHANGES, EQUATIONS, RESISTANCE, VOLTAGE_Q, AxisEquations
 from servo_twin.diagnosis.window import Rows
 from servo_twin.level import DEFAULT_LEVEL, Level
 
@@ -40,6 +40,8 @@ SPEEDS: Final = (30.0, 60.0, 100.0, 150.0)
 current near zero, and the ripple that is left of them grows with the speed."""
 
 
+_Array = NDArray[np.float64]
+
 _RIPPLE: Final = 0.3
 """Part of an independent sample that a voltage is at a small current: the ripple of the dead time, six times per
 electrical turn, is aliased to beats of some samples."""
@@ -56,7 +58,7 @@ class AxisNoise:
     Attributes
     ----------
     alias : tuple of float
-        Its coefficients, of the torque [N m s/rad] and of the voltage [V/A].
+        Its coefficients, per entry of `ALIASES`.
     torque : float
         Standard deviation of the torque equation [N m].
     voltage_q, voltage_d : tuple of float
@@ -81,31 +83,31 @@ class AxisNoise:
     means: tuple[float, ...]
 
     @property
-    def prior(self) -> NDArray[np.float64]:
+    def prior(self) -> _Array:
         """What is known of the coefficients of the alias: they are right to once their own size."""
         size = np.maximum(np.abs(np.array(self.alias)), 1e-9)
         return np.asarray(1.0 / size**2)
 
-    def rows(self, equations: AxisEquations) -> Rows:
+    def rows(self, samples: Sequence[AxisEquations]) -> Rows:
         """Equations without alias and without the error of the model, with their weights; the alias is a nuisance."""
-        place = bin_of(equations.current, equations.speed)
-        voltages = np.array([self.voltage_q[place], self.voltage_d[place]])
-        part = 1.0 if equations.phi[VOLTAGE_Q, RESISTANCE] else _RIPPLE
-        samples = np.array([equations.share, part * float(equations.phi[VOLTAGE_Q].any()), part])
-        variance = np.array([self.torque**2, *(voltages**2 + equations.error**2)])
-        y = equations.y - equations.alias @ np.array(self.alias) - equations.phi @ np.array(self.baseline)
-        return Rows(y, np.concatenate([equations.phi, equations.alias], axis=1), samples / variance, samples)
+        y, phi, alias, share, current, speed, error = (np.array(part) for part in zip(*samples, strict=True))
+        voltages = np.array([self.voltage_q, self.voltage_d])[:, bin_of(current, speed)]
+        part = np.where(phi[:, VOLTAGE_Q, RESISTANCE] != 0.0, 1.0, _RIPPLE)
+        independent = np.stack([share, part * phi[:, VOLTAGE_Q].any(axis=1), part], axis=1)
+        variance = np.stack([np.full(len(share), self.torque**2), *(voltages**2 + error**2)], axis=1)
+        y = y - alias @ np.array(self.alias) - phi @ np.array(self.baseline)
+        return Rows(y, np.concatenate([phi, alias], axis=2), independent / variance, independent)
 
 
-def bin_of(current: float, speed: float) -> int:
-    """Index of the bin of a voltage's noise at a current [A] and a speed [rad/s]."""
-    return int(np.searchsorted(CURRENTS, current)) * (len(SPEEDS) + 1) + int(np.searchsorted(SPEEDS, speed))
+def bin_of(current: _Array, speed: _Array) -> NDArray[np.int64]:
+    """Indices of the bins of a voltage's noise at currents [A] and speeds [rad/s]."""
+    return np.searchsorted(CURRENTS, current) * (len(SPEEDS) + 1) + np.searchsorted(SPEEDS, speed)
 
 
 BINS: Final = (len(CURRENTS) + 1) * (len(SPEEDS) + 1)
 
 _LENGTHS: Final = {
-    "alias": 2,
+    "alias": len(ALIASES),
     "voltage_q": BINS,
     "voltage_d": BINS,
     "baseline": len(CHANGES),
@@ -138,6 +140,12 @@ class Thresholds:
     detect: float
     false_alarm_hours: float
     run_hours: float
+
+    def bus_rows(self, voltages: Sequence[float]) -> Rows:
+        """Equations of relative differences of the bus voltage."""
+        y = np.array(voltages)[:, None] - self.bus_baseline
+        ones = np.ones_like(y)
+        return Rows(y, ones[:, :, None], ones * self.bus_noise**-2, ones)
 
     @classmethod
     def load(cls, path: Path | str | None = None, level: Level = DEFAULT_LEVEL) -> Thresholds:

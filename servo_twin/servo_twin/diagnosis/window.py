@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Final, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,22 +14,24 @@ BLOCK: Final = 0.1
 """Time in motion that a block holds [s]."""
 
 _BLOCKS: Final = 120
+_ROOM: Final = 2 * _BLOCKS
 
 _Array = NDArray[np.float64]
+_Sample = TypeVar("_Sample")
 
 
 class Rows(NamedTuple):
-    """Equations of one sample.
+    """Equations of some samples.
 
     Attributes
     ----------
-    y : ndarray, shape (equations,)
+    y : ndarray, shape (rows, equations)
         Left sides.
-    phi : ndarray, shape (equations, unknowns + nuisances)
+    phi : ndarray, shape (rows, equations, unknowns + nuisances)
         Right sides.
-    weight : ndarray, shape (equations,)
+    weight : ndarray, shape (rows, equations)
         Independent samples per variance.
-    samples : ndarray, shape (equations,)
+    samples : ndarray, shape (rows, equations)
         Independent samples.
     """
 
@@ -38,21 +41,37 @@ class Rows(NamedTuple):
     samples: _Array
 
 
+class _Block(NamedTuple):
+    """Normal equations of the samples of one block, per equation; `Sums` has the shapes."""
+
+    a: _Array
+    b: _Array
+    energy: _Array
+    samples: _Array
+
+    @classmethod
+    def of(cls, rows: Rows) -> _Block:
+        y, phi, weight, samples = rows
+        weighted = phi * weight[:, :, None]
+        a = weighted.transpose(1, 2, 0) @ phi.transpose(1, 0, 2)
+        return cls(a, np.einsum("nei,ne->ei", weighted, y), np.einsum("ne,ne->e", weight, y**2), samples.sum(axis=0))
+
+
 class Sums(NamedTuple):
-    """Normal equations of the samples since the beginning of each block.
+    """Normal equations of a window.
 
     Attributes
     ----------
     a : ndarray, shape (blocks, unknowns, unknowns)
-        Information, that of the nuisances eliminated.
+        Information since the beginning of each block, that of the nuisances eliminated.
     b : ndarray, shape (blocks, unknowns)
     parts_a : ndarray, shape (blocks, equations, unknowns + nuisances, unknowns + nuisances)
     parts_b : ndarray, shape (blocks, equations, unknowns + nuisances)
-        The same per equation, before the elimination.
+        The same of each block alone, per equation, before the elimination.
     energy : ndarray, shape (blocks, equations)
-        Weighted squares of the left sides.
+        Weighted squares of the left sides since the beginning of each block.
     samples : ndarray, shape (blocks, equations)
-        Independent samples.
+        Independent samples since the beginning of each block.
     """
 
     a: _Array
@@ -63,16 +82,17 @@ class Sums(NamedTuple):
     samples: _Array
 
 
-class Window:
+class Window(Generic[_Sample]):
     """The last blocks of some equations; nothing is forgotten while nothing moves.
 
     Parameters
     ----------
     size : int
         Unknowns.
-    equations : int
     prior : ndarray, shape (nuisances,)
         What is known of the nuisances besides, unknowns of no interest: one over their variance.
+    rows : callable
+        Equations of the samples of a block.
 
     Attributes
     ----------
@@ -80,32 +100,30 @@ class Window:
         When each block began.
     """
 
-    def __init__(self, size: int, equations: int, prior: _Array) -> None:
-        self._size, self._equations, self._prior = size, equations, np.diag(prior)
+    def __init__(self, size: int, prior: _Array, rows: Callable[[Sequence[_Sample]], Rows]) -> None:
+        self._size, self._prior, self._rows = size, np.diag(prior), rows
         self.ticks: list[int] = []
-        self._sums: list[tuple[_Array, _Array, _Array, _Array]] = []
+        self._blocks: _Block | None = None  # stacked, with room; the present ones begin at `_first`
+        self._first = 0
         self._begin()
 
     def _begin(self) -> None:
-        wide = self._size + len(self._prior)
-        self._a = np.zeros((self._equations, wide, wide))
-        self._b = np.zeros((self._equations, wide))
-        self._energy, self._samples = np.zeros(self._equations), np.zeros(self._equations)
+        self._waiting: list[_Sample] = []
         self._time = 0.0
         self._tick: int | None = None
 
     def clear(self) -> None:
         """Forget everything."""
         self.ticks.clear()
-        self._sums.clear()
         self._begin()
 
     def forget_before(self, block: int) -> None:
         """Forget the blocks before this one."""
-        del self.ticks[:block], self._sums[:block]
+        del self.ticks[:block]
+        self._first += block
 
-    def add(self, tick: int, seconds: float, rows: Rows) -> bool:
-        """Add the equations of a sample; returns whether a block has become full.
+    def add(self, tick: int, seconds: float, sample: _Sample) -> bool:
+        """Add a sample; returns whether a block has become full.
 
         Parameters
         ----------
@@ -113,30 +131,44 @@ class Window:
             Of the sample.
         seconds : float
             Time in motion that it stands for [s].
-        rows : Rows
+        sample
+            What `rows` makes equations of.
         """
         if self._tick is None:
             self._tick = tick
-        weighted = rows.phi * rows.weight[:, None]
-        self._a += weighted[:, :, None] * rows.phi[:, None, :]
-        self._b += weighted * rows.y[:, None]
-        self._energy += rows.weight * rows.y**2
-        self._samples += rows.samples
+        self._waiting.append(sample)
         self._time += seconds
         if self._time < BLOCK:
             return False
-        self.ticks.append(self._tick)
-        self._sums.append((self._a, self._b, self._energy, self._samples))
-        if len(self.ticks) > _BLOCKS:
+        if len(self.ticks) == _BLOCKS:
             self.forget_before(1)
+        self._append(_Block.of(self._rows(self._waiting)))
+        self.ticks.append(self._tick)
         self._begin()
         return True
 
+    def _append(self, block: _Block) -> None:
+        if self._blocks is None:
+            self._blocks = _Block(*(np.zeros((_ROOM, *part.shape)) for part in block))
+        present, place = self._present, self._first + len(self.ticks)
+        if place == _ROOM:
+            for stack in self._blocks:
+                stack[: len(self.ticks)] = stack[present]
+            self._first, place = 0, len(self.ticks)
+        for stack, part in zip(self._blocks, block, strict=True):
+            stack[place] = part
+
+    @property
+    def _present(self) -> slice:
+        return slice(self._first, self._first + len(self.ticks))
+
     def sums(self) -> Sums:
-        """From the beginning of each block to now."""
-        parts = (np.array(part) for part in zip(*self._sums, strict=True))
-        parts_a, parts_b, energy, samples = (np.cumsum(part[::-1], axis=0)[::-1] for part in parts)
-        a, b, size = parts_a.sum(axis=1), parts_b.sum(axis=1), self._size
+        """From the beginning of each block to now; there has to be one. Valid until the next call of `add`."""
+        assert self._blocks is not None
+        parts_a, parts_b, energy, samples = (stack[self._present] for stack in self._blocks)
+        since = (parts_a.sum(axis=1), parts_b.sum(axis=1), energy, samples)
+        a, b, energy, samples = (np.cumsum(part[::-1], axis=0)[::-1] for part in since)
+        size = self._size
         if len(self._prior):
             cross = a[:, :size, size:] @ np.linalg.inv(a[:, size:, size:] + self._prior)
             b = b[:, :size] - np.einsum("nij,nj->ni", cross, b[:, size:])
@@ -145,7 +177,7 @@ class Window:
 
     def left(self, sums: Sums, block: int, vector: _Array) -> _Array:
         """Weighted squares per equation that these unknowns leave since a block, with the nuisances that suit them."""
-        a, b, size = sums.parts_a[block], sums.parts_b[block], self._size
+        a, b, size = sums.parts_a[block:].sum(axis=0), sums.parts_b[block:].sum(axis=0), self._size
         whole = a.sum(axis=0)
         rest = b.sum(axis=0)[size:] - whole[size:, :size] @ vector
         nuisances = np.linalg.solve(whole[size:, size:] + self._prior, rest)

@@ -11,20 +11,25 @@ from typing import Final
 from servo_twin.board import Board
 from servo_twin.experiments.campaign_states import State
 from servo_twin.experiments.named_faults import NOTHING
-from servo_twin.harm import (
+from servo_twin.fault_injection import (
+    BadContact,
     BusNoise,
     CurrentNoise,
+    DryBearing,
     EncoderGlitches,
-    Harm,
     HotPowerStage,
+    InjectedFault,
     LockedRotor,
     OpenPhase,
+    ShiftedDisc,
     ShortedPhase,
     SlippedEncoder,
     StalledCore,
     StuckConverter,
     StuckLine,
     SupplyDip,
+    WeakMagnet,
+    WornShaft,
 )
 from servo_twin.plant import PlantConfig
 
@@ -38,6 +43,9 @@ NEAR: Final = 0.5  # noise and filter leave it open on which side of them the bu
 WATCHDOG: Final = 0.05  # s
 SLIP_MIN: Final = 30.0  # electrical [deg]
 SLIP_NAMED: Final = 90.0  # from here on the torque acts the other way [deg]
+WORN_LOAD: Final = 0.2  # part of the inertia that is behind a worn shaft
+WORN_RESONANCE: Final = 400.0  # Hz
+WORN_DAMPING: Final = 0.05  # of that resonance
 
 
 @dataclass(frozen=True)
@@ -91,12 +99,12 @@ class Where:
     state: State
 
 
-def _harm(kind: str, harm: Harm, *names: str) -> Damage:
-    return Damage(kind, str(harm), lambda board: board.inject(harm), lambda seen: names, shows=NOTHING not in names)
+def _injected(kind: str, fault: InjectedFault, *names: str) -> Damage:
+    return Damage(kind, str(fault), lambda board: board.inject(fault), lambda seen: names, shows=NOTHING not in names)
 
 
 def _open(rng: random.Random, at: Where) -> Damage:
-    return _harm("open phase", OpenPhase(at.axis, rng.choice("abc")), "PHASE_LOST")  # type: ignore[arg-type]
+    return _injected("open phase", OpenPhase(at.axis, rng.choice("abc")), "PHASE_LOST")  # type: ignore[arg-type]
 
 
 def _cable(rng: random.Random, at: Where) -> Damage:
@@ -107,24 +115,24 @@ def _cable(rng: random.Random, at: Where) -> Damage:
 
 def _to_minus(rng: random.Random, at: Where) -> Damage:
     phase = rng.choice("abc")
-    return _harm("short to minus", ShortedPhase(at.axis, phase, "minus"), "OVER_CURRENT")  # type: ignore[arg-type]
+    return _injected("short to minus", ShortedPhase(at.axis, phase, "minus"), "OVER_CURRENT")  # type: ignore[arg-type]
 
 
 def _between(rng: random.Random, at: Where) -> Damage:
     one, other = rng.sample("abc", 2)
-    return _harm("short between phases", ShortedPhase(at.axis, one, other), "OVER_CURRENT")  # type: ignore[arg-type]
+    return _injected("short between phases", ShortedPhase(at.axis, one, other), "OVER_CURRENT")  # type: ignore[arg-type]
 
 
 def _converter(rng: random.Random, at: Where) -> Damage:
     code = rng.choice((0, 4095, rng.randint(0, 4095), rng.randint(0, 4095), rng.randint(1990, 2110)))
     # Stuck before the offsets are measured it is an offset that cannot be.
     names = ("CURRENT_SENSE",) if at.state.calibrated else ("CURRENT_SENSE", "CURRENT_OFFSET")
-    return _harm("converter stuck", StuckConverter(at.axis, rng.choice("abc"), code), *names)  # type: ignore[arg-type]
+    return _injected("converter stuck", StuckConverter(at.axis, rng.choice("abc"), code), *names)  # type: ignore[arg-type]
 
 
 def _line(rng: random.Random, at: Where) -> Damage:
     line = StuckLine(at.axis, rng.choice("AB"), rng.random() < 0.5)  # type: ignore[arg-type]
-    return _harm("encoder line", line, "ENCODER_LOST")
+    return _injected("encoder line", line, "ENCODER_LOST")
 
 
 def _plug(rng: random.Random, at: Where) -> Damage:
@@ -149,13 +157,13 @@ def _slip(rng: random.Random, at: Where) -> Damage:
         names = (NOTHING, "ANGLE_MISMATCH")
     else:
         names = ("ANGLE_MISMATCH",)
-    return _harm("encoder slips", slip, *names)
+    return _injected("encoder slips", slip, *names)
 
 
 def _held(rng: random.Random, at: Where) -> Damage:
     # In motion, during the search; without an encoder: where the observer had it, or where it was to be started.
     names = ("SPEED_FEEDBACK", "START_UP") if at.state.sensorless else ("STALLED", "ROTOR_SEARCH")
-    return _harm("rotor held", LockedRotor(at.axis), *names)
+    return _injected("rotor held", LockedRotor(at.axis), *names)
 
 
 def _by_voltage(seen: Seen) -> tuple[str, ...]:
@@ -181,30 +189,70 @@ def _surge(rng: random.Random, at: Where) -> Damage:
 
 
 def _heat(rng: random.Random, at: Where) -> Damage:
-    return _harm("heat", HotPowerStage(at.axis, rng.uniform(87.0, 145.0)), "OVER_TEMPERATURE")
+    return _injected("heat", HotPowerStage(at.axis, rng.uniform(87.0, 145.0)), "OVER_TEMPERATURE")
 
 
 def _stall(rng: random.Random, at: Where) -> Damage:
-    harm = StalledCore(10.0 ** rng.uniform(-3.3, -0.7))
-    late, dead = harm.seconds < 1.1 * WATCHDOG, harm.seconds > 0.9 * WATCHDOG
+    fault = StalledCore(10.0 ** rng.uniform(-3.3, -0.7))
+    late, dead = fault.seconds < 1.1 * WATCHDOG, fault.seconds > 0.9 * WATCHDOG
     names = (*(("LATE_LOOP",) if late else ()), *(("WATCHDOG",) if dead else ()))
     return Damage(
-        "core stalled", str(harm), lambda board: board.inject(harm), lambda seen: names, shows=False, stalls=True
+        "core stalled", str(fault), lambda board: board.inject(fault), lambda seen: names, shows=False, stalls=True
     )
 
 
 def _noise(rng: random.Random, at: Where) -> Damage:
     noise = CurrentNoise(at.axis, rng.uniform(1.0, 3.0) * at.plant.axes[at.axis].i_noise)
-    return _harm("current noise", noise, NOTHING)
+    return _injected("current noise", noise, NOTHING)
 
 
 def _bus_noise(rng: random.Random, at: Where) -> Damage:
-    return _harm("bus noise", BusNoise(rng.uniform(1.0, 10.0) * at.plant.bus.u_noise), NOTHING)
+    return _injected("bus noise", BusNoise(rng.uniform(1.0, 10.0) * at.plant.bus.u_noise), NOTHING)
 
 
 def _glitches(rng: random.Random, at: Where) -> Damage:
     glitches = EncoderGlitches(at.axis, rng.choice("AB"), rng.uniform(10.0, 300.0))  # type: ignore[arg-type]
-    return _harm("encoder glitches", glitches, NOTHING)
+    return _injected("encoder glitches", glitches, NOTHING)
+
+
+def _magnet(rng: random.Random, at: Where) -> Damage:
+    return _injected("weak magnet", WeakMagnet(at.axis, rng.uniform(0.7, 1.0)), NOTHING)
+
+
+def _contact(rng: random.Random, at: Where) -> Damage:
+    return _injected("bad contact", BadContact(at.axis, rng.uniform(0.0, 0.5) * at.plant.axes[at.axis].r_s), NOTHING)
+
+
+def _worn(rng: random.Random, at: Where) -> Damage:
+    """A fifth of the inertia behind a shaft that twists, with play from now on."""
+    axis = at.plant.axes[at.axis]
+    load, rotor = WORN_LOAD * axis.inertia, (1.0 - WORN_LOAD) * axis.inertia
+    mass = load * rotor / axis.inertia
+    twist = 2.0 * math.pi * WORN_RESONANCE
+    worn = WornShaft(at.axis, rng.uniform(0.0, 0.02))
+
+    def strike(board: Board) -> None:
+        board.take_plant(
+            board.plant.with_axis(
+                at.axis,
+                inertia=rotor,
+                load_inertia=load,
+                shaft_stiffness=mass * twist**2,
+                shaft_damping=2.0 * WORN_DAMPING * mass * twist,
+            )
+        )
+        board.inject(worn)
+
+    return Damage("worn shaft", str(worn), strike, lambda seen: (NOTHING,), shows=False)
+
+
+def _disc(rng: random.Random, at: Where) -> Damage:
+    disc = ShiftedDisc(at.axis, rng.uniform(0.0, 0.02), rng.uniform(0.0, 2.0 * math.pi))
+    return _injected("shifted disc", disc, NOTHING)
+
+
+def _bearing(rng: random.Random, at: Where) -> Damage:
+    return _injected("dry bearing", DryBearing(at.axis, rng.uniform(1.0, 5.0)), NOTHING)
 
 
 DAMAGES: Final[Mapping[str, tuple[Callable[[random.Random, Where], Damage], bool]]] = {
@@ -224,6 +272,11 @@ DAMAGES: Final[Mapping[str, tuple[Callable[[random.Random, Where], Damage], bool
     "current noise": (_noise, True),
     "bus noise": (_bus_noise, True),
     "encoder glitches": (_glitches, False),
+    "weak magnet": (_magnet, True),
+    "bad contact": (_contact, True),
+    "worn shaft": (_worn, True),
+    "shifted disc": (_disc, False),
+    "dry bearing": (_bearing, True),
 }
 """How each kind is drawn, and whether it means anything to an axis without an encoder."""
 

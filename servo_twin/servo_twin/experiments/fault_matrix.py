@@ -24,11 +24,11 @@ from servo_twin.experiments.named_faults import (
 )
 from servo_twin.experiments.outcome import Curve, Item, Judge, Outcome, Panel, Row, experiment
 from servo_twin.experiments.rig import TICK, fresh_board, until
-from servo_twin.harm import (
+from servo_twin.fault_injection import (
     CurrentNoise,
     EncoderGlitches,
-    Harm,
     HotPowerStage,
+    InjectedFault,
     LockedRotor,
     OpenPhase,
     ShortedPhase,
@@ -163,7 +163,7 @@ class Damage:
     """One kind of damage."""
 
     name: str
-    harm: Harm
+    fault: InjectedFault
     """For the plant."""
     faults: tuple[str, ...]
     """Names that are right; `NOTHING` for what is no fault."""
@@ -241,11 +241,11 @@ def case(plant: PlantConfig, seed: int, damage: Damage, state: str) -> Case:
     with fresh_board(plant, seed) as board:
         STATES[state](board)
         cause = board.time_ns // PERIOD_NS
-        board.inject(damage.harm)
+        board.inject(damage.fault)
         found = _fault_within(board, WAIT)
         periods = None
         if found:
-            time = fault_time(board, 0, lost_count=isinstance(damage.harm, StalledCore))
+            time = fault_time(board, 0, lost_count=isinstance(damage.fault, StalledCore))
             periods = max(time // PERIOD_NS - cause, 0)
         elif damage.provoked:
             _provoke(board)

@@ -19,7 +19,7 @@ from servo_twin.board import Board
 from servo_twin.experiments.outcome import BEYOND, Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.plant_limits import MODULATION
 from servo_twin.experiments.rig import RPM, TICK, Recording, at, command_speed, set_up, spinning, watch
-from servo_twin.harm import HotPowerStage
+from servo_twin.fault_injection import HotPowerStage
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "field-weakening"

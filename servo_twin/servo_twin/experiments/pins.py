@@ -18,7 +18,7 @@ from servo_twin.board import Board
 from servo_twin.experiments import rig
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.rig import COUNT, TICK
-from servo_twin.harm import CutWire, Pin
+from servo_twin.fault_injection import CutWire, Pin
 from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import PlantConfig
 
@@ -292,7 +292,7 @@ def cut_wires(plant: PlantConfig, seed: int) -> dict[str, bool]:
             and not rig.flags_of(board, 0, "faults")
             and "INPUT" in rig.flags_of(board, 0, "limits")
         )
-        board.heal()
+        board.clear_fault()
         board.run(0.1)
         said["enable, at rest: refused without a fault"] = refused and _in(board, 0, "STOP")
         board.write("cmd.enable", [1, 0])

@@ -35,7 +35,7 @@ TIME_HEAVY: Final = TIME_F16 * math.sqrt(10.0)
 """The same for a shaft with ten times the inertia, every movement of which takes so much longer [s]."""
 
 EVERY: Final = 5  # [degrees electrical]
-HARM_EVERY: Final = 40  # [degrees electrical]
+DAMAGE_EVERY: Final = 40  # [degrees electrical]
 
 HALF_INTERVAL: Final = 0.7
 """Half of the interval at which the search ends [degrees electrical]: eight halvings of a turn."""
@@ -58,7 +58,7 @@ REST_TICKS: Final = 5  # shortest pause between two vectors, in slow ticks; nois
 
 
 @dataclass(frozen=True)
-class Harm:
+class Damage:
     """What keeps a search from succeeding."""
 
     name: str
@@ -70,16 +70,16 @@ class Harm:
     """Time until the fault is named [s]."""
 
 
-HELD: Final = Harm("shaft held", "ROTOR_SEARCH", lambda board, axis: board.lock_shaft(axis))
-UNPLUGGED: Final = Harm("encoder unplugged", "ENCODER_LOST", lambda board, axis: board.connect_encoder(axis, False))
-HARMS: Final = (
+HELD: Final = Damage("shaft held", "ROTOR_SEARCH", lambda board, axis: board.lock_shaft(axis))
+UNPLUGGED: Final = Damage("encoder unplugged", "ENCODER_LOST", lambda board, axis: board.connect_encoder(axis, False))
+DAMAGES: Final = (
     HELD,
     UNPLUGGED,
-    Harm("encoder line A dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "A")),
-    Harm("encoder line B dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "B")),
-    Harm("motor unplugged", "PHASE_LOST", lambda board, axis: board.connect_motor(axis, False)),
-    Harm("encoder backwards", "ENCODER_REVERSED", lambda board, axis: board.reverse_encoder(axis), NAMED_LATE),
-    Harm(
+    Damage("encoder line A dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "A")),
+    Damage("encoder line B dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "B")),
+    Damage("motor unplugged", "PHASE_LOST", lambda board, axis: board.connect_motor(axis, False)),
+    Damage("encoder backwards", "ENCODER_REVERSED", lambda board, axis: board.reverse_encoder(axis), NAMED_LATE),
+    Damage(
         "shaft with play of 2 counts",
         "ROTOR_SEARCH",
         lambda board, axis: board.obstruct_shaft(axis, 1.5 * COUNT, 0.5 * COUNT),
@@ -95,7 +95,7 @@ against 1.4 V. Without any friction only the viscous one would be left, with a t
 18 vectors that it takes to recognise an encoder that counts backwards; the search gives up after 5 s (ROTOR_SEARCH).
 With this part of the friction the shaft rests within 0.1 s.
 """
-TWITCHING: Final = Harm(
+TWITCHING: Final = Damage(
     "twitching from stop to stop",
     "ROTOR_SEARCH",
     lambda board, axis: board.obstruct_shaft(axis, 3.6 * COUNT, 0.5 * COUNT),
@@ -103,7 +103,7 @@ TWITCHING: Final = Harm(
 )
 """An obstructed shaft that can twitch, by some counts to both sides: held, or found where it is."""
 UNDER_WAY: Final = (0.08, 0.10, 0.12, 0.14, 0.16, 0.18)
-"""Times after the enable at which a search is harmed under way [s]; the first vector begins to pull after 0.06 s."""
+"""Times after the enable at which a search is disturbed under way [s]; the first vector begins to pull after 0.06 s."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def find(
     plant: PlantConfig,
     seed: int,
     *,
-    harm: Harm | None = None,
+    damage: Damage | None = None,
     axes: Iterable[int] = range(AXES),
     after: float = 0.0,
     trace: bool = False,
@@ -157,7 +157,7 @@ def find(
         What is really there.
     seed : int
         Of the noise.
-    harm : Harm, optional
+    damage : Damage, optional
         What happens to some axes.
     axes : iterable of int
         Which axes it happens to.
@@ -177,9 +177,9 @@ def find(
         closed_loop = enums["state_t"]["RUN"], enums["substate_t"]["SPIN"]
         pause = TICK if trace else LOOK
         for look in range(round(SEARCH_MAX / pause)):
-            if harm is not None and look == round(after / pause):
+            if damage is not None and look == round(after / pause):
                 for axis in axes:
-                    harm.do(board, axis)
+                    damage.do(board, axis)
             rows = board.record(board.time_ns + round(pause / TICK) * TICK_NS)
             logs.append(rows.tobytes())
             last = rows[-1]
@@ -334,17 +334,17 @@ def _rows(
 def _rows_fault(plant: PlantConfig, seed: int) -> Iterator[Row]:
     """The named fault, and no other, in time: from many angles, with and without friction, heavy; and under way."""
     loose, stiff = _scaled(plant, friction=LOOSE[level()]), _scaled(plant, friction=3.0, inertia=3.0)
-    starts = [(changed, degrees) for changed in (plant, loose, stiff) for degrees in range(-170, 180, HARM_EVERY)]
+    starts = [(changed, degrees) for changed in (plant, loose, stiff) for degrees in range(-170, 180, DAMAGE_EVERY)]
 
-    def from_everywhere(harm: Harm) -> list[list[Search]]:
-        return every(find(start_at(changed, d), seed + k, harm=harm) for k, (changed, d) in enumerate(starts))
+    def from_everywhere(damage: Damage) -> list[list[Search]]:
+        return every(find(start_at(changed, d), seed + k, damage=damage) for k, (changed, d) in enumerate(starts))
 
-    for harm in HARMS:
-        yield from _rows_named(harm, "", from_everywhere(harm))
-    for harm in (HELD, UNPLUGGED):
+    for damage in DAMAGES:
+        yield from _rows_named(damage, "", from_everywhere(damage))
+    for damage in (HELD, UNPLUGGED):
         when = enumerate(itertools.product((-101.0, 64.0), UNDER_WAY))
-        found = every(find(start_at(plant, d), seed + k, harm=harm, after=after) for k, (d, after) in when)
-        yield from _rows_named(harm, " under way", found)
+        found = every(find(start_at(plant, d), seed + k, damage=damage, after=after) for k, (d, after) in when)
+        yield from _rows_named(damage, " under way", found)
     for axis, searches in enumerate(from_everywhere(TWITCHING)):
         judge = Judge(f"{axis_name(axis)} {TWITCHING.name}: ", NOT_SHOWN)
         bound = error_bound(plant.axes[axis], max(s.current for s in searches))
@@ -353,13 +353,13 @@ def _rows_fault(plant: PlantConfig, seed: int) -> Iterator[Row]:
         yield judge("time", max(s.time for s in searches), "s", most=TWITCHING.most)
 
 
-def _rows_named(harm: Harm, when: str, by_axis: Sequence[Sequence[Search]]) -> Iterator[Row]:
-    """How many of the searches end in the fault that belongs to the harm."""
+def _rows_named(damage: Damage, when: str, by_axis: Sequence[Sequence[Search]]) -> Iterator[Row]:
+    """How many of the searches end in the fault that belongs to the damage."""
     for axis, searches in enumerate(by_axis):
-        judge = Judge(f"{axis_name(axis)} {harm.name}{when}: ", NOT_SHOWN)
-        share = sum(s.faults == {harm.fault} and s.error is None for s in searches) / len(searches)
-        yield judge(harm.fault, share, "of all", 1.0, 1.0)
-        yield judge("named", max(s.time for s in searches), "s", most=harm.most)
+        judge = Judge(f"{axis_name(axis)} {damage.name}{when}: ", NOT_SHOWN)
+        share = sum(s.faults == {damage.fault} and s.error is None for s in searches) / len(searches)
+        yield judge(damage.fault, share, "of all", 1.0, 1.0)
+        yield judge("named", max(s.time for s in searches), "s", most=damage.most)
 
 
 def _panel_f16(title: str, label: str, lines: Sequence[NDArray[np.float64]]) -> Panel:

@@ -52,7 +52,7 @@ class TwinSettings:
 
     Attributes
     ----------
-    patience : float
+    report_timeout : float
         How much newer telemetry may be before a sample stops waiting for a command that it says has taken effect.
     from_reset : float
         A board that is not up for longer is followed from its reset on, if all commands since are known.
@@ -66,7 +66,7 @@ class TwinSettings:
         How long one board may be off and the other on otherwise.
     """
 
-    patience: float = 0.05
+    report_timeout: float = 0.05
     from_reset: float = 5.0
     gap: float = 2.0
     rest: float = 0.1
@@ -328,7 +328,7 @@ class Twin:
         missing = self._missing(sample)
         if not missing:
             return False
-        if self._queue[-1].tick - sample.tick <= _ticks(self.settings.patience):
+        if self._queue[-1].tick - sample.tick <= _ticks(self.settings.report_timeout):
             return True
         self.resync(f"{missing} command{'s' if missing > 1 else ''} took effect without a report")
         return False

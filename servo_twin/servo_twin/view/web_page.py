@@ -20,8 +20,8 @@ __all__ = ["LOOPBACK", "WebPage", "WebPageError", "free_port"]
 
 LOOPBACK: Final = "127.0.0.1"
 _PORTS_TRIED: Final = 32
-_START_PATIENCE: Final = 15.0  # [s]
-_STOP_PATIENCE: Final = 1.0
+_START_TIMEOUT: Final = 15.0  # [s]
+_STOP_TIMEOUT: Final = 1.0
 _POLL: Final = 0.05
 
 
@@ -94,7 +94,7 @@ class WebPage:
         return self._process.pid
 
     def _wait(self, port: int) -> None:
-        end = time.monotonic() + _START_PATIENCE
+        end = time.monotonic() + _START_TIMEOUT
         while True:
             if self._process.poll() is not None:
                 raise WebPageError(f"the rerun command ended with status {self._process.returncode}")
@@ -103,7 +103,7 @@ class WebPage:
                 if probe.connect_ex((LOOPBACK, port)) == 0:
                     return
             if time.monotonic() > end:
-                raise WebPageError(f"the rerun command did not serve port {port} within {_START_PATIENCE:g} s")
+                raise WebPageError(f"the rerun command did not serve port {port} within {_START_TIMEOUT:g} s")
             time.sleep(_POLL)
 
     def close(self) -> None:
@@ -111,7 +111,7 @@ class WebPage:
         if self._process.poll() is None:
             self._process.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(_STOP_PATIENCE)
+                self._process.wait(_STOP_TIMEOUT)
             self._process.kill()
         self._process.wait()
 

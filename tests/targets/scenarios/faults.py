@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from servo_twin.harm import (
+from servo_twin.fault_injection import (
     CurrentNoise,
     HotPowerStage,
     OpenPhase,
@@ -192,7 +192,7 @@ def quiet_losses(rig: Rig) -> None:
     rig.inject(StuckLine(0, "A"))
     rig.until("toggles", lambda: rig.faults(0) == ["ENCODER_LOST"])
     rig.until("small current missed", lambda: rig.faults(1) == ["PHASE_LOST"])
-    rig.heal(StuckLine(0, "A"))
+    rig.clear_fault(StuckLine(0, "A"))
     rig.lock(1, locked=False)
     rig.motor(1, True)
     rig.set("cmd.clear_faults", 1)
@@ -245,8 +245,8 @@ def over_current(rig: Rig) -> None:
     rig.disturb(1, one_in=2)
     rig.until("over-current", lambda: "OVER_CURRENT" in rig.faults(1))
     rig.calm()
-    rig.heal(OpenPhase(0, "b"))
-    rig.heal(ShortedPhase(0, "c"))
+    rig.clear_fault(OpenPhase(0, "b"))
+    rig.clear_fault(ShortedPhase(0, "c"))
     rig.run(0.002)
     rig.set("cmd.clear_faults", 1)
     rig.run(0.01)
@@ -276,11 +276,11 @@ def broken_phases(rig: Rig) -> None:
     rig.inject(StuckConverter(1, "b", 2150))
     rig.until("converter", lambda: "CURRENT_SENSE" in rig.faults(1))
     rig.until("second thoughts", lambda: rig.faults(0) == ["CURRENT_SENSE"])
-    rig.heal(OpenPhase(0, "a"))
-    rig.heal(StuckConverter(0, "c", 2100))
-    rig.heal(StuckConverter(1, "b", 2150))
+    rig.clear_fault(OpenPhase(0, "a"))
+    rig.clear_fault(StuckConverter(0, "c", 2100))
+    rig.clear_fault(StuckConverter(1, "b", 2150))
     rig.run(0.01)
-    rig.heal(CurrentNoise(0, 0.02))
+    rig.clear_fault(CurrentNoise(0, 0.02))
     rig.lock(0)
     rig.lock(1)
     rig.set("cmd.clear_faults", 1)
@@ -303,7 +303,7 @@ def broken_encoders(rig: Rig) -> None:
     rig.inject(HotPowerStage(0, 120.0))
     rig.until("heat", lambda: "OVER_TEMPERATURE" in rig.faults(0))
     rig.set("cmd.clear_faults", 1)
-    rig.heal(HotPowerStage(0, 120.0))
+    rig.clear_fault(HotPowerStage(0, 120.0))
     rig.run(0.01)
     rig.inject(StalledCore(0.001))
     rig.until("late loops", lambda: "LATE_LOOP" in rig.faults(1))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from servo_twin.harm import CurrentNoise
+from servo_twin.fault_injection import CurrentNoise
 
 from targets.rig import Rig
 from targets.scenarios.parts import POSITION, SPEED, TORQUE, features, ready, spin, stop
@@ -78,7 +78,7 @@ def sensorless_lost(rig: Rig) -> None:
     rig.until("stall seen", lambda: rig.faults(0) == ["SPEED_FEEDBACK"])
     rig.set("cmd.clear_faults", 1, 0)
     rig.until("axis 1 cleared", lambda: rig.places()[0] == "STOP")
-    rig.heal(CurrentNoise(0, 0.02))
+    rig.clear_fault(CurrentNoise(0, 0.02))
     rig.set("cmd.enable", 1, 0)
     rig.until("axis 1 waits", lambda: rig.places()[0] == "READY")
     rig.motor(0, False)  # what does not change makes a short recording

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from servo_msgs_py.axis_config_transfer import read_block, send_block, take_blocks
-from servo_twin.harm import CutWire
+from servo_twin.fault_injection import CutWire
 from servo_twin.plant import PlantConfig
 
 from targets.rig import Rig
@@ -55,7 +55,7 @@ def pins(rig: Rig) -> None:
     rig.load(0, 0.02)
     rig.set("cmd.enable", 1)  # axis 2 refuses
     rig.until("axis 1 in SPIN", lambda: rig.places() == ["SPIN", "STOP"])
-    rig.heal(CutWire(1, "enable"))
+    rig.clear_fault(CutWire(1, "enable"))
     rig.set("cmd.mode", SPEED, POSITION)
     rig.set("cmd.speed", 100.0, 0.0)  # its brake may still be closed
     rig.run(0.01)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from servo_twin.harm import StalledCore
+from servo_twin.fault_injection import StalledCore
 
 from targets.rig import Rig
 from targets.scenarios.parts import ready

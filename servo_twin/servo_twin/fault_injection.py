@@ -1,6 +1,6 @@
-"""What can go wrong with the hardware of a virtual board, for `Board.inject` and `Board.heal`.
+"""Faults of the hardware of a virtual board, for `Board.inject` and `Board.clear_fault`.
 
-Each class is one kind of damage; its values say where and how much. The physics is the plant's: an open phase carries
+Each class is one kind of fault; its values say where and how much. The physics is the plant's: an open phase carries
 no current and leaves the other two in series, a short lets the over-current comparator open the switches without
 software, a stuck encoder line leaves the decoder one count back and forth. Phases are ``"a"``, ``"b"``, ``"c"``; axes
 count from 0.
@@ -24,12 +24,12 @@ __all__ = [
     "CutWire",
     "DryBearing",
     "EncoderGlitches",
-    "Harm",
     "HotPowerStage",
+    "InjectedFault",
     "LockedRotor",
-    "NativeHarm",
+    "NativeFault",
     "OpenPhase",
-    "RawHarm",
+    "RawFault",
     "ShiftedDisc",
     "ShortedPhase",
     "SlippedEncoder",
@@ -51,7 +51,7 @@ _PINS: Final = get_args(Pin)
 _SLIP_MAX: Final = 1_000_000
 
 
-class RawHarm(NamedTuple):
+class RawFault(NamedTuple):
     """The same as the C interface takes it (``board_fault_t``); `kind` names the constant of ``board.h``."""
 
     kind: str
@@ -86,8 +86,8 @@ class OpenPhase:
     axis: int
     phase: Phase
 
-    def raw(self) -> RawHarm:
-        return RawHarm("BOARD_OPEN_PHASE", _axis(self.axis), _one_of(_PHASES, self.phase, "phase"))
+    def raw(self) -> RawFault:
+        return RawFault("BOARD_OPEN_PHASE", _axis(self.axis), _one_of(_PHASES, self.phase, "phase"))
 
 
 @dataclass(frozen=True)
@@ -98,12 +98,12 @@ class ShortedPhase:
     phase: Phase
     to: Phase | Literal["minus"] = "minus"
 
-    def raw(self) -> RawHarm:
+    def raw(self) -> RawFault:
         phase = _one_of(_PHASES, self.phase, "phase")
         to = -1 if self.to == "minus" else _one_of(_PHASES, self.to, "phase")
         if to == phase:
             raise ValueError(f"phase {self.phase} cannot touch itself")
-        return RawHarm("BOARD_SHORTED_PHASE", _axis(self.axis), phase, to)
+        return RawFault("BOARD_SHORTED_PHASE", _axis(self.axis), phase, to)
 
 
 @dataclass(frozen=True)
@@ -114,10 +114,10 @@ class StuckConverter:
     phase: Phase
     code: int
 
-    def raw(self) -> RawHarm:
+    def raw(self) -> RawFault:
         if not 0 <= self.code <= 4095:
             raise ValueError(f"code {self.code} is not within 0 .. 4095")
-        return RawHarm("BOARD_STUCK_CONVERTER", _axis(self.axis), _one_of(_PHASES, self.phase, "phase"), self.code)
+        return RawFault("BOARD_STUCK_CONVERTER", _axis(self.axis), _one_of(_PHASES, self.phase, "phase"), self.code)
 
 
 @dataclass(frozen=True)
@@ -128,8 +128,8 @@ class StuckLine:
     line: Line
     high: bool = False
 
-    def raw(self) -> RawHarm:
-        return RawHarm("BOARD_STUCK_LINE", _axis(self.axis), _one_of(_LINES, self.line, "line"), float(self.high))
+    def raw(self) -> RawFault:
+        return RawFault("BOARD_STUCK_LINE", _axis(self.axis), _one_of(_LINES, self.line, "line"), float(self.high))
 
 
 @dataclass(frozen=True)
@@ -138,8 +138,8 @@ class LockedRotor:
 
     axis: int
 
-    def raw(self) -> RawHarm:
-        return RawHarm("BOARD_LOCKED_ROTOR", _axis(self.axis))
+    def raw(self) -> RawFault:
+        return RawFault("BOARD_LOCKED_ROTOR", _axis(self.axis))
 
 
 @dataclass(frozen=True)
@@ -149,10 +149,10 @@ class SupplyDip:
     volts: float = 0.0
     seconds: float = math.inf
 
-    def raw(self) -> RawHarm:
+    def raw(self) -> RawFault:
         if not self.seconds > 0.0:
             raise ValueError(f"a dip of {self.seconds} s is none")
-        return RawHarm("BOARD_SUPPLY_DIP", value=_amount(self.volts, "voltage"), seconds=self.seconds)
+        return RawFault("BOARD_SUPPLY_DIP", value=_amount(self.volts, "voltage"), seconds=self.seconds)
 
 
 @dataclass(frozen=True)
@@ -162,8 +162,8 @@ class CurrentNoise:
     axis: int
     amperes: float
 
-    def raw(self) -> RawHarm:
-        return RawHarm("BOARD_CURRENT_NOISE", _axis(self.axis), value=_amount(self.amperes, "noise"))
+    def raw(self) -> RawFault:
+        return RawFault("BOARD_CURRENT_NOISE", _axis(self.axis), value=_amount(self.amperes, "noise"))
 
 
 @dataclass(frozen=True)
@@ -172,8 +172,8 @@ class BusNoise:
 
     volts: float
 
-    def raw(self) -> RawHarm:
-        return RawHarm("BOARD_BUS_NOISE", value=_amount(self.volts, "noise"))
+    def raw(self) -> RawFault:
+        return RawFault("BOARD_BUS_NOISE", value=_amount(self.volts, "noise"))
 
 
 @dataclass(frozen=True)
@@ -184,9 +184,9 @@ class EncoderGlitches:
     line: Line
     per_second: float
 
-    def raw(self) -> RawHarm:
+    def raw(self) -> RawFault:
         line = _one_of(_LINES, self.line, "line")
-        return RawHarm("BOARD_ENCODER_GLITCHES", _axis(self.axis), line, _amount(self.per_second, "rate"))
+        return RawFault("BOARD_ENCODER_GLITCHES", _axis(self.axis), line, _amount(self.per_second, "rate"))
 
 
 @dataclass(frozen=True)
@@ -195,21 +195,21 @@ class StalledCore:
 
     seconds: float
 
-    def raw(self) -> RawHarm:
-        return RawHarm("BOARD_STALLED_CORE", seconds=_amount(self.seconds, "time"))
+    def raw(self) -> RawFault:
+        return RawFault("BOARD_STALLED_CORE", seconds=_amount(self.seconds, "time"))
 
 
 @dataclass(frozen=True)
 class SlippedEncoder:
-    """The disc of an encoder turns on its shaft by so many counts, now; `Board.heal` does not turn it back."""
+    """The disc of an encoder turns on its shaft by so many counts, now; `Board.clear_fault` does not turn it back."""
 
     axis: int
     counts: int
 
-    def raw(self) -> RawHarm:
+    def raw(self) -> RawFault:
         if not -_SLIP_MAX <= self.counts <= _SLIP_MAX:
             raise ValueError(f"{self.counts} counts are more than {_SLIP_MAX}")
-        return RawHarm("BOARD_SLIPPED_ENCODER", _axis(self.axis), value=float(self.counts))
+        return RawFault("BOARD_SLIPPED_ENCODER", _axis(self.axis), value=float(self.counts))
 
 
 @dataclass(frozen=True)
@@ -219,10 +219,10 @@ class CutWire:
     axis: int
     pin: Pin
 
-    def raw(self) -> RawHarm:
+    def raw(self) -> RawFault:
         if self.pin not in _PINS:
             raise ValueError(f"pin {self.pin!r} is none of {', '.join(_PINS)}")
-        return RawHarm("BOARD_CUT_WIRE", _axis(self.axis), _PINS.index(self.pin))
+        return RawFault("BOARD_CUT_WIRE", _axis(self.axis), _PINS.index(self.pin))
 
 
 @dataclass(frozen=True)
@@ -295,14 +295,14 @@ class HotPowerStage:
     axis: int
     celsius: float
 
-    def raw(self) -> RawHarm:
-        return RawHarm("BOARD_HEAT", _axis(self.axis), value=float(self.celsius))
+    def raw(self) -> RawFault:
+        return RawFault("BOARD_HEAT", _axis(self.axis), value=float(self.celsius))
 
 
 ChangedValue = WeakMagnet | BadContact | WornShaft | ShiftedDisc | DryBearing
 """What is another value of the plant, `applied` to the one that it has without."""
 
-NativeHarm = (
+NativeFault = (
     OpenPhase
     | ShortedPhase
     | StuckConverter
@@ -317,7 +317,7 @@ NativeHarm = (
     | CutWire
     | StalledCore
 )
-"""What the plant in C knows as a kind of damage."""
+"""What the plant in C injects."""
 
-Harm = NativeHarm | ChangedValue
-"""Anything that can go wrong."""
+InjectedFault = NativeFault | ChangedValue
+"""Any of them."""

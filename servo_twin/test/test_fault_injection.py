@@ -11,12 +11,12 @@ import pytest
 from native_library import Native, c_axis, plain
 from servo_twin.board import Board
 from servo_twin.experiments.named_faults import faults
-from servo_twin.harm import (
+from servo_twin.fault_injection import (
     BusNoise,
     CurrentNoise,
     EncoderGlitches,
-    Harm,
     HotPowerStage,
+    InjectedFault,
     LockedRotor,
     OpenPhase,
     ShortedPhase,
@@ -92,15 +92,15 @@ class Switched:
         for phase, gate in enumerate(gates):
             self.rig.edge(0, phase, gate)
 
-    def harm(self, kind: int, phase: int, value: float = 0.0) -> None:
-        harm = self.rig.ffi.new("board_fault_t *", (kind, 0, phase, value, 0.0))
-        self.rig.lib.switching_set_fault(self.rig.c, harm, False)
+    def fault(self, kind: int, phase: int, value: float = 0.0) -> None:
+        fault = self.rig.ffi.new("board_fault_t *", (kind, 0, phase, value, 0.0))
+        self.rig.lib.switching_set_fault(self.rig.c, fault, False)
 
     def open(self, phase: int) -> None:
-        self.harm(OPEN_PHASE, phase)
+        self.fault(OPEN_PHASE, phase)
 
     def short(self, phase: int, to: int) -> None:
-        self.harm(SHORTED, phase, to)
+        self.fault(SHORTED, phase, to)
 
     def run(self, seconds: float) -> Any:
         rows = []
@@ -228,10 +228,10 @@ def turn(board: Board, speed: float) -> None:
     board.run(0.2)
 
 
-@pytest.mark.parametrize("harm", [ShortedPhase(0, "b"), ShortedPhase(0, "a", "c")])
-def test_a_short_opens_the_switches_without_software(board: Board, harm: Harm) -> None:
+@pytest.mark.parametrize("fault", [ShortedPhase(0, "b"), ShortedPhase(0, "a", "c")])
+def test_a_short_opens_the_switches_without_software(board: Board, fault: InjectedFault) -> None:
     turn(board, 150.0)
-    board.inject(harm)
+    board.inject(fault)
     board.run(100e-6)
     assert board.stats().breaks == 1
     board.run(0.002)
@@ -240,7 +240,7 @@ def test_a_short_opens_the_switches_without_software(board: Board, harm: Harm) -
     assert abs(board.truth(0).omega_m) < 10.0, "the shorted windings have braked it"
     assert faults(board, 1) == set()
     assert board.truth(1).omega_m == pytest.approx(150.0, rel=0.05)
-    board.heal()
+    board.clear_fault()
     board.write("cmd.clear_faults", [1, 0])
     board.run(0.05)
     assert faults(board, 0) == set()
@@ -255,7 +255,7 @@ def test_an_open_phase_carries_nothing(board: Board) -> None:
     truth = board.truth(0)
     theta = 2 * truth.theta_m
     assert truth.i_d * math.cos(theta) - truth.i_q * math.sin(theta) == pytest.approx(0.0, abs=1e-9)
-    board.heal(OpenPhase(0, "a"))
+    board.clear_fault(OpenPhase(0, "a"))
 
 
 def test_a_stuck_converter_is_found_out(board: Board) -> None:
@@ -285,7 +285,7 @@ def test_a_stuck_line_shows_one_count_back_and_forth(board: Board, line: Any, hi
     assert board.truth(0).omega_m > 5.0
     assert len(seen) == 2
     assert max(seen) - min(seen) == 1
-    board.heal()
+    board.clear_fault()
     assert max(counts_seen(board)) - max(seen) > 10
 
 
@@ -297,7 +297,7 @@ def test_glitches_leave_the_count_alone(board: Board, line: Any) -> None:
     board.inject(EncoderGlitches(0, line, 2000.0))
     seen = counts_seen(board)
     assert all(abs(position - before) <= 1 for position in seen)
-    board.heal()
+    board.clear_fault()
     board.run(0.001)
     assert board.read_raw("axis1.position")[0] == before
 
@@ -324,7 +324,7 @@ def test_a_dip_of_the_supply_ends_by_itself(board: Board) -> None:
     board.set_load(0, 0.0)
     assert board.truth(0).u_dc < 16.5
     assert faults(board, 0) == {"UNDER_VOLTAGE"}
-    board.heal()
+    board.clear_fault()
     board.run(0.05)
     assert board.truth(0).u_dc == pytest.approx(24.0, abs=0.1)
 
@@ -337,7 +337,7 @@ def test_noise_can_be_heard(board: Board) -> None:
     loud = board.si(board.record(board.time_ns + 100_000_000))
     assert np.std(loud["axis1.i_d"]) > 2.0 * np.std(quiet["axis1.i_d"])
     assert np.std(loud["u_dc"]) > 3.0 * np.std(quiet["u_dc"])
-    board.heal()
+    board.clear_fault()
     again = board.si(board.record(board.time_ns + 100_000_000))
     assert np.std(again["axis1.i_d"]) < 1.5 * np.std(quiet["axis1.i_d"])
 
@@ -347,13 +347,13 @@ def test_a_hot_power_stage(board: Board) -> None:
     board.run(0.01)
     assert board.truth(1).t_sink == 95.0
     assert board.truth(0).t_sink == pytest.approx(25.0, abs=0.1)
-    board.heal()
+    board.clear_fault()
     board.run(0.1)
     assert 90.0 < board.truth(1).t_sink < 95.0
 
 
 @pytest.mark.parametrize(
-    ("harm", "message"),
+    ("fault", "message"),
     [
         (OpenPhase(2, "a"), "axes 0 .. 1"),
         (OpenPhase(0, "d"), "none of a, b, c"),  # type: ignore[arg-type]
@@ -364,6 +364,6 @@ def test_a_hot_power_stage(board: Board) -> None:
         (CurrentNoise(0, math.inf), "finite"),
     ],
 )
-def test_what_cannot_be_broken(harm: Harm, message: str) -> None:
+def test_what_cannot_be_broken(fault: InjectedFault, message: str) -> None:
     with Board(level="ideal") as board, pytest.raises((ValueError, IndexError), match=message):
-        board.inject(harm)
+        board.inject(fault)
