@@ -98,7 +98,7 @@ def test_enable_says_what_the_inputs_hold_back() -> None:
     rig.sample(SPINNING, STOPPED)
     success, text = answer.result(0)
     assert not success
-    assert text.startswith("axis2: INPUT: the enable input is open, or a limit switch is active")
+    assert text.startswith("axis2: INPUT: enable input open")
     assert "CURRENT" not in text
 
 
