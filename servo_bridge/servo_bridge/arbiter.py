@@ -234,7 +234,7 @@ class Arbiter:
     def _amperes_per_newton_metre(self, source: str, axis: int) -> float:
         if self._torque_constants is None or self._torque_constants[axis] <= 0.0:
             raise Rejected(
-                f"{source}: the board has not told its torque constant of {self._joints[axis]}; try again in a second"
+                f"{source}: the board has not reported the torque constant of {self._joints[axis]}; try again in 1 s"
             )
         return 1.0 / self._torque_constants[axis]
 

@@ -195,7 +195,7 @@ class Commander(Node):
         lines = [state]
         if state.startswith(_LOST):
             return state
-        self.wait_for(lambda: joints, f"no {self._of(topics.JOINT_STATES)} were heard")
+        self.wait_for(lambda: joints, f"no {self._of(topics.JOINT_STATES)} were received")
         last = joints[-1]
         names = [self._part(name) for name in last.name]
         with contextlib.suppress(CommandError):  # what there is to say without is worth saying
@@ -246,7 +246,7 @@ class Commander(Node):
 
         topic = self._of(topics.PARAMETERS)
         self.create_subscription(Float64MultiArray, topic, take, latched_qos())
-        self.wait_for(lambda: heard, f"no {topic} were heard")
+        self.wait_for(lambda: heard, f"no {topic} were received")
         self.wait_for(lambda: wanted(heard[-1]), "the board does not have them (/diagnostics says why)")
         return heard[-1]
 
@@ -341,7 +341,7 @@ class Commander(Node):
         heard: list[JointState] = []
         topic = self._of(topics.JOINT_STATES)
         subscription = self.create_subscription(JointState, topic, heard.append, telemetry_qos())
-        self.wait_for(lambda: heard, f"no {topic} were heard")
+        self.wait_for(lambda: heard, f"no {topic} were received")
         self.destroy_subscription(subscription)
         return dict(zip(heard[-1].name, heard[-1].position, strict=True))
 
@@ -467,7 +467,7 @@ def _parser() -> argparse.ArgumentParser:
     for verb, text in (
         ("enable", "find the rotors and hold position"),
         ("disable", "ramp down, outputs off"),
-        (topics.QUICK_STOP, "ramp down at the limit and hold; enable again to go on"),
+        (topics.QUICK_STOP, "ramp down at the limit and hold; enable again to continue"),
         (topics.CLEAR_FAULTS, "clear the faults whose cause is gone"),
         ("state", "print state, positions, speeds, faults with remedy, limits that are reached"),
     ):
@@ -481,12 +481,14 @@ def _parser() -> argparse.ArgumentParser:
         "--position",
         type=_number,
         metavar="RAD",
-        help="where the joint is there; stays set (default: the bridge's parameter home_positions)",
+        help="position of the joint at its reference; stored in the bridge's parameter home_positions, the default",
     )
     zero = verbs.add_parser("zero", help="set the position of a joint where it is")
     zero.add_argument("joint", metavar="JOINT")
     zero.add_argument("position", nargs="?", type=_number, default=0.0, metavar="RAD", help="default: 0")
-    setter = verbs.add_parser("set", help="set parameters of the board; they stay set when it is connected anew")
+    setter = verbs.add_parser(
+        "set", help="set parameters of the board; the bridge sets them again after a reconnection"
+    )
     setter.add_argument(
         "assignments",
         nargs="+",

@@ -70,7 +70,7 @@ def add_path_verbs(verbs: argparse._SubParsersAction[argparse.ArgumentParser], t
     waver.add_argument("--frequency", type=_positive, required=True, metavar="HZ")
     waver.add_argument("--for", dest="duration", type=_positive, default=5.0, metavar="S", help="default: 5")
     for parser in (mover, follower, waver):
-        parser.add_argument("--dry-run", action="store_true", help="only say what it takes, against the limits")
+        parser.add_argument("--dry-run", action="store_true", help="only print the demands of the path with the limits")
 
 
 def _positive(text: str) -> float:

@@ -158,7 +158,9 @@ class Demo:
             self._say("  (the twin stops where its own ramp ends; then it takes over where the board holds)")
         for axis, value in turns.items():
             if abs(hold_point(axis) - self._target(axis, value)) < _REACHED:
-                raise DemoError(f"{title}: {self._client.joints[axis]} went on to its target; quick_stop had no effect")
+                raise DemoError(
+                    f"{title}: {self._client.joints[axis]} continued to its target; quick_stop had no effect"
+                )
 
     def _path(self, title: str) -> None:
         """A path in time of both axes, commanded as planners do it."""

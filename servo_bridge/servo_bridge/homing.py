@@ -48,11 +48,11 @@ _REASONS: Final = {
     "ABORTED": "another command, a stop or a fault has ended it",
     "MOTION": "the axis has to hold its position, without a trajectory; wait for its rest, or enable it first",
     "SENSORLESS": "without an encoder there is no position",
-    "KNOWN": "the position is known already",
+    "KNOWN": "the position is already known",
     "NOT_FOUND": "neither stop nor switch within home.turns_max of the configuration",
     "TIMEOUT": "neither stop nor switch in time",
-    "BLOCKED": "the shaft stands before it has reached the switch",
-    "STUCK": "the shaft does not come off the stop or the switch",
+    "BLOCKED": "the shaft is blocked before it has reached the switch",
+    "STUCK": "the shaft does not move away from the stop or the switch",
     "SPREAD": "the places that were found lie farther apart than home.spread of the configuration",
 }
 

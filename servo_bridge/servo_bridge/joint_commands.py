@@ -99,13 +99,13 @@ class JointCommands:
         points = self._repeats.fresh(now_ns * 1e-9, points)
         if not points:
             raise Rejected(
-                f"{_SOURCE}: it repeats a set-point from before the axes obeyed; it moves nothing until it changes, or "
-                "comes again after a pause of 1 s"
+                f"{_SOURCE}: it repeats a set-point from before the axes were enabled; it has no effect until it "
+                "changes, or pauses for 1 s"
             )
         streamed = {axis: point for axis, point in points.items() if point.streamed}
         limits, arrival = self._limits(), self._board_time(now_ns)
         if streamed and (limits is None or arrival is None):
-            raise Rejected(f"{_SOURCE}: the board has not told its limits yet; try again in a second")
+            raise Rejected(f"{_SOURCE}: the board has not reported its limits yet; try again in a second")
         for axis, point in streamed.items():
             assert limits is not None
             require_within(_SOURCE, self._joints[axis], point, limits[axis])

@@ -44,7 +44,7 @@ __all__ = [
 _JOINT = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 _AT_START: Mapping[str, Spec] = {
-    "autostart": Spec(True, "whether the node configures and activates itself at the start; nothing is enabled by it"),
+    "autostart": Spec(True, "whether the node configures and activates itself at the start; no axis is enabled by it"),
 }
 
 _SETTINGS: Mapping[str, Spec] = {
@@ -54,8 +54,8 @@ _SETTINGS: Mapping[str, Spec] = {
     "baud": Spec(115200, "line speed of the serial port [bit/s]", 1200, 4_000_000),
     "joints": Spec(["axis1", "axis2"], "joint names in the order of the axes"),
     "gear_ratio": Spec([1.0, 1.0], "turns of the motor per turn of the joint, per joint; 1.0e-4 .. 1.0e+5"),
-    "direction": Spec([1, 1], "1, or -1 where the joint turns the other way than the motor, per joint"),
-    "offset": Spec([0.0, 0.0], "position of the joint where the motor is at 0, per joint [rad]"),
+    "direction": Spec([1, 1], "1, or -1 if joint and motor turn in opposite directions, per joint"),
+    "offset": Spec([0.0, 0.0], "position of the joint at motor position 0, per joint [rad]"),
     "telemetry": Spec(
         [
             "u_dc",
@@ -65,13 +65,13 @@ _SETTINGS: Mapping[str, Spec] = {
                 for name in ("position_ref", "speed_ref", "i_q_ref", "limits", "u_d", "u_q")
             ),
         ],
-        "variables read with every sample and published on snapshot, besides those that the bridge itself needs; "
-        "every byte more costs sample rate",
+        "variables read with every sample and published on snapshot, in addition to those that the bridge requires; "
+        "each additional byte reduces the sample rate",
     ),
     "telemetry_rate": Spec(
         0.0,
-        "highest rate of samples [Hz]; 0.0: as many as the line carries. A lower rate costs less of the computer and "
-        "leaves the line to set-points",
+        "highest rate of samples [Hz]; 0.0: as fast as the line permits. A lower rate reduces the load of the computer "
+        "and leaves more of the line for set-points",
         0.0,
         10_000.0,
     ),
@@ -93,82 +93,82 @@ _SETTINGS: Mapping[str, Spec] = {
         [NO_LIMIT, NO_LIMIT], "highest position set-point per joint [rad]; 1.0e+15 is none", read_only=False
     ),
     "velocity_max": Spec(
-        [419.0, 419.0], "largest velocity set-point per joint [rad/s], inside the board's own limit", read_only=False
+        [419.0, 419.0], "largest velocity set-point per joint [rad/s], within the limit of the board", read_only=False
     ),
     "effort_max": Spec(
         [1.0, 1.0],
-        "largest effort set-point per joint [N m], inside the board's own limit: current limit times torque constant "
+        "largest effort set-point per joint [N m], within the limit of the board: current limit times torque constant "
         "times gear ratio",
         read_only=False,
     ),
     "command_interfaces": Spec(
         ["", ""],
-        "arrays of joint_commands that each joint is in, such as 'position velocity' or 'effort'; needed where the "
-        "sender leaves joints out of an array, as ros2_control does with joints of different command interfaces; "
+        "arrays of joint_commands that contain each joint, such as 'position velocity' or 'effort'; needed if the "
+        "sender omits joints in an array, as ros2_control does with joints of different command interfaces; "
         "empty: all",
     ),
     "stream_delay_max": Spec(
         0.0,
-        "longest delay with which jitter and loss of streamed set-points are bridged [s]; 0.0 is one period of them",
+        "longest delay for the compensation of jitter and loss of streamed set-points [s]; 0.0: one period of them",
         0.0,
         1.0,
     ),
     "path_tolerance": Spec(
         [0.0, 0.0],
-        "of goals of follow_joint_trajectory that give none: how far a joint may be from its path [rad]; 0.0: any",
+        "default for goals of follow_joint_trajectory: largest distance of a joint from its path [rad]; 0.0: any",
     ),
     "goal_tolerance": Spec(
         [0.02, 0.02],
-        "of goals of follow_joint_trajectory that give none: how far a joint may be from the end of its path [rad]; "
+        "default for goals of follow_joint_trajectory: largest distance of a joint from the end of its path [rad]; "
         "0.0: any",
     ),
     "stopped_velocity_tolerance": Spec(
         0.0,
-        "of goals of follow_joint_trajectory: how fast a joint may be at the end of its path [rad/s]; 0.0: any",
+        "for goals of follow_joint_trajectory: largest speed of a joint at the end of its path [rad/s]; 0.0: any",
         0.0,
         1000.0,
     ),
     "goal_time": Spec(
         1.0,
-        "of goals of follow_joint_trajectory that give none: how long to wait after the end of the path for the joints "
-        "to come within their tolerances [s]; 0.0 does not wait",
+        "default for goals of follow_joint_trajectory: time after the end of the path in which the joints must be "
+        "within their tolerances [s]; 0.0: no waiting",
         0.0,
         3600.0,
     ),
     "recording": Spec(
         "axis1.i_q axis1.i_q_ref axis2.i_q axis2.i_q_ref",
-        "variables and options of the bursts that the service record takes, as servo-tool record has them, such as "
+        "variables and options of the recordings of the service record, as for servo-tool record, such as "
         "\"axis1.i_a axis1.i_q --trigger 'axis1.i_q > 1.0' --before 30% --rate 16000\"",
         read_only=False,
     ),
     "tuning": Spec(
         "",
         "path of a TOML file in the form of servo.toml, on the computer of the bridge: the configuration of the axes "
-        "that the service tune gives the board",
+        "that the service tune sends to the board",
         read_only=False,
     ),
     "home_positions": Spec(
         [0.0, 0.0],
-        "where each joint is at the stop or switch that it is homed to, or when its position is set [rad]",
+        "position of each joint at its homing stop or switch, or at which its position is set [rad]",
         read_only=False,
     ),
     "restore_positions": Spec(
         True,
-        "whether a board that was restarted gets back the positions that it has had, as an assumption: of axes with "
-        "the feature HOMING, which rest",
+        "whether the positions of a restarted board are restored (home_state ASSUMED), for axes with the feature "
+        "HOMING that are at rest",
         read_only=False,
     ),
     "preferred_source": Spec(
         "",
-        "topic with precedence, such as joint_commands: while it commands an axis, and 1 s longer, the set-points of "
-        "other topics for this axis are refused; empty: the newest set-point counts",
+        "topic with precedence, such as joint_commands: while it commands an axis, and for 1 s after that, set-points "
+        "of other topics for this axis are refused; empty: the newest set-point applies",
         read_only=False,
     ),
     "board_parameters": Spec(
         [""],
-        "parameters that the board gets at every connection and whenever this list changes, each as NAME=VALUE such as "
-        "param.features[0]=ANTI_WINDUP+POSITION_LIMITS, param.i_q_limit=1.0,1.5 or param.command_timeout=1.0; what is "
-        "taken out of the list stays on the board until its reset",
+        "parameters set on the board at every connection and whenever this list changes, each as NAME=VALUE such as "
+        "param.features[0]=ANTI_WINDUP+POSITION_LIMITS, param.i_q_limit=1.0,1.5 or param.command_timeout=1.0; a "
+        "parameter removed from the list keeps its value on the board until a reset",
         read_only=False,
     ),
 }

@@ -94,7 +94,7 @@ class StorageService:
     def _asked(self, kind: Kind) -> Future[Outcome]:
         answer: Future[Outcome] = Future()
         if self._busy:
-            answer.set_result((False, "a request is under way already; call again when that is answered"))
+            answer.set_result((False, "a request is already in progress; call again after its answer"))
             return answer
         self._busy = True
         until = self._clock() + _PATIENCE

@@ -556,9 +556,7 @@ class Supervisor:
         self._tuning.close()
         switched_off = self._link.close(_SWITCH_OFF)
         if connected and not switched_off:
-            self._warn(
-                "the board did not confirm that it was switched off; it does so by itself when the host is silent"
-            )
+            self._warn("the board did not confirm that it was switched off; it switches off after param.host_timeout")
         self._snapshot = None
         self._arbiter.link_lost(reason)
         self._dispatcher.close(reason)

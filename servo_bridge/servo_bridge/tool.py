@@ -160,7 +160,7 @@ def _parser() -> argparse.ArgumentParser:
     tool_record.add_options(command)
     command = add("log", tool_commands.log, "print the text that the board writes to a pipe: events with their tick")
     command.add_argument("--pipe", type=_positive_whole, default=1, metavar="N", help="number of the pipe (default: 1)")
-    command.add_argument("--follow", "-f", action="store_true", help="go on until Ctrl-C")
+    command.add_argument("--follow", "-f", action="store_true", help="continue until Ctrl-C")
     command = add(
         "scope",
         tool_scope.scope,
@@ -179,7 +179,7 @@ def _parser() -> argparse.ArgumentParser:
         parents=[common],
     )
     command.add_argument("file", type=_project_file, metavar="FILE.pmpx")
-    command = add("identify", tool_identify.identify, "find out what motor the board drives; the axis moves by itself")
+    command = add("identify", tool_identify.identify, "identify the motor of an axis; the shaft moves")
     tool_identify.add_arguments(command)
     command = add("tune", tool_tune.tune, "change gains and motor data of a board that runs, or read them back")
     tool_tune.add_arguments(command)

@@ -111,7 +111,7 @@ class TrajectoryTopics:
         self._arbiter.check_ready(source, axes)
         limits = self._limits()
         if limits is None:
-            raise NotReady(f"{source}: the board has not told its limits yet; call quick_stop to stop now")
+            raise NotReady(f"{source}: the board has not reported its limits yet; call quick_stop to stop now")
         speeds = self._follower.running().select(joints).state(self._follower.now).velocity
         times = [abs(speed) / limits[axis].acceleration_max for speed, axis in zip(speeds, axes, strict=True)]
         self._arbiter.queue.halt(axes, reason or f"an empty trajectory on {source} stopped it")
@@ -161,7 +161,7 @@ class TrajectoryTopics:
         self._arbiter.check_ready(source, axes)
         limits, origin_ns = self._limits(), self._origin_ns()
         if limits is None or origin_ns is None:
-            raise TrajectoryError(f"{source}: the board has not told its limits yet; try again in a second")
+            raise TrajectoryError(f"{source}: the board has not reported its limits yet; try again in a second")
         stamp = message.header.stamp
         stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
 

@@ -17,16 +17,16 @@ __all__ = ["BlockMemory", "BlockRefusedError", "Taken", "read_block", "send_bloc
 _HEAD: Final = 3  # words of the window before the members
 
 _TEXTS: Final[Mapping[str, str]] = {
-    "FORM": "the words are not those that the board asks for; does another program write, too? Send it again",
+    "FORM": "malformed request; if another program also writes to the board, stop it and send again",
     "AXIS": "the board has no such axis",
     "MEMBER": "the board has no such member: host and board are of different versions",
     "RANGE": "is outside what the board takes",
     "LAYOUT": "the board has another layout of the block: flash the firmware of this release",
     "LENGTH": "the board has another number of members: flash the firmware of this release",
     "CHECKSUM": "the board has got other numbers than were sent; send them again",
-    "UNCHECKED": "no whole block has come to the board since the last one was taken; send it again",
-    "MOTION": "may only change while the axis is at rest with its outputs off: disable it and wait until it stands",
-    "BUSY": "the board has not yet taken the blocks that were sent before; ask again",
+    "UNCHECKED": "no complete block has been received since the last one was taken; send it again",
+    "MOTION": "may only change while the axis is at rest with its outputs off: disable it and wait for standstill",
+    "BUSY": "the board has not yet taken the previous blocks; try again",
 }
 
 

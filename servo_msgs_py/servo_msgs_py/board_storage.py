@@ -29,13 +29,13 @@ Kind = Literal["SAVE", "FACTORY"]
 _COPIES: Final = "AB"
 
 _REFUSALS: Final[Mapping[str, str]] = {
-    "FORM": "the board does not understand the request; does another program write, too? Ask again",
+    "FORM": "malformed request; if another program also writes to the board, stop it and try again",
     "ABSENT": "the board has no data flash; keep the values in files: servo-tool save, servo-tool tune --from-board",
-    "BUSY": "the board is still busy with the request before; ask again",
+    "BUSY": "the board is still busy with the previous request; try again",
     "MOTION": "only at rest with the outputs off: disable both axes and wait until they stand, then ask again; what "
     "was stored before is still there",
-    "CHANGED": "parameters or configuration were changed meanwhile; what was stored before is still there: ask again",
-    "FLASH": "the data flash does not keep what is written; what was stored before is still there. If it happens "
+    "CHANGED": "parameters or configuration were changed meanwhile; the stored values are unchanged: try again",
+    "FLASH": "verification of the data flash failed; the previously stored values are unchanged. If it happens "
     "again, the flash is worn out",
 }
 
@@ -145,7 +145,7 @@ def request_result(memory: BlockMemory, token: int) -> Storage | None:
         return None
     if memory.read_words("storage.answered") != [token]:
         raise StorageRefusedError(
-            "", "the board has forgotten the request; was it reset? Look at its state and ask again"
+            "", "the board has lost the request, probably by a reset; check its state and try again"
         )
     if memory.read_words("storage.refusal") != [0]:
         raise _refused(memory)
@@ -180,9 +180,7 @@ def success_text(kind: Kind, storage: Storage) -> str:
     """What a request has done, for people."""
     if kind == "SAVE":
         return f"stored as set {storage.sequence}: a reset brings these parameters and this configuration back"
-    return (
-        "both copies are erased; the built-in values come into force at the next reset, until then all stays as it is"
-    )
+    return "both copies are erased; the built-in values come into force at the next reset"
 
 
 def _refused(memory: BlockMemory) -> StorageRefusedError:

@@ -1,5 +1,7 @@
-/* What is the same on both levels: the host's view of the variables, and the estimate of a winding's temperature. */
+/* Common part of both levels: variables, records, faults, the data flash, samples. */
 #include "board_parts.h"
+
+#include <string.h>
 
 #include "app/variables.h"
 #include "comm/status.h"
@@ -33,6 +35,39 @@ void board_table(uint32_t *address, uint32_t *size)
 {
     *address = TSA_TABLE_BASE;
     *size = tsa_table_size(&servo_variables);
+}
+
+size_t board_record(board_t *board, uint64_t until_ns, uint8_t *log, size_t max_rows)
+{
+    size_t rows = 0;
+    while (rows < max_rows && board_run_to_tick(board, until_ns)) {
+        memcpy(log + rows * sizeof(snapshot_t), &board_servo(board)->snapshot, sizeof(snapshot_t));
+        rows++;
+    }
+    return rows;
+}
+
+/* ---- faults ------------------------------------------------------------------------------------------------------- */
+
+void board_inject_fault(board_t *board, const board_fault_t *fault)
+{
+    (void)board_servo(board); /* a fault comes after the boot */
+    if (fault->kind == BOARD_CUT_WIRE) {
+        board_cut_wire(board, fault->axis, fault->part, true);
+    } else if (fault->kind == BOARD_STALLED_CORE) {
+        board_stall_core(board, fault->seconds);
+    } else {
+        board_set_plant_fault(board, fault, false);
+    }
+}
+
+void board_clear_fault(board_t *board, const board_fault_t *fault)
+{
+    if (fault->kind == BOARD_CUT_WIRE) {
+        board_cut_wire(board, fault->axis, fault->part, false);
+    } else {
+        board_set_plant_fault(board, fault, true);
+    }
 }
 
 /* ---- data flash --------------------------------------------------------------------------------------------------- */
@@ -141,7 +176,7 @@ uint32_t board_sampled(board_t *board, uint32_t *next)
     return sampling->filled ? memory->owner->total : *next;
 }
 
-/* The recorder is as it was after the reset: its memory is its own again. */
+/* The recorders get their own memory again, as after a reset. */
 void board_sample_end(board_t *board)
 {
     servo_t *servo = board_servo(board);

@@ -2,7 +2,6 @@
 #include "board_parts.h"
 
 #include <stdlib.h>
-#include <string.h>
 
 #include "ideal_chip.h"
 
@@ -41,21 +40,15 @@ void board_advance(board_t *board, uint64_t until_ns) { (void)chip_run(&board->c
 
 uint64_t board_time_ns(const board_t *board) { return board->chip.now_ns; }
 
-size_t board_record(board_t *board, uint64_t until_ns, uint8_t *log, size_t max_rows)
+bool board_run_to_tick(board_t *board, uint64_t until_ns)
 {
-    const size_t size = sizeof board->servo.snapshot;
-    size_t rows = 0;
-    while (rows < max_rows) {
-        const uint32_t tick = board->servo.snapshot.tick;
-        if (!chip_run(&board->chip, until_ns, true)) {
-            break;
-        }
+    const uint32_t tick = board->servo.snapshot.tick;
+    while (chip_run(&board->chip, until_ns, true)) {
         if (board->servo.snapshot.tick != tick) {
-            memcpy(log + rows * size, &board->servo.snapshot, size);
-            rows++;
+            return true;
         }
     }
-    return rows;
+    return false;
 }
 
 size_t board_serial_in(board_t *board, const uint8_t *data, size_t size)
@@ -156,24 +149,16 @@ void board_set_motor(board_t *board, int axis, int connected)
     averaged_inverter_plug(&drive->inverter, &drive->motor, connected != 0);
 }
 
-void board_inject_fault(board_t *board, const board_fault_t *fault)
+void board_cut_wire(board_t *board, int axis, int pin, bool cut) { chip_cut_wire(&board->chip, axis, pin, cut); }
+
+void board_stall_core(board_t *board, double seconds)
 {
-    if (fault->kind == BOARD_CUT_WIRE) {
-        chip_cut_wire(&board->chip, fault->axis, fault->part, true);
-    } else if (fault->kind == BOARD_STALLED_CORE) {
-        board->chip.stalled_ns = board->chip.now_ns + (uint64_t)(fault->seconds * 1e9);
-    } else {
-        plant_set_fault(&board->chip.plant, fault, false);
-    }
+    board->chip.stalled_ns = board->chip.now_ns + (uint64_t)(seconds * 1e9);
 }
 
-void board_clear_fault(board_t *board, const board_fault_t *fault)
+void board_set_plant_fault(board_t *board, const board_fault_t *fault, bool cleared)
 {
-    if (fault->kind == BOARD_CUT_WIRE) {
-        chip_cut_wire(&board->chip, fault->axis, fault->part, false);
-    } else {
-        plant_set_fault(&board->chip.plant, fault, true);
-    }
+    plant_set_fault(&board->chip.plant, fault, cleared);
 }
 
 /* ---- registers: there are none ------------------------------------------------------------------------------------ */

@@ -1,17 +1,28 @@
-/* board_parts.h - what the two levels of a board offer to the part that they share. */
+/* board_parts.h - functions of the two levels of a board that their common part (board.c) calls. */
 #ifndef SERVO_TWIN_BOARD_PARTS_H
 #define SERVO_TWIN_BOARD_PARTS_H
+
+#include <stdbool.h>
 
 #include "app/servo.h"
 #include "board.h"
 #include "flash.h"
 
+/* The servo, after its boot. */
 servo_t *board_servo(board_t *board);
+
+/* As board_advance, but no further than the next slow tick: returns true if it has stopped there. */
+bool board_run_to_tick(board_t *board, uint64_t until_ns);
+
+/* Faults: a wire by its board_pin_t, the core for some seconds, and those of the plant. */
+void board_cut_wire(board_t *board, int axis, int pin, bool cut);
+void board_stall_core(board_t *board, double seconds);
+void board_set_plant_fault(board_t *board, const board_fault_t *fault, bool cleared);
 
 /* Temperature of a winding of the plant from now on [deg C]. */
 void board_warm_winding(board_t *board, int axis, double celsius);
 
-/* The data flash, and the present on its clock. */
+/* The data flash, and the present time [ns]. */
 flash_t *board_flash(board_t *board, uint64_t *now_ns);
 
 #endif

@@ -20,21 +20,22 @@ struct board {
     servo_t servo;
     hal_t hal;
     double baud; /* of the serial line [bit/s] */
-    void *allocated; /* what the board lies in */
-    uint64_t time_ns;  /* since `zero` */
+    void *allocated; /* memory that holds the board */
+    uint64_t time_ns;  /* since `zero` [ns] */
     uint64_t zero;     /* clock at which the first period with loops begins: t0 of DRM F34 */
-    bool booted, starting;
-    uint32_t breaks;
-    uint32_t stall_clocks; /* that the next control loop takes: it would interrupt any other handler */
-    bool tripped[BOARD_AXES];
-    bool swapped[BOARD_AXES]; /* lines A and B of the encoder */
+    bool booted;
+    bool starting;   /* stop at the start of the sequence of both loops */
+    uint32_t breaks; /* times an over-current comparator has tripped */
+    uint32_t stall_clocks; /* added to the next control loop, as it would interrupt any other handler [bus clocks] */
+    bool tripped[BOARD_AXES]; /* output of the over-current comparator */
+    bool swapped[BOARD_AXES]; /* lines A and B of the encoder are swapped */
     plant_pins_t pins[BOARD_AXES];
-    unsigned closed[BOARD_AXES]; /* contacts that the chip has been shown as closed, a bit per board_pin_t */
-    bool up;        /* the port has started: there is a servo to run */
+    unsigned closed[BOARD_AXES]; /* contacts whose pins are low, a bit per board_pin_t */
+    bool up;        /* the port has started the servo */
     bool recording; /* stop after each slow tick */
 };
 
-/* ---- what is soldered where ----------------------------------------------------------------------------------------- */
+/* ---- wiring -------------------------------------------------------------------------------------------------------- */
 
 static const chip_wiring_t wiring = {
     .gate = {{{CHIP_PIN('E', 1), CHIP_PIN('E', 0)},
@@ -91,7 +92,7 @@ static inline unsigned line_pin(const board_t *board, int axis, int line)
     return encoder_pin[axis][board->swapped[axis] ? 1 - line : line];
 }
 
-/* Edges that only count are kept back by the plant, which has less to do for each then. */
+/* The plant defers edges that only count, which makes each one cheaper. */
 static void deferrable_edges_changed(void *self)
 {
     board_t *board = (board_t *)self;
@@ -172,8 +173,8 @@ static void show_contacts(board_t *board, int axis)
     }
 }
 
-/* Contacts and holding brakes are looked at before every loop: they are slower than that by far. */
-static void look_at_pins(board_t *board)
+/* Contacts and holding brakes are updated before each interrupt: they are much slower than that. */
+static void update_pins(board_t *board)
 {
     for (int axis = 0; axis < BOARD_AXES; axis++) {
         plant_pins_t *pins = &board->pins[axis];
@@ -186,14 +187,14 @@ static void look_at_pins(board_t *board)
     }
 }
 
-/* The switch of the brake resistor follows its pin, as software has left it. */
+/* The switch of the brake resistor and the coils of the holding brakes follow their pins. */
 static void outputs_changed(void *self)
 {
     board_t *board = (board_t *)self;
     chip_plant_changed(&board->chip);
     const bool on = chip_pin_level(&board->chip, brake_pin);
     if (on != board->plant.supply.braking) {
-        switching_advance(&board->plant, board->chip.core.bus.now); /* the plant stands where the chip met it last */
+        switching_advance(&board->plant, board->chip.core.bus.now); /* from where the chip advanced it last */
         switching_brake(&board->plant, on);
     }
     for (int axis = 0; axis < BOARD_AXES; axis++) {
@@ -207,7 +208,7 @@ static void boot(void *self)
     memset(&board->servo, 0, sizeof board->servo);
     memset(&board->hal, 0, sizeof board->hal);
     board->hal.chip = &board->chip;
-    board->hal.baud = (uint32_t)(board->baud + 0.5); /* both ends of the line are told the same */
+    board->hal.baud = (uint32_t)(board->baud + 0.5); /* the same for both ends of the line */
     board->up = port_init(&board->hal, &board->servo);
 }
 
@@ -215,7 +216,7 @@ static uint32_t interrupt(void *self, unsigned vector)
 {
     board_t *board = (board_t *)self;
     const uint32_t tick = board->servo.snapshot.tick;
-    look_at_pins(board);
+    update_pins(board);
     port_isr(&board->hal, (uint16_t)vector);
     const bool second = vector == VECTOR_ADC_CC0;
     const bool loop = vector == VECTOR_M1 || second;
@@ -283,16 +284,16 @@ board_t *board_new(const board_config_t *config)
         }
         plant_pins_init(&board->pins[axis], &config->axis[axis]);
         switching_set_friction(&board->plant, axis, plant_pins_friction(&board->pins[axis]));
-        board->closed[axis] = ~0u; /* the levels at the pins so far */
+        board->closed[axis] = ~0u; /* the pins are low so far */
         show_contacts(board, axis);
     }
     return board;
 }
 
-#define START_CLOCKS_MAX 100000u /* clocks within which the sequence starts after the boot */
+#define START_MAX 100000u /* clocks within which the sequence starts after the boot */
 
-/* The software boots with the first look at the board, so that a trace can begin at power-on. For everybody else time
- * begins when both loops are at work, with the low-side centre of motor 1: as on the board with the ideal chip. */
+/* The software boots in the first access to the board, so that a trace can begin at power-on. Time zero of the interface is
+ * the low-side centre of motor 1 in the first period with both loops: as on the board with the ideal chip. */
 static void boot_once(board_t *board)
 {
     if (board->booted) {
@@ -301,7 +302,7 @@ static void boot_once(board_t *board)
     board->booted = true;
     (void)chip_run(&board->chip, 0);
     board->starting = true;
-    (void)chip_run(&board->chip, board->chip.core.bus.now + START_CLOCKS_MAX);
+    (void)chip_run(&board->chip, board->chip.core.bus.now + START_MAX);
     board->zero = board->chip.core.bus.now;
     if (!board->starting) {
         const pwm_submodule_t *master = &board->chip.pwm.module[0].sub[0];
@@ -351,17 +352,12 @@ void board_advance(board_t *board, uint64_t until_ns) { (void)run(board, until_n
 
 uint64_t board_time_ns(const board_t *board) { return board->time_ns; }
 
-size_t board_record(board_t *board, uint64_t until_ns, uint8_t *log, size_t max_rows)
+bool board_run_to_tick(board_t *board, uint64_t until_ns)
 {
-    const size_t size = sizeof board->servo.snapshot;
-    size_t rows = 0;
     board->recording = true;
-    while (rows < max_rows && run(board, until_ns)) {
-        memcpy(log + rows * size, &board->servo.snapshot, size);
-        rows++;
-    }
+    const bool published = run(board, until_ns);
     board->recording = false;
-    return rows;
+    return published;
 }
 
 size_t board_trace(board_t *board, uint64_t until_ns, trace_entry_t *log, size_t room)
@@ -477,7 +473,7 @@ void board_reverse_encoder(board_t *board, int axis)
     for (int line = 0; line < 2; line++) {
         chip_pin(&board->chip, line_pin(board, axis, line), switching_line(&board->plant, axis, line));
     }
-    deferrable_edges_changed(board); /* these changes have used some */
+    deferrable_edges_changed(board); /* these edges were counted, too */
 }
 
 void board_obstruct_shaft(board_t *board, int axis, double below, double above)
@@ -494,29 +490,15 @@ void board_set_magnet(board_t *board, int axis, double celsius) { switching_warm
 
 void board_set_motor(board_t *board, int axis, int connected) { switching_plug(&board->plant, axis, connected != 0); }
 
-static void cut_wire(board_t *board, const board_fault_t *fault, bool cut)
+void board_cut_wire(board_t *board, int axis, int pin, bool cut)
 {
-    plant_pins_cut(&board->pins[fault->axis], fault->part, cut, seconds_of(board));
-    show_contacts(board, fault->axis);
+    plant_pins_cut(&board->pins[axis], pin, cut, seconds_of(board));
+    show_contacts(board, axis);
 }
 
-void board_inject_fault(board_t *board, const board_fault_t *fault)
-{
-    boot_once(board);
-    if (fault->kind == BOARD_CUT_WIRE) {
-        cut_wire(board, fault, true);
-    } else if (fault->kind == BOARD_STALLED_CORE) {
-        board->stall_clocks = (uint32_t)(fault->seconds * 1e9 / CLOCK_NS);
-    } else {
-        switching_set_fault(&board->plant, fault, false);
-    }
-}
+void board_stall_core(board_t *board, double seconds) { board->stall_clocks = (uint32_t)(seconds * 1e9 / CLOCK_NS); }
 
-void board_clear_fault(board_t *board, const board_fault_t *fault)
+void board_set_plant_fault(board_t *board, const board_fault_t *fault, bool cleared)
 {
-    if (fault->kind == BOARD_CUT_WIRE) {
-        cut_wire(board, fault, false);
-    } else {
-        switching_set_fault(&board->plant, fault, true);
-    }
+    switching_set_fault(&board->plant, fault, cleared);
 }

@@ -99,7 +99,7 @@ PLANT_INLINE adc_pair_t codes_of(const hal_t *chip, int i, const plant_samples_t
 
 static bool awake(const hal_t *chip) { return chip->now_ns >= chip->stalled_ns; }
 
-/* It was not served: the board starts anew. What is outside of the chip goes on. */
+/* The watchdog was not served: reset of the chip; everything outside of it continues. */
 static void watch_dog(hal_t *chip)
 {
     if (chip->now_ns - chip->served_ns <= WATCHDOG_NS) {
@@ -318,7 +318,7 @@ uint16_t hal_receiver_overruns(hal_t *hal) { return (uint16_t)hal->uart.overruns
 
 bool hal_reset_by_watchdog(hal_t *hal) { return hal->watchdog_reset; }
 
-/* Its last sectors, as on the chip: the first ones belong to tables. */
+/* The last sectors of the flash, as on the chip: the first ones are for tables. */
 #define KEPT_WORD ((FLASH_SECTORS - HAL_FLASH_SECTORS) * FLASH_SECTOR_WORDS)
 
 bool hal_flash_present(hal_t *hal)

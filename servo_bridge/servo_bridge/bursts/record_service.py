@@ -103,7 +103,7 @@ class RecordService:
             answer.set_result((False, "nothing is being recorded; call record with data: true first"))
         else:
             self._recording.stop()
-            answer.set_result((True, "the recorder is stopped; what it has is read and published on recording"))
+            answer.set_result((True, "the recorder is stopped; its samples are read and published on recording"))
         return answer
 
     def _step(self) -> None:

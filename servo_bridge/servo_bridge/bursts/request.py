@@ -96,7 +96,7 @@ class BurstRequest:
     def of(cls, args: argparse.Namespace) -> BurstRequest:
         """Take the options of `add_options`, with ``names`` and ``rate``."""
         if args.level and args.trigger is None:
-            raise UsageError("--level says how a trigger fires; give one with --trigger")
+            raise UsageError("--level applies to a trigger only; give one with --trigger")
         return cls(
             tuple(args.names), args.recorder or _FAST, args.trigger, args.level, args.before, args.points, args.rate
         )

@@ -113,7 +113,7 @@ class DialectV4:
             return level
         if algorithm != commands.SHA1_PASSWORD:
             raise FreemasterError(
-                f"the board requires passwords hashed by algorithm {algorithm}; this program knows SHA-1"
+                f"the board requires passwords hashed by algorithm {algorithm}; this program supports SHA-1"
             )
         return ask(commands.finish_login(level, password_key(password, challenge[end:]))).data[0]
 

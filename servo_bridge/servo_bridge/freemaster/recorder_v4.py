@@ -142,7 +142,7 @@ def _state(data: bytes) -> State:
     try:
         return State(data[0])
     except (IndexError, ValueError):
-        raise CodecError(f"the state of the recorder is {data!r}, which means nothing") from None
+        raise CodecError(f"the state of the recorder is {data!r}, which is not defined") from None
 
 
 def _explained(error: StatusError, setup: Setup) -> Exception:

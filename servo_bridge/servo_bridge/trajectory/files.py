@@ -89,7 +89,7 @@ def _joints_of(number: int, header: Sequence[str], known: Sequence[str]) -> list
         if name not in allowed:
             raise TrajectoryError(f"line {number}: column {name!r} is unknown; columns are {', '.join(allowed)}")
         if header.count(name) > 1:
-            raise TrajectoryError(f"line {number}: column {name} is there twice; leave one out")
+            raise TrajectoryError(f"line {number}: column {name} is given twice; remove one")
     joints = [name for name in header if name in known]
     if "time" not in header or not joints:
         raise TrajectoryError(f"line {number}: no column time, or no joint; begin with time,{','.join(known)}")

@@ -85,7 +85,7 @@ def _path(
             if abs(velocity) > _STANDING:
                 raise TrajectoryError(
                     f"velocity of {joint} at the last point, #{len(waypoints.times) - 1}, is {velocity:g} rad/s; give "
-                    "0, or add a point at which it stands"
+                    "0, or add a point with velocity 0"
                 )
     old = running.select(waypoints.joints)
     start = max(begin, now)

@@ -127,7 +127,7 @@ class JobQueue:
             if self._closed is not None:
                 error = LinkDownError(self._closed)
             elif len(queue) >= self._limit:
-                error = LinkBusyError(f"{len(queue)} jobs wait already; the line is slower than what it is asked for")
+                error = LinkBusyError(f"{len(queue)} jobs wait already; the line is too slow for these requests")
             else:
                 queue.append(job)
                 self._condition.notify()

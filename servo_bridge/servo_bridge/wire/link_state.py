@@ -92,7 +92,9 @@ def status_of(error: Exception, url: str, baud: int, *, connected: bool) -> Link
     if isinstance(error, BoardStoppedError):
         return LinkStatus(LinkState.FAILED, reason, "reset the board")
     if isinstance(error, TransportError):
-        return LinkStatus(LinkState.DISCONNECTED, reason, "plug the adapter in again; the link comes back by itself")
+        return LinkStatus(
+            LinkState.DISCONNECTED, reason, "plug the adapter in again; the link reconnects automatically"
+        )
     if isinstance(error, AnswerTimeoutError):
         what = "the board stopped answering" if connected else f"nothing answers at {baud} baud"
         return LinkStatus(

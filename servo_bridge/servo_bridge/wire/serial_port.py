@@ -304,7 +304,7 @@ def _permission_remedy(path: str) -> str:
     try:
         status = os.stat(path)
     except OSError:
-        return f"see who may use it with ls -lL {path} and what is above it"
+        return f"check the permissions with ls -lL {path} and what is above it"
     mode = stat.S_IMODE(status.st_mode)
     group, group_may = _group_name(status.st_gid), mode & 0o060 == 0o060
     facts = f"it has mode {mode:04o}, owner {_user_name(status.st_uid)}, group {group}"

@@ -214,7 +214,7 @@ class AxisUnderTest:
     def enable(self, substate: str, seconds: float) -> None:
         """Outputs on, until a sub-state is reached."""
         self.write_word("cmd.enable", 1)
-        problem = f"has not come to {substate}"
+        problem = f"has not reached {substate}"
         self.until(lambda: self.substate == substate, seconds, problem, ": is the board in order?")
 
     def off(self) -> None:

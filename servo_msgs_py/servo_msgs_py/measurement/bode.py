@@ -154,7 +154,7 @@ def _compared(found: Figures, half: Figures) -> tuple[Figures, list[str]]:
     pairs = ((found.crossover, half.crossover), (found.phase_margin, half.phase_margin))
     compared = [_with_difference(one, other) for one, other in pairs if one is not None and other is not None]
     if len(compared) < len(pairs):
-        return _unconfirmed(found), ["half the amplitude determines nothing: give a larger amplitude"]
+        return _unconfirmed(found), ["half the amplitude gives no result: use a larger amplitude"]
     crossover, margin = compared
     assert half.crossover is not None
     assert half.phase_margin is not None

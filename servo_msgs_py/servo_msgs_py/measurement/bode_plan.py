@@ -371,7 +371,7 @@ def notes(settings: Settings, prediction: Prediction) -> list[str]:
     if not settings.loop.slow:
         return []
     if settings.speed == 0.0:
-        return ["measured about standstill: friction and rare encoder edges change what is measured; give --speed"]
+        return ["measured at standstill: friction and rare encoder edges affect the result; give --speed"]
     board = prediction.it.board
     resolution = abs(settings.speed) / (board("timer_clock") * board.tick)
     if settings.loop.name == "speed" and not prediction.observed and settings.swing < _RESOLUTIONS * resolution:

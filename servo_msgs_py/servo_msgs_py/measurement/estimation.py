@@ -131,7 +131,7 @@ def flux_of(log: MeasurementLog, l_d: float, pairs: float) -> dict[str, Estimate
     current = mean_of(fast[0].columns[f"{name}.i_d"])[0]
     induced = (means[0] - means[1]) / (speeds[0] - speeds[1]) - l_d * current
     if not induced > 1e-4:
-        raise MeasurementError("the turning rotor induces no voltage: are there magnets in it?")
+        raise MeasurementError("the turning rotor induces no voltage: it has no magnets, or a wire is open")
     return {"psi_m": Estimate(induced, FLUX_FIRST * induced)}
 
 

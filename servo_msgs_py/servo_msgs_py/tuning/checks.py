@@ -116,7 +116,7 @@ def _order(axis: Axis, board: Board) -> None:
         reason = f"not below control.current_bandwidth = {axis('control.current_bandwidth'):g} Hz"
         raise axis.refused("control.speed_bandwidth", reason, "write a fifth of that or less")
     if 2.0 * axis("control.current_bandwidth") >= board("pwm_frequency"):
-        reason = f"{board('pwm_frequency'):g} Hz sample nothing so fast"
+        reason = f"{board('pwm_frequency'):g} Hz is too low a sampling rate for it"
         raise axis.refused("control.current_bandwidth", reason, "write a tenth of that or less")
     least, most = axis("control.position_gain") / math.pi, 0.5 / board.tick
     if not least <= axis("control.observer_bandwidth") < most:
@@ -176,7 +176,7 @@ def _bus(configuration: Configuration) -> None:
         reason = (
             f"at {board('brake.on_voltage'):g} V it burns no more than {burnt:.3g} W, so there is nothing to budget"
         )
-        raise board.refused("brake.power", reason, "write what it bears for ever")
+        raise board.refused("brake.power", reason, "write its continuous rating")
 
 
 def _returned(axis: Axis, board: Board) -> float:

@@ -192,7 +192,7 @@ def _winding(it: Tuned) -> Iterator[str]:
         ("thermal resistance", f"{model.resistance:.4g} K/W", given),
         ("time constant", _time(model.resistance * model.capacity), f"of {model.capacity:g} J/K"),
         ("full current until derating", _time(model.time_to(model.derating, model.current)), full),
-        ("rated current for ever", _celsius(model.equilibrium(model.rated)), f"{model.rated:g} A"),
+        ("rated current continuously", _celsius(model.equilibrium(model.rated)), f"{model.rated:g} A"),
         ("all the current there is", _celsius(celsius), f"ends at {current:.3g} A, with the feature winding_model"),
     ]
     return notes(rows)

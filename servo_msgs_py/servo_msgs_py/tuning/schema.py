@@ -113,8 +113,8 @@ BOARD_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "resistance": Entry("ohm", "brake resistor across the bus"),
         "on_voltage": Entry("V", "bus voltage that switches the resistor on"),
         "off_voltage": Entry("V", "bus voltage that switches it off again"),
-        "power": Entry("W", "what the resistor bears for ever"),
-        "energy": Entry("J", "what it bears at once, cold"),
+        "power": Entry("W", "continuous power rating of the resistor"),
+        "energy": Entry("J", "pulse energy rating of the cold resistor"),
     },
     "regeneration": {
         "start_voltage": Entry("V", "bus voltage from which braking current is folded back"),
@@ -156,7 +156,7 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "anti_windup": Entry("", "Kc of DRM E35, below 1", most=1.0),
         "position_gain": Entry("1/s", "K_v: speed set-point per position error"),
         "observer_bandwidth": Entry("Hz", "of the speed observer; twice the position gain over 2 pi at least"),
-        "path_current_use": Entry("", "part of the current limit that shaped set-points ask for"),
+        "path_current_use": Entry("", "fraction of the current limit used by shaped set-points"),
     },
     "rotor_search": {
         "current": Entry("A", "largest vector"),
@@ -184,7 +184,7 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "pll_i": Entry("", "number in the rule of the slide for the I gain, 1506742"),
         "pll_damping": Entry("", "of the phase-locked loop", most=10.0),
         "pll_torque": Entry(
-            "", "part of the acceleration by the current that the phase-locked loop is told", True, most=2
+            "", "fraction of the acceleration by the current fed forward to the phase-locked loop", True, most=2
         ),
         "pll_size": Entry("Hz", "how quickly its speed follows the size of the back-EMF", True, most=250.0),
         "pll_load": Entry("", "acceleration that it learns from the angle, per time, over omega_n^3", True, most=1.0),
@@ -244,18 +244,18 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "thermal_resistance": Entry(
             "K/W", "to the surroundings; without it the rated current leads to maximum", optional=True
         ),
-        "heat_capacity": Entry("J/K", "of the copper and what it heats up along with"),
+        "heat_capacity": Entry("J/K", "of the copper and the parts in thermal contact"),
         "ambient": Entry("deg C", "hottest surroundings", zero=True, signed=True),
         "initial": Entry("deg C", "assumed after a reset, which loses the temperature", zero=True, signed=True),
         "derating": Entry("deg C", "from where on the current limit falls"),
-        "maximum": Entry("deg C", "where the current limit has come down to the rated current"),
+        "maximum": Entry("deg C", "at which the current limit equals the rated current"),
         "fault": Entry("deg C", "that is a fault, until it is below maximum again"),
     },
     "field_weakening": {
         "margin": Entry("V", "stator voltage that stays free below its limit", zero=True),
         "bandwidth": Entry("Hz", "of the voltage's controller, where the back-EMF takes the whole voltage", most=250.0),
         "current_use": Entry("", "part of limits.current for the current against the flux", most=1.0),
-        "magnet_current": Entry("A", "current against the flux that the hot magnets bear, peak"),
+        "magnet_current": Entry("A", "largest current against the flux for hot magnets, peak"),
     },
     "home": {
         "speed": Entry("rad/s", "of the first approach of a homing; the next ones take a quarter of it"),
@@ -263,10 +263,10 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "back_off": Entry("rad", "way back from a stop or a switch before the next approach"),
         "spread": Entry("rad", "distance of the places where it was found that is a fault", zero=True),
         "turns_max": Entry("", "turns within which it has to be found", whole=True),
-        "reach": Entry("rad", "distance from where an axis was enabled, until its position is known"),
+        "reach": Entry("rad", "largest distance from the position of enabling, until the position is known"),
     },
     "pins": {
-        "open_time": Entry("s", "until the holding brake holds nothing", zero=True),
+        "open_time": Entry("s", "until the holding brake is open", zero=True),
         "close_time": Entry("s", "until the holding brake holds", zero=True),
     },
     "sensing": {

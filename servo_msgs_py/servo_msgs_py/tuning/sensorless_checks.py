@@ -54,7 +54,7 @@ def _which_gains(axis: Axis) -> None:
     if axis.given("observer.k_1") and axis.given("observer.bandwidth"):
         own = {key: key not in axis.inherited for key in ("observer.k_1", "observer.bandwidth")}
         if own["observer.k_1"] == own["observer.bandwidth"]:
-            reason = f"observer.bandwidth = {axis('observer.bandwidth'):g} Hz says it in another way"
+            reason = f"observer.bandwidth = {axis('observer.bandwidth'):g} Hz specifies the same quantity"
             raise axis.refused("observer.k_1", reason, "leave one of them out")
 
 
@@ -115,7 +115,9 @@ def _pll(axis: Axis, board: Board, pll: Pll, start_up: StartUp) -> None:
         )
         raise axis.refused("observer.pll_i", reason, "write 1506742, the slide's")
     if pll.load >= pll.damping:
-        reason = f"with observer.pll_damping = {pll.damping:g} the loop swings, and from twice that on for ever"
+        reason = (
+            f"with observer.pll_damping = {pll.damping:g} the loop oscillates, and from twice that on without decay"
+        )
         raise axis.refused("observer.pll_load", reason, "write 0.125")
     p = axis("motor.pole_pairs")
     lag = p * start_up.acceleration / pll.omega_n(p * start_up.speed_final) ** 2

@@ -147,7 +147,7 @@ def check_winding(axis: Axis) -> None:
     end = it.equilibrium(it.rated)
     if end - it.ambient > _FIT * (it.maximum - it.ambient):
         reason = f"for ever it heats the winding to {end:.4g} deg C, beyond winding.maximum = {it.maximum:g}"
-        remedy = "write less, or leave winding.thermal_resistance out if that is not known"
+        remedy = "use a lower value, or omit winding.thermal_resistance if it is not known"
         raise axis.refused("motor.rated_current", reason, remedy)
 
 

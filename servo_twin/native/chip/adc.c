@@ -41,20 +41,20 @@ enum {
 #define A 0u
 #define B 1u
 
-static bool together(const adc_t *adc) { return (adc->ctrl2 & CTRL2_SIMULT) != 0; }
+static bool together(const adc_t *adc) { return (adc->reg[CTRL2] & CTRL2_SIMULT) != 0; }
 
-static uint16_t control(const adc_t *adc, unsigned c) { return (c == A) ? adc->ctrl1 : adc->ctrl2; }
+static uint16_t control(const adc_t *adc, unsigned c) { return (c == A) ? adc->reg[CTRL1] : adc->reg[CTRL2]; }
 
 /* Bus clocks per clock of a converter. */
 static uint64_t divider(const adc_t *adc, unsigned c)
 {
-    const unsigned div = (c == A || together(adc)) ? CTRL2_DIV0(adc->ctrl2) : (adc->pwr2 >> 8) & 0x3Fu;
+    const unsigned div = (c == A || together(adc)) ? CTRL2_DIV0(adc->reg[CTRL2]) : (adc->reg[PWR2] >> 8) & 0x3Fu;
     return (div == 0) ? 2u : div + 1u;
 }
 
 static bool powered(const adc_t *adc, unsigned c)
 {
-    return ((adc->pwr >> c) & 1u) == 0 && adc->bus->now >= adc->power_clock[c];
+    return ((adc->reg[PWR] >> c) & 1u) == 0 && adc->bus->now >= adc->power_clock[c];
 }
 
 /* Results that are ready. */
@@ -64,19 +64,19 @@ NOINLINE static void settle(adc_t *adc)
     for (unsigned left = adc->waits; left != 0; left &= left - 1u) {
         const unsigned n = lowest_bit(left);
         if (adc->ready[n] <= adc->bus->now) {
-            adc->result[n] = adc->waiting[n];
+            adc->reg[RSLT0 + n] = adc->waiting[n];
             done |= 1u << n;
         }
     }
-    adc->rdy = (uint16_t)(adc->rdy | done);
+    adc->reg[RDY] = (uint16_t)(adc->reg[RDY] | done);
     adc->waits &= ~done;
 }
 
 NOINLINE static void request(adc_t *adc)
 {
-    const bool end_a = (adc->stat & 0x0800u) != 0 && (adc->ctrl1 & CTRL_EOSIE) != 0;
-    const bool end_b = (adc->stat & 0x1000u) != 0 && (adc->ctrl2 & CTRL_EOSIE) != 0;
-    const unsigned halted = adc->rdy & adc->schlten;
+    const bool end_a = (adc->reg[STAT] & 0x0800u) != 0 && (adc->reg[CTRL1] & CTRL_EOSIE) != 0;
+    const bool end_b = (adc->reg[STAT] & 0x1000u) != 0 && (adc->reg[CTRL2] & CTRL_EOSIE) != 0;
+    const unsigned halted = adc->reg[RDY] & adc->reg[SCHLTEN];
     bus_request(adc->bus, VECTOR_ADC_CC0, end_a || (halted & (together(adc) ? 0xFFFFu : 0x00FFu)) != 0);
     bus_request(adc->bus, VECTOR_ADC_CC1, !together(adc) && (end_b || (halted & 0xFF00u) != 0));
 }
@@ -85,7 +85,7 @@ NOINLINE static void request(adc_t *adc)
 NOINLINE static uint64_t next_halt(const adc_t *adc)
 {
     uint64_t next = CHIP_NEVER;
-    for (unsigned left = adc->waits & adc->schlten; left != 0; left &= left - 1u) {
+    for (unsigned left = adc->waits & adc->reg[SCHLTEN]; left != 0; left &= left - 1u) {
         const uint64_t ready = adc->ready[lowest_bit(left)];
         next = (ready < next) ? ready : next;
     }
@@ -95,7 +95,7 @@ NOINLINE static uint64_t next_halt(const adc_t *adc)
 static inline void schedule(adc_t *adc, unsigned c)
 {
     const adc_converter_t *converter = &adc->converter[c];
-    const uint64_t halt = (adc->schlten != 0) ? next_halt(adc) : CHIP_NEVER;
+    const uint64_t halt = (adc->reg[SCHLTEN] != 0) ? next_halt(adc) : CHIP_NEVER;
     uint64_t next = CHIP_NEVER;
     if (converter->converting) {
         next = (converter->sample_clock < converter->end_clock) ? converter->sample_clock : converter->end_clock;
@@ -113,7 +113,7 @@ static inline unsigned samples_of(const adc_t *adc, unsigned c, unsigned pair)
 /* A scan ends before the first pair of which a sample is disabled. */
 static inline bool disabled(const adc_t *adc, unsigned c, unsigned pair)
 {
-    return (adc->sdis & samples_of(adc, c, pair)) != 0;
+    return (adc->reg[SDIS] & samples_of(adc, c, pair)) != 0;
 }
 
 /* Start with the first pair, or with the next one after a pause. */
@@ -122,13 +122,13 @@ static void begin_row(adc_t *adc, unsigned c, uint64_t from)
     static const uint8_t most_mhz[4] = {5, 10, 15, 20};
     adc_converter_t *converter = &adc->converter[c];
     const uint64_t div = divider(adc, c);
-    const unsigned speed = (adc->pwr2 >> (2u * c)) & 3u;
+    const unsigned speed = (adc->reg[PWR2] >> (2u * c)) & 3u;
     if (CHIP_BUS_HZ / 1000000u > most_mhz[speed] * div) {
         bus_fail(adc->bus, "ADC: a clock of %lu MHz with SPEED%c = %u (up to %u MHz)",
                  (unsigned long)(CHIP_BUS_HZ / 1000000u / div), "AB"[c], speed, most_mhz[speed]);
     }
     if (disabled(adc, c, converter->pair)) {
-        bus_fail(adc->bus, "ADC: a scan without samples (SDIS = %04Xh) is not modelled", (unsigned)adc->sdis);
+        bus_fail(adc->bus, "ADC: a scan without samples (SDIS = %04Xh) is not modelled", (unsigned)adc->reg[SDIS]);
     }
     const uint64_t edge = (from + div - 1u) / div * div;
     converter->scanning = true;
@@ -153,7 +153,7 @@ void adc_sync(adc_t *adc, unsigned c)
     const uint16_t ctrl = control(adc, c);
     const bool accepted = bus_gate_open(adc->bus, 2, 7) && (ctrl & CTRL_STOP) == 0 && (ctrl & CTRL_SYNC) != 0 &&
                           powered(adc, c) && !converter->converting &&
-                          (CTRL1_SMODE(adc->ctrl1) == SMODE_TRIGGERED_PARALLEL || converter->scanning);
+                          (CTRL1_SMODE(adc->reg[CTRL1]) == SMODE_TRIGGERED_PARALLEL || converter->scanning);
     bus_note(adc->bus, TRACE_SYNC, c, accepted ? 1u : 0u);
     if (accepted) {
         begin_row(adc, c, at);
@@ -174,7 +174,7 @@ static inline void take_sample(adc_t *adc, unsigned n, uint64_t ready)
     if (((adc->waits >> n) & 1u) != 0) {
         settle(adc);
     }
-    adc->waiting[n] = (uint16_t)((unsigned)code * 8u - adc->offset[n]);
+    adc->waiting[n] = (uint16_t)((unsigned)code * 8u - adc->reg[OFFST0 + n]);
     adc->ready[n] = ready;
     adc->waits |= 1u << n;
 }
@@ -186,7 +186,7 @@ static void end_scan(adc_t *adc, unsigned c)
     converter->scanning = converter->converting = false;
     converter->pair = 0;
     converter->sample_clock = converter->end_clock = CHIP_NEVER;
-    adc->stat = (uint16_t)(adc->stat | (0x0800u << c));
+    adc->reg[STAT] = (uint16_t)(adc->reg[STAT] | (0x0800u << c));
     bus_note(adc->bus, TRACE_SCAN_END, c, 0);
     request(adc);
 }
@@ -205,7 +205,7 @@ void adc_event(void *peripheral, unsigned source)
         }
         const unsigned next = converter->pair;
         const bool last = next == ADC_PAIRS || disabled(adc, c, next);
-        if (last || ((adc->sctrl >> next) & 1u) != 0) {
+        if (last || ((adc->reg[SCTRL] >> next) & 1u) != 0) {
             converter->sample_clock = CHIP_NEVER;
             converter->end_clock = ready;
         } else {
@@ -222,7 +222,7 @@ void adc_event(void *peripheral, unsigned source)
             converter->end_clock = CHIP_NEVER;
         }
     }
-    if (adc->schlten != 0) {
+    if (adc->reg[SCHLTEN] != 0) {
         settle(adc);
         request(adc);
     }
@@ -257,7 +257,7 @@ static void begin(adc_t *adc, unsigned c)
 
 static void check_scan(adc_t *adc, uint32_t address, uint16_t value)
 {
-    const unsigned mode = CTRL1_SMODE(adc->ctrl1);
+    const unsigned mode = CTRL1_SMODE(adc->reg[CTRL1]);
     if (mode != SMODE_ONCE_PARALLEL && mode != SMODE_TRIGGERED_PARALLEL) {
         bus_no_value(adc->bus, address, value, "only parallel scans, once or triggered, are modelled");
     }
@@ -266,7 +266,7 @@ static void check_scan(adc_t *adc, uint32_t address, uint16_t value)
 static void set_power(adc_t *adc, uint16_t value)
 {
     for (unsigned c = 0; c < ADC_CONVERTERS; c++) {
-        const bool was_down = ((adc->pwr >> c) & 1u) != 0;
+        const bool was_down = ((adc->reg[PWR] >> c) & 1u) != 0;
         const bool down = ((value >> c) & 1u) != 0;
         if (was_down && !down) {
             adc->power_clock[c] = adc->bus->now + PWR_PUDELAY(value) * divider(adc, c);
@@ -275,7 +275,7 @@ static void set_power(adc_t *adc, uint16_t value)
             stop(adc, c);
         }
     }
-    adc->pwr = (uint16_t)(value & ~0x0C00u);
+    adc->reg[PWR] = (uint16_t)(value & ~0x0C00u);
 }
 
 uint16_t adc_read(void *peripheral, uint32_t address)
@@ -288,59 +288,29 @@ uint16_t adc_read(void *peripheral, uint32_t address)
     }
     if (r >= RSLT0 && r < LOLIM0) {
         const unsigned n = r - RSLT0;
-        adc->rdy = (uint16_t)(adc->rdy & ~(1u << n));
-        if (adc->schlten != 0) {
+        adc->reg[RDY] = (uint16_t)(adc->reg[RDY] & ~(1u << n));
+        if (adc->reg[SCHLTEN] != 0) {
             request(adc);
         }
-        return adc->result[n];
+        return adc->reg[RSLT0 + n];
     }
-    if (r >= OFFST0 && r < PWR) {
-        return adc->offset[r - OFFST0];
-    }
-    if (r >= CLIST1 && r <= CLIST4) {
-        return adc->clist[r - CLIST1];
-    }
-    switch (r) {
-    case CTRL1:
-        return adc->ctrl1;
-    case CTRL2:
-        return adc->ctrl2;
-    case SDIS:
-        return adc->sdis;
-    case STAT:
-        return (uint16_t)(adc->stat | (adc->converter[A].scanning ? 0x8000u : 0u) |
-                          (adc->converter[together(adc) ? A : B].scanning ? 0x4000u : 0u));
-    case RDY:
-        return adc->rdy;
-    case PWR:
-        return (uint16_t)(adc->pwr | (powered(adc, A) ? 0u : 0x0400u) | (powered(adc, B) ? 0u : 0x0800u));
-    case CAL:
-        return adc->cal;
-    case ZXCTRL1:
-    case ZXCTRL2:
-    case GC1:
-    case GC2:
-    case LOLIMSTAT:
-    case LOLIMSTAT + 1:
-    case ZXSTAT:
-        return 0;
-    case SCTRL:
-        return adc->sctrl;
-    case PWR2:
-        return adc->pwr2;
-    case CTRL3:
-        return adc->ctrl3;
-    case SCHLTEN:
-        return adc->schlten;
-    default:
+    if (r >= LOLIM0 && r < OFFST0) {
         bus_no_register(adc->bus, address);
     }
+    if (r == STAT) {
+        return (uint16_t)(adc->reg[STAT] | (adc->converter[A].scanning ? 0x8000u : 0u) |
+                          (adc->converter[together(adc) ? A : B].scanning ? 0x4000u : 0u));
+    }
+    if (r == PWR) {
+        return (uint16_t)(adc->reg[PWR] | (powered(adc, A) ? 0u : 0x0400u) | (powered(adc, B) ? 0u : 0x0800u));
+    }
+    return adc->reg[r];
 }
 
 /* The channels of four samples. */
 static void set_channels(adc_t *adc, unsigned list, uint16_t value)
 {
-    adc->clist[list] = value;
+    adc->reg[CLIST1 + list] = value;
     for (unsigned i = 0; i < 4u; i++) {
         adc->channel[4u * list + i] = (uint8_t)((value >> (4u * i)) & 0xFu);
     }
@@ -351,10 +321,10 @@ static void write_ctrl(adc_t *adc, uint32_t address, unsigned c, uint16_t value)
     const uint16_t kept = (uint16_t)(value & ~CTRL_START);
     if (c == A) {
         bus_allow(adc->bus, address, value, 0x7807, "differential inputs, limits and DMA are not modelled");
-        adc->ctrl1 = kept;
+        adc->reg[CTRL1] = kept;
     } else {
         bus_allow(adc->bus, address, value, 0x787F, "differential inputs and DMA are not modelled");
-        adc->ctrl2 = kept;
+        adc->reg[CTRL2] = kept;
     }
     if ((value & CTRL_STOP) != 0) {
         if (c == A || !together(adc)) {
@@ -376,7 +346,7 @@ void adc_write(void *peripheral, uint32_t address, uint16_t value)
     bus_check_gate(adc->bus, address, 2, 7);
     settle(adc);
     if (r >= OFFST0 && r < PWR) {
-        adc->offset[r - OFFST0] = value & 0x7FF8u;
+        adc->reg[r] = value & 0x7FF8u;
         return;
     }
     if (r >= CLIST1 && r <= CLIST4) {
@@ -401,10 +371,10 @@ void adc_write(void *peripheral, uint32_t address, uint16_t value)
         write_ctrl(adc, address, B, value);
         break;
     case SDIS:
-        adc->sdis = value;
+        adc->reg[SDIS] = value;
         break;
     case STAT:
-        adc->stat = (uint16_t)(adc->stat & ~(value & STAT_EOSI));
+        adc->reg[STAT] = (uint16_t)(adc->reg[STAT] & ~(value & STAT_EOSI));
         request(adc);
         break;
     case ZXCTRL1:
@@ -426,17 +396,17 @@ void adc_write(void *peripheral, uint32_t address, uint16_t value)
         break;
     case SCTRL:
         bus_allow(adc->bus, address, value, 0x000F, "pauses from pair 4 on: sources disagree about the bits");
-        adc->sctrl = value;
+        adc->reg[SCTRL] = value;
         break;
     case PWR2:
-        adc->pwr2 = value & 0x3F0Fu;
+        adc->reg[PWR2] = value & 0x3F0Fu;
         break;
     case CTRL3:
         bus_allow(adc->bus, address, value, 0, "longer sample windows and DMA are not modelled");
-        adc->ctrl3 = value;
+        adc->reg[CTRL3] = value;
         break;
     case SCHLTEN:
-        adc->schlten = value;
+        adc->reg[SCHLTEN] = value;
         request(adc);
         schedule(adc, A);
         schedule(adc, B);
@@ -452,11 +422,7 @@ void adc_reset(void *peripheral)
     *adc = (adc_t){
         .bus = adc->bus,
         .connected = adc->connected,
-        .ctrl1 = 0x5005,
-        .ctrl2 = 0x5044,
-        .sdis = 0xF0F0,
-        .pwr = 0x11A7, /* without the status bits */
-        .pwr2 = 0x0400,
+        .reg = {[CTRL1] = 0x5005, [CTRL2] = 0x5044, [SDIS] = 0xF0F0, [PWR] = 0x11A7, [PWR2] = 0x0400},
         .converter = {{.sample_clock = CHIP_NEVER, .end_clock = CHIP_NEVER, .sync_clock = CHIP_NEVER},
                       {.sample_clock = CHIP_NEVER, .end_clock = CHIP_NEVER, .sync_clock = CHIP_NEVER}},
     };

@@ -28,9 +28,7 @@ typedef struct {
 typedef struct {
     bus_t *bus;
     uint16_t connected; /* bit per analogue pin that is routed to the ADC: 0..7 ANA0-7, 8..15 ANB0-7 */
-    /* registers; results and offsets in 1/8 codes of 12 bits */
-    uint16_t ctrl1, ctrl2, clist[4], sdis, stat, rdy, result[ADC_SAMPLES], offset[ADC_SAMPLES];
-    uint16_t pwr, cal, sctrl, pwr2, ctrl3, schlten;
+    uint16_t reg[ADC_END - ADC_BASE]; /* by offset; results and offsets in 1/8 codes of 12 bits */
     uint8_t channel[ADC_SAMPLES];         /* pin of each sample, from CLIST */
     uint64_t ready[ADC_SAMPLES];          /* clock at which `waiting` becomes the result */
     uint16_t waiting[ADC_SAMPLES];        /* 1/8 codes */

@@ -81,7 +81,7 @@ static const choice_t choices[] = {
 
 static bool is_peripheral(const pins_t *pins, unsigned pin)
 {
-    return ((pins->port[pin >> 4].peripheral >> (pin & 15u)) & 1u) != 0;
+    return ((pins->port[pin >> 4].reg[PER] >> (pin & 15u)) & 1u) != 0;
 }
 
 static pin_function_t selected(const pins_t *pins, const choice_t *choice)
@@ -128,7 +128,7 @@ gate_pin_t pins_gate(const pins_t *pins, unsigned module, unsigned submodule, un
     const pin_function_t function = function_of(pins, pin);
     if (function == FUNCTION_GPIO) {
         const gpio_port_t *port = &pins->port[pin >> 4];
-        return ((port->direction & port->data) >> (pin & 15u) & 1) != 0 ? GATE_HIGH : GATE_LOW;
+        return ((port->reg[DDR] & port->reg[DR]) >> (pin & 15u) & 1) != 0 ? GATE_HIGH : GATE_LOW;
     }
     return (function == (pin_function_t)GATE(module, submodule, side)) ? GATE_PWM : GATE_LOW;
 }
@@ -224,8 +224,8 @@ bool pins_level(const pins_t *pins, unsigned pin)
 {
     const gpio_port_t *port = &pins->port[pin >> 4];
     const unsigned bit = 1u << (pin & 15u);
-    if ((port->peripheral & bit) == 0 && (port->direction & bit) != 0) {
-        return (port->data & bit) != 0;
+    if ((port->reg[PER] & bit) == 0 && (port->reg[DDR] & bit) != 0) {
+        return (port->reg[DR] & bit) != 0;
     }
     for (unsigned i = 0; i < PINS_GATES; i++) {
         if (pins->wiring.gate[i / 6u][i % 6u / 2u][i % 2u] == pin) {
@@ -251,7 +251,7 @@ void pins_reset(void *peripheral)
 {
     pins_t *pins = (pins_t *)peripheral;
     for (unsigned i = 0; i < GPIO_PORTS; i++) {
-        pins->port[i] = (gpio_port_t){.peripheral = 0};
+        pins->port[i] = (gpio_port_t){{0}};
     }
     pins->xb_in = 0;
 }
@@ -269,41 +269,19 @@ uint16_t gpio_read(void *peripheral, uint32_t address)
 {
     pins_t *pins = (pins_t *)peripheral;
     const gpio_port_t *port = port_of(pins, address);
-    const unsigned index = (address - GPIO_BASE) >> 4;
-    switch (address & 0xFu) {
-    case PUR:
-        return port->pull;
-    case DR:
-        return port->data;
-    case DDR:
-        return port->direction;
-    case PER:
-        return port->peripheral;
-    case IENR:
-    case IAR:
-    case IPOLR:
-    case IPR:
-    case IESR:
-        return 0;
-    case PPMODE:
-        return port->drive_mode;
-    case RAWDATA: {
-        unsigned levels = 0;
-        pins->bus->signals->timer_catch_up(pins->bus->chip);
-        for (unsigned bit = 0; bit < 16u; bit++) {
-            levels |= (pins_level(pins, (index << 4) | bit) ? 1u : 0u) << bit;
-        }
-        return (uint16_t)levels;
-    }
-    case DRIVE:
-        return port->drive;
-    case PUS:
-        return port->pull_up;
-    case SRE:
-        return port->slew;
-    default:
+    const unsigned number = address & 0xFu;
+    unsigned levels = 0;
+    if (number > SRE) {
         bus_no_register(pins->bus, address);
     }
+    if (number != RAWDATA) {
+        return port->reg[number];
+    }
+    pins->bus->signals->timer_catch_up(pins->bus->chip);
+    for (unsigned bit = 0; bit < 16u; bit++) {
+        levels |= (pins_level(pins, ((address - GPIO_BASE) & ~0xFu) | bit) ? 1u : 0u) << bit;
+    }
+    return (uint16_t)levels;
 }
 
 void gpio_write(void *peripheral, uint32_t address, uint16_t value)
@@ -311,49 +289,21 @@ void gpio_write(void *peripheral, uint32_t address, uint16_t value)
     pins_t *pins = (pins_t *)peripheral;
     bus_t *bus = pins->bus;
     gpio_port_t *port = port_of(pins, address);
-    const unsigned index = (address - GPIO_BASE) >> 4;
-    unsigned changed;
-    switch (address & 0xFu) {
-    case PUR:
-        port->pull = value;
-        break;
-    case DR:
-        changed = port->data ^ value;
-        port->data = value;
-        if ((changed & pins->gates[index]) != 0) {
+    const unsigned number = address & 0xFu;
+    if (number == IENR || number == IAR || number == IPOLR) {
+        bus_allow(bus, address, value, 0, "interrupts of pins are not modelled");
+    } else if (number == IPR || number == RAWDATA || number > SRE) {
+        bus_no_register(bus, address);
+    } else if (number != IESR) { /* which clears what is never set */
+        const unsigned changed = port->reg[number] ^ value;
+        port->reg[number] = value;
+        if (number == PER) {
+            pins_route(pins);
+        } else if (number == DDR || (number == DR && (changed & pins->gates[(address - GPIO_BASE) >> 4]) != 0)) {
             bus->signals->gate_pins_changed(bus->chip);
         }
-        bus->environment->outputs_changed(bus->board);
-        break;
-    case DDR:
-        port->direction = value;
-        bus->signals->gate_pins_changed(bus->chip);
-        bus->environment->outputs_changed(bus->board);
-        break;
-    case PER:
-        port->peripheral = value;
-        pins_route(pins);
-        break;
-    case IENR:
-    case IAR:
-    case IPOLR:
-        bus_allow(bus, address, value, 0, "interrupts of pins are not modelled");
-        break;
-    case IESR:
-        break; /* clears what is never set */
-    case PPMODE:
-        port->drive_mode = value;
-        break;
-    case DRIVE:
-        port->drive = value;
-        break;
-    case PUS:
-        port->pull_up = value;
-        break;
-    case SRE:
-        port->slew = value;
-        break;
-    default:
-        bus_no_register(pins->bus, address);
+        if (number == DDR || number == DR) {
+            bus->environment->outputs_changed(bus->board);
+        }
     }
 }

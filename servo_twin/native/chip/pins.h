@@ -37,7 +37,7 @@ typedef enum {
 } pin_function_t;
 
 typedef struct {
-    uint16_t pull, data, direction, peripheral, drive_mode, drive, pull_up, slew; /* registers, bit per pin */
+    uint16_t reg[14]; /* PUR to SRE in the order of their addresses, bit per pin */
 } gpio_port_t;
 
 typedef struct {

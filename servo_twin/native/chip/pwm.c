@@ -193,7 +193,7 @@ void pwm_request_fault(pwm_t *pwm, unsigned m)
 {
     const pwm_module_t *module = &pwm->module[m];
     bus_request(pwm->bus, (m == 0) ? VECTOR_PWMA_FAULT : VECTOR_PWMB_FAULT,
-                (module->fault_flag & module->fctrl & 0xFu) != 0);
+                (module->fault_flag & module->reg[FCTRL0] & 0xFu) != 0);
 }
 
 /* ---- loading and cycles ---------------------------------------------------------------------------------------------- */

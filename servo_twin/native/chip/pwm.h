@@ -82,10 +82,9 @@ typedef struct {
 
 typedef struct {
     pwm_submodule_t sub[PWM_SUBMODULES];
-    uint16_t outen, mask, swcout, dtsrcsel, mctrl2;     /* registers */
-    uint16_t ldok, run, ipol;                           /* fields of MCTRL */
-    uint16_t fctrl, fsts_full, fsts_half, ffilt, ftst;  /* registers and fields of FSTS */
-    uint16_t fctrl1, fsts1, ffilt1, ftst1;              /* faults 4-7: stored only */
+    uint16_t reg[14];             /* OUTEN to FTST1; those of faults 4-7 are stored only */
+    uint16_t ldok, run, ipol;     /* fields of MCTRL, bit per submodule */
+    uint16_t fsts_full, fsts_half; /* fields of FSTS0, bit per fault */
     unsigned fault_flag;              /* FFLAG */
     unsigned fault_pin;               /* levels of the inputs, bit per input */
     unsigned fault_filtered;          /* levels behind the filters */

@@ -36,6 +36,9 @@ enum { FORCE_LOCAL, FORCE_MASTER, FORCE_RELOAD, FORCE_MASTER_RELOAD, FORCE_SYNC,
 #define FCTRL_FAUTO(x, i) ((((x) >> 8) >> (i)) & 1u)
 #define FCTRL_FLVL(x) (((x) >> 12) & 0xFu)
 
+/* Registers of a module, in the order of their addresses. */
+enum { OUTEN, MASK, SWCOUT, DTSRCSEL, MCTRL, MCTRL2, FCTRL0, FSTS0, FFILT0, FTST0, FCTRL1, FSTS1, FFILT1, FTST1 };
+
 static inline pwm_module_t *module_of(pwm_t *pwm, const pwm_submodule_t *s) { return &pwm->module[s->module]; }
 
 /* ---- counters and compares (pwm.c) ---------------------------------------------------------------------------------- */

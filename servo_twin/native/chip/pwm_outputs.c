@@ -14,7 +14,7 @@ void pwm_find_live_pins(pwm_t *pwm, pwm_submodule_t *s)
         const unsigned on_fault = (side == 0) ? OCTRL_PWMAFS(s->octrl) : OCTRL_PWMBFS(s->octrl);
         if (s->pin[side] != GATE_PWM) {
             high |= (s->pin[side] == GATE_HIGH) ? bit : 0u;
-        } else if (((module->outen >> (((side == 0) ? 8u : 4u) + s->number)) & 1u) == 0) {
+        } else if (((module->reg[OUTEN] >> (((side == 0) ? 8u : 4u) + s->number)) & 1u) == 0) {
             continue;
         } else if ((s->blocked & map & 0xFu) != 0) {
             high |= (on_fault == 1u) ? bit : 0u;
@@ -59,12 +59,12 @@ void pwm_force_out(pwm_t *pwm, pwm_submodule_t *s)
     const unsigned n = s->number;
     s->followed = s->given = 0;
     for (unsigned which = 0; which < 2u; which++) { /* PWM23 and PWM45: 0 generated, 1 inverted, 2 software */
-        const unsigned source = (module->dtsrcsel >> (4u * n + 2u - 2u * which)) & 3u;
-        const unsigned software = (module->swcout >> (2u * n + 1u - which)) & 1u;
+        const unsigned source = (module->reg[DTSRCSEL] >> (4u * n + 2u - 2u * which)) & 3u;
+        const unsigned software = (module->reg[SWCOUT] >> (2u * n + 1u - which)) & 1u;
         s->followed |= (source != 2u ? 1u : 0u) << which;
         s->given |= (source == 2u ? software : source) << which;
     }
-    s->mask = ((module->mask >> (8u + n)) & 1u) | (((module->mask >> (4u + n)) & 1u) << 1);
+    s->mask = ((module->reg[MASK] >> (8u + n)) & 1u) | (((module->reg[MASK] >> (4u + n)) & 1u) << 1);
     pwm_find_live_pins(pwm, s);
     pwm_drive(pwm, s);
 }
@@ -74,11 +74,11 @@ void pwm_force_out(pwm_t *pwm, pwm_submodule_t *s)
 static bool may_resume(const pwm_module_t *module, unsigned i)
 {
     const bool active = ((module->fault_active >> i) & 1u) != 0;
-    if (FCTRL_FAUTO(module->fctrl, i) != 0) {
+    if (FCTRL_FAUTO(module->reg[FCTRL0], i) != 0) {
         return !active;
     }
     const bool flag = ((module->fault_flag >> i) & 1u) != 0;
-    return !flag && !(FCTRL_FSAFE(module->fctrl, i) != 0 && active);
+    return !flag && !(FCTRL_FSAFE(module->reg[FCTRL0], i) != 0 && active);
 }
 
 void pwm_resume_blocked(pwm_t *pwm, pwm_submodule_t *s, uint16_t boundary)
@@ -100,8 +100,8 @@ void pwm_resume_blocked(pwm_t *pwm, pwm_submodule_t *s, uint16_t boundary)
 void pwm_find_faults(pwm_t *pwm, unsigned m)
 {
     pwm_module_t *module = &pwm->module[m];
-    const unsigned simulated = ((module->ftst & 1u) != 0) ? 0xFu : 0u;
-    const unsigned active = ((module->fault_filtered ^ ~FCTRL_FLVL(module->fctrl)) & 0xFu) | simulated;
+    const unsigned simulated = ((module->reg[FTST0] & 1u) != 0) ? 0xFu : 0u;
+    const unsigned active = ((module->fault_filtered ^ ~FCTRL_FLVL(module->reg[FCTRL0])) & 0xFu) | simulated;
     const unsigned begun = active & ~module->fault_active;
     module->fault_active = active;
     if (begun == 0) {
@@ -154,7 +154,7 @@ void pwm_fault_input(pwm_t *pwm, unsigned m, unsigned input, bool level)
         return;
     }
     module->fault_pin ^= bit;
-    const uint64_t delay = (uint64_t)(module->ffilt & 0xFFu) * (((unsigned)module->ffilt >> 8 & 7u) + 3u);
+    const uint64_t delay = (uint64_t)(module->reg[FFILT0] & 0xFFu) * (((unsigned)module->reg[FFILT0] >> 8 & 7u) + 3u);
     const bool same = ((module->fault_filtered & bit) != 0) == level;
     module->fault_clock[input] = same ? CHIP_NEVER : pwm->bus->now + delay;
     schedule_fault(pwm);

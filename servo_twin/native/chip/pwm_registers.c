@@ -3,7 +3,7 @@
 
 #define MODULE_SIZE 0x100u
 #define SUB_SIZE 0x30u
-#define SUB_REGISTERS (PWM_SUBMODULES * SUB_SIZE)
+#define SUB_REGISTERS (PWM_SUBMODULES * SUB_SIZE) /* those of the module follow */
 
 /* Registers of a submodule. */
 enum {
@@ -26,24 +26,6 @@ enum {
     DTCNT1 = 0x19
 };
 
-/* Registers of a module. */
-enum {
-    OUTEN = 0xC0,
-    MASK = 0xC1,
-    SWCOUT = 0xC2,
-    DTSRCSEL = 0xC3,
-    MCTRL = 0xC4,
-    MCTRL2 = 0xC5,
-    FCTRL0 = 0xC6,
-    FSTS0 = 0xC7,
-    FFILT0 = 0xC8,
-    FTST0 = 0xC9,
-    FCTRL1 = 0xCA,
-    FSTS1 = 0xCB,
-    FFILT1 = 0xCC,
-    FTST1 = 0xCD
-};
-
 /* Buffered registers by their offset in the module: 8 submodule + (1 INIT, 2-7 VAL0-5); 80h is MCTRL. */
 #define BUFFERED_MCTRL 0x80u
 #define BUFFERED(n)                                                                                                    \
@@ -53,7 +35,7 @@ enum {
                       [(n) * SUB_SIZE + VAL5] = 7 + 8 * (n)
 
 static const uint8_t buffered[MODULE_SIZE] = {BUFFERED(0), BUFFERED(1), BUFFERED(2), BUFFERED(3),
-                                              [MCTRL] = BUFFERED_MCTRL};
+                                              [SUB_REGISTERS + MCTRL] = BUFFERED_MCTRL};
 
 static bool is_value(uint32_t r) { return r == INIT || (r >= VAL0 && r <= VAL5 && (r & 1u) != 0); }
 
@@ -254,38 +236,13 @@ static uint16_t fault_status(const pwm_module_t *module)
 static uint16_t read_module(pwm_t *pwm, uint32_t address, unsigned m, uint32_t r)
 {
     const pwm_module_t *module = &pwm->module[m];
-    switch (r) {
-    case OUTEN:
-        return module->outen;
-    case MASK:
-        return module->mask;
-    case SWCOUT:
-        return module->swcout;
-    case DTSRCSEL:
-        return module->dtsrcsel;
-    case MCTRL:
-        return (uint16_t)(module->ldok | (unsigned)module->run << 8 | (unsigned)module->ipol << 12);
-    case MCTRL2:
-        return module->mctrl2;
-    case FCTRL0:
-        return module->fctrl;
-    case FSTS0:
-        return fault_status(module);
-    case FFILT0:
-        return module->ffilt;
-    case FTST0:
-        return module->ftst;
-    case FCTRL1:
-        return module->fctrl1;
-    case FSTS1:
-        return module->fsts1;
-    case FFILT1:
-        return module->ffilt1;
-    case FTST1:
-        return module->ftst1;
-    default:
+    if (r > FTST1) {
         bus_no_register(pwm->bus, address);
     }
+    if (r == MCTRL) {
+        return (uint16_t)(module->ldok | (unsigned)module->run << 8 | (unsigned)module->ipol << 12);
+    }
+    return (r == FSTS0) ? fault_status(module) : module->reg[r];
 }
 
 static void write_module(pwm_t *pwm, uint32_t address, unsigned m, uint32_t r, uint16_t value)
@@ -294,14 +251,14 @@ static void write_module(pwm_t *pwm, uint32_t address, unsigned m, uint32_t r, u
     switch (r) {
     case OUTEN:
         bus_allow(pwm->bus, address, value, 0x0FF0, "PWM_X is not modelled");
-        module->outen = value;
+        module->reg[OUTEN] = value;
         pwm_update_all_pins(pwm, m);
         break;
     case MASK:
-        module->mask = value & 0x0FFFu;
+        module->reg[MASK] = value & 0x0FFFu;
         break;
     case SWCOUT:
-        module->swcout = value & 0x00FFu;
+        module->reg[SWCOUT] = value & 0x00FFu;
         break;
     case DTSRCSEL:
         for (unsigned k = 0; k < 8u; k++) {
@@ -309,17 +266,17 @@ static void write_module(pwm_t *pwm, uint32_t address, unsigned m, uint32_t r, u
                 bus_no_value(pwm->bus, address, value, "external sources are not modelled");
             }
         }
-        module->dtsrcsel = value;
+        module->reg[DTSRCSEL] = value;
         break;
     case MCTRL:
         write_mctrl(pwm, m, value);
         break;
     case MCTRL2:
         bus_allow(pwm->bus, address, value, 0x0003, "reserved");
-        module->mctrl2 = value;
+        module->reg[MCTRL2] = value;
         break;
     case FCTRL0:
-        module->fctrl = value;
+        module->reg[FCTRL0] = value;
         pwm_find_faults(pwm, m);
         pwm_request_fault(pwm, m);
         break;
@@ -335,21 +292,21 @@ static void write_module(pwm_t *pwm, uint32_t address, unsigned m, uint32_t r, u
         break;
     case FFILT0:
         bus_allow(pwm->bus, address, value, 0x87FF, "reserved");
-        module->ffilt = value;
+        module->reg[FFILT0] = value;
         break;
     case FTST0:
-        module->ftst = value & 1u;
+        module->reg[FTST0] = value & 1u;
         pwm_find_faults(pwm, m);
         break;
     case FCTRL1:
         bus_allow(pwm->bus, address, value, 0xFFF0, "interrupts of the faults 4-7 are not modelled");
-        module->fctrl1 = value;
+        module->reg[FCTRL1] = value;
         break;
     case FSTS1:
-        module->fsts1 = value & 0xF0F0u;
+        module->reg[FSTS1] = value & 0xF0F0u;
         break;
     case FFILT1:
-        module->ffilt1 = value;
+        module->reg[FFILT1] = value;
         break;
     case FTST1:
         bus_allow(pwm->bus, address, value, 0, "faults 4-7 are not modelled");
@@ -374,7 +331,7 @@ uint16_t pwm_read(void *peripheral, uint32_t address)
     if (offset < SUB_REGISTERS) {
         return read_sub(pwm, address, m, offset / SUB_SIZE, offset % SUB_SIZE);
     }
-    return read_module(pwm, address, m, offset);
+    return read_module(pwm, address, m, offset - SUB_REGISTERS);
 }
 
 static void write_buffer(pwm_t *pwm, uint32_t address, unsigned m, unsigned what, uint16_t value)
@@ -402,7 +359,7 @@ NOINLINE static void write_plain(pwm_t *pwm, uint32_t address, uint16_t value)
     if (offset < SUB_REGISTERS) {
         write_sub(pwm, address, m, offset / SUB_SIZE, offset % SUB_SIZE, value);
     } else {
-        write_module(pwm, address, m, offset, value);
+        write_module(pwm, address, m, offset - SUB_REGISTERS, value);
     }
 }
 

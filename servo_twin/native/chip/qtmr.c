@@ -45,16 +45,16 @@ static bool enabled(const qtmr_module_t *timer, unsigned n) { return ((timer->en
 
 static bool runs_on_bus(const qtmr_module_t *timer, unsigned n) { return ((timer->on_bus >> n) & 1u) != 0; }
 
-static unsigned prescaler(const qtmr_channel_t *c) { return CTRL_PCS(c->ctrl) - FIRST_BUS_SOURCE; }
+static unsigned prescaler(const qtmr_channel_t *c) { return CTRL_PCS(c->reg[CTRL]) - FIRST_BUS_SOURCE; }
 
-static bool counts_down(const qtmr_channel_t *c) { return (c->ctrl & CTRL_DIR) != 0; }
+static bool counts_down(const qtmr_channel_t *c) { return (c->reg[CTRL] & CTRL_DIR) != 0; }
 
 static void request(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n)
 {
     const qtmr_channel_t *c = &timer->channel[n];
-    const unsigned flags = c->sctrl & (SCTRL_FLAGS);
-    const unsigned wanted = ((unsigned)c->sctrl << 1) & SCTRL_FLAGS; /* each enable is one bit below its flag */
-    const bool compare = (((unsigned)c->csctrl << 2) & c->csctrl & (CSCTRL_TCF1EN | CSCTRL_TCF2EN)) != 0;
+    const unsigned flags = c->reg[SCTRL] & (SCTRL_FLAGS);
+    const unsigned wanted = ((unsigned)c->reg[SCTRL] << 1) & SCTRL_FLAGS; /* each enable is one bit below its flag */
+    const bool compare = (((unsigned)c->reg[CSCTRL] << 2) & c->reg[CSCTRL] & (CSCTRL_TCF1EN | CSCTRL_TCF2EN)) != 0;
     bus_request(qtmr->bus, ((timer->module == 0) ? VECTOR_TMRA0 : VECTOR_TMRB0) - n, (flags & wanted) != 0 || compare);
 }
 
@@ -66,12 +66,12 @@ NOINLINE static void change_oflag(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n
 {
     qtmr_channel_t *c = &timer->channel[n];
     c->oflag = level;
-    const bool out = level != ((c->sctrl & 2u) != 0); /* OPS inverts the output */
+    const bool out = level != ((c->reg[SCTRL] & 2u) != 0); /* OPS inverts the output */
     qtmr->bus->signals->crossbar(qtmr->bus->chip, (int)((timer->module == 0) ? 36u + n : 16u + n),
                                  (int)((timer->module == 0) ? 16u + n : 4u + n), out ? XBAR_RISE : XBAR_FALL);
     FOR_EACH(k, timer->follows[n])
     {
-        const unsigned mode = CTRL_CM(timer->channel[k].ctrl);
+        const unsigned mode = CTRL_CM(timer->channel[k].reg[CTRL]);
         if (level || mode == CM_BOTH) {
             count(qtmr, timer, k, !counts_down(&timer->channel[k]));
         }
@@ -89,9 +89,9 @@ static inline void set_oflag(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n, boo
 NOINLINE static void compare(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n, bool up)
 {
     qtmr_channel_t *c = &timer->channel[n];
-    c->sctrl = (uint16_t)(c->sctrl | SCTRL_TCF);
-    c->csctrl = (uint16_t)(c->csctrl | (up ? CSCTRL_TCF1 : CSCTRL_TCF2));
-    switch (CTRL_OUTMODE(c->ctrl)) {
+    c->reg[SCTRL] = (uint16_t)(c->reg[SCTRL] | SCTRL_TCF);
+    c->reg[CSCTRL] = (uint16_t)(c->reg[CSCTRL] | (up ? CSCTRL_TCF1 : CSCTRL_TCF2));
+    switch (CTRL_OUTMODE(c->reg[CTRL])) {
     case OUT_CLEAR:
         set_oflag(qtmr, timer, n, false);
         break;
@@ -108,12 +108,12 @@ NOINLINE static void compare(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n, boo
     }
     FOR_EACH(k, timer->cascade)
     {
-        if (CTRL_PCS(timer->channel[k].ctrl) == 4u + n) {
+        if (CTRL_PCS(timer->channel[k].reg[CTRL]) == 4u + n) {
             count(qtmr, timer, k, up);
         }
     }
-    if ((c->ctrl & CTRL_ONCE) != 0) {
-        c->ctrl = (uint16_t)(c->ctrl & 0x1FFFu);
+    if ((c->reg[CTRL] & CTRL_ONCE) != 0) {
+        c->reg[CTRL] = (uint16_t)(c->reg[CTRL] & 0x1FFFu);
         timer->on_bus &= ~(1u << n);
     }
     request(qtmr, timer, n);
@@ -122,11 +122,11 @@ NOINLINE static void compare(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n, boo
 NOINLINE static void rollover(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n)
 {
     qtmr_channel_t *c = &timer->channel[n];
-    c->sctrl = (uint16_t)(c->sctrl | SCTRL_TOF);
-    if (CTRL_OUTMODE(c->ctrl) == OUT_SET_ROLLOVER) {
+    c->reg[SCTRL] = (uint16_t)(c->reg[SCTRL] | SCTRL_TOF);
+    if (CTRL_OUTMODE(c->reg[CTRL]) == OUT_SET_ROLLOVER) {
         set_oflag(qtmr, timer, n, false);
     }
-    if ((c->sctrl & SCTRL_TOFIE) != 0) {
+    if ((c->reg[SCTRL] & SCTRL_TOFIE) != 0) {
         request(qtmr, timer, n);
     }
 }
@@ -134,8 +134,8 @@ NOINLINE static void rollover(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n)
 /* A count without a consequence. */
 static inline void only_count(qtmr_channel_t *c, bool up)
 {
-    c->csctrl = (uint16_t)(up ? (c->csctrl | CSCTRL_UP) : (c->csctrl & ~CSCTRL_UP));
-    c->cntr = (uint16_t)(c->cntr + (up ? 1u : 0xFFFFu));
+    c->reg[CSCTRL] = (uint16_t)(up ? (c->reg[CSCTRL] | CSCTRL_UP) : (c->reg[CSCTRL] & ~CSCTRL_UP));
+    c->reg[CNTR] = (uint16_t)(c->reg[CNTR] + (up ? 1u : 0xFFFFu));
 }
 
 /* One count. With LENGTH the count after a match is LOAD, in the direction of that match. */
@@ -145,17 +145,17 @@ static void count(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n, bool up)
     if (!enabled(timer, n)) {
         return;
     }
-    c->csctrl = (uint16_t)(up ? (c->csctrl | CSCTRL_UP) : (c->csctrl & ~CSCTRL_UP));
-    const uint16_t limit = up ? c->comp1 : c->comp2;
-    if ((c->ctrl & CTRL_LENGTH) != 0 && c->cntr == limit) {
-        c->cntr = c->load;
+    c->reg[CSCTRL] = (uint16_t)(up ? (c->reg[CSCTRL] | CSCTRL_UP) : (c->reg[CSCTRL] & ~CSCTRL_UP));
+    const uint16_t limit = up ? c->reg[COMP1] : c->reg[COMP2];
+    if ((c->reg[CTRL] & CTRL_LENGTH) != 0 && c->reg[CNTR] == limit) {
+        c->reg[CNTR] = c->reg[LOAD];
     } else {
-        c->cntr = (uint16_t)(c->cntr + (up ? 1u : 0xFFFFu));
-        if (c->cntr == (up ? 0u : 0xFFFFu)) {
+        c->reg[CNTR] = (uint16_t)(c->reg[CNTR] + (up ? 1u : 0xFFFFu));
+        if (c->reg[CNTR] == (up ? 0u : 0xFFFFu)) {
             rollover(qtmr, timer, n);
         }
     }
-    if (c->cntr == limit) {
+    if (c->reg[CNTR] == limit) {
         compare(qtmr, timer, n, up);
     }
 }
@@ -164,12 +164,12 @@ static void count(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n, bool up)
 static uint32_t counts_to_event(const qtmr_channel_t *c)
 {
     const bool down = counts_down(c);
-    const uint16_t limit = down ? c->comp2 : c->comp1;
-    if ((c->ctrl & CTRL_LENGTH) != 0 && c->cntr == limit) {
+    const uint16_t limit = down ? c->reg[COMP2] : c->reg[COMP1];
+    if ((c->reg[CTRL] & CTRL_LENGTH) != 0 && c->reg[CNTR] == limit) {
         return 1u;
     }
-    const uint32_t to_limit = (uint16_t)(down ? c->cntr - limit : limit - c->cntr);
-    const uint32_t to_wrap = down ? c->cntr + 1u : 0x10000u - c->cntr;
+    const uint32_t to_limit = (uint16_t)(down ? c->reg[CNTR] - limit : limit - c->reg[CNTR]);
+    const uint32_t to_wrap = down ? c->reg[CNTR] + 1u : 0x10000u - c->reg[CNTR];
     return (to_limit != 0 && to_limit < to_wrap) ? to_limit : to_wrap;
 }
 
@@ -182,10 +182,10 @@ static inline void settle_to(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n, uin
     while (counts > 0 && runs_on_bus(timer, n)) {
         const uint32_t next = counts_to_event(c);
         if (counts < next) {
-            c->cntr = (uint16_t)(counts_down(c) ? c->cntr - counts : c->cntr + counts);
+            c->reg[CNTR] = (uint16_t)(counts_down(c) ? c->reg[CNTR] - counts : c->reg[CNTR] + counts);
             break;
         }
-        c->cntr = (uint16_t)(counts_down(c) ? c->cntr - (next - 1u) : c->cntr + (next - 1u));
+        c->reg[CNTR] = (uint16_t)(counts_down(c) ? c->reg[CNTR] - (next - 1u) : c->reg[CNTR] + (next - 1u));
         count(qtmr, timer, n, !counts_down(c));
         counts -= next;
     }
@@ -196,7 +196,7 @@ NOINLINE static void settle_on_bus(qtmr_t *qtmr, qtmr_module_t *timer, unsigned 
     if (((timer->holds >> n) & 1u) != 0) {
         timer->holds &= ~(1u << n);
         settle_to(qtmr, timer, n, timer->hold_clock);
-        timer->channel[n].hold = timer->channel[n].cntr;
+        timer->channel[n].reg[HOLD] = timer->channel[n].reg[CNTR];
     }
     settle_to(qtmr, timer, n, qtmr->bus->now);
 }
@@ -216,8 +216,9 @@ static void settle_all(qtmr_t *qtmr, qtmr_module_t *timer)
 /* A channel on the bus clock whose compares have no consequence has no events. */
 static bool has_events(const qtmr_channel_t *c)
 {
-    return (c->sctrl & (SCTRL_TCFIE | SCTRL_TOFIE)) != 0 || (c->csctrl & (CSCTRL_TCF1EN | CSCTRL_TCF2EN)) != 0 ||
-           CTRL_OUTMODE(c->ctrl) != OUT_ACTIVE || (c->ctrl & CTRL_ONCE) != 0;
+    return (c->reg[SCTRL] & (SCTRL_TCFIE | SCTRL_TOFIE)) != 0 ||
+           (c->reg[CSCTRL] & (CSCTRL_TCF1EN | CSCTRL_TCF2EN)) != 0 || CTRL_OUTMODE(c->reg[CTRL]) != OUT_ACTIVE ||
+           (c->reg[CTRL] & CTRL_ONCE) != 0;
 }
 
 /* The next event of the eventful channels. */
@@ -254,23 +255,23 @@ static inline void schedule(qtmr_t *qtmr, qtmr_module_t *timer)
 NOINLINE static void capture(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n, bool rises)
 {
     qtmr_channel_t *c = &timer->channel[n];
-    const bool inverted = (c->sctrl & SCTRL_IPS) != 0;
+    const bool inverted = (c->reg[SCTRL] & SCTRL_IPS) != 0;
     const unsigned edge = (rises != inverted) ? 1u : 2u;
-    if ((SCTRL_CAPTURE(c->sctrl) & edge) == 0) {
+    if ((SCTRL_CAPTURE(c->reg[SCTRL]) & edge) == 0) {
         return;
     }
     settle(qtmr, timer, n);
-    c->capt = c->cntr;
-    c->sctrl = (uint16_t)(c->sctrl | SCTRL_IEF);
+    c->reg[CAPT] = c->reg[CNTR];
+    c->reg[SCTRL] = (uint16_t)(c->reg[SCTRL] | SCTRL_IEF);
     timer->captured |= 1u << n;
-    if ((c->csctrl & CSCTRL_ROC) != 0) {
-        c->cntr = c->load;
+    if ((c->reg[CSCTRL] & CSCTRL_ROC) != 0) {
+        c->reg[CNTR] = c->reg[LOAD];
         if (timer->eventful != 0) {
             schedule(qtmr, timer);
         }
     }
-    bus_note(qtmr->bus, TRACE_CAPTURE, timer->module * QTMR_CHANNELS + n, c->capt);
-    if ((c->sctrl & SCTRL_IEFIE) != 0) {
+    bus_note(qtmr->bus, TRACE_CAPTURE, timer->module * QTMR_CHANNELS + n, c->reg[CAPT]);
+    if ((c->reg[SCTRL] & SCTRL_IEFIE) != 0) {
         request(qtmr, timer, n);
     }
 }
@@ -278,8 +279,8 @@ NOINLINE static void capture(qtmr_t *qtmr, qtmr_module_t *timer, unsigned n, boo
 /* A leads B upwards: after an edge of A the lines differ then, after one of B they are equal. */
 static inline bool decodes_up(const qtmr_module_t *timer, const qtmr_channel_t *c, unsigned input)
 {
-    const unsigned a = CTRL_PCS(c->ctrl);
-    const unsigned b = CTRL_SCS(c->ctrl);
+    const unsigned a = CTRL_PCS(c->reg[CTRL]);
+    const unsigned b = CTRL_SCS(c->reg[CTRL]);
     const bool differ = (((timer->in >> a) ^ (timer->in >> b)) & 1u) != 0;
     const bool up = (input == a) ? differ : !differ;
     return up != counts_down(c);
@@ -288,7 +289,7 @@ static inline bool decodes_up(const qtmr_module_t *timer, const qtmr_channel_t *
 /* A channel that counts edges does so at this one. */
 static inline bool counts_edge(const qtmr_channel_t *c, bool rises)
 {
-    return CTRL_CM(c->ctrl) == CM_BOTH || rises != ((c->sctrl & SCTRL_IPS) != 0);
+    return CTRL_CM(c->reg[CTRL]) == CM_BOTH || rises != ((c->reg[SCTRL] & SCTRL_IPS) != 0);
 }
 
 /* A level behind the filter has changed. What a secondary input does to OFLAG comes before the count, its capture after:
@@ -338,10 +339,10 @@ static unsigned find_deferrable_edges(const qtmr_t *qtmr, const qtmr_module_t *t
     FOR_EACH(n, counting)
     {
         const qtmr_channel_t *c = &timer->channel[n];
-        const uint16_t special[] = {c->comp1, c->comp2, 0, 0xFFFF};
+        const uint16_t special[] = {c->reg[COMP1], c->reg[COMP2], 0, 0xFFFF};
         for (unsigned i = 0; i < sizeof special / sizeof special[0]; i++) {
-            const uint16_t up = (uint16_t)(special[i] - c->cntr);
-            const uint16_t down = (uint16_t)(c->cntr - special[i]);
+            const uint16_t up = (uint16_t)(special[i] - c->reg[CNTR]);
+            const uint16_t down = (uint16_t)(c->reg[CNTR] - special[i]);
             const uint16_t distance = (up < down) ? up : down;
             least = (distance < least) ? distance : least;
         }
@@ -491,8 +492,8 @@ static void derive(qtmr_t *qtmr, qtmr_module_t *timer)
     for (unsigned n = 0; n < QTMR_CHANNELS; n++) {
         qtmr_channel_t *c = &timer->channel[n];
         const unsigned bit = 1u << n;
-        const unsigned mode = CTRL_CM(c->ctrl);
-        const unsigned source = CTRL_PCS(c->ctrl);
+        const unsigned mode = CTRL_CM(c->reg[CTRL]);
+        const unsigned source = CTRL_PCS(c->reg[CTRL]);
         const bool gate = bus_gate_open(qtmr->bus, 0, ((timer->module == 0) ? 15u : 11u) - n);
         if (mode == CM_STOP || !gate) {
             continue;
@@ -500,7 +501,7 @@ static void derive(qtmr_t *qtmr, qtmr_module_t *timer)
         if (mode == CM_QUADRATURE) {
             if (source < QTMR_CHANNELS) {
                 timer->decodes[source] |= bit;
-                timer->decodes[CTRL_SCS(c->ctrl)] |= bit;
+                timer->decodes[CTRL_SCS(c->reg[CTRL])] |= bit;
             }
         } else if (mode == CM_CASCADE) {
             timer->cascade |= bit;
@@ -514,11 +515,11 @@ static void derive(qtmr_t *qtmr, qtmr_module_t *timer)
         } else {
             timer->counts_edges[source] |= bit;
         }
-        if (SCTRL_CAPTURE(c->sctrl) != 0) {
-            timer->captures[CTRL_SCS(c->ctrl)] |= bit;
+        if (SCTRL_CAPTURE(c->reg[SCTRL]) != 0) {
+            timer->captures[CTRL_SCS(c->reg[CTRL])] |= bit;
         }
-        if (CTRL_OUTMODE(c->ctrl) == OUT_SET_SECONDARY) {
-            timer->cleared_by[CTRL_SCS(c->ctrl)] |= bit;
+        if (CTRL_OUTMODE(c->reg[CTRL]) == OUT_SET_SECONDARY) {
+            timer->cleared_by[CTRL_SCS(c->reg[CTRL])] |= bit;
         }
     }
     timer->eventful = 0;
@@ -564,60 +565,33 @@ static void write_ctrl(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, uns
         bus_no_value(qtmr->bus, address, value, "a channel cannot count its own output");
     }
     settle(qtmr, timer, n);
-    timer->channel[n].ctrl = value;
+    timer->channel[n].reg[CTRL] = value;
     derive(qtmr, timer);
 }
 
 static uint16_t read_channel(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, unsigned n, uint32_t r)
 {
     const qtmr_channel_t *c = &timer->channel[n];
-    switch (r) {
-    case COMP1:
-        return c->comp1;
-    case COMP2:
-        return c->comp2;
-    case CAPT:
-        return c->capt;
-    case LOAD:
-        return c->load;
-    case HOLD:
+    if (r == HOLD || r == CNTR || r == CTRL || r == SCTRL || r == CSCTRL) {
         settle(qtmr, timer, n);
-        return c->hold;
-    case CNTR:
-        settle(qtmr, timer, n);
+    }
+    if (r == CNTR) {
         for (unsigned k = 0; k < QTMR_CHANNELS; k++) { /* those on the bus clock are computed when they are read */
-            timer->channel[k].hold = timer->channel[k].cntr;
+            timer->channel[k].reg[HOLD] = timer->channel[k].reg[CNTR];
         }
         timer->holds = timer->on_bus & ~(1u << n);
         timer->hold_clock = qtmr->bus->now;
-        return c->cntr;
-    case CTRL:
-        settle(qtmr, timer, n);
-        return c->ctrl;
-    case SCTRL: {
-        settle(qtmr, timer, n);
-        const bool level = ((timer->in >> CTRL_SCS(c->ctrl)) & 1u) != 0;
-        return (uint16_t)(c->sctrl | ((level != ((c->sctrl & SCTRL_IPS) != 0)) ? SCTRL_INPUT : 0u));
-    }
-    case CMPLD1:
-        return c->cmpld1;
-    case CMPLD2:
-        return c->cmpld2;
-    case CSCTRL:
-        settle(qtmr, timer, n);
-        return c->csctrl;
-    case FILT:
-        return c->filt;
-    case DMA:
+    } else if (r == SCTRL) {
+        const bool level = ((timer->in >> CTRL_SCS(c->reg[CTRL])) & 1u) != 0;
+        return (uint16_t)(c->reg[SCTRL] | ((level != ((c->reg[SCTRL] & SCTRL_IPS) != 0)) ? SCTRL_INPUT : 0u));
+    } else if (r == DMA) {
         return 0;
-    case ENBL:
-        if (n == 0) {
-            return timer->enable;
-        }
-        bus_no_register(qtmr->bus, address);
-    default:
+    } else if (r == ENBL && n == 0) {
+        return timer->enable;
+    } else if (r > FILT) {
         bus_no_register(qtmr->bus, address);
     }
+    return c->reg[r];
 }
 
 static void write_sctrl(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, unsigned n, uint16_t value)
@@ -625,14 +599,14 @@ static void write_sctrl(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, un
     qtmr_channel_t *c = &timer->channel[n];
     bus_allow(qtmr->bus, address, value, 0xFFCF, "master and external OFLAG modes are not modelled");
     settle(qtmr, timer, n);
-    const unsigned before = c->sctrl;
+    const unsigned before = c->reg[SCTRL];
     const unsigned flags = before & value & SCTRL_FLAGS; /* a flag is cleared by writing 0, never set */
-    c->sctrl = (uint16_t)((value & ~(SCTRL_FLAGS | SCTRL_INPUT | SCTRL_FORCE)) | flags);
+    c->reg[SCTRL] = (uint16_t)((value & ~(SCTRL_FLAGS | SCTRL_INPUT | SCTRL_FORCE)) | flags);
     timer->captured &= ~((flags & SCTRL_IEF) != 0 ? 0u : 1u << n);
     if ((value & SCTRL_FORCE) != 0) {
         set_oflag(qtmr, timer, n, (value & SCTRL_VAL) != 0);
     }
-    if (((before ^ c->sctrl) & ~(SCTRL_FLAGS | SCTRL_IEFIE)) != 0) {
+    if (((before ^ c->reg[SCTRL]) & ~(SCTRL_FLAGS | SCTRL_IEFIE)) != 0) {
         derive(qtmr, timer);
     }
     request(qtmr, timer, n);
@@ -643,9 +617,9 @@ static void write_csctrl(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, u
     qtmr_channel_t *c = &timer->channel[n];
     bus_allow(qtmr->bus, address, value, 0xCAF0, "preloads, TCI, FAULT and ALT_LOAD are not modelled");
     settle(qtmr, timer, n);
-    const unsigned flags = c->csctrl & value & (CSCTRL_TCF1 | CSCTRL_TCF2);
-    const unsigned kept = c->csctrl & CSCTRL_UP;
-    c->csctrl = (uint16_t)((value & ~(CSCTRL_TCF1 | CSCTRL_TCF2 | CSCTRL_UP)) | flags | kept);
+    const unsigned flags = c->reg[CSCTRL] & value & (CSCTRL_TCF1 | CSCTRL_TCF2);
+    const unsigned kept = c->reg[CSCTRL] & CSCTRL_UP;
+    c->reg[CSCTRL] = (uint16_t)((value & ~(CSCTRL_TCF1 | CSCTRL_TCF2 | CSCTRL_UP)) | flags | kept);
     derive(qtmr, timer);
     request(qtmr, timer, n);
 }
@@ -656,41 +630,29 @@ static void write_channel(qtmr_t *qtmr, uint32_t address, qtmr_module_t *timer, 
     settle(qtmr, timer, n);
     switch (r) {
     case COMP1:
-        c->comp1 = value;
-        break;
     case COMP2:
-        c->comp2 = value;
+    case LOAD:
+    case CNTR:
+        c->reg[r] = value;
         break;
     case CAPT:
-        c->capt = value;
-        return;
-    case LOAD:
-        c->load = value;
-        break;
     case HOLD:
-        c->hold = value;
+    case CMPLD1:
+    case CMPLD2:
+        c->reg[r] = value;
         return;
-    case CNTR:
-        c->cntr = value;
-        break;
     case CTRL:
         write_ctrl(qtmr, address, timer, n, value);
         return;
     case SCTRL:
         write_sctrl(qtmr, address, timer, n, value);
         return;
-    case CMPLD1:
-        c->cmpld1 = value;
-        return;
-    case CMPLD2:
-        c->cmpld2 = value;
-        return;
     case CSCTRL:
         write_csctrl(qtmr, address, timer, n, value);
         return;
     case FILT:
         bus_allow(qtmr->bus, address, value, 0x07FF, "reserved");
-        c->filt = value;
+        c->reg[FILT] = value;
         timer->delay[n] = (value & 0xFFu) * (((uint32_t)value >> 8) + 3u);
         return;
     case DMA:

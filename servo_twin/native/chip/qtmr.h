@@ -16,7 +16,7 @@
 #define QTMR_DEFERRABLE_EDGES_MAX 100u
 
 typedef struct {
-    uint16_t comp1, comp2, capt, load, hold, cntr, ctrl, sctrl, cmpld1, cmpld2, csctrl, filt; /* registers */
+    uint16_t reg[12]; /* COMP1 to FILT in the order of their addresses */
     bool oflag;
     uint64_t since; /* clock up to which a channel on the bus clock has counted */
 } qtmr_channel_t;
