@@ -19,11 +19,11 @@ from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "braking"
 HELP: Final = """\
-Both axes brake at once from 3500 rpm onto a supply that takes nothing back, with a brake resistor and without; the
-resistor's energy budget; the current of shorted windings over the speed, and the speed above which the short is
-refused. The ST training names both kinds of braking and gives the steady current of the short as
-K_e w / sqrt(R_s^2 + w^2 L_s^2), to be compared with the current limit beforehand; it shows no measurement. What both
-shafts store would lift the bus past 33 V."""
+Both axes brake at once from 3500 rpm with a supply that cannot absorb energy, with and without a brake resistor; the
+energy budget of the resistor; the current of shorted windings over speed, and the speed above which the short is
+refused. The ST training describes both kinds of braking and gives the steady-state current of the short as K_e w /
+sqrt(R_s^2 + w^2 L_s^2), to be compared with the current limit first; it shows no measurement. The energy stored in
+both shafts would raise the bus above 33 V."""
 
 BRAKE_FROM: Final = 3500.0 * RPM  # at most
 RESISTOR: Final = 4.7  # that the firmware believes in, and where the plant has none [ohm]

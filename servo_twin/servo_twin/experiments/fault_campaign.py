@@ -27,11 +27,11 @@ from servo_twin.simulation import SimulationError
 NAME: Final = "fault-campaign"
 HELP: Final = """\
 Beyond the reference design. Random trials: one of several motors, each with a firmware tuned for it and a plant that
-deviates from what that believes; one of many things that an axis may be doing, with an encoder or without; one kind of
-damage with random parameters, at a random moment. Where nothing shows, the axis is then asked to move. Judged: the name
-of the fault, that the drive does not move the shaft afterwards, and that the other axis goes on unless bus or core are
-concerned. A part of the trials has no damage at all but hard manoeuvres, noise, load steps and a supply that swings: no
-fault may appear there."""
+deviates from its nominal data; one of many operating states, with or without an encoder; one kind of fault with random
+parameters at a random time. If the fault has no effect in that state, the axis is then commanded to move. Criteria:
+the reported fault, no motion by the drive afterwards, and continued operation of the other axis unless bus or core are
+affected. Some trials inject no fault, but demanding motion, noise, load steps and a varying supply: no fault may be
+reported there."""
 
 COUNT: Final = 150
 """Trials by default."""

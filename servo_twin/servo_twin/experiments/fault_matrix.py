@@ -41,14 +41,15 @@ from servo_twin.plant import PlantConfig
 
 NAME: Final = "fault-matrix"
 HELP: Final = """\
-Beyond the reference design, which names its faults and shows none of them. Everything that can be broken in the plant
-is broken in every state of axis 1 while axis 2 turns: open and shorted phases, stuck current converters, dead encoder
-lines, a held rotor, a supply that is gone, heat, a core that stands still; noise and glitches that are no fault.
-Where nothing shows, because the state does not use what is broken, the axis is then asked to move, and the fault has
-to be named then. Judged: the name, PWM periods from the cause to outputs off, no motion by the drive afterwards, and
-that the other axis goes on unless the bus or the core is concerned. Where a clock decides about the time, both levels
-of a board agree within 3 %; where the charge of the bus does, within 10 %, for the ripple of the currents costs 0.1 W
-that the averaged plant does not know; elsewhere the rotor's angle, the vectors of a search and the noise decide."""
+Beyond the reference design, which lists its faults but shows no measurement. Every fault of the plant is injected in
+every state of axis 1 while axis 2 turns: open and shorted phases, stuck current converters, dead encoder channels, a
+blocked rotor, loss of the supply, heat, a stopped core; also noise and glitches that must not cause a fault. If the
+fault has no effect in that state, the axis is then commanded to move, and the fault must be reported then. Criteria:
+the reported fault, PWM periods from the cause to outputs off, no motion by the drive afterwards, and continued
+operation of the other axis unless bus or core are affected. Where a clock determines the time, both levels of a board
+agree within 3 %; where the charge of the bus does, within 10 %, because the ripple of the currents causes losses of
+0.1 W that the averaged plant does not include; elsewhere rotor angle, vectors of the search and noise determine the
+time."""
 
 OTHER_SPEED: Final = 100.0
 """Of axis 2 [rad/s]."""

@@ -24,9 +24,9 @@ from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "field-weakening"
 HELP: Final = """\
-The drive at its rated 4000 rpm, where the back-EMF is all the voltage of 24 V, with the feature FIELD_WEAKENING and
-without: torque over speed, the voltage margin, load steps, a supply that sags and returns, a fault, motors that differ
-by 10 % from what the drive believes, and both axes at once. The reference design ends at 3000 rpm without it."""
+The drive at its rated 4000 rpm, where the back-EMF takes the whole voltage of 24 V, with and without the feature
+FIELD_WEAKENING: torque over speed, voltage margin, load steps, a supply that sags and returns, a fault, motors that
+differ by 10 % from their nominal data, and both axes at once. The reference design ends at 3000 rpm without it."""
 
 AXIS: Final = 0
 RATED: Final = 4000.0 * RPM

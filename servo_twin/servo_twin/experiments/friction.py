@@ -21,11 +21,11 @@ from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "friction"
 HELP: Final = """\
-Beyond the reference design: current against Coulomb and viscous friction, fed forward from the set-point of the speed
-(feature FRICTION). The seed has none and shows nothing of it.
-Shown, without and with it: speed control, a start from rest to 10 rpm and a sine of 50 rpm, 1 Hz; position control, a
-sine of 0.1 turns, 2 Hz, with speed and acceleration fed forward in both runs. The friction that is there is as large as
-the controller believes, or twice, or half of that: then a half, or as much again, is left to the loop."""
+Beyond the reference design: feed-forward of the current against Coulomb and viscous friction from the speed set-point
+(feature FRICTION). The reference design has no such compensation and shows no measurement. Shown, without and with it:
+speed control, a start from rest to 10 rpm and a sine of 50 rpm, 1 Hz; position control, a sine of 0.1 turns, 2 Hz,
+with feed-forward of speed and acceleration in both runs. The true friction is equal to the nominal one, twice, or half
+of it: the loop has to supply the difference."""
 
 TIMES: Final = (1.0, 2.0, 0.5)
 """Friction that is there over the one that the controller believes in."""

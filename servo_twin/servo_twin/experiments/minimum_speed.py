@@ -26,11 +26,11 @@ from servo_twin.plant import PlantConfig
 
 NAME: Final = "minimum-speed"
 HELP: Final = """\
-Speed control without an encoder, from a third of the speed limit downwards, step by step: without load, and with
-loads of a quarter and half of the current limit against the motion. The reference design says: the minimum speed is 5
-% of the maximum (slide on the control's performance). Measured: the lowest speed, in parts of the speed limit, that
-is held as the true one: its mean within 3 % of the set-point, and the shaft never stands still. Below, the axis has
-to switch itself off or to end in a fault, never to run away."""
+Speed control without an encoder, from a third of the speed limit downwards in steps: without load, and with loads of a
+quarter and half of the current limit against the motion. The reference design states a minimum speed of 5 % of the
+maximum (ST document, performance). Measured: the lowest true speed, as a fraction of the speed limit, that is
+maintained: its mean within 3 % of the set-point, without standstill. Below that the axis has to switch off or end in a
+fault, and must never run away."""
 
 STEPS: Final = (0.3, 0.15, 0.1, 0.08, 0.07, 0.06, 0.05, 0.045, 0.04, 0.035, 0.03, 0.025, 0.02)
 """Set-points, parts of the speed limit."""

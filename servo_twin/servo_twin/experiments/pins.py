@@ -24,10 +24,10 @@ from servo_twin.plant import PlantConfig
 
 NAME: Final = "pins"
 HELP: Final = """\
-Beyond the reference design, which has none of these pins. A load hangs on a shaft with a holding brake: how far it
-drops when the drive is enabled for the first time, which has to find the rotor; later, when its angle is known; when
-it is disabled, and with a fault. The enable input is opened at full speed: PWM periods until the switches are open. A
-limit switch is reached at speed: the way beyond it, and that only the way off it is free. Every wire is cut."""
+Beyond the reference design, which has none of these pins. A hanging load on a shaft with a holding brake: its drop
+when the drive is enabled for the first time, which includes the rotor search; later, with a known angle; when it is
+disabled; and with a fault. The enable input is opened at full speed: PWM periods until the outputs are off. A limit
+switch is reached at speed: the overtravel, and that only the way off it is permitted. Every wire is broken once."""
 
 LOAD: Final = 0.2
 """That hangs on the shaft, of the rotor search's largest torque."""

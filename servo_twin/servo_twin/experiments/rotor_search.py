@@ -20,11 +20,11 @@ from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "rotor-search"
 HELP: Final = """\
-Initial rotor position without Hall sensors, by bisection with coordinate correction (2.4.3, F15).
-The reference design shows (F16): from 30 degrees electrical, eight searches, all within 1.2 s.
-Here also: every 5 degrees, both axes, three times the friction and the inertia, a heavy shaft that runs lightly, a
-rotor at 180 degrees from the first vector; how far the shaft moves; and which fault names a search that cannot succeed:
-shaft held, or with little play; encoder unplugged, with a dead line or counting backwards; motor unplugged."""
+Initial rotor position without Hall sensors, by bisection with coordinate correction (2.4.3, F15). The reference design
+shows (F16): from 30 degrees electrical, eight searches, all within 1.2 s. Here also: every 5 degrees, both axes, three
+times the friction and the inertia, a large inertia with little friction, a rotor at 180 degrees from the first vector;
+the movement of the shaft; and the fault reported by a search that cannot succeed: blocked shaft, or little play;
+encoder unplugged, with a dead channel or counting backwards; motor unplugged."""
 
 START_F16: Final = 30.0  # [degrees electrical]
 SEARCHES_F16: Final = 8

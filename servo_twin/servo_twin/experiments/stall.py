@@ -19,12 +19,12 @@ from servo_twin.plant import PlantConfig
 
 NAME: Final = "stall"
 HELP: Final = """\
-The shaft of an axis that runs without an encoder is caught: held fast at three speeds, and by a stiff spring whose
-other end swings to and fro, so that the rotor oscillates sinusoidally where it is caught. The reference design
-notices a stall by the variance of the observed speed over the last 64, and says that it cannot when the rotor
-oscillates sinusoidally at the stalled position (slide on stall detection). Measured: time from the stall to outputs
-off and the name of the fault; the notes say how long the variance alone would have taken, if nothing else watched.
-Then both axes run for a long time with random set-points and load steps: there must be no fault."""
+The shaft of an axis without an encoder is blocked: rigidly at three speeds, and by a stiff spring whose other end
+oscillates, so that the rotor oscillates sinusoidally at the stalled position. The reference design detects a stall
+from the variance of the last 64 observed speeds, and states that this fails if the rotor oscillates sinusoidally at
+the stalled position (ST document, stall detection). Measured: time from the stall to outputs off, and the reported
+fault; the notes give the time of the variance criterion alone. Then both axes run for a long time with random
+set-points and load steps: there must be no fault."""
 
 SPEEDS: Final = (0.06, 0.2, 0.8)
 """Parts of the speed limit from which the shaft is stopped."""

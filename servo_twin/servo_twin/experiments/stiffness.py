@@ -14,8 +14,8 @@ from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "stiffness"
 HELP: Final = """\
-Position hold at standstill: the load jumps to nominal torque (2 A) and later back, current limit 4 A.
-The reference design shows no measurement; a servo has to come back to its position, without a lasting error."""
+Position hold at standstill: the load steps to nominal torque (2 A) and later back, current limit 4 A. The reference
+design shows no measurement; a servo has to return to its position without a steady-state error."""
 
 NOMINAL: Final = 2.0  # [A]
 LIMIT: Final = 4.0  # [A]

@@ -20,12 +20,12 @@ from servo_twin.plant import PlantConfig
 
 NAME: Final = "supervision"
 HELP: Final = """\
-Beyond the reference design, which knows no fault of the motion: the shaft leaves its set-point (feature
-FOLLOWING_ERROR, param.following_error) or turns too fast (OVER_SPEED, param.over_speed).
-Shown, without and with each: the shaft is blocked in a move; a load of 1.25 times the peak torque stops a move and
-carries the shaft away; such a load drives the shaft of an axis in torque mode; a set-point asks for more speed than the
-machine may see. Time from the cause to outputs off, and the name of the fault. Then the hardest moves that are legal,
-and load steps of half the peak torque, must pass without a fault."""
+Beyond the reference design, which has no faults of the motion: position too far from its set-point (feature
+FOLLOWING_ERROR, param.following_error) or speed too high (OVER_SPEED, param.over_speed). Shown, without and with each:
+the shaft is blocked during a move; a load of 1.25 times the peak torque stops a move and drives the shaft back; such a
+load drives the shaft of an axis in torque mode; a set-point commands more speed than the machine permits. Time from
+the cause to outputs off, and the reported fault. Then the most demanding permitted moves and load steps of half the
+peak torque must cause no fault."""
 
 FOLLOWING: Final = 1.0
 """Following error that is a fault [rad]."""
