@@ -96,6 +96,7 @@ class SessionAccess(BoardAccess):
         lead: float = 0.0,
         meanwhile: Callable[[bool], None] | None = None,
     ) -> Recording:
+        """Record with the recorder of the board; parameters as of `BoardAccess.record`."""
         condition = None if trigger is None else f"{trigger} >= 1"
         step = step_of(every, slow)
         request = BurstRequest(

@@ -89,8 +89,8 @@ def test_enable_does_not_wait_for_ever() -> None:
 
 def test_enable_says_what_the_inputs_hold_back() -> None:
     rig = Rig().connected()
-    limits = {flag.name: flag.mask for flag in CATALOGUE.flags["limits"]}
-    rig.values = {"axis1.limits": float(limits["CURRENT"]), "axis2.limits": float(limits["INPUT"])}
+    current, inputs = (CATALOGUE.flag("limits", name) for name in ("CURRENT", "INPUT"))
+    rig.values = {"axis1.limits": float(current.mask), "axis2.limits": float(inputs.mask)}
     answer = rig.services.enable(True)
     rig.dispatcher.acknowledged(rig.sent[-1], None)
     rig.sample(STOPPED, STOPPED, applied=True)
@@ -98,7 +98,7 @@ def test_enable_says_what_the_inputs_hold_back() -> None:
     rig.sample(SPINNING, STOPPED)
     success, text = answer.result(0)
     assert not success
-    assert text.startswith("axis2: INPUT: enable input open")
+    assert text.startswith(f"axis2: INPUT: {inputs.cause}")
     assert "CURRENT" not in text
 
 

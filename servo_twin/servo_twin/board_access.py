@@ -81,6 +81,7 @@ class VirtualBoardAccess(BoardAccess):
         lead: float = 0.0,
         meanwhile: Callable[[bool], None] | None = None,
     ) -> Recording:
+        """Record in simulated time; parameters as of `BoardAccess.record`."""
         elements = [element_of(self.catalogue, name) for name in names]
         sampled = list(elements)
         if trigger is not None and trigger not in names:

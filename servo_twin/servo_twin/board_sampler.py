@@ -60,7 +60,7 @@ class BoardSampler:
             raise BoardError(f"sampling {len(addresses)} numbers: {status_text(status)}", status)
 
     def points(self) -> NDArray[np.void]:
-        """The last points, oldest first: as many as there is room for."""
+        """The last raw points (points,), oldest first: as many as there is room for."""
         following = self._ffi.new("uint32_t *")
         count = self._lib.board_sampled(self._board, following)
         first = following[0] if count == len(self._points) else 0

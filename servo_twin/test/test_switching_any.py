@@ -1,4 +1,4 @@
-"""The plant at switching level with motors, buses, gates and hands that nobody would choose: it stays sound."""
+"""The plant at switching level with extreme motors, buses, gates and external torques: its state stays valid."""
 
 from __future__ import annotations
 

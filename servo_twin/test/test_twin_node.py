@@ -139,15 +139,16 @@ class Rig:
     def caught_up(self) -> None:
         """The twin has published the newest full batch."""
         newest = self.board.real.tick - len(self._rows) * self.board.every
-        self.until(lambda: self.rows() and self.rows()[-1]["tick"] == newest)
+        self.until(lambda: (rows := self.rows(last=1)) and rows[-1]["tick"] == newest)
 
     def last(self, name: str) -> Any:
         return self.messages[name][-1].data if self.messages[name] else None
 
-    def rows(self) -> list[dict[str, float]]:
+    def rows(self, last: int = 0) -> list[dict[str, float]]:
+        """Samples of the twin; of the last messages only, if `last` is not 0."""
         return [
             dict(zip(names, row, strict=True))
-            for names, table in map(snapshot_table, self.messages["/twin/snapshot"])
+            for names, table in map(snapshot_table, self.messages["/twin/snapshot"][-last:])
             for row in table.tolist()
         ]
 

@@ -72,6 +72,7 @@ class AxisUnderTest:
     # ---- variables ---------------------------------------------------------------------------------------------------
 
     def value(self, variable: str) -> float:
+        """Value [SI] of a variable of the axis, or number of an enumeration value."""
         return self.access.read(f"{self.name}.{variable}")[0]
 
     def label(self, variable: str) -> str:
@@ -85,6 +86,7 @@ class AxisUnderTest:
         return {flag.name: flag.mask for flag in self.access.catalogue.flags[kind]}
 
     def write(self, variable: str, value: float) -> None:
+        """Write an element [SI] of an array variable."""
         self.access.write(variable, [value], self.axis)
 
     def write_word(self, variable: str, raw: int) -> None:

@@ -160,7 +160,7 @@ class Unknowns:
         )
 
     def later(self, sums: Sums, vector: _Array, detect: float) -> int | None:
-        """Block since which something differs from this vector of changes; None if nothing does."""
+        """Block since which something differs from this vector (unknowns,) of changes; None if nothing does."""
         left = sums.b - np.einsum("nij,j->ni", sums.a, vector)
         ratios = self._ratios(np.einsum("nii->ni", sums.a), left)[1][:-1].max(axis=1, initial=0.0)
         if not len(ratios):

@@ -56,7 +56,7 @@ def top_frequency(axis: AxisPlant) -> float:
 
 
 def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) -> Recording:
-    """Run the sine once; the last periods."""
+    """Run the sine of a frequency [Hz] once; the last periods."""
     limit, warm_up = current_limit(plant.axes[AXIS], frequency), WARM_UP / frequency
     with spinning(plant, seed) as board:
         parameters = {"i_q_limit": limit, "acceleration_limit": largest(board, "acceleration_limit")}

@@ -125,7 +125,7 @@ class Budget:
 
 
 def spend(plant: PlantConfig, seed: int, resistor: float) -> Budget:
-    """A supply above the switching voltage, until the budget is spent and the resistor is used again."""
+    """A supply above the switching voltage, until the budget is spent and the `resistor` [ohm] is used again."""
     with spinning(plant.with_bus(r_brake=resistor), seed) as board:
         board.write("param.brake", 1.0)
         board.set_supply(SPENDING)

@@ -16,9 +16,9 @@ from servo_twin.plant import PlantConfig
 
 NAME: Final = "bus-ripple"
 HELP: Final = """\
-The supply swings by 10 % up and down at 100 Hz while an axis turns under load; the duties follow it or do not.
-The reference design has the compensation in its fast loop (2.3, F7) and shows no measurement: it is there so that the
-current does not see the bus."""
+The supply voltage varies by +-10 % at 100 Hz while an axis turns under load, with and without compensation of the duty
+cycles. The reference design has the compensation in its fast loop (2.3, F7), to decouple the current from the bus
+voltage, and shows no measurement."""
 
 FREQUENCY: Final = 100.0  # [Hz]
 SWING: Final = 0.1  # of the supply, up and down
@@ -43,7 +43,7 @@ def capacitance(plant: PlantConfig, axis: int) -> float:
 
 
 def amplitude(signal: NDArray[np.float64], frequency: float) -> float:
-    """Amplitude of one frequency in a signal that covers whole periods of it."""
+    """Amplitude of one frequency [Hz] in a signal (samples,) that covers whole periods of it, in its unit."""
     wave = np.exp(-2j * np.pi * frequency * TICK * np.arange(signal.size))
     return float(2.0 * abs(np.mean((signal - signal.mean()) * wave)))
 

@@ -113,7 +113,7 @@ class Motor:
 
     @property
     def slowest(self) -> float:
-        """Part of the speed limit below which it is asked for nothing without an encoder."""
+        """Lowest set-point without an encoder, as a part of the speed limit."""
         servo = servo_table()
         own = _TABLES[self.name] if self.group else servo[self.name]
         start_up = {**servo["defaults"]["start_up"], **own.get("start_up", {})}

@@ -126,7 +126,7 @@ class Bench:
         command_speed(self.board, self.axis, speed)
 
     def turn(self, turns: float) -> None:
-        """Position set-point so far from here, in position mode."""
+        """Move by so many turns, in position mode."""
         self.wanted = self.speed_limit
         choose_mode(self.board, self.axis, "POSITION")
         command_position(self.board, self.axis, position_of(self.board, self.axis) + round(4000.0 * turns))
@@ -141,7 +141,7 @@ class Bench:
         set_axis(self.board, "cmd.quick_stop", self.axis, 1.0)
 
     def load(self, part: float) -> None:
-        """Load torque, a part of what the current limit gives."""
+        """Set the load torque, as a part of the torque at the current limit."""
         self.torque_of_load = part * self.current * self.motor.torque_constant
         self.board.set_load(self.axis, self.torque_of_load)
 
@@ -178,7 +178,7 @@ class Bench:
         self.board.run(SETTLED)
 
     def turning(self, speed: float) -> None:
-        """At a constant speed, with the encoder or without."""
+        """Turn at a constant speed [rad/s], with the encoder or without."""
         if self.sensorless:
             self.enable()
             self.speed(speed)

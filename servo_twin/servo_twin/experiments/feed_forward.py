@@ -20,11 +20,11 @@ from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "feed-forward"
 HELP: Final = """\
-Beyond the reference design: its position controller is a plain gain (E44), so that the shaft trails the set-point by
-v / Kv, and it gives no figure for that. Here the speed of the shaped set-point goes straight to the speed controller
-(feature SPEED_FORWARD), and the current for its acceleration (ACCELERATION_FORWARD) and against friction (FRICTION).
-Shown: following error, overshoot and settling of moves of 0.1, 1 and 100 turns, none / speed / speed and acceleration /
-all three, the same gains."""
+Beyond the reference design: its position controller is proportional (E44), so the shaft lags the set-point by v / Kv;
+it gives no figure for that. Here the speed of the shaped set-point is fed forward to the speed controller (feature
+SPEED_FORWARD), and the current for its acceleration (ACCELERATION_FORWARD) and against friction (FRICTION). Shown:
+following error, overshoot and settling of moves of 0.1, 1 and 100 turns, with none / speed / speed and acceleration /
+all three, and the same gains."""
 
 DISTANCES: Final = (0.1, 1.0, 100.0)  # [turns]
 CHOICES: Final[Mapping[str, Mapping[str, bool]]] = {
@@ -122,7 +122,7 @@ class Mismatch:
 
     @property
     def wrong(self) -> float:
-        """What feed-forward gets wrong, over what is needed."""
+        """Error of feed-forward over what is needed (ratio)."""
         return abs(self.there - self.believed) / self.there
 
 

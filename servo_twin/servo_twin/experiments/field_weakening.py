@@ -138,7 +138,7 @@ def _wandering(judge: Judge, recording: Recording) -> Iterator[Row]:
 
 
 def loaded(plant: PlantConfig, seed: int, load: float, *, weak: bool) -> Recording:
-    """The end of a run under a load that stays."""
+    """The end of a run under a constant load [N m]."""
     end = RUN_UP + SETTLE + MEASURED
     return run_with(plant, seed, {RUN_UP: _load(load)}, end, weak=weak)[AXIS].part(end - MEASURED)
 
@@ -206,7 +206,7 @@ def _dip_at(plant: PlantConfig, seed: int, speed: float) -> float:
 
 
 def sag(plant: PlantConfig, seed: int, volts: float, axes: Sequence[int] = (AXIS,)) -> Mapping[int, Recording]:
-    """The supply falls under load, and returns after SETTLE + MEASURED."""
+    """The supply falls to a voltage [V] under load, and returns after SETTLE + MEASURED."""
     events = {
         RUN_UP - MEASURED: _load(SAG_LOAD, axes),
         RUN_UP: _supply(volts),

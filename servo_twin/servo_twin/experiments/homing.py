@@ -25,11 +25,11 @@ from servo_twin.plant import STIFFEST, PlantConfig
 
 NAME: Final = "homing"
 HELP: Final = """\
-Beyond the reference design, whose position counts from where the rotor was first found (E41).
-Shown: both axes turn to hard stops at random places to both sides, of random stiffness and damping, twice each:
-spread, repeatability and place against the true angle of the stop, current and force of the contact. The same with home
-switches, from outside and from on the switch. A stop that is missing is a named fault within the configured way. With
-the feature HOMING an axis that is not homed refuses far set-points and stays near where it was enabled."""
+Beyond the reference design, whose position counts from where the rotor was first found (E41). Shown: both axes home to
+hard stops at random positions on both sides, with random stiffness and damping, twice each: spread, repeatability and
+position error against the true angle of the stop, current and force of the contact. The same with home switches,
+starting off and on the switch. A missing stop is a fault within the configured distance. With the feature HOMING an
+axis that is not homed refuses far set-points and stays near the position at which it was enabled."""
 
 KINDS: Final[Mapping[str, tuple[float, float]]] = {"rubber": (0.3, 3.0), "plastic": (3.0, 30.0), "steel": (30.0, 150.0)}
 """Stiffness of a stop [N m/rad]."""

@@ -16,10 +16,10 @@ from servo_twin.level import Level
 __all__ = ["FILE", "HELP", "LEVELS", "Pair", "overview", "pairs", "table", "write"]
 
 HELP: Final = """\
-All experiments on the ideal chip with the averaged plant, and again on the registers with the switching plant.
-A figure agrees when it lies within its bound at each level, and when the levels differ by no more than that bound
-allows: from one end of it to the other, or its size where it has only one end; a few figures say themselves how far
-what only one of the plants has may take them."""
+All experiments on the ideal chip with the averaged plant, and again on the registers with the switching plant. A
+figure agrees if it is within its bound at each level, and the difference of the levels is not larger than the width of
+the bound, or its absolute value if it is one-sided; a few figures define their own tolerance for effects that only one
+of the plants has."""
 
 LEVELS: Final[tuple[Level, Level]] = ("ideal", "registers")
 FILE: Final = "levels.json"

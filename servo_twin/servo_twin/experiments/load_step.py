@@ -19,11 +19,11 @@ from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "load-step"
 HELP: Final = """\
-An axis without an encoder turns steadily without load; then a torque against the motion comes all at once, stays, and
-goes all at once. It is active: where the motor does not hold it, it turns the shaft back. The steps grow, over a range
-of speeds, until one throws the rotor out of step. The reference design does not show this. On paper a load step T takes
-T / (J w e) from the speed of a shaft whose speed loop has two poles at w and knows the speed at once; a bound is the
-step that would take all of it with a loop of 30 Hz, as far as the current can hold it. The notes say what was lost."""
+An axis without an encoder turns steadily without load; then a torque against the motion is applied in a step, and
+removed in a step. The load is active: if the motor cannot hold it, it reverses the shaft. The steps increase, over a
+range of speeds, until the rotor loses synchronism. The reference design does not show this. In theory a load step T
+reduces the speed by T / (J w e) if the speed loop has two poles at w and measures the speed without delay; a bound is
+the step that would stop the shaft with a loop of 30 Hz, within the current limit. The notes give the speed drops."""
 
 SPEEDS: Final = (0.05, 0.08, 0.13, 0.2, 0.4, 0.8)
 """Parts of the speed limit."""
@@ -65,7 +65,7 @@ def lost_on_paper(motor: AxisPlant, torque: float) -> float:
 
 
 def bear(plant: PlantConfig, seed: int, axis: int, part: float, steps: Sequence[float]) -> Borne:
-    """Growing steps at a part of the speed limit."""
+    """Growing steps, as parts of the torque at the current limit, at a part of the speed limit."""
     with started(plant, seed, {axis: 1.0}) as board:
         limit, current = limits_of(board, axis)
         speed = part * limit
@@ -107,11 +107,11 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         most = 1e3 * HELD * currents[axis] * motor.torque_constant
         paper = [1e3 * it.speed / lost_on_paper(motor, 1.0) for it in found]
         for it, step in zip(found, paper, strict=True):
-            at = f"{name} at {it.speed / RPM:.0f} rpm"
-            yield Judge(f"{at}, ", NOT_SHOWN)("step borne", 1e3 * it.torque, "mN m", min(step, most))
+            where = f"{name} at {it.speed / RPM:.0f} rpm"
+            yield Judge(f"{where}, ", NOT_SHOWN)("step borne", 1e3 * it.torque, "mN m", min(step, most))
             after = f"the next one: {it.end}" if it.end else "the largest that was tried"
             yield (
-                f"{at}: {1e3 * it.torque:.0f} mN m take {it.lost / RPM:.0f} rpm, on paper "
+                f"{where}: {1e3 * it.torque:.0f} mN m take {it.lost / RPM:.0f} rpm, on paper "
                 f"{lost_on_paper(motor, it.torque) / RPM:.0f} rpm; {after}"
             )
         x, borne = np.array([it.speed / RPM for it in found]), np.array([1e3 * it.torque for it in found])

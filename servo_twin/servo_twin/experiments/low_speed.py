@@ -14,10 +14,10 @@ from servo_twin.plant import PlantConfig
 
 NAME: Final = "low-speed"
 HELP: Final = """\
-Speed control at 1, 5 and 20 rpm, once with plain, once with enhanced M/T, the gains as they are.
-The reference design says: the stagnation of M/T spoils the steady state at very low speed unless the gains are lowered
-(2.4.5); the enhanced method makes it better (2.4.6). It gives no figures; the two are judged against each other, by the
-root mean square of the true speed's deviation. The true mean has to be the set-point whatever the method."""
+Speed control at 1, 5 and 20 rpm, with plain and with enhanced M/T, with unchanged gains. According to the reference
+design the stagnation of M/T impairs the steady state at very low speed unless the gains are lowered (2.4.5), and the
+enhanced method improves it (2.4.6). It gives no figures; the two are compared by the root mean square of the deviation
+of the true speed. The true mean speed has to equal the set-point with both methods."""
 
 SPEEDS: Final = (1.0, 5.0, 20.0)  # [rpm]
 SETTLE: Final = 1.0  # [s]

@@ -70,13 +70,13 @@ class Descent:
 
 
 def loaded(board: Board, axis: int, torque: float) -> None:
-    """Let a load against positive motion grow."""
+    """Let a load [N m] against positive motion grow."""
     ticks = round(LOADING / TICK)
     follow(board, [], LOADING, lambda k: board.set_load(axis, torque * (k + 1) / ticks))
 
 
 def descend(plant: PlantConfig, seed: int, axis: int, load: float, steps: Sequence[float]) -> Descent:
-    """One axis with a load, as a part of what the current limit can move."""
+    """One axis with a load, as a part of the torque at the current limit; steps are parts of the speed limit."""
     motor = plant.axes[axis]
     with started(plant, seed, {axis: 1.0}) as board:
         limit, current = limits_of(board, axis)

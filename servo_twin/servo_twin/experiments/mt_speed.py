@@ -196,7 +196,7 @@ def start_angle(plant: PlantConfig, seed: int) -> float:
 def methods(
     plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float
 ) -> tuple[Recording, Methods]:
-    """One trace, all methods."""
+    """One trace of a speed [rad/s] by tick and of so many seconds, all methods."""
     plain = drive(plant, seed, speed_at, seconds, enhanced=False)
     better = drive(plant, seed, speed_at, seconds, enhanced=True)
     assert np.array_equal(plain.theta, better.theta), "a motor that is off must not act on the shaft"

@@ -27,13 +27,13 @@ from servo_twin.simulation import SimulationError
 
 NAME: Final = "observer"
 HELP: Final = """\
-The observer runs beside the encoder, which alone moves the shaft: error of the observed angle from 200 rpm to the
-speed limit, without load and with a load that takes a quarter and half of the current limit. The reference design
-says: not very sensitive to Rs, moderately sensitive to Ls (slide on the control's performance). On paper, with i_d =
-0, a winding whose R is wrong changes the size of the observed back-EMF only, and (Lq - L) i_q / psi is the angle by
-which a wrong L turns it; shown with R and L of the plant at half and at one and a half times what they are. At 200
-rpm dead time and switches make an error as large as the back-EMF; shown with the compensation as it is, and on an
-inverter with twice the dead time and twice the drops, where it leaves as much as if there were none."""
+The observer runs in parallel to the encoder, which alone is used for control: error of the observed angle from 200 rpm
+to the speed limit, without load and with loads that require a quarter and half of the current limit. According to the
+reference design it is not very sensitive to Rs and moderately sensitive to Ls (ST document, performance). In theory,
+with i_d = 0, an error of R changes only the amplitude of the observed back-EMF, and an error of L rotates it by (Lq -
+L) i_q / psi; shown with R and L of the plant at 0.5 and 1.5 times their values. At 200 rpm dead time and switch drops
+cause an error as large as the back-EMF; shown with the normal compensation, and on an inverter with twice the dead
+time and twice the drops, where the remaining error equals that without compensation."""
 
 SPEEDS: Final = (1.0 / 15.0, 1.0 / 6.0, 1.0 / 3.0, 1.0)
 """Parts of the speed limit: 200, 500, 1000 and 3000 rpm of the nominal one."""

@@ -118,9 +118,12 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     start, turn = r.position_ref[-1] - distance, float(COUNTS_PER_TURN)
     ramp, path = np.minimum(speed * r.time, float(distance)), r.position_ref - start
     ways = {"ramp": ramp / turn, "S curve": path / turn, "shaft": (r.position - start) / turn}
-    slopes = [np.gradient(way, TICK) / turn for way in (ramp, path)]
-    speeds_ = dict(zip(ways, (*slopes, r.omega / (2.0 * np.pi)), strict=True))
-    for title, label, lines in (("F23: path", "position [turns]", ways), ("F24: speed", "speed [turns/s]", speeds_)):
+    turning = {"ramp": np.gradient(ramp, TICK) / turn, "S curve": np.gradient(path, TICK) / turn}
+    turning["shaft"] = r.omega / (2.0 * np.pi)
+    for title, label, lines in (
+        ("F23: path", "position [turns]", ways),
+        ("F24: speed", "speed [turns/s]", turning),
+    ):
         curves = [Curve(name, r.time, y, "--" if name == "shaft" else "-") for name, y in lines.items()]
         yield Panel(title, "time [s]", label, curves)
     yield f"axis {AXIS + 1}, {TURNS:g} turns"

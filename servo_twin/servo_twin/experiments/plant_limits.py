@@ -121,7 +121,7 @@ def _forward(plant: PlantConfig, seed: int, switch: str, speed: float) -> list[f
 
 
 def inertia_ratio(plant: PlantConfig, seed: int, axis: int) -> float:
-    """Inertia per torque constant, over what the gains are made for: a loop is so many times slower, or quicker."""
+    """Inertia over the nominal one (ratio): a loop is so many times slower, or quicker."""
     return plant.axes[axis].inertia / believed(plant, seed)[axis].inertia
 
 

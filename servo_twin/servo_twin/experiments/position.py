@@ -21,8 +21,8 @@ from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "position"
 HELP: Final = """\
-Position set-points of both axes: steps, which the path filter shapes, and ramps, 0.01, 1 and 100 turns far.
-The reference design wants no overshoot and no oscillation of the position (2.7.3); it shows no measurement."""
+Position set-points of both axes: steps, which the path filter shapes, and ramps, of 0.01, 1 and 100 turns. The
+reference design requires no overshoot and no oscillation of the position (2.7.3); it shows no measurement."""
 
 DISTANCES: Final = (0.01, 1.0, 100.0)  # [turns]
 COUNTS_MAX: Final = 2.0

@@ -19,10 +19,10 @@ from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "real-shaft"
 HELP: Final = """\
-Each part of the plant that is off by default, one at a time: a second mass behind a spring, backlash, cogging, an
-encoder disc off its centre, iron that saturates, a magnet and a winding that are warm (servo_twin/doc/plant.md).
-Measured is what the drive's own signals, or the load, show of it; the bound is the equation of the part. The reference
-design has none of them."""
+Each effect of the plant that is off by default, one at a time: a second mass behind an elastic shaft, backlash,
+cogging, an eccentric encoder disc, saturation, warm magnet and winding (servo_twin/doc/plant.md). The effect is
+measured in the signals of the drive or in the load; the bound is the equation of the effect. The reference design has
+none of them."""
 
 RESONANCE: Final = 150.0  # [Hz]
 GAP: Final = 0.02  # [rad]
@@ -74,7 +74,7 @@ class Effect:
 
 
 def wave(angle: NDArray[np.float64], signal: NDArray[np.float64]) -> float:
-    """Amplitude of what repeats with an angle."""
+    """Amplitude, in the unit of the signal, of what repeats with an angle [rad]; both (samples,)."""
     matrix = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle), angle], axis=1)
     return float(np.hypot(*np.linalg.lstsq(matrix, signal, rcond=None)[0][:2]))
 
@@ -98,7 +98,7 @@ def ringing(board: Board, axis: int) -> Seen:
 
 
 def held_speed(board: Board, axis: int, speed: float, seconds: float) -> Recording:
-    """Recording at a speed."""
+    """Recording of so many seconds at a speed [rad/s]."""
     set_up(board, axis, "SPEED", speed)
     watch(board, [axis], SETTLE)
     return watch(board, [axis], seconds)[axis]
@@ -155,7 +155,7 @@ def step_of_current(board: Board, axis: int, low: float, high: float) -> NDArray
 
 
 def levels(signal: NDArray[np.float64]) -> tuple[float, float]:
-    """Means at the beginning and at the end."""
+    """Means at the beginning and at the end of a signal (samples,), in its unit."""
     return float(signal[:200].mean()), float(signal[-80:].mean())
 
 
@@ -203,7 +203,7 @@ def magnet(board: Board, axis: int) -> Seen:
 
 
 def second_mass(shaft: AxisPlant, frequency: float) -> dict[str, float]:
-    """As heavy as the rotor, on a shaft that swings so fast and is damped by 2 %."""
+    """As heavy as the rotor, on a shaft of this natural frequency [Hz] that is damped by 2 %."""
     mass = 0.5 * shaft.inertia
     w = 2.0 * math.pi * frequency
     return {"load_inertia": shaft.inertia, "shaft_stiffness": mass * w**2, "shaft_damping": 0.04 * mass * w}

@@ -263,7 +263,7 @@ def movement_bound(searches: int) -> float:
     return math.degrees((TWITCH_COUNTS * searches + TURN_COUNTS) * COUNT)
 
 
-def every(found: Iterable[list[Search]]) -> list[list[Search]]:
+def by_axis(found: Iterable[list[Search]]) -> list[list[Search]]:
     """Searches by axis."""
     return [list(searches) for searches in zip(*found, strict=True)]
 
@@ -305,8 +305,10 @@ def _everywhere(plant: PlantConfig, seed: int) -> Iterator[Item]:
     times: list[Curve] = []
     degrees = np.arange(-180, 180, EVERY, dtype=np.float64)
     for condition, (changed, time_max) in conditions.items():
-        by_axis = every(find(start_at(changed, angle), seed + k) for k, angle in enumerate(range(-180, 180, EVERY)))
-        for axis, searches in enumerate(by_axis):
+        all_searches = by_axis(
+            find(start_at(changed, angle), seed + k) for k, angle in enumerate(range(-180, 180, EVERY))
+        )
+        for axis, searches in enumerate(all_searches):
             yield from _rows(condition, changed, axis, searches, time_max)
             label, found = f"{axis_name(axis)} {condition}", [np.nan if s.error is None else s.error for s in searches]
             errors.append(Curve(label, degrees, np.array(found), ".-"))
@@ -337,13 +339,13 @@ def _rows_fault(plant: PlantConfig, seed: int) -> Iterator[Row]:
     starts = [(changed, degrees) for changed in (plant, loose, stiff) for degrees in range(-170, 180, DAMAGE_EVERY)]
 
     def from_everywhere(damage: Damage) -> list[list[Search]]:
-        return every(find(start_at(changed, d), seed + k, damage=damage) for k, (changed, d) in enumerate(starts))
+        return by_axis(find(start_at(changed, d), seed + k, damage=damage) for k, (changed, d) in enumerate(starts))
 
     for damage in DAMAGES:
         yield from _rows_named(damage, "", from_everywhere(damage))
     for damage in (HELD, UNPLUGGED):
         when = enumerate(itertools.product((-101.0, 64.0), UNDER_WAY))
-        found = every(find(start_at(plant, d), seed + k, damage=damage, after=after) for k, (d, after) in when)
+        found = by_axis(find(start_at(plant, d), seed + k, damage=damage, after=after) for k, (d, after) in when)
         yield from _rows_named(damage, " under way", found)
     for axis, searches in enumerate(from_everywhere(TWITCHING)):
         judge = Judge(f"{axis_name(axis)} {TWITCHING.name}: ", NOT_SHOWN)
@@ -353,9 +355,9 @@ def _rows_fault(plant: PlantConfig, seed: int) -> Iterator[Row]:
         yield judge("time", max(s.time for s in searches), "s", most=TWITCHING.most)
 
 
-def _rows_named(damage: Damage, when: str, by_axis: Sequence[Sequence[Search]]) -> Iterator[Row]:
+def _rows_named(damage: Damage, when: str, found: Sequence[Sequence[Search]]) -> Iterator[Row]:
     """How many of the searches end in the fault that belongs to the damage."""
-    for axis, searches in enumerate(by_axis):
+    for axis, searches in enumerate(found):
         judge = Judge(f"{axis_name(axis)} {damage.name}{when}: ", NOT_SHOWN)
         share = sum(s.faults == {damage.fault} and s.error is None for s in searches) / len(searches)
         yield judge(damage.fault, share, "of all", 1.0, 1.0)

@@ -81,12 +81,12 @@ def dead_voltage(plant: PlantConfig, axis: int) -> float:
 
 
 def wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angles within half a turn."""
+    """Angles [rad], same shape, within half a turn."""
     return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def degrees(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angles within half a turn, in degrees."""
+    """Angles [rad], same shape, within half a turn, in degrees."""
     return np.asarray(np.degrees(wrapped(angle)))
 
 

@@ -21,11 +21,11 @@ from servo_twin.plant import PlantConfig
 
 NAME: Final = "soft-limits"
 HELP: Final = """\
-Beyond the reference design, which limits nothing but the current of one experiment (F21: i_q to 1 A).
-Shown, without and with each limit: the shaft is sent past a limit of its position (feature POSITION_LIMITS), in
-position, speed and torque mode, and back; in torque mode a load drives it there and leans on the limit; a limit is set
-behind a shaft at rest, which must not move it; a limit of the speed (param.speed_limit) and of the current
-(param.i_q_limit). Every limit has to name itself in the word of limits."""
+Beyond the reference design, which limits only the current of one experiment (F21: i_q to 1 A). Shown, without and with
+each limit: the shaft is commanded beyond a limit of its position (feature POSITION_LIMITS), in position, speed and
+torque mode, and back; in torque mode a load drives it to the limit and keeps acting; a limit is set behind a shaft at
+rest, which must not move; a limit of the speed (param.speed_limit) and of the current (param.i_q_limit). Every active
+limit must be reported in axisN.limits."""
 
 AWAY: Final = 2.0  # from the start to the limit of the position [turns]
 FAR: Final = 4.0  # to the target beyond it [turns]

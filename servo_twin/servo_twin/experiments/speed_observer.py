@@ -20,11 +20,11 @@ from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "speed-observer"
 HELP: Final = """\
-Beyond the reference design: an observer takes the speed from position and current (feature SPEED_OBSERVER), without
-the wait for an edge. Shown against the enhanced M/T method with the same gains, on a shaft with the inertia and the
-friction that the controller believes in: 2 and 5 rpm, where the last edge is tens of milliseconds old; the following
-error of a move with feed-forward. Then holding a position, also with other frictions and inertias.
-What it costs stands in the notes: a load makes the shaft give way more, and from some 10 rpm on M/T is the smoother."""
+Beyond the reference design: an observer estimates the speed from position and current (feature SPEED_OBSERVER),
+without waiting for an edge. Compared with the enhanced M/T method with the same gains, on a shaft with nominal inertia
+and friction: 2 and 5 rpm, where the last edge is tens of milliseconds old; the following error of a move with
+feed-forward. Then position hold, also with other frictions and inertias. Disadvantages, given in the notes: lower
+stiffness under load, and above some 10 rpm M/T is smoother."""
 
 SPEEDS: Final = (2.0, 5.0)  # [rpm]
 COST_SPEED: Final = 20.0  # [rpm]
@@ -78,7 +78,7 @@ def creep(plant: PlantConfig, seed: int, axis: int, speed: float) -> Pair:
 
 
 def shaft(plant: PlantConfig, axis: int, belief: Belief, inertia: float = 1.0, friction: float = 1.0) -> PlantConfig:
-    """Plant with so many times the inertia and the friction that the controller believes in."""
+    """Plant with so many times (ratios) the nominal inertia and friction."""
     return plant.with_axis(axis, inertia=inertia * belief.inertia, friction=friction * belief.friction)
 
 

@@ -157,7 +157,7 @@ class Operation:
 
 
 def operate(plant: PlantConfig, seed: int, seconds: float) -> Operation:
-    """Random set-points and loads on both axes; after a fault another board goes on."""
+    """Random set-points and loads on both axes for so many seconds; after a fault another board goes on."""
     source = random.Random(f"stall {seed}")
     false: list[str] = []
     true: list[str] = []

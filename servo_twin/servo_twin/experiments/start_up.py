@@ -24,13 +24,12 @@ from servo_twin.runner import HERE, Runner, run_in_order
 
 NAME: Final = "start-up"
 HELP: Final = """\
-A turning current vector draws the rotor along until mean and variance of the observed speed say that the observer has
-it. The reference design shows a start-up in which the angle converges within 150 ms and the criterion is met within
-500 ms (slide with the waveforms of a start-up). Measured on both axes as they are, from the moment at which the
-vector begins; the angle has converged when its error stays within 15 degrees from then on, up to the closed loop and
-in it. Then 1000 starts with random rotor angle, direction and set-point, with inertia, friction and load torque
-spread about the nominal ones, on all cores (20 of them at register level): how many of them end in a shaft that turns
-at the set-point."""
+A rotating current vector accelerates the rotor until mean and variance of the observed speed meet the criterion. The
+reference design shows a start-up in which the angle converges within 150 ms and the criterion is met within 500 ms (ST
+document, waveforms of a start-up). Measured on both axes with their nominal plant, from the start of the vector; the
+angle has converged when its error stays within 15 degrees from then on, also in closed loop. Then 1000 starts with
+random rotor angle, direction and set-point, with inertia, friction and load torque spread about the nominal ones, on
+all cores (20 of them at register level): the number of starts after which the shaft turns at the set-point."""
 
 STARTS: Final = 1000
 """Random starts, two per board."""
@@ -219,52 +218,48 @@ def many(plant: PlantConfig, seed: int, count: int, runner: Runner) -> list[Star
     return list(itertools.chain.from_iterable(results))[:count]
 
 
+TIMES: Final[tuple[tuple[str, str, str, float, Callable[[Start], float | None]], ...]] = (
+    ("angle converges within", "angle", "angle has converged", ANGLE_MAX, lambda start_: start_.converged),
+    ("criterion met within", "criterion", "criterion is met", CRITERION_MAX, lambda start_: start_.criterion),
+)
+"""What is judged of a start: names of the figure, in the notes and of the curve, bound and value [s]."""
+
+
 @experiment(NAME)
 def run(plant: PlantConfig, seed: int, count: int | None = None, runner: Runner = HERE) -> Iterator[Item]:
     """The nominal starts, then the random ones."""
     startup, spin = (Catalogue.load().enums["substate_t"][name] for name in ("STARTUP", "SPIN"))
     for axis, trace in nominal(plant, seed).items():
         judge, found = Judge(f"{axis_name(axis)}, "), examine(trace, startup, spin)
-        for name, most, time in _times(found):
-            says = f"{1e3 * most:.0f} ms on the waveforms"
-            yield judge(name, None if time is None else 1e3 * time, "ms", most=1e3 * most, seed=says)
-        time_ms = 1e3 * trace.time
-        curves = (
-            Curve("error of the angle [deg]", time_ms, trace.error),
-            Curve("true speed [rpm]", time_ms, trace.omega / RPM),
-            Curve("observed speed [rpm]", time_ms, trace.speed / RPM),
+        for name, _, _, most, value in TIMES:
+            seconds, says = value(found), f"{1e3 * most:.0f} ms on the waveforms"
+            yield judge(name, None if seconds is None else 1e3 * seconds, "ms", most=1e3 * most, seed=says)
+        time = 1e3 * trace.time
+        waveforms = (
+            Curve("error of the angle [deg]", time, trace.error),
+            Curve("true speed [rpm]", time, trace.omega / RPM),
+            Curve("observed speed [rpm]", time, trace.speed / RPM),
         )
-        yield Panel(f"{axis_name(axis)}: start-up", "time [ms]", "", curves)
+        yield Panel(f"{axis_name(axis)}: start-up", "time [ms]", "", waveforms)
     starts = many(plant, seed, count or (STARTS if level() == "ideal" else STARTS_SLOWLY), runner)
     good, failed = ([s for s in starts if s.succeeded is succeeded] for succeeded in (True, False))
     yield f"random starts: {len(starts)}"
-    judge, rate = Judge("", NOT_SHOWN), 100.0 * len(good) / len(starts)
-    yield judge("random starts, success", rate, "%", RATE_MIN)
+    judge = Judge("", NOT_SHOWN)
+    yield judge("random starts, success", 100.0 * len(good) / len(starts), "%", RATE_MIN)
     lost = sum(s.criterion is not None and not s.end.isupper() for s in failed)  # faults have names in capitals
     yield judge("of them turning wrongly without a fault", lost, most=0.0)
-    curves_: list[Curve] = []
-    for k, (name, most, _) in enumerate(_times(starts[0])):
-        kept = [1e3 * t for t in (_times(s)[k][2] for s in good) if t is not None]
-        yield judge(f"median, {name}", np.median(kept) if kept else None, "ms", most=1e3 * most, seed="as above")
-        label, done = (("angle", "angle has converged"), ("criterion", "criterion is met"))[k]
-        if kept:
-            tenth, half, late = (float(np.percentile(kept, q)) for q in (10, 50, 95))
+    distributions: list[Curve] = []
+    for name, label, done, most, value in TIMES:
+        times = np.sort([1e3 * seconds for s in good if (seconds := value(s)) is not None])
+        usual = np.median(times) if times.size else None
+        yield judge(f"median, {name}", usual, "ms", most=1e3 * most, seed="as above")
+        if times.size:
+            tenth, half, late = (float(np.percentile(times, q)) for q in (10, 50, 95))
             yield f"{label}: 10 % within {tenth:.0f} ms, half within {half:.0f} ms, 95 % within {late:.0f} ms"
-        part = 100.0 * np.arange(1, len(kept) + 1) / max(len(starts), 1)
-        curves_.append(Curve(done, np.sort(np.array(kept)), part))
-    for start_ in failed[:5]:
-        yield f"failed: {start_.end} ({start_.what})"
-    if len(failed) > 5:
-        yield f"and {len(failed) - 5} more"
-    yield Panel(f"{len(starts)} random starts", "time [ms]", "part of the starts [%]", curves_)
-
-
-def _times(it: Start) -> tuple[tuple[str, float, float | None], ...]:
-    """Times of a start with their names and bounds [s]."""
-    return (
-        ("angle converges within", ANGLE_MAX, it.converged),
-        ("criterion met within", CRITERION_MAX, it.criterion),
-    )
+        distributions.append(Curve(done, times, 100.0 * np.arange(1, times.size + 1) / max(len(starts), 1)))
+    yield from (f"failed: {s.end} ({s.what})" for s in failed[:5])
+    yield f"and {len(failed) - 5} more" if len(failed) > 5 else ""
+    yield Panel(f"{len(starts)} random starts", "time [ms]", "part of the starts [%]", distributions)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -145,9 +145,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         swing, least = np.ptp(together.u_dc), BUS_SWING * reversals.lift(plant, 1 - watched)
         reached, unfelt = np.ptp(other.omega) / (2.0 * reversals.speed), "2.3: the bus must not be felt"
         yield judge(", the other reverses: bus swing", swing, "V", least, OVER_VOLTAGE - UNDER_VOLTAGE)
-        turns, holds = (f" {does}, the other reverses: " for does in ("turns", "holds"))
-        yield judge(f"{turns}more deviation", more, "% of speed", most=EVEN_MAX, seed=unfelt)
-        yield judge(f"{holds}deviation", away, "counts", most=HOLD_MAX, seed=unfelt)
+        yield judge(" turns, the other reverses: more deviation", more, "% of speed", most=EVEN_MAX, seed=unfelt)
+        yield judge(" holds, the other reverses: deviation", away, "counts", most=HOLD_MAX, seed=unfelt)
         yield judge(", the other reaches its speed", reached, "of set-point", 0.9, 1.2)
         yield (
             f"{name} at {EVEN / RPM:g} rpm, largest deviation: {deviation(alone) / RPM:.3g} rpm alone, "

@@ -142,7 +142,7 @@ def configured(plant: PlantConfig, motors: Sequence[Motor]) -> tuple[PlantConfig
 
 
 def courses(plant: PlantConfig, seed: int, text: str, seconds: float = SECONDS) -> list[Course]:
-    """Cold motors, and all the current there is from the beginning."""
+    """Cold motors for so many seconds, with all the current there is from the beginning."""
     with fresh_board(plant, seed) as board:
         bring(Replica(board), blocks_of_file(text, board.catalogue))
         enable(board)

@@ -188,7 +188,7 @@ class Space:
         return cls(tuple(varied), chosen, count, seed)
 
     def point(self, number: int) -> dict[str, float]:
-        """Value of everything that is varied, by name, in trial `number`."""
+        """Value, in its own unit, of everything that is varied, by name, in trial `number`."""
         if self.method == "grid":
             return self._of_grid(number)
         parts = np.random.Generator(np.random.PCG64([self.seed, number])).random(len(self.varied))

@@ -65,7 +65,7 @@ class Base:
         return varied
 
     def nominal(self, name: str) -> float:
-        """Value of a name without a variation.
+        """Value of a name without a variation, in the unit of its file.
 
         Raises
         ------

@@ -137,7 +137,7 @@ def with_cycles(text: str, cycles: float) -> str:
 
 
 def instructions(core: Path, plant: PlantConfig, seed: int) -> dict[str, dict[str, float]]:
-    """Mean instructions of the handlers in every state, of a virtual board that does one in each clock."""
+    """Mean instructions by state and handler, of a virtual board that executes one per clock cycle."""
     with core.open("rb") as file:
         numbers = {**tomllib.load(file), "cycles_per_instruction": 1.0}
     entry = float(numbers["entry_cycles"])

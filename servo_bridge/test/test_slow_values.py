@@ -1,0 +1,103 @@
+"""Values read beside the telemetry, and the log of what is new in a sample."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+
+from servo_bridge.frame_events import FrameEvents
+from servo_bridge.health import Winding
+from servo_bridge.slow_values import SlowValues
+from servo_bridge.telemetry import Frame
+from servo_msgs_py.catalogue import Catalogue, Value
+
+CATALOGUE = Catalogue.load()
+FAULT = CATALOGUE.flag("faults", "OVER_CURRENT")
+EXPIRED = CATALOGUE.flag("limits", "EXPIRED").mask
+
+
+class Reads:
+    """Reads that end when `answer` is called."""
+
+    def __init__(self) -> None:
+        self.waiting: list[tuple[str, Future[Value]]] = []
+        self.motors = 0
+        self.windings: list[Winding] = []
+        self.values = SlowValues(self._read, self._post, self._on_motors, self.windings.extend)
+
+    def _read(self, name: str) -> Future[Value]:
+        self.waiting.append((name, Future()))
+        return self.waiting[-1][1]
+
+    def _post(self, function: Callable[[], None]) -> None:
+        function()
+
+    def _on_motors(self) -> None:
+        self.motors += 1
+
+    def answer(self, **values: float) -> None:
+        """End the reads that wait, in their order, by the last part of the name; an unknown one fails."""
+        waiting, self.waiting = self.waiting, []
+        for name, future in waiting:
+            value = values.get(name.split(".")[-1])
+            if value is None:
+                future.set_exception(ConnectionError("port gone"))
+            else:
+                future.set_result(value)
+
+
+def test_motor_data_are_known_when_all_have_been_read() -> None:
+    reads = Reads()
+    reads.values.read_motors()
+    assert reads.values.motors == []
+    reads.answer(torque_constant=0.05, acceleration_current=2.0)
+    assert [motor.torque_constant for motor in reads.values.motors] == [0.05, 0.05]
+    assert reads.motors == 1
+
+
+def test_a_failed_read_changes_nothing_and_the_next_one_is_taken() -> None:
+    reads = Reads()
+    reads.values.read_counters()
+    reads.answer(late_loops=1.0)
+    assert reads.windings == []
+    reads.values.read_counters()
+    reads.answer(late_loops=1.0, receiver_overruns=2.0, winding_temperature=40.0, winding_current=8.0)
+    assert reads.values.counters == {"late_loops": 1, "receiver_overruns": 2}
+    assert reads.windings == [Winding(40.0, 8.0)] * 2
+
+
+def test_counters_are_not_read_twice_at_a_time() -> None:
+    reads = Reads()
+    reads.values.read_counters()
+    under_way = len(reads.waiting)
+    reads.values.read_counters()
+    assert len(reads.waiting) == under_way
+
+
+def test_answers_of_a_lost_link_are_not_taken() -> None:
+    reads = Reads()
+    reads.values.read_motors()
+    reads.values.link_lost()
+    reads.answer(torque_constant=0.05, acceleration_current=2.0)
+    assert (reads.values.motors, reads.motors) == ([], 0)
+
+
+def frame(faults: tuple[int, int] = (0, 0), limits: int = 0) -> Frame:
+    return Frame(16, 0, 0, {"axis1.limits": float(limits)}, 16, 0, (), faults)
+
+
+def test_a_fault_is_told_once() -> None:
+    events = FrameEvents(CATALOGUE, ["arm", "hand"])
+    [sentence] = events.faults(None, frame((0, FAULT.mask)))
+    assert sentence.startswith("hand: ")
+    assert FAULT.name in sentence
+    assert events.faults(frame((0, FAULT.mask)), frame((0, FAULT.mask))) == []
+
+
+def test_an_expired_set_point_is_told_once_with_the_time_out_once_it_is_known() -> None:
+    events = FrameEvents(CATALOGUE, ["arm", "hand"])
+    timeout = CATALOGUE["param.command_timeout"]
+    [sentence] = events.expired(frame(), frame(limits=EXPIRED), {"param.command_timeout": [round(0.25 / timeout.lsb)]})
+    assert sentence == "arm: no velocity or effort set-point for 0.25 s; the axis stops"
+    assert "param.command_timeout" in events.expired(None, frame(limits=EXPIRED), None)[0]
+    assert events.expired(frame(limits=EXPIRED), frame(limits=EXPIRED), None) == []
