@@ -90,7 +90,7 @@ _DEPENDS: Final[Mapping[str, Sequence[str]]] = {
 }
 """What a signal depends on; all else in a numerical derivative is roughness."""
 
-_LEAST: Final[Mapping[tuple[str, str], float]] = {
+_SIGMA_MIN: Final[Mapping[tuple[str, str], float]] = {
     ("level", "u_d"): 1e-3,
     ("speed", "i_q"): 4e-3,
     ("speed", "speed"): 0.2,
@@ -263,7 +263,7 @@ class _Difference:
                 _, sigma = mean_of((here - there)[part.usable])
             noise.setdefault((part.label, part.column), []).append(sigma)
         for key, sigmas in noise.items():
-            self._sigma[key] = max(float(np.median(sigmas)), _LEAST[key])
+            self._sigma[key] = max(float(np.median(sigmas)), _SIGMA_MIN[key])
         for name, values in self._sweeps(shown):
             self._sigma["sweep", name] = max(_usual(np.diff(values)) / math.sqrt(2.0), 1e-9)
 
