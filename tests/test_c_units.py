@@ -9,27 +9,32 @@ from pathlib import Path
 import pytest
 
 FIRMWARE = Path(__file__).resolve().parents[1] / "firmware"
+NATIVE = Path(__file__).resolve().parents[1] / "servo_twin" / "native"
 HEADERS = [
     path
     for path in sorted(FIRMWARE.rglob("*.h"))
     if not {"test", "port"} & set(path.relative_to(FIRMWARE).parts) and not path.name.endswith("_gen.h")
 ]
+PLANT_HEADERS = [NATIVE / "board.h", *sorted((NATIVE / "plant").glob("*.h"))]
 
 STRUCTURE = re.compile(r"\bstruct\s*\w*\s*\{\n(.*?)\n\}", re.DOTALL)
 MEMBER = re.compile(r"\s*(?:volatile )?(frac16_t|frac32_t|gain_t|path_position_t|pi_sum_t|u?int\d+_t) (\w[^;(]*);(.*)")
 FRACTIONS = {"frac16_t", "frac32_t"}
+REAL_MEMBER = re.compile(r"\s*(double) (\w[^;(]*);(.*)")
+# A unit in brackets; [1]: none.
+UNIT = re.compile(r"\[[^\]]+\]")
 # Quantities whose full scale firmware/doc/references.md gives, and the formats themselves.
 QUANTITY = re.compile(
     r"speed|accel|omega|\bi_|current|\bu_|voltage|emf|theta|angle|temperature|torque|\bpart\b|Q\d|bits|full.scale"
 )
 
 
-def members(text: str) -> Iterator[tuple[int, str, str, str]]:
+def members(text: str, member: re.Pattern[str] = MEMBER) -> Iterator[tuple[int, str, str, str]]:
     """Line, type, name and comment of every numeric member; the comment may stand on the line above it."""
     for structure in STRUCTURE.finditer(text):
         first, above = text.count("\n", 0, structure.start(1)) + 1, ""
         for number, line in enumerate(structure[1].split("\n"), first):
-            if found := MEMBER.match(line):
+            if found := member.match(line):
                 yield number, found[1], found[2], found[3].strip() or above
             above = line.strip() if line.strip().endswith("*/") and ";" not in line else ""
 
@@ -43,6 +48,13 @@ def test_numeric_members_have_a_comment_and_fractions_name_their_quantity(path: 
         if not comment or not quantity:
             unclear.append(f"{line}: {kind} {name}; {comment}")
     assert unclear == []
+
+
+@pytest.mark.parametrize("path", PLANT_HEADERS, ids=lambda path: str(path.relative_to(NATIVE)))
+def test_members_of_the_plant_have_a_unit_in_brackets(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    found = members(text, REAL_MEMBER)
+    assert [f"{line}: {name}" for line, _, name, comment in found if not UNIT.search(comment)] == []
 
 
 def test_a_member_without_comment_is_found() -> None:

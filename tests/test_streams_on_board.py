@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from path_world import COUNT, JOINTS, PathWorld
-from servo_bridge.setpoints import JointSetPoint, Mode, Request
+from servo_bridge.setpoints import JointSetPoint, Mode, SetPointRequest
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.shapes import lissajous
 from servo_bridge.trajectory.streamer import Streamer
@@ -193,7 +193,7 @@ def test_a_stream_takes_over_from_a_path_and_gives_way_to_a_set_point() -> None:
         for joint in JOINTS:
             assert np.abs(accelerations(world, joint, begin)).max() <= limit + ROUNDING
         assert moving(world) == JOINTS
-        world.arbiter.submit(Request("test", Mode.POSITION, {0: 3.0}))
+        world.arbiter.submit(SetPointRequest("test", Mode.POSITION, {0: 3.0}))
         world.dispatcher.pump()
         world.run(0.5)
         table = world.table()

@@ -21,7 +21,7 @@
 #include "drive/brake.h"
 #include "drive/home_data.h"
 #include "drive/inputs_data.h"
-#include "drive/startup_data.h"
+#include "drive/sensorless_startup_data.h"
 #include "drive/stop_data.h"
 #include "hal/hal.h"
 #include "sensing/emf_check.h"

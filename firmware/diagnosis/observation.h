@@ -36,7 +36,7 @@ typedef struct {
     uint16_t state; /* state_t, substate_t */
     uint16_t substate; /* substate_t */
     bool switching; /* the high sides conduct in turn; open switches leave the current of a turning shaft in diodes */
-    bool controlled; /* a current controller runs, with its d axis at `frame` .. */
+    bool controlled; /* a current controller runs, with its d axis at `d_axis_angle` .. */
     bool spins; /* .. and follows set-points */
     bool shorted; /* the windings are shorted because the shaft seems to rest */
     bool sensorless;
@@ -49,8 +49,8 @@ typedef struct {
     int32_t position; /* counts */
     frac32_t speed; /* Q1.31 of full-scale speed, mechanical */
 
-    /* currents and voltages of the last period, d axis at `frame` */
-    frac16_t frame;
+    /* currents and voltages of the last period, in the coordinates of `d_axis_angle` */
+    frac16_t d_axis_angle; /* of the current controller, Q1.15 of pi, electrical, stator reference frame */
     dq_t current;
     dq_t current_ref;
     dq_t voltage;

@@ -67,7 +67,7 @@ static void note_direction(phase_monitor_t *m, uint16_t x, uint16_t bit)
 /* Classify each phase by its current. */
 static void note_currents(phase_monitor_t *m, const winding_config_t *config, const phases_t *is, observation_t *o)
 {
-    const uint16_t bit = (uint16_t)(UINT16_C(1) << ((uint16_t)o->frame >> 13));
+    const uint16_t bit = (uint16_t)(UINT16_C(1) << ((uint16_t)o->d_axis_angle >> 13));
     for (uint16_t x = 0; x < OBSERVED_PHASES; x++) {
         const int32_t size = is->phase[x];
         if (size >= config->silent) {
@@ -157,7 +157,7 @@ void phase_monitor_step(phase_monitor_t *m, const winding_config_t *config, obse
         restart(m);
         return;
     }
-    const sin_cos_t at = sin_cos(o->frame);
+    const sin_cos_t at = sin_cos(o->d_axis_angle);
     const phases_t is = sizes(o->current, &at);
     note_currents(m, config, &is, o);
     const bool enough = is.largest > config->direction_min;

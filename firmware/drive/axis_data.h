@@ -13,7 +13,7 @@
 #include "drive/feedback_data.h"
 #include "drive/home_data.h"
 #include "drive/inputs_data.h"
-#include "drive/startup_data.h"
+#include "drive/sensorless_startup_data.h"
 #include "drive/state_machine.h"
 #include "drive/stop_data.h"
 #include "drive/trajectory.h"

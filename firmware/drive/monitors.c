@@ -12,8 +12,8 @@ finding_set_t monitor_bus_now(const axis_t *axis)
 
 /* ---- observation ---------------------------------------------------------------------------------------------------- */
 
-/* Frame of the vector in the last period of STARTUP. */
-static frac16_t startup_frame(const axis_t *axis)
+/* Angle of the vector in the last period of STARTUP. */
+static frac16_t startup_angle(const axis_t *axis)
 {
     const startup_t *startup = &axis->startup;
     if (startup->phase == STARTUP_PROVE) {
@@ -23,7 +23,7 @@ static frac16_t startup_frame(const axis_t *axis)
 }
 
 /* Is a current controlled, and at which angle is its d axis? */
-static void observe_frame(axis_t *axis)
+static void observe_d_axis(axis_t *axis)
 {
     observation_t *o = &axis->observation;
     const substate_t substate = (axis->sm.state == STATE_RUN) ? axis->substate : SUBSTATE_CALIB;
@@ -31,15 +31,15 @@ static void observe_frame(axis_t *axis)
     o->spins = substate == SUBSTATE_SPIN;
     o->controlled = true;
     if (o->spins) {
-        o->frame = axis->feedback.theta_e;
+        o->d_axis_angle = axis->feedback.theta_e;
     } else if (substate == SUBSTATE_STARTUP) {
-        o->frame = startup_frame(axis);
+        o->d_axis_angle = startup_angle(axis);
     } else if (substate == SUBSTATE_TEST) {
-        o->frame = test_mode_angle(axis);
+        o->d_axis_angle = test_mode_angle(axis);
     } else if (substate == SUBSTATE_ALIGN && axis->diagnosis.stall.runs) {
-        o->frame = axis->diagnosis.stall.vector;
+        o->d_axis_angle = axis->diagnosis.stall.vector;
     } else {
-        o->frame = rotor_search_angle(&axis->search);
+        o->d_axis_angle = rotor_search_angle(&axis->search);
         o->controlled = substate == SUBSTATE_ALIGN && rotor_search_drives(&axis->search);
     }
 }
@@ -98,7 +98,7 @@ void monitor_currents(axis_t *axis)
     const dq_t before = o->current;
     d->evidence = (evidence_t){0};
     axis_observe(axis);
-    observe_frame(axis);
+    observe_d_axis(axis);
     monitor_converters(axis, &d->evidence);
     if (axis->sm.state != STATE_RUN) {
         rotate_sense_pair(axis);

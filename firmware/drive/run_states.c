@@ -13,7 +13,7 @@
 #include "drive/motion.h"
 #include "drive/outputs.h"
 #include "drive/run_step.h"
-#include "drive/startup.h"
+#include "drive/sensorless_startup.h"
 #include "drive/stop.h"
 #include "drive/test_mode.h"
 #include "sensing/rotor_hold.h"

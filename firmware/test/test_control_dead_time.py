@@ -9,9 +9,9 @@ from exact import FRACTION16, I16, MAX16, clip, clip16, edges, nearest, product
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-BUS_LEAST = 8192
+BUS_MIN = 8192
 SLOPE_ONE = 2**8
-BUS = edges(BUS_LEAST, MAX16)
+BUS = edges(BUS_MIN, MAX16)
 
 
 def compensated(core: Core, config: tuple[int, int, int], duty: list[int], current: list[int], bus: int) -> list[int]:

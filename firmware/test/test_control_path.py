@@ -359,8 +359,8 @@ def test_stop_where_the_ramp_can_stop(core: Core, step: int, acceleration: int, 
     path = Path(core, 3276, 0, way * step)
     stop = core.lib.path_stop(path.c, acceleration)
     least = stopping_distance(max(step - acceleration, 0), acceleration) if step > acceleration else Fraction(0)
-    beyond_least = way * (stop * ONE - path.c.ramp) - least
-    assert 0 <= beyond_least <= 2 * ONE + acceleration // 4 + least / 2**14
+    beyond_min = way * (stop * ONE - path.c.ramp) - least
+    assert 0 <= beyond_min <= 2 * ONE + acceleration // 4 + least / 2**14
     log = moved(path, stop, again, SPEED_LIMIT, acceleration)
     assert (way * log[:, 0]).max() <= way * stop * ONE
     assert way * core.lib.path_stop(path.c, acceleration) >= way * stop

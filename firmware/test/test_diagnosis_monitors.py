@@ -161,7 +161,7 @@ def test_silence_in_six_of_eight_directions_and_33_times_is_a_lost_phase(
 
     def step(k: int) -> set[str]:
         angle = (k % sectors + 0.5) * math.pi / 4.0
-        driven.seen.frame = (round(angle / math.pi * 32768) + 32768) % 65536 - 32768
+        driven.seen.d_axis_angle = (round(angle / math.pi * 32768) + 32768) % 65536 - 32768
         driven.current(round(491 * math.sin(angle)), round(491 * math.cos(angle)))
         return driven.phase()
 

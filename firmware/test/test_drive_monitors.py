@@ -132,7 +132,7 @@ def turning(bench: Bench, ticks: int, i_beta: float, i_alpha: float = 0.0) -> li
         angle = (tick + 0.5) * math.pi / 4
         c, s = math.cos(angle), math.sin(angle)
         seen.current = {"d": round((i_alpha * c + i_beta * s) * 32768), "q": round((i_beta * c - i_alpha * s) * 32768)}
-        seen.frame = (round(angle / math.pi * 32768) + 32768) % 65536 - 32768
+        seen.d_axis_angle = (round(angle / math.pi * 32768) + 32768) % 65536 - 32768
         evidence.confirmed = 0
         monitor, config = ffi.addressof(axis.diagnosis, "phase"), ffi.addressof(axis.config, "winding")
         lib.phase_monitor_step(monitor, config, seen, evidence)

@@ -16,7 +16,7 @@ from servo_msgs_py.joints import Joint, JointLimits, joint_names
 from servo_msgs_py.units import unwrap_u32
 
 from servo_bridge.set_point_queue import TARGETS, SetPointQueue, Target
-from servo_bridge.setpoints import Mode, NotReady, Rejected, Request
+from servo_bridge.setpoints import Mode, NotReady, Rejected, SetPointRequest
 from servo_bridge.sources import Source, Sources
 
 __all__ = ["Arbiter", "AxisStatus"]
@@ -131,12 +131,12 @@ class Arbiter:
         return self._axes is not None and not blocked and all(axis.spinning for axis in self._axes)
 
     # ---- commands
-    def submit(self, *requests: Request) -> None:
+    def submit(self, *requests: SetPointRequest) -> None:
         """Check requests and make them the waiting set-points of their axes, also when they have the same already.
 
         Parameters
         ----------
-        *requests : Request
+        *requests : SetPointRequest
             Well-formed commands, of different axes.
 
         Raises
@@ -198,7 +198,7 @@ class Arbiter:
     def _claim(self, source: Source, axes: Iterable[int]) -> None:
         self.sources.claim(source, axes, self._joints, self.queue.following)
 
-    def _raw(self, request: Request, axis: int) -> int:
+    def _raw(self, request: SetPointRequest, axis: int) -> int:
         value, mode, joint = request.values[axis], request.mode, self.joints[axis]
         variable = self._variables[mode]
         wanted_low, wanted_high = _wanted(joint.limits, mode)

@@ -46,7 +46,7 @@ class FaultRecords:
         self._again: list[int | None] = [None] * AXES
         self.records: list[FaultRecord | None] = [None] * AXES
 
-    def on_frame(self, tick: int, faults: Sequence[int]) -> None:
+    def on_snapshot(self, tick: int, faults: Sequence[int]) -> None:
         """Look at the fault words of a sample."""
         for axis, word in enumerate(faults):
             due = self._again[axis]

@@ -15,7 +15,7 @@ from servo_msgs_py.fault_record import FaultRecord
 from servo_msgs_py.value_text import value_text
 
 from servo_bridge.freemaster.client import BoardInfo
-from servo_bridge.telemetry import Frame
+from servo_bridge.telemetry import Snapshot
 from servo_bridge.trajectory.stream import StreamReport
 from servo_bridge.wire.link_state import LinkState, LinkStatus
 from servo_bridge.wire.link_statistics import LinkStatistics
@@ -124,19 +124,19 @@ class Health:
         return int(getattr(figures, counter)) - int(getattr(self._last, counter))
 
     def board(
-        self, info: BoardInfo | None, frame: Frame | None, counts: Mapping[str, int] | None = None
+        self, info: BoardInfo | None, snapshot: Snapshot | None, counts: Mapping[str, int] | None = None
     ) -> DiagnosticStatus:
         """Status of the board itself.
 
         Parameters
         ----------
         info : BoardInfo, optional
-        frame : Frame, optional
+        snapshot : Snapshot, optional
             The newest sample; None without a board.
         counts : mapping of str to int, optional
             `BOARD_COUNTERS` as last read; None as long as they have not been.
         """
-        if info is None or frame is None:
+        if info is None or snapshot is None:
             self._last_counts = {}
             return self._status("board", _ERROR, "not connected", {})
         self._hardware = _identification(info, self._catalogue)
@@ -155,15 +155,15 @@ class Health:
                 "version": info.version,
                 "build": info.build,
                 "catalogue hash": f"{self._catalogue.hash:08X}",
-                "tick": frame.tick,
-                "bus voltage [V]": _number(frame.values.get("u_dc")),
+                "tick": snapshot.tick,
+                "bus voltage [V]": _number(snapshot.values.get("u_dc")),
             },
         )
 
     def axis(
         self,
         axis: int,
-        frame: Frame | None,
+        snapshot: Snapshot | None,
         record: FaultRecord | None = None,
         winding: Winding | None = None,
         current_limit: float | None = None,
@@ -174,7 +174,7 @@ class Health:
         ----------
         axis : int
             Index.
-        frame : Frame, optional
+        snapshot : Snapshot, optional
             The newest sample; None without a board.
         record : FaultRecord, optional
             Of the first fault.
@@ -184,26 +184,26 @@ class Health:
             The parameter of the axis [A].
         """
         name, prefix = self._joints[axis], axis_name(axis)
-        if frame is None:
+        if snapshot is None:
             return self._status(name, _ERROR, "not connected", {})
-        status = frame.axes[axis]
-        faults = flag_texts(self._catalogue, "faults", frame.faults[axis])
-        word = frame.values.get(f"{prefix}.limits")
+        status = snapshot.axes[axis]
+        faults = flag_texts(self._catalogue, "faults", snapshot.faults[axis])
+        word = snapshot.values.get(f"{prefix}.limits")
         limits = [] if word is None else flag_texts(self._catalogue, "limits", int(word))
         left = 1.0 if winding is None or not current_limit else min(winding.current / current_limit, 1.0)
         level = _ERROR if faults or status.faulted else _WARN if left < 1.0 else _OK
         at_limit = f"; at limit: {'; '.join(limits)}" if limits else ""
         values: dict[str, object] = {"state": status.label}
         values |= {key: "; ".join(texts) or "none" for key, texts in (("faults", faults), ("limits", limits))}
-        if (home := frame.values.get(f"{prefix}.home_state")) is not None:
+        if (home := snapshot.values.get(f"{prefix}.home_state")) is not None:
             values["position known"] = self._catalogue.label("home_state_t", int(home)).lower()
-        if (pins := frame.values.get(f"{prefix}.inputs")) is not None:
+        if (pins := snapshot.values.get(f"{prefix}.inputs")) is not None:
             values["inputs"] = ", ".join(f.name for f in self._catalogue.active("inputs", int(pins))) or "none"
         if record is not None and record.fault is not None:
             values["first fault"] = record.summary().removeprefix("first fault ")
             values["first fault tick"] = record.tick
         for column, unit in (("position", "rad"), ("speed", "rad/s"), ("i_q", "A")):
-            values[f"{column} [{unit}]"] = _number(frame.values[f"{prefix}.{column}"])
+            values[f"{column} [{unit}]"] = _number(snapshot.values[f"{prefix}.{column}"])
         if winding is not None:
             values["winding [deg C]"] = _number(winding.temperature)
             values["current limit left [%]"] = _number(100.0 * left)

@@ -17,7 +17,7 @@ from servo_bridge.outcome import error_of
 from servo_bridge.services import Outcome
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.setpoints import NotReady
-from servo_bridge.telemetry import Frame
+from servo_bridge.telemetry import Snapshot
 
 __all__ = ["METHODS", "Homing", "with_home_states"]
 
@@ -162,42 +162,42 @@ class Homing:
         """Whether positions count from elsewhere for the moment."""
         return any(axis.memory.until is not None for axis in self._axes)
 
-    def completed(self, frame: Frame) -> Frame:
+    def completed(self, snapshot: Snapshot) -> Snapshot:
         """The sample with the states of all axes, as they were last seen."""
-        if self._epoch is not None and frame.epoch != self._epoch:
+        if self._epoch is not None and snapshot.epoch != self._epoch:
             for axis in self._axes:
                 axis.state = self._states["UNKNOWN"]
         states = {name: float(axis.state) for name, axis in zip(_COLUMNS, self._axes, strict=True)}
-        return replace(frame, values={**frame.values, **states})
+        return replace(snapshot, values={**snapshot.values, **states})
 
-    def on_frame(self, frame: Frame, features: Sequence[int] | None) -> None:
+    def on_snapshot(self, snapshot: Snapshot, features: Sequence[int] | None) -> None:
         """Take the newest completed sample, and the features of the axes, as far as they are known."""
-        restarted = self._epoch is not None and frame.epoch != self._epoch
+        restarted = self._epoch is not None and snapshot.epoch != self._epoch
         if restarted:
             self._seen, self._next_look = -1, 0
-        self._epoch, self._connected = frame.epoch, True
+        self._epoch, self._connected = snapshot.epoch, True
         for number, axis in enumerate(self._axes):
-            self._remember(number, axis, frame, restarted, features)
-        self._look(frame)
+            self._remember(number, axis, snapshot, restarted, features)
+        self._look(snapshot)
         for job in self._jobs:
             at_work = self._axes[job.axis].state == self._states["HOMING"]
             if not job.reading and not at_work and self._seen >= job.since:
                 job.reading = True
                 self._ask_result(job)
 
-    def _look(self, frame: Frame) -> None:
+    def _look(self, snapshot: Snapshot) -> None:
         """Read the states now and then."""
-        if self._looking or frame.tick < self._next_look:
+        if self._looking or snapshot.tick < self._next_look:
             return
         self._looking = True
-        self._next_look = frame.tick + (_LOOK_CLOSELY if self._jobs or self.restoring else _LOOK)
+        self._next_look = snapshot.tick + (_LOOK_CLOSELY if self._jobs or self.restoring else _LOOK)
         futures = [self._read(name) for name in _COLUMNS]
 
         def take() -> None:
             self._looking = False
-            if frame.epoch != self._epoch or any(error_of(future) is not None for future in futures):
+            if snapshot.epoch != self._epoch or any(error_of(future) is not None for future in futures):
                 return
-            self._seen = frame.tick
+            self._seen = snapshot.tick
             for number, future in enumerate(futures):
                 state = round(numbers(future.result())[0])
                 if state != self._axes[number].state:
@@ -299,28 +299,28 @@ class Homing:
 
     # ---- after a restart
     def _remember(
-        self, number: int, axis: _Axis, frame: Frame, restarted: bool, features: Sequence[int] | None
+        self, number: int, axis: _Axis, snapshot: Snapshot, restarted: bool, features: Sequence[int] | None
     ) -> None:
         memory = axis.memory
         if axis.state in (self._states["KNOWN"], self._states["ASSUMED"]):
             if memory.until is not None:
                 self._say(f"{self.joints[number].name}: the position from before the restart is assumed")
             memory.until = None
-            turns = abs(frame.values[f"{axis_name(number)}.speed"]) > _AT_REST
-            memory.position = None if turns else frame.axes[number].position
+            turns = abs(snapshot.values[f"{axis_name(number)}.speed"]) > _AT_REST
+            memory.position = None if turns else snapshot.axes[number].position
             if features is not None:
                 memory.wanted = bool(features[number] & self._feature)
             return
         if restarted and memory.position is not None and memory.wanted and self.restores:
-            memory.until, memory.next, memory.tried = frame.tick + _PATIENCE, frame.tick, self._seen
+            memory.until, memory.next, memory.tried = snapshot.tick + _PATIENCE, snapshot.tick, self._seen
         if memory.until is None:
             memory.position = None  # lost, or about to be found anew
-        elif frame.tick > memory.until or frame.axes[number].spinning:
+        elif snapshot.tick > memory.until or snapshot.axes[number].spinning:
             memory.until = memory.position = None
             self._warn(f"{self.joints[number].name}: its position was not restored, as it does not rest; home it")
-        elif frame.tick >= memory.next and self._seen >= memory.tried:
-            memory.next, memory.tried = frame.tick + _RETRY, frame.tick + _TAKEN
+        elif snapshot.tick >= memory.next and self._seen >= memory.tried:
+            memory.next, memory.tried = snapshot.tick + _RETRY, snapshot.tick + _TAKEN
             position = memory.position
             assert position is not None
-            value = unwrap_u32((position + frame.axes[number].position) & 0xFFFF_FFFF, 0)
+            value = unwrap_u32((position + snapshot.axes[number].position) & 0xFFFF_FFFF, 0)
             self._write(number, value, self._methods["ASSUME"], Future())

@@ -130,8 +130,8 @@ class SessionAccess(BoardAccess):
             recording.step(self._session)
             meanwhile(False)
         # Nothing triggers before the memory was full once; without a trigger the last samples before the stop are kept.
-        filling = 0.0 if recording.request.trigger is None else max(seconds - lead, 0.0)
-        ready = self._clock() + filling + _LEAD
+        filling = 0.0 if recording.request.trigger is None else seconds
+        ready = self._clock() + max(filling + _LEAD - lead, 0.0)
         while self._clock() < ready:
             self.wait(_ATTEND)
             meanwhile(False)

@@ -12,7 +12,7 @@ from servo_msgs_py.units import SLOW_PERIODS
 from servo_bridge.arbiter import Arbiter
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.set_point_queue import CommandWrite
-from servo_bridge.telemetry import Frame
+from servo_bridge.telemetry import Snapshot
 
 __all__ = ["MotionServices", "Outcome"]
 
@@ -55,28 +55,28 @@ class MotionServices:
         self._arbiter = arbiter
         self._dispatcher = dispatcher
         self._on_event = on_event
-        self._frame: Frame | None = None
+        self._snapshot: Snapshot | None = None
         self._reason = "the board has not been seen yet"
         self._stops = 0
         self._rechecks: list[tuple[int, Future[Outcome]]] = []
         self._enabling: list[tuple[int, int, Future[Outcome]]] = []  # stops before, last tick, answer
 
-    def on_frame(self, frame: Frame) -> None:
+    def on_snapshot(self, snapshot: Snapshot) -> None:
         """Take the newest sample."""
-        if self._frame is None and any(axis.spinning for axis in frame.axes):
+        if self._snapshot is None and any(axis.spinning for axis in snapshot.axes):
             # The link has stopped it at first contact.
             self._on_event("the board was still enabled: it has been stopped; call enable to go on")
-        self._frame = frame
-        self._enabling = [entry for entry in self._enabling if not self._answer_enable(frame, *entry)]
-        due = [entry for entry in self._rechecks if frame.tick >= entry[0]]
+        self._snapshot = snapshot
+        self._enabling = [entry for entry in self._enabling if not self._answer_enable(snapshot, *entry)]
+        due = [entry for entry in self._rechecks if snapshot.tick >= entry[0]]
         for entry in due:
             self._rechecks.remove(entry)
-            faults = self._faults(frame)
+            faults = self._faults(snapshot)
             entry[1].set_result((not faults, f"still there: {faults}" if faults else "no faults"))
 
     def link_lost(self, reason: str) -> None:
         """Answer every call that waits."""
-        self._frame = None
+        self._snapshot = None
         self._reason = reason
         waiting, self._rechecks = self._rechecks, []
         enabling, self._enabling = self._enabling, []
@@ -95,11 +95,11 @@ class MotionServices:
             )
         if self._arbiter.inactive:
             return _answered(False, f"{self._arbiter.inactive}; then call enable again")
-        frame = self._frame
-        if frame is None:
+        snapshot = self._snapshot
+        if snapshot is None:
             return _answered(False, self._not_connected())
-        faults = self._faults(frame)
-        if faults or any(axis.faulted for axis in frame.axes):
+        faults = self._faults(snapshot)
+        if faults or any(axis.faulted for axis in snapshot.axes):
             return _answered(False, f"{faults or 'an axis is in FAULT'}; then call clear_faults and enable again")
         stops = self._stops
 
@@ -117,19 +117,22 @@ class MotionServices:
         self._dispatcher.urgent(_both("cmd.enable", 1)).add_done_callback(written)
         return answer
 
-    def _answer_enable(self, frame: Frame, stops: int, last_tick: int, answer: Future[Outcome]) -> bool:
+    def _answer_enable(self, snapshot: Snapshot, stops: int, last_tick: int, answer: Future[Outcome]) -> bool:
         """Answer an enable that took effect, unless the axes are still on their way."""
         if stops != self._stops:
             outcome = False, "a stop came in between; call enable again"
         elif self._arbiter.armed:
             outcome = True, "both axes are on; set-points are let through"
-        elif any(axis.faulted for axis in frame.axes):
-            outcome = False, f"{self._faults(frame) or 'an axis is in FAULT'}; then call clear_faults and enable again"
-        elif frame.tick >= last_tick and (held := self._held(frame)):
+        elif any(axis.faulted for axis in snapshot.axes):
+            outcome = (
+                False,
+                f"{self._faults(snapshot) or 'an axis is in FAULT'}; then call clear_faults and enable again",
+            )
+        elif snapshot.tick >= last_tick and (held := self._held(snapshot)):
             outcome = False, f"{held}; then call enable again"
-        elif frame.tick >= last_tick:
+        elif snapshot.tick >= last_tick:
             labels = ", ".join(
-                f"{joint} is in {axis.label}" for joint, axis in zip(self._joints, frame.axes, strict=True)
+                f"{joint} is in {axis.label}" for joint, axis in zip(self._joints, snapshot.axes, strict=True)
             )
             outcome = True, f"switching on, not ready yet: {labels}; set-points are let through when armed is true"
         else:
@@ -148,8 +151,8 @@ class MotionServices:
 
     def clear_faults(self) -> Future[Outcome]:
         """Clear the faults whose cause is gone; nothing is switched on by it."""
-        frame = self._frame
-        if frame is None:
+        snapshot = self._snapshot
+        if snapshot is None:
             return _answered(False, self._not_connected())
         answer: Future[Outcome] = Future()
 
@@ -168,7 +171,7 @@ class MotionServices:
         """Shut the gate at once, then write."""
         self._stops += 1
         self._arbiter.block(reason)
-        if self._frame is None:
+        if self._snapshot is None:
             return _answered(False, self._not_connected())
         return self._write(_both(variable, value), lambda: (True, message))
 
@@ -182,20 +185,20 @@ class MotionServices:
         self._dispatcher.urgent(write).add_done_callback(written)
         return answer
 
-    def _faults(self, frame: Frame) -> str:
+    def _faults(self, snapshot: Snapshot) -> str:
         """Faults of all axes as text, empty when there are none."""
         return "; ".join(
             f"{joint}: {text}"
-            for joint, word in zip(self._joints, frame.faults, strict=True)
+            for joint, word in zip(self._joints, snapshot.faults, strict=True)
             for text in flag_texts(self._catalogue, "faults", word)
         )
 
-    def _held(self, frame: Frame) -> str:
+    def _held(self, snapshot: Snapshot) -> str:
         """What the inputs of axes say that have stayed in STOP, empty when there are none."""
-        word = (int(frame.values.get(f"{axis_name(axis)}.limits", 0)) & self._input for axis in range(AXES))
+        word = (int(snapshot.values.get(f"{axis_name(axis)}.limits", 0)) & self._input for axis in range(AXES))
         return "; ".join(
             f"{joint}: {text}"
-            for joint, axis, limits in zip(self._joints, frame.axes, word, strict=True)
+            for joint, axis, limits in zip(self._joints, snapshot.axes, word, strict=True)
             if axis.label == "STOP"
             for text in flag_texts(self._catalogue, "limits", limits)
         )

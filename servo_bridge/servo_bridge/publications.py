@@ -22,7 +22,7 @@ from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
 from std_msgs.msg import Bool, Float64MultiArray, String
 
-from servo_bridge.telemetry import Frame
+from servo_bridge.telemetry import Snapshot
 from servo_msgs_py import topics
 
 __all__ = ["Publications"]
@@ -38,7 +38,7 @@ class Publications:
     joints : sequence of Joint
         In the order of the axes.
     names : sequence of str
-        Columns of a frame.
+        Columns of a snapshot.
     joint_states_rate : float
         Highest rate of joint_states [Hz]; 0: every sample.
     snapshot_period : float
@@ -82,13 +82,13 @@ class Publications:
         self._armed = node.create_publisher(Bool, topics.ARMED, latched)
 
     def sample(
-        self, frame: Frame, stamp_ns: int, torque_constants: Sequence[float] | None, *, joint_states: bool = True
+        self, snapshot: Snapshot, stamp_ns: int, torque_constants: Sequence[float] | None, *, joint_states: bool = True
     ) -> None:
         """Publish a sample, as far as the rates allow.
 
         Parameters
         ----------
-        frame : Frame
+        snapshot : Snapshot
             The sample.
         stamp_ns : int
             ROS time of its tick [ns].
@@ -97,18 +97,18 @@ class Publications:
         joint_states : bool
             Whether the positions are those of the joints; else they are not published as such.
         """
-        if frame.epoch != self._epoch:
+        if snapshot.epoch != self._epoch:
             self.flush()
-            self._epoch = frame.epoch
+            self._epoch = snapshot.epoch
             self._next_joint = self._next_snapshot = 0
-        if joint_states and frame.tick >= self._next_joint:
+        if joint_states and snapshot.tick >= self._next_joint:
             # Stepping from the last due tick and not from this one keeps the mean rate.
-            self._next_joint = max(self._next_joint + self._joint_ticks, frame.tick)
-            message = joint_state_from_values(self._joints, stamp_ns, frame.values, torque_constants)
+            self._next_joint = max(self._next_joint + self._joint_ticks, snapshot.tick)
+            message = joint_state_from_values(self._joints, stamp_ns, snapshot.values, torque_constants)
             self._joint_states.publish(message)
-        self._rows.append([*frame.values.values(), *divmod(stamp_ns, 1_000_000_000)])
-        if frame.tick >= self._next_snapshot:
-            self._next_snapshot = frame.tick + self._snapshot_ticks
+        self._rows.append([*snapshot.values.values(), *divmod(stamp_ns, 1_000_000_000)])
+        if snapshot.tick >= self._next_snapshot:
+            self._next_snapshot = snapshot.tick + self._snapshot_ticks
             self.flush()
 
     def flush(self) -> None:

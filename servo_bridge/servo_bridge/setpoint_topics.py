@@ -12,7 +12,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 
 from servo_bridge.arbiter import Arbiter
 from servo_bridge.health import CommandFigures
-from servo_bridge.setpoints import Rejected, Request, from_array, from_single
+from servo_bridge.setpoints import Rejected, SetPointRequest, from_array, from_single
 from servo_bridge.sources import Source
 from servo_bridge.throttle import Throttle
 from servo_msgs_py import topics
@@ -66,7 +66,7 @@ class SetPointTopics:
     def _on_position(self, topic: str, axis: int, message: Float64) -> None:
         self._take(topic, lambda: from_single(topic, axis, message.data))
 
-    def _take(self, source: str, parse: Callable[[], Request]) -> None:
+    def _take(self, source: str, parse: Callable[[], SetPointRequest]) -> None:
         try:
             self._arbiter.submit(parse())
         except Rejected as error:

@@ -17,7 +17,7 @@ __all__ = [
     "NotReady",
     "Rejected",
     "Repeats",
-    "Request",
+    "SetPointRequest",
     "from_array",
     "from_joint_command",
     "from_single",
@@ -43,7 +43,7 @@ class Mode(IntEnum):
 
 
 @dataclass(frozen=True)
-class Request:
+class SetPointRequest:
     """A well-formed command.
 
     Attributes
@@ -150,14 +150,14 @@ def from_joint_command(
     return result
 
 
-def requests_of(source: str, points: Mapping[int, JointSetPoint]) -> list[Request]:
+def requests_of(source: str, points: Mapping[int, JointSetPoint]) -> list[SetPointRequest]:
     """Requests of the joints that are not streamed, one per mode."""
     result = []
     for field, mode in _FIELDS.items():
         values = {axis: getattr(point, field) for axis, point in points.items() if not point.streamed}
         values = {axis: value for axis, value in values.items() if value is not None}
         if values:
-            result.append(Request(source, mode, values))
+            result.append(SetPointRequest(source, mode, values))
     return result
 
 
@@ -195,7 +195,7 @@ class Repeats:
         return result
 
 
-def from_array(source: str, joints: Sequence[str], data: Sequence[float]) -> Request:
+def from_array(source: str, joints: Sequence[str], data: Sequence[float]) -> SetPointRequest:
     """Positions of all joints in joint order [rad].
 
     Raises
@@ -210,10 +210,10 @@ def from_array(source: str, joints: Sequence[str], data: Sequence[float]) -> Req
         )
     for name, value in zip(joints, data, strict=True):
         _check_finite(source, f"position of {name}", value)
-    return Request(source, Mode.POSITION, {axis: float(value) for axis, value in enumerate(data)})
+    return SetPointRequest(source, Mode.POSITION, {axis: float(value) for axis, value in enumerate(data)})
 
 
-def from_single(source: str, axis: int, value: float) -> Request:
+def from_single(source: str, axis: int, value: float) -> SetPointRequest:
     """Position of one joint [rad].
 
     Raises
@@ -222,7 +222,7 @@ def from_single(source: str, axis: int, value: float) -> Request:
         If the number is not finite.
     """
     _check_finite(source, "position", value)
-    return Request(source, Mode.POSITION, {axis: float(value)})
+    return SetPointRequest(source, Mode.POSITION, {axis: float(value)})
 
 
 def _check_finite(source: str, what: str, value: float) -> None:

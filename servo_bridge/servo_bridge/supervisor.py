@@ -37,7 +37,6 @@ from servo_bridge.bursts.recording import piece_size
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.fault_records import FaultRecords
 from servo_bridge.follow_action import FollowAction, action_interfaces
-from servo_bridge.frame_events import FrameEvents
 from servo_bridge.freemaster.client import password_of_environment
 from servo_bridge.health import Health, Winding
 from servo_bridge.homing import METHODS, Homing, with_home_states
@@ -52,8 +51,9 @@ from servo_bridge.services import DeferredService, Outcome
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.setpoint_topics import SetPointTopics
 from servo_bridge.slow_values import SlowValues
+from servo_bridge.snapshot_events import SnapshotEvents
 from servo_bridge.storage_service import StorageService
-from servo_bridge.telemetry import Frame, Telemetry
+from servo_bridge.telemetry import Snapshot, Telemetry
 from servo_bridge.trajectory.check import Limits, require
 from servo_bridge.trajectory.follower import AxisReport, Follower
 from servo_bridge.trajectory.path import Path
@@ -165,11 +165,11 @@ class Supervisor:
             wall_ns=self._wall.wall_ns,
         )
         self._status = LinkStatus(LinkState.DISCONNECTED, "starting")
-        self._frame: Frame | None = None
+        self._snapshot: Snapshot | None = None
         self._epoch = 0
         self._ended = False
         self._slow = SlowValues(self._link.read, self._inbox.post, self._on_motors, self._on_windings)
-        self._events = FrameEvents(catalogue, self._joints)
+        self._events = SnapshotEvents(catalogue, self._joints)
         self._board_parameters = BoardParameters(
             self._catalogue,
             self._link.read,
@@ -354,10 +354,10 @@ class Supervisor:
 
     def _times(self, ticks: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Extended ticks of uint32 ticks near that of the newest sample, and their ROS times [ns]."""
-        frame, origin_ns = self._frame, self._origin_ns()
-        assert frame is not None
+        snapshot, origin_ns = self._snapshot, self._origin_ns()
+        assert snapshot is not None
         assert origin_ns is not None
-        extended = np.array([unwrap_u32(tick, frame.tick) for tick in ticks.tolist()])
+        extended = np.array([unwrap_u32(tick, snapshot.tick) for tick in ticks.tolist()])
         return extended, origin_ns + extended * PERIOD_NS
 
     def _pace_keep_alive(self) -> None:
@@ -383,7 +383,7 @@ class Supervisor:
             else:
                 self._log.error(str(status))
             self._publications.flush()
-            self._frame = None
+            self._snapshot = None
             self._slow.link_lost()
             self._board_parameters.link_lost()
             self._variables.link_lost()
@@ -402,35 +402,35 @@ class Supervisor:
     def _on_sample(self, sample: Sample) -> None:
         if self._status.state is not LinkState.CONNECTED:
             return  # was on its way when the link broke
-        frame = self._homing.completed(self._telemetry.frame(sample))
-        if frame.epoch != self._epoch:
-            self._epoch = frame.epoch
+        snapshot = self._homing.completed(self._telemetry.snapshot(sample))
+        if snapshot.epoch != self._epoch:
+            self._epoch = snapshot.epoch
             self._board_clock.reset()
             self._slow.counters_restarted()
         if self._node.get_clock().ros_time_is_active:
             self._wall.refresh()  # simulated time may have any speed
-        stamp = self._wall.stamp(self._board_clock.update(frame.tick, frame.response_ns))
-        for text in self._events.faults(self._frame, frame):
+        stamp = self._wall.stamp(self._board_clock.update(snapshot.tick, snapshot.response_ns))
+        for text in self._events.faults(self._snapshot, snapshot):
             self._log.error(text)
-        for text in self._events.expired(self._frame, frame, self._board_parameters.values):
+        for text in self._events.expired(self._snapshot, snapshot, self._board_parameters.values):
             self._warn(text)
-        self._fault_records.on_frame(frame.tick, frame.faults)
-        self._frame = frame
-        self._arbiter.board_seen(frame.axes)
-        self._follower.on_sample(frame.tick, self._axis_reports(frame))
+        self._fault_records.on_snapshot(snapshot.tick, snapshot.faults)
+        self._snapshot = snapshot
+        self._arbiter.board_seen(snapshot.axes)
+        self._follower.on_sample(snapshot.tick, self._axis_reports(snapshot))
         self._joint_commands.advance()
         if self._action is not None:
             axes = [(joint, axis_name(axis)) for axis, joint in enumerate(self._settings.joints)]
             self._action.on_sample(
-                frame.tick,
+                snapshot.tick,
                 stamp,
-                [joint.position(frame.values[f"{axis}.position"]) for joint, axis in axes],
-                [joint.velocity(frame.values[f"{axis}.speed"]) for joint, axis in axes],
+                [joint.position(snapshot.values[f"{axis}.position"]) for joint, axis in axes],
+                [joint.velocity(snapshot.values[f"{axis}.speed"]) for joint, axis in axes],
             )
-        applied = self._dispatcher.on_sample(frame.tick, frame.applied_tick, frame.applied_count)
-        self._motion.on_frame(frame)
+        applied = self._dispatcher.on_sample(snapshot.tick, snapshot.applied_tick, snapshot.applied_count)
+        self._motion.on_snapshot(snapshot)
         parameters = self._board_parameters.values
-        self._homing.on_frame(frame, None if parameters is None else parameters["param.features"])
+        self._homing.on_snapshot(snapshot, None if parameters is None else parameters["param.features"])
         self._publications.positions_known(self._homing.known)
         if applied is not None:
             # Before the sample that shows its effect, so that a twin that replays has it in time.
@@ -438,21 +438,21 @@ class Supervisor:
             if applied.variable == "cmd.points":
                 self._streamer.arrived(periods_ahead(applied.raw, applied.tick) * PERIOD)
         self._publications.sample(
-            frame,
+            snapshot,
             stamp,
             [motor.torque_constant for motor in self._slow.motors] or None,
             joint_states=not self._homing.restoring,
         )
         self._publish_state()
 
-    def _axis_reports(self, frame: Frame) -> list[AxisReport]:
+    def _axis_reports(self, snapshot: Snapshot) -> list[AxisReport]:
         lsb = self._catalogue["axis1.position"].lsb
         return [
             AxisReport(
                 (status.position if status.position_ref is None else status.position_ref) * lsb,
                 follows=status.position_ref is not None and self._arbiter.queue.obeys_points(axis),
             )
-            for axis, status in enumerate(frame.axes)
+            for axis, status in enumerate(snapshot.axes)
         ]
 
     def _on_parameters(self, values: RawParameters) -> None:
@@ -500,29 +500,29 @@ class Supervisor:
         self._publications.description(text)
 
     def _publish_state(self) -> None:
-        frame = self._frame
+        snapshot = self._snapshot
         if self._status.state is not LinkState.CONNECTED:
             text = f"DISCONNECTED {self._status}"
-        elif frame is None:
+        elif snapshot is None:
             return  # the first sample comes at once
         else:
-            text = " ".join(f"{joint}={axis.label}" for joint, axis in zip(self._joints, frame.axes, strict=True))
+            text = " ".join(f"{joint}={axis.label}" for joint, axis in zip(self._joints, snapshot.axes, strict=True))
         self._publications.state(text, armed=self._arbiter.armed)
 
     def _publish_variables(self) -> None:
-        if self._frame is not None:
-            self._variables.publish(self._frame.values)
+        if self._snapshot is not None:
+            self._variables.publish(self._snapshot.values)
 
     def _every_second(self) -> None:
         if self._ended:
             return  # the executor had it waiting
         self._wall.refresh()
-        health, frame = self._health, self._frame
+        health, snapshot = self._health, self._snapshot
         statuses = [
             health.link(self._status, self._link.statistics(), self._settings.baud, self._link.low_latency.text),
-            health.board(self._link.board, frame, self._slow.counters),
+            health.board(self._link.board, snapshot, self._slow.counters),
             *(
-                health.axis(axis, frame, self._fault_records.records[axis], self._slow.windings[axis], limit)
+                health.axis(axis, snapshot, self._fault_records.records[axis], self._slow.windings[axis], limit)
                 for axis, limit in enumerate(self._current_limits())
             ),
             health.commands(
@@ -558,7 +558,7 @@ class Supervisor:
         switched_off = self._link.close(_SWITCH_OFF)
         if connected and not switched_off:
             self._warn("the board did not confirm that it was switched off; it switches off after param.host_timeout")
-        self._frame = None
+        self._snapshot = None
         self._arbiter.link_lost(reason)
         self._dispatcher.close(reason)
         self._motion.link_lost(reason)

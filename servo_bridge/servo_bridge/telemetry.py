@@ -13,7 +13,7 @@ from servo_msgs_py.units import SLOW_PERIODS, unwrap_u32
 from servo_bridge.arbiter import AxisStatus
 from servo_bridge.wire.scope import Sample
 
-__all__ = ["Frame", "Telemetry", "required_variables", "telemetry_variables"]
+__all__ = ["Snapshot", "Telemetry", "required_variables", "telemetry_variables"]
 
 _OBEYS = ("RUN/SPIN", "RUN/STARTUP")
 """States in which an axis takes set-points."""
@@ -50,7 +50,7 @@ def telemetry_variables(catalogue: Catalogue, extra: Sequence[str]) -> list[str]
 
 
 @dataclass(frozen=True)
-class Frame:
+class Snapshot:
     """One sample.
 
     Attributes
@@ -94,7 +94,7 @@ class _AxisColumns:
 
 
 class Telemetry:
-    """Turns samples into frames and follows the positions of all axes past the 32 bits of the board.
+    """Turns samples into snapshots and follows the positions of all axes past the 32 bits of the board.
 
     Parameters
     ----------
@@ -125,8 +125,8 @@ class Telemetry:
         self._ready_since: list[int | None] = [None] * AXES
         self._epoch = 0
 
-    def frame(self, sample: Sample) -> Frame:
-        """Make a frame of a sample."""
+    def snapshot(self, sample: Sample) -> Snapshot:
+        """Make a snapshot of a sample."""
         if sample.epoch != self._epoch:
             self._counts = [None] * AXES
             self._ready_since = [None] * AXES
@@ -147,7 +147,7 @@ class Telemetry:
             label = self._label(raw[at.state], raw[at.substate])
             obeys = label in _OBEYS or self._waits(axis, label, sample.tick)
             axes.append(AxisStatus(label, obeys, label == "FAULT", counts, reference))
-        return Frame(
+        return Snapshot(
             sample.tick,
             sample.epoch,
             sample.response_ns,

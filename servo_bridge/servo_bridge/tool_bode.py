@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.measurement.access import MeasurementError
 from servo_msgs_py.measurement.bode import Bode, measure
-from servo_msgs_py.measurement.bode_plan import LOOPS, Request
+from servo_msgs_py.measurement.bode_plan import LOOPS, BodeRequest
 from servo_msgs_py.measurement.bode_report import COLUMNS, as_dict, draw, rows, text
 
 from servo_bridge.bode_recording import write_recording
@@ -53,7 +53,7 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
 def bode(context: Context) -> int:
     """Measure, write the files, print the figures; 1 when the data do not determine the crossover for certain."""
     args = context.args
-    request = Request(
+    request = BodeRequest(
         _AXES.index(args.axis), args.loop, args.amplitude, args.f_min, args.f_max, args.speed, args.range, args.repeat
     )
     try:

@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from servo_bridge.arbiter import Arbiter, AxisStatus
 from servo_bridge.set_point_queue import CommandWrite
-from servo_bridge.setpoints import Mode, Rejected, Request
+from servo_bridge.setpoints import Mode, Rejected, SetPointRequest
 from servo_bridge.sources import Conflict, Source, Sources
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, JointLimits, joint_names
@@ -36,8 +36,8 @@ def arbiter(*axes: AxisStatus, limits: JointLimits | None = None) -> Arbiter:
     return result
 
 
-def request(values: Mapping[int, float], mode: Mode = Mode.POSITION, source: str = "joint_commands") -> Request:
-    return Request(source, mode, values)
+def request(values: Mapping[int, float], mode: Mode = Mode.POSITION, source: str = "joint_commands") -> SetPointRequest:
+    return SetPointRequest(source, mode, values)
 
 
 def drain(subject: Arbiter) -> list[CommandWrite]:
@@ -176,7 +176,7 @@ def test_whatever_passes_is_within_the_limits_of_the_board(values: dict[int, flo
 
 
 # ---- refused
-def refused(subject: Arbiter, what: Request) -> str:
+def refused(subject: Arbiter, what: SetPointRequest) -> str:
     with pytest.raises(Rejected) as caught:
         subject.submit(what)
     return str(caught.value)

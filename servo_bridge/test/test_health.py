@@ -6,15 +6,15 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from servo_bridge.arbiter import AxisStatus
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.health import Health, Winding
-from servo_bridge.telemetry import Frame
+from servo_bridge.telemetry import Snapshot
 from servo_msgs_py.catalogue import Catalogue
 
-FRAME = Frame(8, 0, 0, {"u_dc": 24.0}, 0, 0, (), ())
+SNAPSHOT = Snapshot(8, 0, 0, {"u_dc": 24.0}, 0, 0, (), ())
 
 
 def status(health: Health, late: int, overruns: int) -> DiagnosticStatus:
     counts = {"late_loops": late, "receiver_overruns": overruns}
-    return health.board(BoardInfo(name="servo"), FRAME, counts)
+    return health.board(BoardInfo(name="servo"), SNAPSHOT, counts)
 
 
 def test_a_late_loop_and_a_lost_byte_are_warnings_when_they_are_new() -> None:
@@ -29,7 +29,7 @@ def test_a_late_loop_and_a_lost_byte_are_warnings_when_they_are_new() -> None:
 
 
 def test_counters_that_have_not_been_read_are_unknown() -> None:
-    found = Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"]).board(BoardInfo(name="servo"), FRAME)
+    found = Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"]).board(BoardInfo(name="servo"), SNAPSHOT)
     assert {value.key: value.value for value in found.values}["late loops"] == "unknown"
 
 
@@ -42,8 +42,8 @@ def test_counters_wrap() -> None:
 def axis_status(winding: Winding | None, limit: float | None, faults: int = 0) -> DiagnosticStatus:
     values = {"axis1.position": 0.0, "axis1.speed": 0.0, "axis1.i_q": 2.0}
     state = AxisStatus("RUN/SPIN", spinning=True)
-    frame = Frame(8, 0, 0, values, 0, 0, (state, state), (faults, 0))
-    return Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"]).axis(0, frame, None, winding, limit)
+    snapshot = Snapshot(8, 0, 0, values, 0, 0, (state, state), (faults, 0))
+    return Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"]).axis(0, snapshot, None, winding, limit)
 
 
 def test_a_hot_winding_is_a_warning_with_what_it_leaves() -> None:
@@ -70,8 +70,10 @@ def test_the_inputs_of_an_axis_are_named_where_they_are_in_the_telemetry() -> No
     axes = (AxisStatus("STOP", spinning=False), AxisStatus("STOP", spinning=False))
 
     def said(**more: float) -> str | None:
-        frame = Frame(8, 0, 0, values | {f"axis1.{name}": value for name, value in more.items()}, 0, 0, axes, (0, 0))
-        return {value.key: value.value for value in health.axis(0, frame).values}.get("inputs")
+        snapshot = Snapshot(
+            8, 0, 0, values | {f"axis1.{name}": value for name, value in more.items()}, 0, 0, axes, (0, 0)
+        )
+        return {value.key: value.value for value in health.axis(0, snapshot).values}.get("inputs")
 
     assert said() is None
     assert said(inputs=0.0) == "none"

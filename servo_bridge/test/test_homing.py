@@ -9,7 +9,7 @@ from servo_bridge.arbiter import Arbiter, AxisStatus
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.homing import METHODS, Homing
 from servo_bridge.set_point_queue import CommandWrite
-from servo_bridge.telemetry import Frame
+from servo_bridge.telemetry import Snapshot
 from servo_msgs_py.catalogue import Catalogue, Value
 from servo_msgs_py.joints import Joint
 
@@ -71,11 +71,11 @@ class Rig:
         spins = self.label == "RUN/SPIN"
         axes = tuple(AxisStatus(self.label, spins, position=counts) for counts in self.counts)
         speeds = {f"axis{k}.speed": self.speed for k in (1, 2)}
-        frame = Frame(self.tick, self.epoch, 0, speeds, self.tick, self.applied, axes, (0, 0))
-        frame = self.homing.completed(frame)
+        snapshot = Snapshot(self.tick, self.epoch, 0, speeds, self.tick, self.applied, axes, (0, 0))
+        snapshot = self.homing.completed(snapshot)
         self.arbiter.board_seen(axes)
-        self.dispatcher.on_sample(frame.tick, frame.applied_tick, frame.applied_count)
-        self.homing.on_frame(frame, self.features)
+        self.dispatcher.on_sample(snapshot.tick, snapshot.applied_tick, snapshot.applied_count)
+        self.homing.on_snapshot(snapshot, self.features)
 
     def look(self) -> None:
         """Long enough for the bridge to see the states."""

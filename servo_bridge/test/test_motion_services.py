@@ -7,7 +7,7 @@ from servo_bridge.arbiter import Arbiter, AxisStatus
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.motion_services import MotionServices
 from servo_bridge.set_point_queue import CommandWrite
-from servo_bridge.telemetry import Frame
+from servo_bridge.telemetry import Snapshot
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import DEFAULT_JOINTS, joint_names
 
@@ -36,10 +36,10 @@ class Rig:
         self.tick += 16
         self.count += applied
         axes = axes or (SPINNING, SPINNING)
-        frame = Frame(self.tick, 0, 0, self.values, self.tick, self.count, axes, faults)
+        snapshot = Snapshot(self.tick, 0, 0, self.values, self.tick, self.count, axes, faults)
         self.arbiter.board_seen(axes)
-        self.dispatcher.on_sample(frame.tick, frame.applied_tick, frame.applied_count)
-        self.services.on_frame(frame)
+        self.dispatcher.on_sample(snapshot.tick, snapshot.applied_tick, snapshot.applied_count)
+        self.services.on_snapshot(snapshot)
 
     def connected(self, *axes: AxisStatus) -> Rig:
         self.dispatcher.open()

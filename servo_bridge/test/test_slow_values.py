@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future
 
-from servo_bridge.frame_events import FrameEvents
 from servo_bridge.health import Winding
 from servo_bridge.slow_values import SlowValues
-from servo_bridge.telemetry import Frame
+from servo_bridge.snapshot_events import SnapshotEvents
+from servo_bridge.telemetry import Snapshot
 from servo_msgs_py.catalogue import Catalogue, Value
 
 CATALOGUE = Catalogue.load()
@@ -82,22 +82,24 @@ def test_answers_of_a_lost_link_are_not_taken() -> None:
     assert (reads.values.motors, reads.motors) == ([], 0)
 
 
-def frame(faults: tuple[int, int] = (0, 0), limits: int = 0) -> Frame:
-    return Frame(16, 0, 0, {"axis1.limits": float(limits)}, 16, 0, (), faults)
+def snapshot(faults: tuple[int, int] = (0, 0), limits: int = 0) -> Snapshot:
+    return Snapshot(16, 0, 0, {"axis1.limits": float(limits)}, 16, 0, (), faults)
 
 
 def test_a_fault_is_told_once() -> None:
-    events = FrameEvents(CATALOGUE, ["arm", "hand"])
-    [sentence] = events.faults(None, frame((0, FAULT.mask)))
+    events = SnapshotEvents(CATALOGUE, ["arm", "hand"])
+    [sentence] = events.faults(None, snapshot((0, FAULT.mask)))
     assert sentence.startswith("hand: ")
     assert FAULT.name in sentence
-    assert events.faults(frame((0, FAULT.mask)), frame((0, FAULT.mask))) == []
+    assert events.faults(snapshot((0, FAULT.mask)), snapshot((0, FAULT.mask))) == []
 
 
 def test_an_expired_set_point_is_told_once_with_the_time_out_once_it_is_known() -> None:
-    events = FrameEvents(CATALOGUE, ["arm", "hand"])
+    events = SnapshotEvents(CATALOGUE, ["arm", "hand"])
     timeout = CATALOGUE["param.command_timeout"]
-    [sentence] = events.expired(frame(), frame(limits=EXPIRED), {"param.command_timeout": [round(0.25 / timeout.lsb)]})
+    [sentence] = events.expired(
+        snapshot(), snapshot(limits=EXPIRED), {"param.command_timeout": [round(0.25 / timeout.lsb)]}
+    )
     assert sentence == "arm: no velocity or effort set-point for 0.25 s; the axis stops"
-    assert "param.command_timeout" in events.expired(None, frame(limits=EXPIRED), None)[0]
-    assert events.expired(frame(limits=EXPIRED), frame(limits=EXPIRED), None) == []
+    assert "param.command_timeout" in events.expired(None, snapshot(limits=EXPIRED), None)[0]
+    assert events.expired(snapshot(limits=EXPIRED), snapshot(limits=EXPIRED), None) == []

@@ -1,4 +1,4 @@
-"""Samples to frames: 64-bit positions, states, and which variables a sample has to carry."""
+"""Samples to snapshots: 64-bit positions, states, and which variables a sample has to carry."""
 
 from __future__ import annotations
 
@@ -32,42 +32,42 @@ def test_positions_follow_any_way_past_32_bits(steps: list[int], start: int) -> 
     counts = start
     for step in [0, *steps]:
         counts += step
-        frame = telemetry.frame(sample(axis2_position=wrapped(counts)))
-        assert frame.values["axis2.position"] == counts * LSB
-        assert frame.axes[1].position == counts
+        snapshot = telemetry.snapshot(sample(axis2_position=wrapped(counts)))
+        assert snapshot.values["axis2.position"] == counts * LSB
+        assert snapshot.axes[1].position == counts
 
 
 def test_the_set_point_is_extended_with_the_position() -> None:
     telemetry = Telemetry(CATALOGUE, LAYOUT.variables)
     top = 2**31 - 10
-    frame = telemetry.frame(sample(axis1_position=top, axis1_position_ref=wrapped(top + 50)))
-    assert frame.values["axis1.position_ref"] == (top + 50) * LSB
-    frame = telemetry.frame(sample(axis1_position=wrapped(top + 60), axis1_position_ref=top))
-    assert frame.values["axis1.position_ref"] == top * LSB
+    snapshot = telemetry.snapshot(sample(axis1_position=top, axis1_position_ref=wrapped(top + 50)))
+    assert snapshot.values["axis1.position_ref"] == (top + 50) * LSB
+    snapshot = telemetry.snapshot(sample(axis1_position=wrapped(top + 60), axis1_position_ref=top))
+    assert snapshot.values["axis1.position_ref"] == top * LSB
 
 
 def test_a_new_epoch_starts_anew() -> None:
     telemetry = Telemetry(CATALOGUE, LAYOUT.variables)
-    telemetry.frame(sample(axis1_position=2**31 - 1))
-    frame = telemetry.frame(sample(epoch=1, axis1_position=-(2**31)))
-    assert frame.axes[0].position == -(2**31)
+    telemetry.snapshot(sample(axis1_position=2**31 - 1))
+    snapshot = telemetry.snapshot(sample(epoch=1, axis1_position=-(2**31)))
+    assert snapshot.axes[0].position == -(2**31)
 
 
 def test_states_and_faults() -> None:
-    frame = Telemetry(CATALOGUE, LAYOUT.variables).frame(
+    snapshot = Telemetry(CATALOGUE, LAYOUT.variables).snapshot(
         sample(axis1_state=3, axis1_substate=3, axis2_state=0, axis2_faults=6, applied_tick=7, applied_count=9)
     )
-    assert [a.label for a in frame.axes] == ["RUN/SPIN", "FAULT"]
-    assert [(a.spinning, a.faulted) for a in frame.axes] == [(True, False), (False, True)]
-    assert (frame.faults, frame.applied_tick, frame.applied_count) == ((0, 6), 7, 9)
+    assert [a.label for a in snapshot.axes] == ["RUN/SPIN", "FAULT"]
+    assert [(a.spinning, a.faulted) for a in snapshot.axes] == [(True, False), (False, True)]
+    assert (snapshot.faults, snapshot.applied_tick, snapshot.applied_count) == ((0, 6), 7, 9)
 
 
 def test_an_axis_without_an_encoder_waits_in_ready_for_its_set_point() -> None:
     telemetry = Telemetry(CATALOGUE, LAYOUT.variables)
 
     def obeys(tick: int, substate: int, epoch: int = 0) -> bool:
-        frame = telemetry.frame(sample(tick=tick, epoch=epoch, axis1_state=3, axis1_substate=substate))
-        return frame.axes[0].spinning
+        snapshot = telemetry.snapshot(sample(tick=tick, epoch=epoch, axis1_state=3, axis1_substate=substate))
+        return snapshot.axes[0].spinning
 
     assert [obeys(8, 1), obeys(16, 2)] == [False, False], "passing through READY on the way to ALIGN"
     assert [obeys(tick, 1) for tick in (24, 32, 40, 48, 56)] == [False, False, False, True, True]
@@ -79,13 +79,13 @@ def test_an_axis_without_an_encoder_waits_in_ready_for_its_set_point() -> None:
 
 def test_values_are_si_in_the_order_of_the_columns() -> None:
     telemetry = Telemetry(CATALOGUE, LAYOUT.variables)
-    frame = telemetry.frame(sample(axis2_i_q=CATALOGUE["axis2.i_q"].to_raw(1.5)))
-    assert list(frame.values) == telemetry.columns
-    assert frame.values["axis2.i_q"] == pytest.approx(1.5, abs=1e-3)
+    snapshot = telemetry.snapshot(sample(axis2_i_q=CATALOGUE["axis2.i_q"].to_raw(1.5)))
+    assert list(snapshot.values) == telemetry.columns
+    assert snapshot.values["axis2.i_q"] == pytest.approx(1.5, abs=1e-3)
 
 
 def test_the_tick_is_the_extended_one() -> None:
-    assert Telemetry(CATALOGUE, LAYOUT.variables).frame(sample(tick=2**40)).values["tick"] == 2**40
+    assert Telemetry(CATALOGUE, LAYOUT.variables).snapshot(sample(tick=2**40)).values["tick"] == 2**40
 
 
 def test_required_variables_come_first_and_once() -> None:

@@ -16,73 +16,72 @@
 /* CFFI-BEGIN: the build script hands the lines up to CFFI-END to cffi.cdef */
 typedef struct board board_t;
 
-/* What is really there, SI units (servo_twin/plant.toml). */
+/* Parameters of an axis, SI units (servo_twin/plant.toml). */
 typedef struct {
     double r_s;            /* stator resistance [ohm] */
     double l_d, l_q;       /* stator inductances [H] */
     double psi_m;          /* permanent-magnet flux linkage [V s] (electrical) */
-    double pole_pairs;
+    double pole_pairs;     /* pairs [1] */
     double inertia;        /* total inertia [kg m^2] */
     double friction;       /* Coulomb friction [N m] */
     double viscous;        /* viscous friction [N m s] */
-    /* all that follows up to the end stops is not there while it is 0 (servo_twin/doc/plant.md) */
-    double
-        load_inertia; /* of a second mass at the end of a shaft that twists; `inertia` is the rotor's then [kg m^2] */
+    /* the following, up to the end stops, is off at 0 (servo_twin/doc/plant.md) */
+    double load_inertia; /* second mass on an elastic shaft; `inertia` is then that of the rotor [kg m^2] */
     double shaft_stiffness; /* [N m/rad] */
     double shaft_damping; /* [N m s] */
-    double backlash; /* of the shaft, from one flank to the other [rad] */
+    double backlash; /* of the shaft, full width [rad] */
     double load_friction; /* Coulomb friction of the second mass [N m] */
     double cogging_torque; /* amplitude [N m] */
-    double cogging_periods; /* per turn */
+    double cogging_periods; /* per turn [1] */
     double cogging_phase; /* [rad] */
     double i_saturation_d, i_saturation_q; /* current scale of the saturation of L_d, L_q [A] */
-    double winding_warms; /* 1: at the ideal level, too, r_s follows the winding's temperature */
-    double magnet_coefficient; /* of the magnet's flux, over that at the ambient temperature [1/K] */
-    double magnet_time; /* in which the magnet follows the winding's temperature [s] */
+    double winding_warms; /* switch [1]; 1: r_s follows the winding's temperature at the ideal level too */
+    double magnet_coefficient; /* of the magnet's flux, relative to that at ambient temperature [1/K] */
+    double magnet_time; /* time constant of the magnet's temperature behind the winding's [s] */
     double disc_eccentricity; /* amplitude of the encoder's error, once per turn [rad] */
-    double disc_phase; /* [rad] */
-    double load_torque; /* external, against positive motion; not friction: it keeps its sign [N m] */
+    double disc_phase; /* phase of that error [rad] */
+    double load_torque; /* external, against positive motion; constant sign, unlike friction [N m] */
     double stop_min, stop_max; /* angles of the end stops [rad] (mechanical) */
-    double stop_stiffness; /* [N m/rad]; 0: there are none */
-    double stop_damping; /* [N m s] */
-    double encoder_lines; /* lines per turn; counts are four times as many */
+    double stop_stiffness; /* [N m/rad]; 0: no end stops */
+    double stop_damping; /* of the end stops [N m s] */
+    double encoder_lines; /* lines per turn [1]; counts are four times as many */
     double theta_start; /* mechanical rotor angle at time zero [rad] */
     double i_full_scale; /* ADC range is -i_full_scale .. +i_full_scale [A] */
     double i_offset[3]; /* offset of each current amplifier [A] */
     double i_noise; /* standard deviation of a current sample [A] */
     double i_break; /* hardware over-current threshold [A] */
-    double dead_time; /* [s] */
+    double dead_time; /* of the averaged plant [s] */
     double v_drop; /* forward drop of switch and diode [V] */
     double r_on; /* on resistance [ohm] */
-    /* seen by the plant at switching level only */
-    double dead_time_min; /* shortest dead time of the switches: a leg with less is a short for the rest of it [s] */
+    /* switching plant only */
+    double dead_time_min; /* shortest dead time of the switches; with less, the leg is shorted for the difference [s] */
     double i_settle; /* time constant of the current amplifiers [s] */
     double encoder_jitter; /* standard deviation of an edge [counts] */
-    double encoder_duty_error; /* a line is high for 1/2 + this of its period */
-    double encoder_hysteresis; /* an edge comes back so far behind where it was passed [counts] */
+    double encoder_duty_error; /* a line is high for 1/2 + this of its period [1] */
+    double encoder_hysteresis; /* distance between an edge passed forwards and backwards [counts] */
     double winding_capacity, winding_resistance; /* to the ambient air [J/K], [K/W] */
     double sink_capacity, sink_resistance; /* heatsink of the inverter [J/K], [K/W] */
-    /* pins: what is wired to them */
-    double home_from, home_to; /* mechanical angles between which the home switch is closed [rad] */
-    double limit_min, limit_max; /* the limit switches open there [rad] */
-    double enable_closed; /* 1: the enable circuit is closed, 0: open */
-    double brake_torque; /* of the holding brake; 0: there is none [N m] */
-    double brake_open_time, brake_close_time; /* after its coil [s] */
+    /* contacts and holding brake */
+    double home_from, home_to; /* the home switch is closed between these mechanical angles [rad] */
+    double limit_min, limit_max; /* the limit switches open at these mechanical angles [rad] */
+    double enable_closed; /* switch [1]; 1: the enable circuit is closed, 0: open */
+    double brake_torque; /* of the holding brake; 0: no brake [N m] */
+    double brake_open_time, brake_close_time; /* delay behind its coil [s] */
 } plant_axis_t;
 
 typedef struct {
     double u_source; /* open-circuit supply voltage [V] */
     double r_source; /* source resistance [ohm]; the source takes no energy back */
-    double capacitance; /* [F] */
+    double capacitance; /* of the bus [F] */
     double u_full_scale; /* ADC full scale of the bus divider [V] */
     double u_noise; /* standard deviation of a bus sample [V] */
-    double r_brake; /* brake resistor [ohm]; 0: there is none */
+    double r_brake; /* brake resistor [ohm]; 0: none */
     double brake_capacity, brake_resistance; /* of the brake resistor, to the ambient air [J/K], [K/W] */
 } plant_bus_t;
 
 /* How fast the core of the DSC is (servo_twin/core.toml); register level only. */
 typedef struct {
-    double cycles_per_instruction; /* of those that a Cortex-M3 would take */
+    double cycles_per_instruction; /* relative to a Cortex-M3 [1] */
     uint32_t entry_cycles; /* of an interrupt: vector, registers saved and restored */
 } board_core_t;
 
@@ -97,8 +96,8 @@ typedef struct {
     const uint8_t *flash; /* image of the data flash, board_flash_size() bytes; NULL: erased */
 } board_config_t;
 
-/* The plant's own state, which no sensor sees exactly; to look changes nothing. At register level the state of the present
- * clock, at the ideal level that of the end of the last half cycle of the PWM. Temperatures move once in 1 ms. */
+/* True state of the plant; reading it changes nothing. At register level that of the present clock, at the ideal level that of the
+ * end of the last half cycle of the PWM. Temperatures are updated once in 1 ms. */
 typedef struct {
     double theta_m; /* mechanical angle, not wrapped [rad] */
     double omega_m; /* mechanical speed [rad/s] */
@@ -106,18 +105,18 @@ typedef struct {
     double torque_e; /* air-gap torque of these currents [N m] */
     double t_sink; /* temperature of the axis' power stage [deg C] */
     double t_winding; /* temperature of the motor's winding [deg C] */
-    double u_dc; /* [V] */
-    double e_brake; /* burnt in the brake resistor since power-on [J] */
+    double u_dc; /* bus voltage [V] */
+    double e_brake; /* dissipated in the brake resistor since power-on [J] */
     double t_brake; /* temperature of the brake resistor [deg C] */
     /* Mean voltages of the motor's terminals against the midpoint of u_dc [V]: over the last half cycle at the ideal level,
      * over the last full window at register level (a PWM period; windows follow each other from power-on). */
-    double u_a, u_b, u_c;
-    double brake_holds; /* 1: the holding brake is closed (and holds its torque), 0: open */
+    double u_a, u_b, u_c; /* [V] */
+    double brake_holds; /* state [1]; 1: the holding brake is closed (and holds its torque), 0: open */
     double theta_load, omega_load; /* of the second mass, or the rotor's [rad], [rad/s] */
     double torque_shaft; /* between them, mean of the present step [N m] */
-    double t_magnet; /* [deg C] */
+    double t_magnet; /* temperature of the magnet [deg C] */
     double r_s, psi_m; /* at these temperatures [ohm], [V s] */
-    double l_d, l_q; /* for small changes of these currents [H] */
+    double l_d, l_q; /* differential inductances at these currents [H] */
 } board_truth_t;
 
 board_t *board_new(const board_config_t *config); /* NULL when memory is short */
@@ -154,24 +153,25 @@ uint64_t board_serial_next_ns(const board_t *board); /* when the next byte moves
 uint8_t board_read(board_t *board, uint32_t address, uint8_t *data, uint16_t size);
 uint8_t board_write(board_t *board, uint32_t address, const uint8_t *data, uint16_t size);
 
-/* Other values of the plant from now on: all but those that say how a board is built (servo_twin/plant.py names them), the core,
- * the seed and the flash. Angles, speeds, currents and temperatures go on from where they are. */
+/* New parameters of the plant, except those fixed at construction (servo_twin/plant.py names them), the core, the seed and the
+ * flash. Angles, speeds, currents and temperatures are kept. */
 void board_change_plant(board_t *board, const board_config_t *config);
 
 void board_truth(const board_t *board, int axis, board_truth_t *truth);
-void board_set_load(board_t *board, int axis, double torque); /* external load torque [N m], opposes nothing: signed */
-void board_set_supply(board_t *board, double volts); /* new open-circuit supply voltage */
-void board_set_shaft(board_t *board, int axis, int locked); /* 1: shaft held fast */
-void board_obstruct_shaft(board_t *board, int axis, double below, double above); /* stops so far from here [rad] */
-void board_set_encoder(board_t *board, int axis, int connected); /* 0: encoder lines dead */
-void board_cut_encoder(board_t *board, int axis, int line); /* one line dead, 0: A, 1: B; board_set_encoder repairs */
+void board_set_load(board_t *board, int axis, double torque); /* external load torque, signed [N m] */
+void board_set_supply(board_t *board, double volts); /* open-circuit supply voltage [V] */
+void board_set_shaft(board_t *board, int axis, int locked); /* 1: shaft locked */
+void board_obstruct_shaft(board_t *board, int axis, double below, double above); /* end stops, from here [rad] */
+void board_set_encoder(board_t *board, int axis, int connected); /* 0: both lines stuck low */
+void board_cut_encoder(board_t *board, int axis,
+                       int line); /* one line stuck low, 0: A, 1: B; board_set_encoder repairs */
 void board_reverse_encoder(board_t *board, int axis); /* swap the lines A and B */
-/* Temperature of a winding from now on, and with it the firmware's estimate: as if it had been in use [deg C]. */
+/* Set the temperature of a winding and the firmware's estimate of it [deg C]. */
 void board_set_winding(board_t *board, int axis, double celsius);
 
-/* The same of the firmware's estimate alone. */
+/* Set the firmware's estimate alone [deg C]. */
 void board_set_winding_estimate(board_t *board, int axis, double celsius);
-void board_set_magnet(board_t *board, int axis, double celsius); /* its temperature from now on [deg C] */
+void board_set_magnet(board_t *board, int axis, double celsius); /* temperature [deg C] */
 void board_set_motor(board_t *board, int axis, int connected); /* 0: motor cable unplugged */
 
 /* Wires of an axis. */
@@ -183,31 +183,32 @@ typedef enum {
     BOARD_PIN_BRAKE
 } board_pin_t;
 
-/* What can go wrong with the hardware. `part` is a phase (0, 1, 2) or an encoder line (0: A, 1: B). */
+/* Faults of the hardware. `part` is a phase (0, 1, 2) or an encoder line (0: A, 1: B). */
 typedef enum {
     BOARD_OPEN_PHASE, /* part: the phase whose wire is broken */
-    BOARD_SHORTED_PHASE, /* part: a phase; value: the phase that it touches, or -1: bus minus. One short per axis */
-    BOARD_STUCK_CONVERTER, /* part: the phase whose current reads as one code; value: that */
+    BOARD_SHORTED_PHASE, /* part: a phase; value: the other phase, or -1: bus minus. One short per axis */
+    BOARD_STUCK_CONVERTER, /* part: the phase; value: the code that its converter gives */
     BOARD_STUCK_LINE, /* part: an encoder line; value: its level, 0 or 1 */
     BOARD_LOCKED_ROTOR,
-    BOARD_SUPPLY_DIP, /* value: open-circuit voltage meanwhile (0: disconnected) [V]; seconds: how long */
+    BOARD_SUPPLY_DIP, /* value: open-circuit voltage, 0: disconnected [V]; seconds: duration */
     BOARD_CURRENT_NOISE, /* value: standard deviation of a current sample [A] */
     BOARD_BUS_NOISE, /* value: standard deviation of a bus sample [V] */
-    BOARD_ENCODER_GLITCHES, /* part: an encoder line; value: pulses per second, at random moments */
-    BOARD_STALLED_CORE, /* seconds: the software stands still so long, or until the watchdog resets the board */
-    BOARD_HEAT, /* value: temperature of the power stage from now on [deg C] */
-    BOARD_SLIPPED_ENCODER, /* value: counts by which the encoder's disc turns on the shaft, now; stays so when healed */
-    BOARD_CUT_WIRE /* part: a board_pin_t; a contact reads as open, the brake's coil has no current */
+    BOARD_ENCODER_GLITCHES, /* part: an encoder line; value: mean rate of random pulses [1/s] */
+    BOARD_STALLED_CORE, /* seconds: the core executes nothing, unless the watchdog resets the board before */
+    BOARD_HEAT, /* value: temperature at which the power stage is held [deg C] */
+    BOARD_SLIPPED_ENCODER, /* value: counts by which the disc slips on the shaft; not undone when cleared */
+    BOARD_CUT_WIRE /* part: a board_pin_t; a contact reads open, the brake's coil has no current */
 } board_fault_kind_t;
 
 typedef struct {
     int kind; /* board_fault_kind_t */
-    int axis; /* 0 for what concerns the bus */
-    int part;
-    double value, seconds;
+    int axis; /* 0 for faults of the bus */
+    int part; /* see the kinds */
+    double value; /* see the kinds [their unit] */
+    double seconds; /* duration [s] */
 } board_fault_t;
 
-/* From now on, or no longer; healing what is whole does nothing. */
+/* Inject a fault, or clear it; clearing one that is not present does nothing. */
 void board_inject_fault(board_t *board, const board_fault_t *fault);
 void board_clear_fault(board_t *board, const board_fault_t *fault);
 

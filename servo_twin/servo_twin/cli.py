@@ -135,7 +135,7 @@ def _print_moves(results: Sequence[MoveResult]) -> None:
         settling = "never" if r.settling_time is None else f"{1e3 * r.settling_time:.1f}"
         print(
             f"{r.axis} {r.target:8} {r.reached:8} {r.overshoot:10} {r.steady_state:13} {settling:>9}"
-            f" {r.speed_most:7.1f} {r.i_q_most:6.2f}"
+            f" {r.speed_max:7.1f} {r.i_q_max:6.2f}"
         )
 
 

@@ -48,7 +48,7 @@ Pin = Literal["home", "limit_min", "limit_max", "enable", "brake"]
 _PHASES: Final = "abc"
 _LINES: Final = "AB"
 _PINS: Final = get_args(Pin)
-_SLIP_MOST: Final = 1_000_000
+_SLIP_MAX: Final = 1_000_000
 
 
 class RawFault(NamedTuple):
@@ -207,8 +207,8 @@ class SlippedEncoder:
     counts: int
 
     def raw(self) -> RawFault:
-        if not -_SLIP_MOST <= self.counts <= _SLIP_MOST:
-            raise ValueError(f"{self.counts} counts are more than {_SLIP_MOST}")
+        if not -_SLIP_MAX <= self.counts <= _SLIP_MAX:
+            raise ValueError(f"{self.counts} counts are more than {_SLIP_MAX}")
         return RawFault("BOARD_SLIPPED_ENCODER", _axis(self.axis), value=float(self.counts))
 
 

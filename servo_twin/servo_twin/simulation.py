@@ -14,7 +14,7 @@ from servo_twin.board import Board, SimulationError
 __all__ = ["MoveResult", "SimulationError", "enable", "keep_set_points", "move", "record", "time_axis"]
 
 _BOOT = 0.03  # reset to STOP [s]
-_SEARCH_MOST = 6.0  # rotor search of both axes [s]
+_SEARCH_MAX = 6.0  # rotor search of both axes [s]
 _STEP = 0.01  # between two looks at the state [s]
 
 
@@ -34,7 +34,7 @@ class MoveResult:
         From the command until the shaft stays within the tolerance [s]; None when it does not.
     steady_state : int
         Largest distance from the target over the last quarter of the recording [counts].
-    speed_most, i_q_most : float
+    speed_max, i_q_max : float
         Largest magnitudes on the way [rad/s], [A].
     """
 
@@ -44,8 +44,8 @@ class MoveResult:
     overshoot: int
     settling_time: float | None
     steady_state: int
-    speed_most: float
-    i_q_most: float
+    speed_max: float
+    i_q_max: float
 
 
 def time_axis(log: NDArray[np.void]) -> NDArray[np.float64]:
@@ -76,7 +76,7 @@ def enable(board: Board) -> NDArray[np.void]:
     board.run(_BOOT)
     board.write("cmd.enable", [1] * AXES)
     logs: list[NDArray[np.void]] = []
-    for _ in range(round(_SEARCH_MOST / _STEP)):
+    for _ in range(round(_SEARCH_MAX / _STEP)):
         logs.append(record(board, _STEP))
         last = logs[-1][-1]
         for axis in range(AXES):
@@ -86,7 +86,7 @@ def enable(board: Board) -> NDArray[np.void]:
         run = catalogue.enums["state_t"]["RUN"]
         if all(last[f"{axis_name(a)}.state"] == run and last[f"{axis_name(a)}.substate"] == spin for a in range(AXES)):
             return np.concatenate(logs)
-    raise SimulationError(f"an axis did not find its rotor within {_SEARCH_MOST:g} s")
+    raise SimulationError(f"an axis did not find its rotor within {_SEARCH_MAX:g} s")
 
 
 def move(

@@ -67,10 +67,10 @@ def test_both_levels_do_the_same_move() -> None:
             with Board(level=level, seed=seed) as board:
                 enable(board)
                 reached[level], _ = move(board, {0: 4000, 1: -2000}, 0.6)
-            currents[level].append([result.i_q_most for result in reached[level]])
+            currents[level].append([result.i_q_max for result in reached[level]])
         for registers, ideal in zip(reached["registers"], reached["ideal"], strict=True):
             assert abs(registers.reached - registers.target) <= 4
-            assert registers.speed_most == pytest.approx(ideal.speed_most, rel=0.03)
+            assert registers.speed_max == pytest.approx(ideal.speed_max, rel=0.03)
     mean = {level: np.mean(found, axis=0) for level, found in currents.items()}
     assert mean["registers"] == pytest.approx(mean["ideal"], rel=0.1)
 

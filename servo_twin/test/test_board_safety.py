@@ -199,7 +199,7 @@ def test_a_shaft_that_is_held_during_the_search_is_not_found_anywhere() -> None:
                 assert faults(board, 0) <= {"ROTOR_SEARCH", "STALLED"}
 
 
-BACK_MOST = 16
+BACK_MAX = 16
 """What is left of the speed at the end of a ramp [counts]; 12 at most of sixty boards."""
 
 
@@ -214,5 +214,5 @@ def test_a_stop_does_not_run_back(board: Board, i_q: float, acceleration: float)
     log = record(board, 3.0)
     for axis in (0, 1):
         position = log[f"axis{axis + 1}.position"].astype(np.int64)
-        assert position.max() - position[-1] <= BACK_MOST
+        assert position.max() - position[-1] <= BACK_MAX
         assert faults(board, axis) == set()

@@ -12,7 +12,7 @@ from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
 from servo_msgs_py.measurement.access import MeasurementError, Recording, send_configuration
 from servo_msgs_py.measurement.bode import Bode, measure
-from servo_msgs_py.measurement.bode_plan import LOOPS, Request
+from servo_msgs_py.measurement.bode_plan import LOOPS, BodeRequest
 from servo_msgs_py.measurement.bode_report import as_dict, draw, text
 from servo_msgs_py.measurement.test_signal import end_test_signal
 from servo_twin.board import Board
@@ -70,7 +70,7 @@ def test_a_loop_is_as_predicted(loop: str, axis: int, level: Level) -> None:
         board.run(0.1)
         access = VirtualBoardAccess(board)
         before = kept(access)
-        bode = measure(access, Request(axis, loop), enable=True)
+        bode = measure(access, BodeRequest(axis, loop), enable=True)
         refuse_difference(bode)
         assert bode.notes == ()
         assert kept(access) == before
@@ -84,7 +84,7 @@ def test_other_gains_and_the_speed_observer_are_predicted_too(access: VirtualBoa
     blocks = blocks_of_file(source, access.catalogue)
     block = read_block(access, 0)
     send_configuration(access, {0: AxisConfigTable.load().block(blocks[0])})
-    half = measure(access, Request(0, "speed"), enable=True)
+    half = measure(access, BodeRequest(0, "speed"), enable=True)
     refuse_difference(half)
     assert half.figures.crossover is not None
     assert half.figures.crossover.value < 50.0
@@ -92,7 +92,7 @@ def test_other_gains_and_the_speed_observer_are_predicted_too(access: VirtualBoa
     observer = access.catalogue.flag("features", "SPEED_OBSERVER").mask
     words = access.read("param.features")
     access.write("param.features", [words[0] + observer, words[1]])
-    observed = measure(access, Request(0, "position"), enable=True)
+    observed = measure(access, BodeRequest(0, "position"), enable=True)
     assert observed.prediction.observed
     refuse_difference(observed)
 
@@ -106,7 +106,7 @@ def test_an_enabled_axis_is_left_in_its_mode_at_rest() -> None:
         access.wait(0.2)
         before = kept(access)
         place = access.read("axis2.position")
-        refuse_difference(measure(access, Request(0, "speed", speed=60.0, repeats=3)))
+        refuse_difference(measure(access, BodeRequest(0, "speed", speed=60.0, repeats=3)))
         access.wait(0.2)
         assert kept(access) == before
         assert abs(access.read("axis1.speed")[0]) < 1.0
@@ -127,7 +127,7 @@ def test_an_interruption_brings_the_shaft_to_rest() -> None:
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            measure(access, Request(0, "position"), progress=progress)
+            measure(access, BodeRequest(0, "position"), progress=progress)
         assert abs(access.read("axis1.speed")[0]) < 1.0
         assert kept(access) == before
 
@@ -150,7 +150,7 @@ def test_a_load_on_an_axis_in_mode_torque_does_not_fall(access: VirtualBoardAcce
     access.board.set_load(0, 0.02)
     access.wait(1.0)
     said: list[str] = []
-    measure(access, Request(0, "speed", repeats=2), say=said.append)
+    measure(access, BodeRequest(0, "speed", repeats=2), say=said.append)
     start = access.board.truth(0).theta_m
     access.wait(0.5)
     assert access.board.truth(0).theta_m == pytest.approx(start, abs=0.05)
@@ -170,7 +170,7 @@ def test_the_other_axis_is_stopped_as_before_when_its_set_points_end(access: Vir
             access.write("cmd.speed", [20.0], 1)
         places.append(access.board.truth(1).theta_m)
 
-    measure(access, Request(0, "speed", repeats=2), progress=progress)
+    measure(access, BodeRequest(0, "speed", repeats=2), progress=progress)
     assert 5.0 < places[1] - places[0] < 20.0 * 0.6
     assert places[-1] == pytest.approx(places[1], abs=0.1)
 
@@ -178,24 +178,24 @@ def test_the_other_axis_is_stopped_as_before_when_its_set_points_end(access: Vir
 def test_what_the_limits_forbid_moves_nothing(access: VirtualBoardAccess) -> None:
     place = access.read("axis1.position")
     for request, why in (
-        (Request(0, "speed", speed=1000.0), "above the limit of axis1"),
-        (Request(0, "position", amplitude=400.0), "above the limit of axis1"),
-        (Request(0, "speed", amplitude=3.0), "too much for the limit of axis1"),
-        (Request(0, "current", amplitude=2.0), "too much for the limit of axis1"),
-        (Request(0, "current", speed=10.0), "without a speed"),
-        (Request(0, "speed", speed=50.0, way_max=5.0), "give a lower speed"),
-        (Request(0, "position", f_min=0.05), "give a higher lowest frequency"),
-        (Request(0, "speed", f_min=300.0, f_max=200.0), "the band 300 .. 200 Hz"),
-        (Request(0, "position", amplitude=280.0, f_min=300.0, f_max=700.0), "cmd.test_amplitude: 0.53"),
+        (BodeRequest(0, "speed", speed=1000.0), "above the limit of axis1"),
+        (BodeRequest(0, "position", amplitude=400.0), "above the limit of axis1"),
+        (BodeRequest(0, "speed", amplitude=3.0), "too much for the limit of axis1"),
+        (BodeRequest(0, "current", amplitude=2.0), "too much for the limit of axis1"),
+        (BodeRequest(0, "current", speed=10.0), "without a speed"),
+        (BodeRequest(0, "speed", speed=50.0, way_max=5.0), "give a lower speed"),
+        (BodeRequest(0, "position", f_min=0.05), "give a higher lowest frequency"),
+        (BodeRequest(0, "speed", f_min=300.0, f_max=200.0), "the band 300 .. 200 Hz"),
+        (BodeRequest(0, "position", amplitude=280.0, f_min=300.0, f_max=700.0), "cmd.test_amplitude: 0.53"),
     ):
         with pytest.raises(MeasurementError, match=why):
             measure(access, request, enable=True)
     access.write("param.feedback", [1.0], 0)
     with pytest.raises(MeasurementError, match="without its encoder"):
-        measure(access, Request(0, "speed"), enable=True)
+        measure(access, BodeRequest(0, "speed"), enable=True)
     access.write("param.feedback", [0.0], 0)
     with pytest.raises(MeasurementError, match="axis1 is not enabled"):
-        measure(access, Request(0, "speed"))
+        measure(access, BodeRequest(0, "speed"))
     assert access.read("axis1.position") == place
     assert access.read("cmd.enable") == [0.0, 0.0]
 
@@ -203,7 +203,7 @@ def test_what_the_limits_forbid_moves_nothing(access: VirtualBoardAccess) -> Non
 def test_a_current_loop_of_an_axis_with_a_holding_brake_is_refused(access: VirtualBoardAccess) -> None:
     fit(access.board, "brake")
     with pytest.raises(MeasurementError, match="axis1 has a holding brake"):
-        measure(access, Request(0, "current"), enable=True)
+        measure(access, BodeRequest(0, "current"), enable=True)
     assert access.read("cmd.enable") == [0.0, 0.0]
 
 
@@ -211,7 +211,7 @@ def test_a_current_loop_of_an_axis_with_a_holding_brake_is_refused(access: Virtu
 def test_a_voltage_at_its_limit_is_refused(access: VirtualBoardAccess, loop: str) -> None:
     access.board.set_plant("axis1.r_s", 8.0)
     with pytest.raises(MeasurementError, match="the voltage of axis1 reaches 1"):
-        measure(access, Request(0, loop, repeats=2), enable=True)
+        measure(access, BodeRequest(0, loop, repeats=2), enable=True)
     assert access.read("cmd.enable") == [0.0, 0.0]
 
 
@@ -229,11 +229,11 @@ def test_a_shaft_that_does_not_keep_its_speed_is_refused(access: VirtualBoardAcc
     slow = SlowHost(access.board)
     slow.factor = 4.0  # the trajectory ends before the sweep does
     with pytest.raises(MeasurementError, match=r"axis1 turned at .* instead of 31"):
-        measure(slow, Request(0, "position", repeats=2))
+        measure(slow, BodeRequest(0, "position", repeats=2))
     access.write("param.command_timeout", [0.2])
     slow.factor = 10.0
     with pytest.raises(MeasurementError, match=r"axis1 is held back\. EXPIRED: "):
-        measure(slow, Request(0, "speed", repeats=2))
+        measure(slow, BodeRequest(0, "speed", repeats=2))
     access.wait(0.2)
     assert abs(access.read("axis1.speed")[0]) < 1.0
 
@@ -268,7 +268,7 @@ class EndedSignal(VirtualBoardAccess):
 
 def test_a_test_signal_that_ends_early_is_refused(access: VirtualBoardAccess) -> None:
     with pytest.raises(MeasurementError, match="ended the test signal of axis1 before its time"):
-        measure(EndedSignal(access.board), Request(0, "speed", repeats=2), enable=True)
+        measure(EndedSignal(access.board), BodeRequest(0, "speed", repeats=2), enable=True)
     assert access.read("cmd.enable") == [0.0, 0.0]
 
 
@@ -277,14 +277,14 @@ def test_an_uncertainty_is_only_given_where_half_the_amplitude_confirms_it() -> 
     with Board(level="registers", seed=3) as board:
         board.run(0.1)
         access = VirtualBoardAccess(board)
-        small = measure(access, Request(0, "speed", amplitude=0.10, speed=60.0), enable=True)
+        small = measure(access, BodeRequest(0, "speed", amplitude=0.10, speed=60.0), enable=True)
         assert small.figures.crossover is not None
         assert not small.confirmed
         assert "+-" not in text(small)
         assert "not confirmed" in text(small)
         assert as_dict(small)["measured"]["crossover"]["sigma"] is None
         assert not as_dict(small)["confirmed"]
-        larger = measure(access, Request(0, "speed", amplitude=0.5, speed=60.0), enable=True)
+        larger = measure(access, BodeRequest(0, "speed", amplitude=0.5, speed=60.0), enable=True)
         assert larger.confirmed
         assert "+-" in text(larger)
         refuse_difference(larger)
@@ -296,7 +296,7 @@ def test_a_range_is_kept(access: VirtualBoardAccess) -> None:
     theta = [access.board.truth(0).theta_m]
     bode = measure(
         access,
-        Request(0, "speed", way_max=40.0, repeats=4),
+        BodeRequest(0, "speed", way_max=40.0, repeats=4),
         progress=lambda *_: theta.append(access.board.truth(0).theta_m),
     )
     assert 5.0 < bode.settings.speed < 40.0
@@ -308,24 +308,24 @@ def test_a_fault_and_an_axis_in_another_state_are_named(access: VirtualBoardAcce
     access.write("cmd.enable", [1.0], 0)
     access.wait(4.0)
     with pytest.raises(MeasurementError, match="disable the axis first"):
-        measure(access, Request(0, "current"), enable=True)
+        measure(access, BodeRequest(0, "current"), enable=True)
     access.write("cmd.mode", [1.0], 0)
     access.write("param.command_timeout", [0.0])
     access.write("cmd.speed", [50.0], 0)
     access.wait(0.3)
     with pytest.raises(MeasurementError, match="axis1 is in motion"):
-        measure(access, Request(0, "speed"))
+        measure(access, BodeRequest(0, "speed"))
     access.board.connect_encoder(0, False)
     access.wait(0.5)
     with pytest.raises(MeasurementError, match="axis1 has a fault"):
-        measure(access, Request(0, "speed"))
+        measure(access, BodeRequest(0, "speed"))
 
 
 def test_too_small_a_signal_is_noted_or_not_determined(access: VirtualBoardAccess, tmp_path: Path) -> None:
-    bode = measure(access, Request(0, "speed", amplitude=0.02, speed=100.0, repeats=2), enable=True)
+    bode = measure(access, BodeRequest(0, "speed", amplitude=0.02, speed=100.0, repeats=2), enable=True)
     assert "the M/T method has steps" in bode.notes[0]
     assert "note: " in text(bode)
-    tiny = measure(access, Request(0, "speed", amplitude=0.0005, speed=100.0, repeats=2), enable=True)
+    tiny = measure(access, BodeRequest(0, "speed", amplitude=0.0005, speed=100.0, repeats=2), enable=True)
     assert tiny.figures.crossover is None
     assert "not determined" in text(tiny)
     assert as_dict(tiny)["measured"]["crossover"] is None
@@ -347,7 +347,7 @@ def test_the_resonance_of_a_shaft_that_twists_is_found(level: Level) -> None:
     )
     with Board(plant, level=level, seed=3) as board:
         board.run(0.1)
-        bode = measure(VirtualBoardAccess(board), Request(0, "speed", amplitude=0.5), enable=True)
+        bode = measure(VirtualBoardAccess(board), BodeRequest(0, "speed", amplitude=0.5), enable=True)
     low, high = bode.figures.resonances
     assert low.frequency == pytest.approx(frequency, rel=0.05)
     assert high.frequency == pytest.approx(both, rel=0.05)

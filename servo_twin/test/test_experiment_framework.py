@@ -185,7 +185,7 @@ class TestCommand:
         assert "does not agree: bad: figure 1\n" in text
         rows = {row["name"]: row for row in json.loads((tmp_path / "levels.json").read_text())}
         assert rows["bad: figure 0"] == {
-            "name": "bad: figure 0", "unit": "rpm", "difference": 0.5, "difference_most": 1.0, "agrees": True,
+            "name": "bad: figure 0", "unit": "rpm", "difference": 0.5, "difference_max": 1.0, "agrees": True,
             "ideal": {"measured": 0.25, "bound": "<= 1", "agrees": True},
             "registers": {"measured": 0.75, "bound": "<= 1", "agrees": True},
         }  # fmt: skip

@@ -18,7 +18,7 @@ def test_stops_that_are_elsewhere_are_noticed(monkeypatch: pytest.MonkeyPatch) -
     zeros = homing._zeros
     monkeypatch.setattr(homing, "_zeros", lambda board: [zero + 10 * rig.COUNT for zero in zeros(board)])
     (first, second) = homing.contacts(PlantConfig.load(), 6, "steel", 0)
-    assert min(first.place, second.place) > homing.PLACE_MOST
+    assert min(first.place, second.place) > homing.PLACE_MAX
 
 
 def test_switches_that_are_elsewhere_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -51,7 +51,7 @@ def test_a_limit_cycle_is_seen(still: Recording) -> None:
     shape = TARGET + 2 * np.sign(np.sin(2.0 * np.pi * 10.0 * still.time))
     shape[0] = 0
     move = position.measure(moved(still, shape), TARGET, 0.0, SHAFT)
-    assert move.cycle > position.MOST_COUNTS
+    assert move.cycle > position.COUNTS_MAX
 
 
 def test_a_shaft_that_does_not_arrive_never_settles(still: Recording) -> None:

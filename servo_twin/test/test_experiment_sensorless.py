@@ -16,7 +16,7 @@ from servo_twin.experiments.outcome import Outcome
 from servo_twin.experiments.rig import TICK
 from servo_twin.experiments.sensorless import Trace, degrees
 from servo_twin.experiments.stall import variance_tells
-from servo_twin.experiments.start_up import CRITERION_MOST, draws, examine, many
+from servo_twin.experiments.start_up import CRITERION_MAX, draws, examine, many
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import HERE, Runner
 
@@ -126,7 +126,7 @@ def test_times_count_from_the_beginning_of_the_start_up() -> None:
     assert found.criterion is not None
     assert found.criterion == pytest.approx(100 * TICK)
     assert found.converged == pytest.approx(60 * TICK)
-    assert found.criterion < CRITERION_MOST
+    assert found.criterion < CRITERION_MAX
     never = examine(trace(np.zeros(160), substate=substates, angle=np.full(160, 2.0)), 5, 3)
     assert never.converged is None
     assert examine(trace(np.zeros(160), substate=np.where(substates == 3, 5, substates)), 5, 3).end == "no closed loop"

@@ -38,7 +38,7 @@ def test_limits_that_are_not_written_are_noticed(monkeypatch: pytest.MonkeyPatch
     plant = PlantConfig.load()
     for mode in ("SPEED", "TORQUE"):
         for run in soft_limits.turn(plant, 6, mode, soft_limits.SPEED_LIMIT):
-            assert np.abs(run.out.omega).max() > soft_limits.SPEED_MOST * soft_limits.SPEED_LIMIT
+            assert np.abs(run.out.omega).max() > soft_limits.SPEED_MAX * soft_limits.SPEED_LIMIT
     for run in soft_limits.push(plant, 6, soft_limits.CURRENT_LIMIT):
-        assert np.abs(run.out.i_q_true).max() > soft_limits.CURRENT_MOST * soft_limits.CURRENT_LIMIT
+        assert np.abs(run.out.i_q_true).max() > soft_limits.CURRENT_MAX * soft_limits.CURRENT_LIMIT
         assert run.named == 0.0

@@ -43,4 +43,4 @@ def test_a_late_fault_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench.of(PlantConfig.load(), 7)
     for axis, event in enumerate(supervision.BLOCKED.accidents(bench, True)):
         assert event.time is not None
-        assert event.time < supervision.blocked_most(bench, axis) < event.time + 0.004
+        assert event.time < supervision.blocked_max(bench, axis) < event.time + 0.004

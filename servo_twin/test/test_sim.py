@@ -23,7 +23,7 @@ def test_a_move_of_five_turns_arrives_without_overshoot(capsys: pytest.CaptureFi
         for result in figures["moves"]:
             assert result["target"] == 20000
             assert abs(result["reached"] - 20000) <= 2
-            assert result["speed_most"] < 315.0
+            assert result["speed_max"] < 315.0
             settling.append(result["settling_time"])
             beyond.append(result["overshoot"])
             resting.append(result["steady_state"])

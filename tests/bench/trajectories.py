@@ -14,7 +14,7 @@ from typing import Final, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_bridge.setpoints import JointSetPoint, Mode, Request
+from servo_bridge.setpoints import JointSetPoint, Mode, SetPointRequest
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.shapes import lissajous
 from servo_msgs_py.catalogue import AXES
@@ -59,7 +59,9 @@ def as_positions(world: PathWorld) -> Path:
     path = circle(world, world.now + 0.05)
     while world.now < path.end_time + 0.2:
         position = path.state(world.now).position
-        world.arbiter.submit(Request("bench", Mode.POSITION, {axis: float(x) for axis, x in enumerate(position)}))
+        world.arbiter.submit(
+            SetPointRequest("bench", Mode.POSITION, {axis: float(x) for axis, x in enumerate(position)})
+        )
         world.dispatcher.pump()
         world.run(SAMPLE_NS * 1e-9)
     return path

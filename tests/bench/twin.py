@@ -42,7 +42,7 @@ LOAD: Final = 0.09  # [N m]
 ROUNDS: Final = 30
 """Runs of each state, one state after the other: a machine that has others on it is slow for seconds at a time."""
 ATTEMPTS: Final = 3  # the best counts: others work on this machine, too
-IDLE_LEAST: Final = 0.9
+IDLE_MIN: Final = 0.9
 """Of the time that boards on their own cores could have had; with less, others have taken part of the machine."""
 THREADS: Final = (1, 2, 4)
 
@@ -170,7 +170,7 @@ def growth(boards: dict[str, dict[str, float]]) -> list[str]:
     single = boards["1"]["factor"]
     many = ", ".join(f"{n}: {each['factor']:.1f} (x {each['factor'] / single:.1f})" for n, each in boards.items())
     lines = [f"turning boards, one per thread, all together, by the clock on the wall: {many}"]
-    if min(each["had"] for each in boards.values()) < IDLE_LEAST:
+    if min(each["had"] for each in boards.values()) < IDLE_MIN:
         had = ", ".join(f"{n}: {each['had']:.0%}" for n, each in boards.items())
         lines.append(f"others work on this machine, so this says little; of their time the boards had {had}")
     return lines

@@ -23,7 +23,7 @@ from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Reco
 from servo_msgs_py.measurement.bode_plan import (
     SWEEP_PART,
     Band,
-    Request,
+    BodeRequest,
     Settings,
     completed,
     motion_text,
@@ -81,7 +81,7 @@ class Bode:
 
 def measure(
     access: BoardAccess,
-    request: Request,
+    request: BodeRequest,
     *,
     enable: bool = False,
     say: Callable[[str], None] = lambda _: None,
@@ -93,7 +93,7 @@ def measure(
     ----------
     access : BoardAccess
         The board.
-    request : Request
+    request : BodeRequest
         What to measure.
     enable : bool
         Enable the axis where it is not, and disable it afterwards.

@@ -19,8 +19,8 @@ from servo_msgs_py.measurement.test_signal import SweptSine, refuse_test_signal
 __all__ = [
     "LOOPS",
     "Band",
+    "BodeRequest",
     "Loop",
-    "Request",
     "Settings",
     "bands_of",
     "completed",
@@ -94,7 +94,7 @@ LOOPS: Final = {
 
 
 @dataclass(frozen=True)
-class Request:
+class BodeRequest:
     """What to measure.
 
     Attributes
@@ -137,7 +137,7 @@ class Settings:
     deceleration : float
         By which the shaft comes to rest afterwards [rad/s^2].
     others
-        As those of `Request`, without gaps.
+        As those of `BodeRequest`, without gaps.
     """
 
     axis: int
@@ -239,7 +239,7 @@ def bands_of(f_min: float, f_max: float, capacity: int, slow: bool) -> tuple[Ban
         top = bottom
 
 
-def completed(access: BoardAccess, request: Request) -> tuple[Settings, Prediction, tuple[Band, ...]]:
+def completed(access: BoardAccess, request: BodeRequest) -> tuple[Settings, Prediction, tuple[Band, ...]]:
     """What is measured, the prediction at its speed, and the sweeps."""
     axis, loop = request.axis, LOOPS[request.loop]
     prediction = predict(access, axis, loop.name, request.speed or 0.0)

@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 _STEPS: Final = 201  # values of i_d that are tried
-_MOST: Final = 1.0 - 2.0**-15
+_SHARE_MAX: Final = 1.0 - 2.0**-15
 _SPEEDS: Final = (0.6, 0.7, 0.8, 0.9, 1.0)  # of the rated speed, in the report
 
 
@@ -64,7 +64,9 @@ def field_weakening_constants(to: Converter) -> dict[str, Field]:
             INT16_Q8, "gain of field weakening", min(max(gain, 2.0**-8), 127.0), "correct motor.l_d"
         ),
         f"{group}.i_d_max": to.of(FRAC16, "largest i_d against the flux", i_d_max(axis) / s.i, "lower it"),
-        f"{group}.q_share": to.of(FRAC16, "i_q in the place of i_d", min(max(by_d / by_q, 2.0**-15), _MOST), "none"),
+        f"{group}.q_share": to.of(
+            FRAC16, "i_q in the place of i_d", min(max(by_d / by_q, 2.0**-15), _SHARE_MAX), "none"
+        ),
     }
 
 
@@ -125,8 +127,8 @@ class Reserve(NamedTuple):
     torque: float
 
 
-def reserve_at(motor: Motor, limit: float, speed: float, voltage: float, i_d_least: float) -> Reserve:
-    """The most torque at a speed: ``|u| <= voltage``, ``|i| <= limit`` and ``i_d_least <= i_d <= 0``.
+def reserve_at(motor: Motor, limit: float, speed: float, voltage: float, i_d_min: float) -> Reserve:
+    """The most torque at a speed: ``|u| <= voltage``, ``|i| <= limit`` and ``i_d_min <= i_d <= 0``.
 
     Parameters
     ----------
@@ -138,12 +140,12 @@ def reserve_at(motor: Motor, limit: float, speed: float, voltage: float, i_d_lea
         Mechanical [rad/s].
     voltage : float
         Longest stator voltage [V].
-    i_d_least : float
+    i_d_min : float
         At most 0 [A]; 0: without field weakening.
     """
     p, psi, r_s, l_d, l_q = motor.pole_pairs, motor.psi_m, motor.r_s, motor.l_d, motor.l_q
     omega = p * speed
-    d = np.linspace(min(i_d_least, 0.0), 0.0, _STEPS)
+    d = np.linspace(min(i_d_min, 0.0), 0.0, _STEPS)
     # (R i_d - w L_q i_q)^2 + (R i_q + w (psi + L_d i_d))^2 = u^2, for i_q
     a = r_s**2 + (omega * l_q) ** 2
     b = r_s * omega * (psi + (l_d - l_q) * d)
@@ -157,12 +159,12 @@ def reserve_at(motor: Motor, limit: float, speed: float, voltage: float, i_d_lea
     return Reserve(float(d[best]), float(q[best]), float(torque[best]))
 
 
-def top_speed(motor: Motor, limit: float, voltage: float, i_d_least: float, torque: Callable[[float], float]) -> float:
+def top_speed(motor: Motor, limit: float, voltage: float, i_d_min: float, torque: Callable[[float], float]) -> float:
     """Highest speed at which more than a torque is left, which may depend on the speed [rad/s], to 0.1 %."""
     low, high = 0.0, 2.0 * voltage / (motor.pole_pairs * motor.psi_m)
     while high - low > 1e-3 * high:
         middle = 0.5 * (low + high)
-        if reserve_at(motor, limit, middle, voltage, i_d_least).torque > torque(middle):
+        if reserve_at(motor, limit, middle, voltage, i_d_min).torque > torque(middle):
             low = middle
         else:
             high = middle

@@ -5,9 +5,9 @@
 
 #include "plant/trig.h"
 
-/* Sweeps of the complementarity solver; a step that needs more is as good as solved (the error shrinks by 4 each). */
-#define SWEEPS 40
-#define SETTLED 1e-9 /* [V] */
+/* Sweeps of the complementarity solver, each of which reduces the error to a quarter, and its tolerance. */
+#define SWEEPS_MAX 40
+#define TOLERANCE 1e-9 /* [V] */
 
 #define NUM double
 #define KERNEL(name) single_##name
@@ -20,16 +20,16 @@ void averaged_inverter_change(averaged_inverter_t *inverter, const plant_axis_t 
                               double step)
 {
     const double l = (config->l_d < config->l_q) ? config->l_d : config->l_q;
-    /* s(i) has the slope 1.5 / i_w at zero. Held constant over a step it must not carry a current past zero to more
-     * than a quarter of its mirror image: 1.5 E step / (L i_w) <= 1.25 with the error voltage E. */
-    const double reach = 1.2 * step / l;
-    inverter->dead = config->dead_time * pwm_frequency;
+    /* s(i) has the slope 1.5 / i_w at zero and is constant over a step. For a stable step a current must not cross zero by
+     * more than a quarter of its size: 1.5 E step / (L i_w) <= 1.25 with the error voltage E. */
+    const double per_error_volt = 1.2 * step / l;
+    inverter->dead_duty = config->dead_time * pwm_frequency;
     inverter->v_drop = config->v_drop;
     inverter->r_on = config->r_on;
     inverter->band_dead = config->dead_time / l;
     inverter->band_ripple = 1.0 / (6.0 * pwm_frequency * l);
-    inverter->floor_dead = reach * config->dead_time * pwm_frequency;
-    inverter->floor_drop = reach * config->v_drop + 1e-6;
+    inverter->floor_dead = per_error_volt * config->dead_time * pwm_frequency;
+    inverter->floor_drop = per_error_volt * config->v_drop + 1e-6;
 }
 
 void averaged_inverter_init(averaged_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency,
@@ -43,7 +43,7 @@ void averaged_inverter_load(averaged_inverter_t *inverter, const double duty[3],
 {
     for (int k = 0; k < 3; k++) {
         inverter->duty[k] = duty[k];
-        inverter->dead_leg[k] = (duty[k] > 0.0 && duty[k] < 1.0) ? inverter->dead : 0.0;
+        inverter->dead_leg[k] = (duty[k] > 0.0 && duty[k] < 1.0) ? inverter->dead_duty : 0.0;
     }
     const double high = larger(duty[0], larger(duty[1], duty[2]));
     const double low = -larger(-duty[0], larger(-duty[1], -duty[2]));
@@ -61,8 +61,8 @@ static void drive_legs(averaged_inverter_t *inverter, const plant_motor_t *motor
     }
 }
 
-/* Change of the phase currents by one volt for one step on each leg: h C+ L^-1 C, symmetric, singular in the common
- * mode. */
+/* Change of the phase currents per volt on each leg in a step of h seconds [A/V]: h C+ L^-1 C, symmetric, singular in the
+ * common mode. */
 static void admittance(const plant_motor_t *motor, double h, double a[3][3])
 {
     const double mean = 0.5 * (motor->inv_l_d + motor->inv_l_q);
@@ -87,10 +87,10 @@ static double change_of(const double row[3], const double v[3], const double bas
     return row[0] * (v[0] - base[0]) + row[1] * (v[1] - base[1]) + row[2] * (v[2] - base[2]);
 }
 
-/* What the terminals of the motor are tied to over a step: limits of their voltages, equal where the voltage is given. */
+/* Terminals of the motor in a step. */
 typedef struct {
-    int of[3]; /* terminal of a phase, named after the first phase that hangs on it */
-    double low[3], high[3];
+    int of[3]; /* terminal of a phase: the first phase connected to it */
+    double low[3], high[3]; /* limits of a terminal's voltage, equal if the voltage is given [V] */
 } terminals_t;
 
 static bool floats(const terminals_t *t, int n, const double v[3]) { return v[n] > t->low[n] && v[n] < t->high[n]; }
@@ -122,11 +122,11 @@ static void terminals_of(const averaged_inverter_t *inverter, double u_dc, termi
     }
 }
 
-/* Leg voltages within their limits such that the currents `i` + a (v - base) agree with the diodes; `v` is the first guess.
- * Projected Gauss-Seidel: each sweep is one exact minimisation along every terminal of a convex quadratic. */
+/* Find leg voltages within their limits for which the currents i + a (v - base) satisfy the complementarity conditions of the
+ * diodes; `v` holds the first estimate. Projected Gauss-Seidel: each sweep minimises a convex quadratic along every terminal. */
 static void solve_diodes(double a[3][3], const double i[3], const double base[3], const terminals_t *t, double v[3])
 {
-    for (int sweep = 0; sweep < SWEEPS; sweep++) {
+    for (int sweep = 0; sweep < SWEEPS_MAX; sweep++) {
         double moved = 0.0;
         for (int n = 0; n < 3; n++) {
             double current = 0.0;
@@ -137,7 +137,7 @@ static void solve_diodes(double a[3][3], const double i[3], const double base[3]
                     slope += a[k][k] + 2.0 * ((k != n) ? a[k][n] : 0.0);
                 }
             }
-            if (slope > 0.0) { /* a terminal of this name */
+            if (slope > 0.0) { /* a terminal has this number */
                 const double next = plant_limit(v[n] - current / slope, t->low[n], t->high[n]);
                 moved += fabs(next - v[n]);
                 for (int k = n; k < 3; k++) {
@@ -145,13 +145,13 @@ static void solve_diodes(double a[3][3], const double i[3], const double base[3]
                 }
             }
         }
-        if (moved < SETTLED) {
+        if (moved < TOLERANCE) {
             break;
         }
     }
 }
 
-/* Nothing flows through a terminal; two phases on it may still feed each other. */
+/* Set the current of a terminal to zero; two phases connected to it may still exchange a current. */
 static void cut_off(const terminals_t *t, int n, double i[3])
 {
     double sum = 0.0;
@@ -165,7 +165,7 @@ static void cut_off(const terminals_t *t, int n, double i[3])
     }
 }
 
-/* Currents after the correction v - base; a terminal that floats carries none. */
+/* Set the currents after the voltage correction v - base; a floating terminal carries none. */
 static void settle_currents(plant_motor_t *motor, double a[3][3], const double base[3], const double v[3],
                             const terminals_t *t)
 {
@@ -183,7 +183,7 @@ static void settle_currents(plant_motor_t *motor, double a[3][3], const double b
             cut_off(t, n, i);
         }
     }
-    if (conducting <= 1) { /* one terminal alone has no way back */
+    if (conducting <= 1) { /* a single terminal has no return path */
         cut_off(t, last, i);
     } else {
         i[last] = -(i[(last + 1) % 3] + i[(last + 2) % 3]); /* a floating leg stays exactly at zero */
@@ -193,13 +193,13 @@ static void settle_currents(plant_motor_t *motor, double a[3][3], const double b
 
 static bool all_zero(const plant_motor_t *motor) { return motor->i_d == 0.0 && motor->i_q == 0.0; }
 
-/* Open switches and no current: true if none begins, because there is a potential of the star point at which every
- * terminal is within its limits. */
+/* Open switches without current: true if none begins, since a star point potential exists at which every terminal is within
+ * its limits. Sets *star to it [V]. */
 static bool blocked(const averaged_inverter_t *inverter, const plant_motor_t *motor, const double emf[3], double u_dc,
                     const terminals_t *t, double *star)
 {
-    double least = -INFINITY;
-    double most = INFINITY;
+    double star_min = -INFINITY;
+    double star_max = INFINITY;
     if (inverter->on || !all_zero(motor)) {
         return false;
     }
@@ -207,20 +207,20 @@ static bool blocked(const averaged_inverter_t *inverter, const plant_motor_t *mo
         if (t->of[k] != k) { /* two phases in a loop */
             return motor->omega == 0.0;
         }
-        least = larger(least, t->low[k] - emf[k]);
-        most = -larger(-most, emf[k] - t->high[k]);
+        star_min = larger(star_min, t->low[k] - emf[k]);
+        star_max = -larger(-star_max, emf[k] - t->high[k]);
     }
-    *star = plant_limit(0.5 * u_dc, least, most);
-    return least <= most;
+    *star = plant_limit(0.5 * u_dc, star_min, star_max);
+    return star_min <= star_max;
 }
 
-/* What the motor gives and the diodes do not burn goes into the bus. Counting energy is right even where a current dies
- * within the step, because v is the mean of clamped and floating. */
-static void give_back(averaged_inverter_t *inverter, const double mean[3], double u_dc, double used,
-                      const terminals_t *t, double *charge)
+/* Charge returned to the bus: the motor's energy less the loss in the diodes. The energy balance is correct even if a current
+ * ends within the step, because v is the mean of the clamped and the floating voltage. */
+static void return_charge(averaged_inverter_t *inverter, const double mean[3], double u_dc, double used,
+                          const terminals_t *t, double *charge)
 {
     double energy = 0.0;
-    double most = 0.0; /* the upper diodes carry no more than this */
+    double charge_max = 0.0; /* of the upper diodes [A s] */
     for (int n = 0; n < 3; n++) {
         double current = 0.0;
         for (int k = n; k < 3; k++) {
@@ -229,14 +229,14 @@ static void give_back(averaged_inverter_t *inverter, const double mean[3], doubl
         const bool diodes = t->low[n] < t->high[n];
         inverter->share[n] = (diodes && current < 0.0) ? 1.0 : 0.0;
         energy += diodes ? (inverter->leg[n] * current + inverter->v_drop * fabs(current)) * used : 0.0;
-        most += (diodes && current < 0.0) ? -current * used : 0.0;
+        charge_max += (diodes && current < 0.0) ? -current * used : 0.0;
     }
     if (energy < 0.0) {
-        *charge += (-energy < most * u_dc) ? energy / u_dc : -most;
+        *charge += (-energy < charge_max * u_dc) ? energy / u_dc : -charge_max;
     }
 }
 
-/* Power that the phase currents burn in the switches or diodes that they go through. */
+/* Loss of the phase currents in switches and diodes [W]. */
 static double conduction_loss(const averaged_inverter_t *inverter, const double phase[3])
 {
     double power = 0.0;
@@ -246,7 +246,7 @@ static double conduction_loss(const averaged_inverter_t *inverter, const double 
     return power;
 }
 
-/* Six open switches, or a wire that is broken. */
+/* A step with open switches or broken wires. */
 static double limited_step(averaged_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt, double *charge)
 {
     double emf[3];
@@ -262,7 +262,7 @@ static double limited_step(averaged_inverter_t *inverter, plant_motor_t *motor, 
         }
         return plant_motor_coast(motor, dt);
     }
-    /* estimate the voltages from the beginning of the step, run the motor on them, then settle what is left over */
+    /* estimate the voltages from the state at the beginning, step the motor with them, then correct the rest */
     double a[3][3];
     double before[3];
     double base[3];
@@ -270,7 +270,7 @@ static double limited_step(averaged_inverter_t *inverter, plant_motor_t *motor, 
     for (int k = 0; k < 3; k++) {
         const int n = t.of[k];
         before[k] = motor->phase[k];
-        base[k] = emf[k]; /* at this voltage the currents only decay, slowly against the step */
+        base[k] = emf[k]; /* at this voltage the currents only decay, slowly compared with the step */
         v[k] = (inverter->open[k] || before[k] == 0.0) ? plant_limit(0.5 * u_dc + emf[n], t.low[n], t.high[n])
                : (before[k] > 0.0)                     ? t.low[n]
                                                        : t.high[n];
@@ -292,12 +292,12 @@ static double limited_step(averaged_inverter_t *inverter, plant_motor_t *motor, 
             *charge += inverter->share[k] * mean[k] * used;
         }
     } else {
-        give_back(inverter, mean, u_dc, used, &t, charge);
+        return_charge(inverter, mean, u_dc, used, &t, charge);
     }
     return used;
 }
 
-static void look_for_broken(averaged_inverter_t *inverter)
+static void update_broken(averaged_inverter_t *inverter)
 {
     inverter->broken =
         inverter->open[0] || inverter->open[1] || inverter->open[2] || inverter->short_from != PLANT_NO_SHORT;
@@ -305,7 +305,7 @@ static void look_for_broken(averaged_inverter_t *inverter)
 
 void averaged_inverter_open(averaged_inverter_t *inverter, plant_motor_t *motor, int phase, bool open)
 {
-    if (open && !inverter->open[phase]) { /* half of it had come in through each of the others */
+    if (open && !inverter->open[phase]) { /* the other two take half of its current each */
         double i[3] = {motor->phase[0], motor->phase[1], motor->phase[2]};
         i[(phase + 1) % 3] += 0.5 * i[phase];
         i[(phase + 2) % 3] += 0.5 * i[phase];
@@ -313,14 +313,14 @@ void averaged_inverter_open(averaged_inverter_t *inverter, plant_motor_t *motor,
         plant_motor_set_phases(motor, i[0], i[1]);
     }
     inverter->open[phase] = open;
-    look_for_broken(inverter);
+    update_broken(inverter);
 }
 
 void averaged_inverter_short(averaged_inverter_t *inverter, int phase, int to)
 {
     inverter->short_from = phase;
     inverter->short_to = to;
-    look_for_broken(inverter);
+    update_broken(inverter);
 }
 
 bool averaged_inverter_shorted(const averaged_inverter_t *inverter)
@@ -341,7 +341,7 @@ void averaged_inverter_plug(averaged_inverter_t *inverter, plant_motor_t *motor,
     }
 }
 
-/* Legs without a load. */
+/* A step with the motor cable disconnected. */
 static double unplugged_step(averaged_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt)
 {
     for (int k = 0; k < 3; k++) {
@@ -381,7 +381,7 @@ void averaged_inverter_voltages(const averaged_inverter_t *inverter, const plant
     }
 }
 
-/* What the leg gives to its phase; two that are shorted together give half of the sum each. */
+/* Current of a leg [A]; two that are shorted to each other carry half of the sum each. */
 static double leg_current(const averaged_inverter_t *inverter, const plant_motor_t *motor, int phase)
 {
     const int from = inverter->short_from;
@@ -397,7 +397,7 @@ double averaged_inverter_general_shunt(const averaged_inverter_t *inverter, cons
 {
     const double current = leg_current(inverter, motor, phase);
     if (!inverter->on) {
-        return (current > 0.0) ? current : 0.0; /* only the lower diode passes the shunt */
+        return (current > 0.0) ? current : 0.0; /* only the lower diode's current flows through the shunt */
     }
     return averaged_inverter_low_conducts(inverter, phase, low_side_centre) ? current : 0.0;
 }

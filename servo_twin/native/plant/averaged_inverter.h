@@ -1,25 +1,25 @@
-/* inverter.h - three half bridges, averaged over the half cycle in which the duties are constant.
+/* averaged_inverter.h - three-phase inverter, averaged over the half cycle of the PWM in which the duties are constant.
  *
  * Driven leg, duty d, current i into the motor, bus u (dead time t_d, PWM frequency f):
- *   d_eff = limit(d - t_d f s(i), 0, 1)    while 0 < d < 1: with both switches open during t_d the current chooses the
- *                                          diode, so one edge of each period comes t_d late or early; the mean error is
- *                                          t_d f u against the current. A pulse shorter than t_d is lost. A leg that
- *                                          never switches (d = 0 or 1) has no dead time.
- *   v     = d_eff u - V_drop s(i)          switch and diode drop the same; their resistance is part of the motor's
- *                                          circuit (plant_motor_t.r), being in series with the phase whatever conducts
- *   s(i)  = 1.5 x - 0.5 x^3, x = limit(i / i_w, -1, 1)   the sign, softened where the edges meet both signs
+ *   d_eff = limit(d - t_d f s(i), 0, 1)    while 0 < d < 1. In the dead time t_d the sign of the current selects the diode,
+ *                                          so one edge of each period is t_d late or early: the mean error is t_d f u
+ *                                          against the current. A pulse shorter than t_d is lost. A leg that does not
+ *                                          switch (d = 0 or 1) has no dead time.
+ *   v     = d_eff u - V_drop s(i)          switch and diode have the same drop; their resistance is in series with the
+ *                                          phase and part of the motor's circuit (plant_motor_t.r)
+ *   s(i)  = 1.5 x - 0.5 x^3, x = limit(i / i_w, -1, 1)   the sign, smoothed where the ripple takes both signs
  *   i_w   = u (t_d + m (1 - m) / (6 f)) / L,  m = d_max - d_min
- *           current that the bus builds up in the winding during a dead time (below it the phase clamps at zero) plus
- *           half the peak-to-peak ripple; never below what one step can follow (i_floor).
- * The bus delivers sum(d_eff i).
+ *           current that the bus builds up in the winding during a dead time (below it the phase clamps at zero) plus half the
+ *           peak-to-peak ripple; at least the value for which one step is stable (i_floor).
+ * The current drawn from the bus is sum(d_eff i).
  *
- * All switches open: a leg with current is clamped to the rail that its diode leads to, a leg without one floats
+ * All switches open (freewheeling): a leg with current is clamped to a rail by its diode, a leg without current floats
  * between -V_drop and u + V_drop. Over one step of length h the currents change by h L^-1 (C v + ...), so the three
  * leg voltages solve a box-constrained complementarity problem: at the lower limit i >= 0, at the upper one i <= 0,
- * between them i = 0. That includes conduction when the back-EMF exceeds the bus, and never overshoots zero.
+ * between them i = 0. This includes conduction when the back-EMF exceeds the bus, and currents never cross zero.
  *
- * Broken wires: a phase that is open carries no current, whatever that takes; one that touches bus minus stays there; two
- * that touch each other share one terminal. The same solver, with other limits and terminals.
+ * Broken wires: an open phase carries no current, at any voltage; a phase shorted to bus minus stays at 0 V; two phases
+ * shorted to each other share one terminal. The same solver applies, with other limits and terminals.
  */
 #ifndef PLANT_AVERAGED_INVERTER_H
 #define PLANT_AVERAGED_INVERTER_H
@@ -29,73 +29,72 @@
 #include "board.h"
 #include "plant/motor.h"
 
-#define PLANT_NO_SHORT (-2)
-#define PLANT_BUS_MINUS (-1)
+#define PLANT_NO_SHORT (-2) /* value of short_from */
+#define PLANT_BUS_MINUS (-1) /* value of short_to */
 
 typedef struct {
     /* parameters */
-    double dead;                    /* t_d f */
-    double v_drop;                  /* [V] */
-    double r_on;                    /* [ohm] */
-    double band_dead, band_ripple;  /* i_w = u (band_dead + band_ripple m (1 - m)) [A/V] */
-    double floor_dead, floor_drop;  /* i_floor = u floor_dead + floor_drop [A/V], [A] */
+    double dead_duty; /* t_d f [1] */
+    double v_drop; /* [V] */
+    double r_on; /* [ohm] */
+    double band_dead, band_ripple; /* i_w = u (band_dead + band_ripple m (1 - m)) [A/V] */
+    double floor_dead, floor_drop; /* i_floor = u floor_dead + floor_drop [A/V], [A] */
     /* state */
-    bool on;                        /* the switches follow the duties */
-    bool unplugged;                 /* the motor's cable is off */
-    bool broken;                    /* one of the following is the case */
-    bool open[3];                   /* the wire of the phase is broken */
-    int short_from,
-        short_to; /* phases that touch, or a phase and PLANT_BUS_MINUS; PLANT_NO_SHORT if there is no short */
-    double duty[3];
-    double dead_leg[3]; /* t_d f of the legs that switch */
-    double inv_i_w; /* [1/A] */
+    bool on; /* the switches follow the duties */
+    bool unplugged; /* motor cable */
+    bool broken; /* a phase is open or shorted */
+    bool open[3]; /* the wire of the phase is broken */
+    int short_from, short_to; /* shorted phase, and the other one or PLANT_BUS_MINUS; PLANT_NO_SHORT: none */
+    double duty[3]; /* 0..1 [1] */
+    double dead_leg[3]; /* t_d f of the legs that switch, 0 of the others [1] */
+    double inv_i_w; /* 1 / i_w [1/A] */
     /* of the last step */
     double leg[3]; /* leg voltage above the negative rail, without the resistive drop [V] */
-    double share[3]; /* part of each phase current that the bus delivers, 0..1 */
-    double heat; /* burnt in switches and diodes since it was taken last [J] */
+    double share[3]; /* d_eff: share of each phase current drawn from the bus, 0..1 [1] */
+    double heat; /* loss in switches and diodes since it was last set to 0 [J] */
 } averaged_inverter_t;
 
-/* `step` is the longest step taken [s]. */
+/* `pwm_frequency` [Hz]; `step` is the longest step taken [s]. */
 void averaged_inverter_init(averaged_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency,
                             double step);
 
-/* Other parameters from now on. */
+/* New parameters; the state is kept. */
 void averaged_inverter_change(averaged_inverter_t *inverter, const plant_axis_t *config, double pwm_frequency,
                               double step);
 
-/* Plug in the motor's cable, or pull it: the currents are gone at once. */
+/* Connect the motor cable, or disconnect it: the currents become zero at once. */
 void averaged_inverter_plug(averaged_inverter_t *inverter, plant_motor_t *motor, bool plugged);
 
-/* Break the wire of a phase, or mend it: its current is gone at once. */
+/* Open the wire of a phase, so that its current becomes zero at once, or close it. */
 void averaged_inverter_open(averaged_inverter_t *inverter, plant_motor_t *motor, int phase, bool open);
 
-/* A phase touches another, or bus minus; with PLANT_NO_SHORT there is no short any more. */
+/* Short a phase to another phase or to PLANT_BUS_MINUS; phase PLANT_NO_SHORT: remove the short. */
 void averaged_inverter_short(averaged_inverter_t *inverter, int phase, int to);
 
-/* True while the switches feed the short: its current rises within a microsecond beyond what the hardware allows. */
+/* True while the switches feed the short, whose current exceeds the comparator's threshold within a microsecond. */
 bool averaged_inverter_shorted(const averaged_inverter_t *inverter);
 
-/* New duties (0..1) at the beginning of a half cycle. */
+/* Load duties (0..1) at the beginning of a half cycle, at the bus voltage `u_dc` [V]. */
 void averaged_inverter_load(averaged_inverter_t *inverter, const double duty[3], double u_dc);
 
-/* One step of at most `dt` [s] of inverter and motor at bus voltage `u_dc`; returns the time that has passed and adds
- * the charge drawn from the bus to `charge` [A s]. */
+/* One step of at most `dt` [s] of inverter and motor at bus voltage `u_dc`; returns the length of the step [s] and
+ * adds the charge drawn from the bus to *charge [A s]. */
 double averaged_inverter_step(averaged_inverter_t *inverter, plant_motor_t *motor, double u_dc, double dt,
                               double *charge);
 
-/* The phases' voltages against the midpoint of the bus at the end of a step [V]. */
+/* Voltages of the phases against the midpoint of the bus at the end of a step [V]. */
 void averaged_inverter_voltages(const averaged_inverter_t *inverter, const plant_motor_t *motor, double u_dc,
                                 double voltage[3]);
 
-/* The switch of the other side takes the current away from the low one whenever it is on at all around a centre. */
+/* The lower half of a leg conducts at a centre of the PWM period unless the upper switch is on there. */
 static inline bool averaged_inverter_low_conducts(const averaged_inverter_t *inverter, int phase, bool low_side_centre)
 {
     const double share = inverter->share[phase];
     return low_side_centre ? share < 1.0 : share <= 0.0;
 }
 
-/* Current in the shunt of a phase at the centre of the low-side (or else the high-side) time: what the low switch or
- * its diode carries at that moment. The rare one is for switches that are open and for broken wires. */
+/* Current in the shunt of a phase at the centre of the low-side (or else the high-side) time [A]: that of the lower switch or
+ * diode. The general version is for open switches and broken wires. */
 double averaged_inverter_general_shunt(const averaged_inverter_t *inverter, const plant_motor_t *motor, int phase,
                                        bool low_side_centre);
 static inline double averaged_inverter_shunt(const averaged_inverter_t *inverter, const plant_motor_t *motor, int phase,

@@ -1,9 +1,9 @@
-/* decay.h - exponential approach without libm (see trig.h for why). */
+/* decay.h - exponential decay without libm, with the same bits on every processor (trig.h). */
 #ifndef PLANT_DECAY_H
 #define PLANT_DECAY_H
 
 /* 1 - exp(-x) for x >= 0, by its Taylor series on x / 2^k and the doubling 1 - (1 - y)^2. */
-static inline double plant_approach(double x)
+static inline double plant_one_minus_decay(double x)
 {
     int doublings = 0;
     while (x > 0.125 && doublings < 64) {
@@ -22,7 +22,7 @@ static inline double plant_approach(double x)
     return y;
 }
 
-/* exp(-x) for x >= 0. Squaring keeps the relative precision of what is small. */
+/* exp(-x) for x >= 0. Squaring preserves the relative precision of small values. */
 static inline double plant_decay(double x)
 {
     if (x > 700.0) {
@@ -33,7 +33,7 @@ static inline double plant_decay(double x)
         x *= 0.5;
         squares++;
     }
-    double y = 1.0 - plant_approach(x);
+    double y = 1.0 - plant_one_minus_decay(x);
     while (squares-- > 0) {
         y *= y;
     }

@@ -28,14 +28,14 @@ void plant_encoder_init(plant_encoder_t *encoder, const plant_axis_t *config)
 {
     *encoder = (plant_encoder_t){
         .edges_per_rad = config->encoder_lines * (4.0 / (2.0 * PLANT_PI)),
-        .alive = {true, true},
+        .connected = {true, true},
     };
     plant_encoder_change(encoder, config);
     encoder->edge = edges_at(encoder, config->theta_start);
 }
 
-/* Time from the beginning of the movement to the angle of an edge: the root of
- * theta_0 + omega_0 t + (omega_1 - omega_0) t^2 / (2 T) in the form that does not cancel. */
+/* Time from the beginning of the motion to the angle of an edge [ns]: root of
+ * theta_0 + omega_0 t + (omega_1 - omega_0) t^2 / (2 T) = theta in the form without cancellation. */
 static double time_to(const plant_movement_t *m, double theta)
 {
     const double seconds = m->duration_ns * 1e-9;
@@ -64,12 +64,11 @@ static void count_one(plant_encoder_t *encoder, bool upwards)
     }
 }
 
-/* Direction that the decoder gives an edge. Upwards A rises at 1, B at 2, A falls at 3, B at 4 (and 0). While the other
- * line stays low, A rising or B falling looks like a step upwards, A falling or B rising like one downwards; while it stays
- * high, the other way round. */
+/* Direction that the decoder finds for an edge. Upwards A rises at 1, B at 2, A falls at 3, B at 4 (and 0). With the other line
+ * stuck low, A rising or B falling is decoded as upwards, A falling or B rising as downwards; with it stuck high, vice versa. */
 static bool decoded_upwards(const plant_encoder_t *encoder, plant_line_t line, int64_t number, bool upwards)
 {
-    if (encoder->alive[PLANT_LINE_A] && encoder->alive[PLANT_LINE_B]) {
+    if (encoder->connected[PLANT_LINE_A] && encoder->connected[PLANT_LINE_B]) {
         return upwards;
     }
     const bool rises_upwards = ((number & 2) != 0) == (line == PLANT_LINE_B);
@@ -93,8 +92,8 @@ PLANT_COLD double plant_encoder_eccentric(const plant_encoder_t *encoder, double
     return theta + encoder->eccentricity * sine;
 }
 
-/* How an eccentric disc moves with the shaft. */
-static PLANT_COLD plant_movement_t seen_from_disc(const plant_encoder_t *encoder, const plant_movement_t *movement)
+/* Motion of an eccentric disc. */
+static PLANT_COLD plant_movement_t motion_of_disc(const plant_encoder_t *encoder, const plant_movement_t *movement)
 {
     plant_movement_t disc = *movement;
     double sine;
@@ -113,7 +112,7 @@ static void latch(plant_encoder_t *encoder, const plant_movement_t *movement, ui
     const double theta = (double)(number - encoder->slipped) / encoder->edges_per_rad;
     double t;
     if (encoder->eccentric) {
-        const plant_movement_t disc = seen_from_disc(encoder, movement);
+        const plant_movement_t disc = motion_of_disc(encoder, movement);
         t = movement->start_ns + time_to(&disc, theta);
     } else {
         t = movement->start_ns + time_to(movement, theta);
@@ -121,9 +120,9 @@ static void latch(plant_encoder_t *encoder, const plant_movement_t *movement, ui
     latch_at(encoder, reference_ns + (uint64_t)t);
 }
 
-/* One edge after another. */
-static void move_slowly(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns,
-                        int64_t target)
+/* Edge by edge. */
+static void move_edge_by_edge(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns,
+                              int64_t target)
 {
     while (encoder->edge != target) {
         const bool upwards = target > encoder->edge;
@@ -132,7 +131,7 @@ static void move_slowly(plant_encoder_t *encoder, const plant_movement_t *moveme
         const bool b_edge = (number & 1) == 0;
         encoder->edge += upwards ? 1 : -1;
         const plant_line_t line = b_edge ? PLANT_LINE_B : PLANT_LINE_A;
-        if (!encoder->alive[line]) {
+        if (!encoder->connected[line]) {
             continue;
         }
         if (b_edge) {
@@ -145,8 +144,8 @@ static void move_slowly(plant_encoder_t *encoder, const plant_movement_t *moveme
     }
 }
 
-/* All edges at once: both lines alive, and no compare value among the counts. */
-static inline void move_quickly(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns,
+/* All edges at once, with both lines connected and no compare value among the counts. */
+static inline void move_at_once(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns,
                                 int64_t edges)
 {
     const bool upwards = edges > 0;
@@ -174,10 +173,10 @@ static PLANT_NOINLINE void move_to(plant_encoder_t *encoder, int64_t target, con
     const int64_t count = (int16_t)encoder->count + edges;
     const int16_t compare = (int16_t)((edges > 0) ? COMPARE_UP : COMPARE_DOWN);
     const bool within = (edges > 0) ? count < compare : count > compare;
-    if (within && encoder->alive[PLANT_LINE_A] && encoder->alive[PLANT_LINE_B]) {
-        move_quickly(encoder, movement, reference_ns, edges);
+    if (within && encoder->connected[PLANT_LINE_A] && encoder->connected[PLANT_LINE_B]) {
+        move_at_once(encoder, movement, reference_ns, edges);
     } else {
-        move_slowly(encoder, movement, reference_ns, target);
+        move_edge_by_edge(encoder, movement, reference_ns, target);
     }
 }
 
@@ -193,8 +192,8 @@ void plant_encoder_count(plant_encoder_t *encoder, double theta)
 
 void plant_encoder_connect(plant_encoder_t *encoder, bool connected, double theta)
 {
-    encoder->alive[PLANT_LINE_A] = connected;
-    encoder->alive[PLANT_LINE_B] = connected;
+    encoder->connected[PLANT_LINE_A] = connected;
+    encoder->connected[PLANT_LINE_B] = connected;
     encoder->stuck[PLANT_LINE_A] = false;
     encoder->stuck[PLANT_LINE_B] = false;
     encoder->edge = edges_at(encoder, theta);
@@ -202,7 +201,7 @@ void plant_encoder_connect(plant_encoder_t *encoder, bool connected, double thet
 
 void plant_encoder_stick(plant_encoder_t *encoder, plant_line_t line, bool stuck, bool level)
 {
-    encoder->alive[line] = !stuck;
+    encoder->connected[line] = !stuck;
     encoder->stuck[line] = level;
 }
 
@@ -210,10 +209,10 @@ void plant_encoder_slip(plant_encoder_t *encoder, int edges) { encoder->slipped 
 
 void plant_encoder_glitch(plant_encoder_t *encoder, plant_line_t line, uint64_t now_ns)
 {
-    if (!encoder->alive[line]) {
+    if (!encoder->connected[line]) {
         return;
     }
-    /* the next edge upwards is on B where the position is odd: a change of that line looks like it */
+    /* the next edge upwards is on B at odd positions, so a change of that line is decoded as upwards */
     const bool upwards = ((encoder->edge & 1) != 0) == (line == PLANT_LINE_B);
     const bool b_edge = line == PLANT_LINE_B;
     encoder->oflag = encoder->oflag && !b_edge;

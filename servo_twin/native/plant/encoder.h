@@ -1,14 +1,14 @@
-/* encoder.h - incremental encoder and the quad timer that listens to it (DRM 2.4, F10-F19), one per axis.
+/* encoder.h - incremental encoder with the quad timer that decodes it (DRM 2.4, F10-F19), one per axis, for the averaged plant.
  *
  * A leads B in positive direction; there are `lines` periods per turn and four edges per period, every other one on B.
- * Which absolute angle the first edge has is unknown to the firmware: the counter begins at 0 wherever the rotor is.
+ * The counter starts at 0 at any rotor angle: the firmware does not know the absolute angle.
  *
- *   TMRx0  counts every edge; a count that reaches COMP1 = 3999 upwards or COMP2 = -3999 downwards is a compare match,
- *          and the *next* count in the same direction loads 0.
- *   OFLAG  set by the match, cleared by the next B edge. Its rising edge clocks TMRx2. So a shaft that touches the compare
- *          value and turns back makes an index pulse without a turn.
+ *   TMRx0  counts every edge; reaching COMP1 = 3999 upwards or COMP2 = -3999 downwards is a compare match; the *next*
+ *          count in the same direction loads 0.
+ *   OFLAG  set by the match, cleared by the next B edge. Its rising edge clocks TMRx2, so a shaft that reverses at the
+ *          compare value gives an index pulse without a full turn.
  *   TMRx0/1 capture count and time on a B edge; the flag IEF blocks further captures until software clears it.
- *   TMRx3  time since the last latched edge; too long for 16 bits stays so until the next latched edge.
+ *   TMRx3  time since the last latched edge; after an overflow of 16 bits it stays invalid until the next latched edge.
  */
 #ifndef PLANT_ENCODER_H
 #define PLANT_ENCODER_H
@@ -22,45 +22,45 @@
 
 typedef enum { PLANT_LINE_A, PLANT_LINE_B, PLANT_ENCODER_LINES } plant_line_t;
 
-/* The disc may be off the shaft's centre, which then turns by theta + a sin(theta + phase), a < 1: edges keep their order. */
+/* An eccentric disc is at theta + a sin(theta + phase), a < 1, so the edges keep their order. */
 typedef struct {
-    double edges_per_rad; /* negative: A and B are swapped */
-    bool alive[PLANT_ENCODER_LINES]; /* lines that still switch */
-    bool stuck[PLANT_ENCODER_LINES]; /* level of one that does not */
-    bool eccentric; /* the disc */
-    int64_t edge;        /* edges passed since angle 0 */
-    int64_t slipped;     /* of these by the disc alone */
-    uint16_t count;      /* TMRx0 */
-    uint16_t index;      /* TMRx2 */
-    bool oflag;
-    bool armed;          /* IEF is clear: the next B edge is latched */
-    bool latched;        /* an edge waits for the interrupt's software */
-    uint16_t captured_count;
-    uint64_t captured_ns;
-    double eccentricity, phase; /* of the disc: a, phase [rad] */
+    double edges_per_rad; /* negative: A and B are swapped [1/rad] */
+    bool connected[PLANT_ENCODER_LINES]; /* lines that switch */
+    bool stuck[PLANT_ENCODER_LINES]; /* level of a line that does not switch */
+    bool eccentric; /* the disc is */
+    int64_t edge; /* edges passed since angle 0 */
+    int64_t slipped; /* of these by a slip of the disc */
+    uint16_t count; /* TMRx0 */
+    uint16_t index; /* TMRx2 */
+    bool oflag; /* output of TMRx0 */
+    bool armed; /* IEF is clear: the next B edge is latched */
+    bool latched; /* an edge has not been read yet */
+    uint16_t captured_count; /* at the latched edge [counts] */
+    uint64_t captured_ns; /* time of the latched edge [ns] */
+    double eccentricity, phase; /* of the disc: a [rad], phase [rad] */
 } plant_encoder_t;
 
-/* Movement of the shaft over one step; the speed in between is taken as linear. */
+/* Motion of the shaft over one step, with a speed linear in time. */
 typedef struct {
     double theta_0, theta_1; /* [rad] */
     double omega_0, omega_1; /* [rad/s] */
-    double start_ns;         /* since the step's own reference time */
-    double duration_ns;
+    double start_ns; /* since the reference time of the step [ns] */
+    double duration_ns; /* [ns] */
 } plant_movement_t;
 
 void plant_encoder_init(plant_encoder_t *encoder, const plant_axis_t *config);
 
-/* The disc is off its centre by another amount; its edges pass with the next movement. */
+/* New eccentricity of the disc; its edges pass at the next motion. */
 void plant_encoder_change(plant_encoder_t *encoder, const plant_axis_t *config);
 
-/* Where the disc is with the shaft at `theta`. Any disc, and one that may be centred. */
+/* Angle of the disc with the shaft at `theta` [rad]: of an eccentric one, of any one. */
 double plant_encoder_eccentric(const plant_encoder_t *encoder, double theta);
 static inline double plant_encoder_disc(const plant_encoder_t *encoder, double theta)
 {
     return encoder->eccentric ? plant_encoder_eccentric(encoder, theta) : theta;
 }
 
-/* True if the shaft at `theta` is past an edge that has not been counted yet. */
+/* True if the shaft at `theta` has passed an edge that is not counted yet. */
 static inline bool plant_encoder_leaves(const plant_encoder_t *encoder, double theta)
 {
     const double x =
@@ -68,34 +68,34 @@ static inline bool plant_encoder_leaves(const plant_encoder_t *encoder, double t
     return x < 0.0 || x >= 1.0;
 }
 
-/* Follow the shaft; `reference_ns` is the simulated time that start_ns refers to. */
+/* Follow the shaft; `reference_ns` is the simulated time to which start_ns refers. */
 void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns);
 
-/* The same for an encoder that is not armed: no edge is captured, and only where the shaft ends matters. */
+/* The same for an encoder that is not armed: no edge is captured, so only the final angle is needed. */
 void plant_encoder_count(plant_encoder_t *encoder, double theta);
 
-/* Lines alive or dead; a dead encoder counts nothing, and what it missed is lost. */
+/* Connect or disconnect both lines. A disconnected encoder does not count; edges missed are lost. */
 void plant_encoder_connect(plant_encoder_t *encoder, bool connected, double theta);
 
-/* One line stays at a level, or follows the shaft again: of the edges on the other, which one comes last is all that the
- * decoder can tell. */
+/* Stick one line at a level, or release it. The decoder then counts the edges of the other line alternately up and down. */
 void plant_encoder_stick(plant_encoder_t *encoder, plant_line_t line, bool stuck, bool level);
 
-/* The disc turns on the shaft: so many edges pass with the next movement, or without one. */
+/* Slip of the disc on the shaft by so many edges, which pass at the next step. */
 void plant_encoder_slip(plant_encoder_t *encoder, int edges);
 
-/* A short pulse on a line: one count there and back, and on B an edge to capture. */
+/* Short pulse on a line: one count forwards and back, and on B an edge to capture. */
 void plant_encoder_glitch(plant_encoder_t *encoder, plant_line_t line, uint64_t now_ns);
 
-/* A and B swapped: from here on it counts the other way. */
+/* Swap A and B: the direction of counting changes. */
 void plant_encoder_reverse(plant_encoder_t *encoder, double theta);
 
-/* The timers after a reset of the chip. */
+/* Reset of the timers. */
 void plant_encoder_restart(plant_encoder_t *encoder);
 
+/* Arm the capture of the next edge on B. */
 void plant_encoder_arm(plant_encoder_t *encoder);
 
-/* True once per latched edge. */
+/* Read a latched edge: count, and time in ticks of PLANT_ENCODER_TICK_NS. True once per edge. */
 bool plant_encoder_take(plant_encoder_t *encoder, uint16_t *count, uint16_t *time);
 
 /* TMRx3 in ticks, saturated at 0x10000. */

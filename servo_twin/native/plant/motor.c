@@ -24,7 +24,7 @@ static void refresh(plant_motor_t *motor)
     plant_motor_count_step(motor);
 }
 
-/* Inductances at these currents, with the fluxes that belong to them. */
+/* Inductances at the present currents, whose fluxes these are [V s]. */
 static void set_inductances(plant_motor_t *m, double flux_d, double flux_q)
 {
     m->l_d = (m->i_d != 0.0) ? flux_d / m->i_d : m->iron_d.l;
@@ -34,7 +34,7 @@ static void set_inductances(plant_motor_t *m, double flux_d, double flux_q)
     m->torque_l = 1.5 * m->pole_pairs * (m->l_d - m->l_q);
 }
 
-static void saturate(plant_motor_t *m)
+static void update_saturation(plant_motor_t *m)
 {
     if (m->saturates) {
         set_inductances(m, saturation_flux(m->iron_d, m->i_d), saturation_flux(m->iron_q, m->i_q));
@@ -58,7 +58,7 @@ void plant_motor_change(plant_motor_t *motor, const plant_axis_t *config)
     motor->iron_d = saturation_of(config->l_d, config->i_saturation_d);
     motor->iron_q = saturation_of(config->l_q, config->i_saturation_q);
     motor->saturates = config->i_saturation_d > 0.0 || config->i_saturation_q > 0.0;
-    saturate(motor);
+    update_saturation(motor);
 }
 
 void plant_motor_warm(plant_motor_t *motor, double r_s, double r_on, double psi_m)
@@ -82,51 +82,53 @@ void plant_motor_init(plant_motor_t *motor, const plant_axis_t *config)
     plant_motor_refresh(motor);
 }
 
-/* Stator voltage seen from the rotor. */
-static single_vector_t seen_from_rotor(const plant_motor_t *m, plant_vector_t u)
+/* Stator voltage in the rotor reference frame. */
+static single_vector_t to_rotor(const plant_motor_t *m, plant_vector_t u)
 {
     const single_vector_t v = {u.alpha * m->cosine + u.beta * m->sine, u.beta * m->cosine - u.alpha * m->sine};
     return v;
 }
 
-/* State of a motor whose iron saturates, or the rates of it: fluxes of the currents, speed, angle. */
+/* State of a motor with saturated iron, or its derivatives: flux of the currents [V s], speed [rad/s], rotation since the
+ * beginning of the step [rad]. */
 typedef struct {
     double flux_d, flux_q, omega, way;
-} iron_state_t;
+} saturated_state_t;
 
-static iron_state_t iron_sum(iron_state_t x, double h, iron_state_t rate)
+static saturated_state_t saturated_sum(saturated_state_t x, double h, saturated_state_t rate)
 {
-    return (iron_state_t){x.flux_d + h * rate.flux_d, x.flux_q + h * rate.flux_q, x.omega + h * rate.omega,
-                          x.way + h * rate.way};
+    return (saturated_state_t){x.flux_d + h * rate.flux_d, x.flux_q + h * rate.flux_q, x.omega + h * rate.omega,
+                               x.way + h * rate.way};
 }
 
-/* Rates under the voltage u, seen from the rotor at the beginning. */
-static iron_state_t iron_rate(const plant_motor_t *m, single_vector_t u, double direction, iron_state_t x)
+/* Derivatives at the voltage u in the rotor reference frame at the beginning. */
+static saturated_state_t saturated_rate(const plant_motor_t *m, single_vector_t u, double direction,
+                                        saturated_state_t x)
 {
-    const single_vector_t v = single_turned_back(u, single_small_angle(m->pole_pairs * x.way));
+    const single_vector_t v = single_rotate_back(u, single_small_angle(m->pole_pairs * x.way));
     const double i_d = saturation_current(m->iron_d, x.flux_d);
     const double i_q = saturation_current(m->iron_q, x.flux_q);
     const double w = m->pole_pairs * x.omega;
     const double psi_d = m->psi_m + x.flux_d;
     const double torque = 1.5 * m->pole_pairs * (psi_d * i_q - x.flux_q * i_d);
     const double drag = m->load + direction * m->friction + m->viscous * x.omega;
-    return (iron_state_t){v.alpha - m->r * i_d + w * x.flux_q, v.beta - m->r * i_q - w * psi_d,
-                          direction * direction * (torque - drag) * m->inv_inertia, x.omega};
+    return (saturated_state_t){v.alpha - m->r * i_d + w * x.flux_q, v.beta - m->r * i_q - w * psi_d,
+                               direction * direction * (torque - drag) * m->inv_inertia, x.omega};
 }
 
-/* Runge-Kutta 4 of the fluxes; `direction` 0: the shaft stands. */
-static PLANT_COLD void turn_iron(plant_motor_t *m, plant_vector_t u, double h, double direction)
+/* Runge-Kutta step of the fluxes; `direction` 0: standstill. */
+static PLANT_COLD void step_saturated(plant_motor_t *m, plant_vector_t u, double h, double direction)
 {
-    const single_vector_t v = seen_from_rotor(m, u);
-    const iron_state_t x = {saturation_flux(m->iron_d, m->i_d), saturation_flux(m->iron_q, m->i_q),
-                            (direction != 0.0) ? m->omega : 0.0, 0.0};
-    const iron_state_t k1 = iron_rate(m, v, direction, x);
-    const iron_state_t k2 = iron_rate(m, v, direction, iron_sum(x, 0.5 * h, k1));
-    const iron_state_t k3 = iron_rate(m, v, direction, iron_sum(x, 0.5 * h, k2));
-    const iron_state_t k4 = iron_rate(m, v, direction, iron_sum(x, h, k3));
-    const iron_state_t middle = iron_sum(k2, 1.0, k3);
-    const iron_state_t mean = iron_sum(iron_sum(k1, 1.0, k4), 2.0, middle);
-    const iron_state_t end = iron_sum(x, h * (1.0 / 6.0), mean);
+    const single_vector_t v = to_rotor(m, u);
+    const saturated_state_t x = {saturation_flux(m->iron_d, m->i_d), saturation_flux(m->iron_q, m->i_q),
+                                 (direction != 0.0) ? m->omega : 0.0, 0.0};
+    const saturated_state_t k1 = saturated_rate(m, v, direction, x);
+    const saturated_state_t k2 = saturated_rate(m, v, direction, saturated_sum(x, 0.5 * h, k1));
+    const saturated_state_t k3 = saturated_rate(m, v, direction, saturated_sum(x, 0.5 * h, k2));
+    const saturated_state_t k4 = saturated_rate(m, v, direction, saturated_sum(x, h, k3));
+    const saturated_state_t middle = saturated_sum(k2, 1.0, k3);
+    const saturated_state_t mean = saturated_sum(saturated_sum(k1, 1.0, k4), 2.0, middle);
+    const saturated_state_t end = saturated_sum(x, h * (1.0 / 6.0), mean);
     const single_vector_t e = single_small_angle(m->pole_pairs * end.way);
     const double cosine = m->cosine;
     m->cosine = cosine * e.alpha - m->sine * e.beta;
@@ -138,11 +140,11 @@ static PLANT_COLD void turn_iron(plant_motor_t *m, plant_vector_t u, double h, d
     set_inductances(m, end.flux_d, end.flux_q);
 }
 
-/* The turning motor, friction against `direction`. */
-static void turn(plant_motor_t *m, plant_vector_t u, double h, double direction)
+/* Runge-Kutta step of the rotating motor; friction acts against `direction`. */
+static void step_rotating(plant_motor_t *m, plant_vector_t u, double h, double direction)
 {
     if (m->saturates) {
-        turn_iron(m, u, h, direction);
+        step_saturated(m, u, h, direction);
         return;
     }
     const double per_l_d = 0.5 * h * m->inv_l_d;
@@ -164,7 +166,7 @@ static void turn(plant_motor_t *m, plant_vector_t u, double h, double direction)
     };
     single_state_t x = {m->i_d, m->i_q, m->omega};
     single_vector_t e;
-    m->theta += single_runge_kutta(&step, seen_from_rotor(m, u), h, &x, &e);
+    m->theta += single_runge_kutta(&step, to_rotor(m, u), h, &x, &e);
     m->i_d = x.i_d;
     m->i_q = x.i_q;
     m->omega = x.omega;
@@ -173,25 +175,25 @@ static void turn(plant_motor_t *m, plant_vector_t u, double h, double direction)
     m->sine = m->sine * e.alpha + cosine * e.beta;
 }
 
-/* The shaft stands: two separate R-L circuits, whose Runge-Kutta 4 step is a polynomial in h R / L. */
+/* At standstill d and q are separate R-L circuits, whose Runge-Kutta 4 step is a polynomial in h R / L. */
 static double relax(double i, double i_end, double x)
 {
     return i_end + (i - i_end) * (1.0 - x * (1.0 - x * (0.5 - x * ((1.0 / 6.0) - x * (1.0 / 24.0)))));
 }
 
-static void stand(plant_motor_t *m, plant_vector_t u, double h)
+static void step_standing(plant_motor_t *m, plant_vector_t u, double h)
 {
     if (m->saturates) {
-        turn_iron(m, u, h, 0.0);
+        step_saturated(m, u, h, 0.0);
         return;
     }
-    const single_vector_t v = seen_from_rotor(m, u);
+    const single_vector_t v = to_rotor(m, u);
     m->i_d = relax(m->i_d, v.alpha * m->inv_r, h * m->r * m->inv_l_d);
     m->i_q = relax(m->i_q, v.beta * m->inv_r, h * m->r * m->inv_l_q);
 }
 
-/* Open windings: the shaft alone, exact to second order in h B / J. */
-static void coast(plant_motor_t *m, double h, double direction)
+/* The shaft without current, exact to second order in h B / J. */
+static void step_coasting(plant_motor_t *m, double h, double direction)
 {
     const double start = m->omega;
     const double rate = -(m->load + direction * m->friction + m->viscous * start) * m->inv_inertia;
@@ -199,7 +201,7 @@ static void coast(plant_motor_t *m, double h, double direction)
     m->theta += 0.5 * h * (start + m->omega);
 }
 
-/* Direction of motion during the next step; 0 when the shaft stays where it is. */
+/* Direction of motion during the next step; 0: standstill. */
 static double direction_of(plant_motor_t *m, double torque)
 {
     if (m->locked) {
@@ -219,18 +221,18 @@ static double direction_of(plant_motor_t *m, double torque)
     return (drive < -m->friction && m->theta > m->low) ? -1.0 : 0.0;
 }
 
-/* What the shaft meets at an end stop takes its speed; within a step, where exactly does not matter. */
-static void stop(plant_motor_t *m)
+/* An inelastic end stop stops the shaft; the exact instant within the step is neglected. */
+static void apply_end_stops(plant_motor_t *m)
 {
     if (m->theta < m->low || m->theta > m->high) {
         m->theta = (m->theta < m->low) ? m->low : m->high;
         m->omega = 0.0;
-        m->steps = PLANT_FRESH_TRIG; /* the angle has moved without sine and cosine */
+        m->steps = PLANT_FRESH_TRIG; /* evaluate sine and cosine at the next step */
     }
 }
 
-/* The shaft stopped within `dt`, having begun as in `before`: go to that moment, found by false position. */
-static double turn_until_stop(plant_motor_t *m, plant_vector_t u, double dt, double direction,
+/* The shaft stops within `dt` after the state `before`: step to that instant, found by regula falsi. */
+static double step_until_stop(plant_motor_t *m, plant_vector_t u, double dt, double direction,
                               const plant_motor_t *before)
 {
     double early = 0.0;
@@ -241,7 +243,7 @@ static double turn_until_stop(plant_motor_t *m, plant_vector_t u, double dt, dou
     for (int i = 0; i < 3; i++) {
         used = early + (late - early) * (omega_early / (omega_early - omega_late));
         *m = *before;
-        turn(m, u, used, direction);
+        step_rotating(m, u, used, direction);
         if (m->omega * direction < 0.0) {
             late = used;
             omega_late = m->omega;
@@ -258,23 +260,23 @@ double plant_motor_step(plant_motor_t *motor, plant_vector_t u, double dt)
 {
     const double direction = direction_of(motor, plant_motor_torque(motor));
     if (direction == 0.0) {
-        stand(motor, u, dt);
+        step_standing(motor, u, dt);
         refresh(motor);
         return dt;
     }
     const plant_motor_t before = *motor;
     double used = dt;
-    turn(motor, u, dt, direction);
+    step_rotating(motor, u, dt, direction);
     if (motor->omega * direction < 0.0) {
         if (before.omega != 0.0) {
-            used = turn_until_stop(motor, u, dt, direction, &before);
-        } else { /* the torque that broke it loose is gone within the step: it never left */
+            used = step_until_stop(motor, u, dt, direction, &before);
+        } else { /* the torque that exceeded friction vanishes within the step: no motion */
             *motor = before;
             motor->omega = 0.0;
-            stand(motor, u, dt);
+            step_standing(motor, u, dt);
         }
     }
-    stop(motor);
+    apply_end_stops(motor);
     refresh(motor);
     return used;
 }
@@ -288,14 +290,14 @@ double plant_motor_coast(plant_motor_t *motor, double dt)
     const double omega = motor->omega;
     const double theta = motor->theta;
     double used = dt;
-    coast(motor, dt, direction);
+    step_coasting(motor, dt, direction);
     if (motor->omega * direction < 0.0) {
         used = dt * (omega / (omega - motor->omega));
         motor->omega = 0.0;
         motor->theta = theta + 0.5 * used * omega;
     }
-    stop(motor);
-    motor->steps = PLANT_FRESH_TRIG; /* the angle has moved without them */
+    apply_end_stops(motor);
+    motor->steps = PLANT_FRESH_TRIG; /* evaluate sine and cosine now */
     refresh(motor);
     return used;
 }
@@ -309,7 +311,7 @@ void plant_motor_set_phases(plant_motor_t *motor, double i_a, double i_b)
     motor->phase[0] = abc[0];
     motor->phase[1] = abc[1];
     motor->phase[2] = abc[2];
-    saturate(motor);
+    update_saturation(motor);
 }
 
 void plant_motor_lock(plant_motor_t *motor, bool locked)
@@ -320,16 +322,16 @@ void plant_motor_lock(plant_motor_t *motor, bool locked)
     }
 }
 
-void plant_motor_part(plant_motor_t *motor, bool fine)
+void plant_motor_set_fine(plant_motor_t *motor, bool fine)
 {
     motor->fine = fine;
-    motor->apart = fine || motor->obstructed;
+    motor->single = fine || motor->obstructed;
 }
 
 void plant_motor_obstruct(plant_motor_t *motor, double below, double above)
 {
     motor->obstructed = isfinite(below) || isfinite(above);
-    plant_motor_part(motor, motor->fine);
+    plant_motor_set_fine(motor, motor->fine);
     motor->low = motor->theta - below;
     motor->high = motor->theta + above;
 }

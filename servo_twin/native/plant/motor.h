@@ -5,8 +5,8 @@
  *   L_q d(i_q)/dt = u_q - R i_q - w_e (L_d i_d + psi_m)
  *   T_e = 3/2 p (psi_d i_q - psi_q i_d),  psi_d = psi_m + L_d i_d,  psi_q = L_q i_q
  *   J d(w_m)/dt = T_e - T_load - B w_m - T_friction
- * T_friction is Coulomb's: against the motion while it lasts; at standstill whatever holds the shaft, up to its limit.
- * Where the iron saturates (saturation.h) the fluxes are integrated, of which the currents are functions.
+ * T_friction is Coulomb friction: against the motion, and at standstill equal to the driving torque up to its limit.
+ * With saturated iron (saturation.h) the fluxes are integrated, and the currents are functions of them.
  */
 #ifndef PLANT_MOTOR_H
 #define PLANT_MOTOR_H
@@ -16,10 +16,10 @@
 #include "board.h"
 #include "plant/saturation.h"
 
-/* Slower is standing: otherwise a stop could come after no time at all [rad/s]. */
+/* Lower speeds count as standstill; otherwise a stop could follow after zero time [rad/s]. */
 #define PLANT_STANDING 1e-9
 
-/* Steps between two evaluations of sine and cosine from the angle; in between they are turned on. */
+/* Steps between two evaluations of sine and cosine; in between they are rotated incrementally. */
 #define PLANT_FRESH_TRIG 64u
 
 typedef struct {
@@ -27,68 +27,68 @@ typedef struct {
     double r;            /* stator and the switch in series with it [ohm] */
     double inv_r;        /* [S] */
     double l_d, l_q;     /* flux over current [H] */
-    double inv_l_d, inv_l_q; /* for small changes */
-    double psi_m;        /* [V s] */
-    double pole_pairs;
+    double inv_l_d, inv_l_q; /* inverse differential inductances [1/H] */
+    double psi_m;        /* magnet's flux linkage [V s] */
+    double pole_pairs; /* [1] */
     double inv_inertia;  /* [1 / (kg m^2)] */
-    double friction;     /* [N m] */
+    double friction;     /* Coulomb [N m] */
     double viscous;      /* [N m s] */
-    double torque_psi;   /* 3/2 p psi_m */
-    double torque_l;     /* 3/2 p (L_d - L_q) */
+    double torque_psi;   /* 3/2 p psi_m [N m/A] */
+    double torque_l;     /* 3/2 p (L_d - L_q) [N m/A^2] */
     /* inputs */
     double load;         /* external torque against positive motion [N m] */
-    bool locked;         /* shaft held fast */
+    bool locked;         /* shaft */
     double low, high;    /* end stops, inelastic, mechanical [rad] */
-    bool obstructed;     /* there are some */
-    bool fine;           /* takes steps of its own (shaft.h) */
-    bool apart;          /* one of these two: no plain case (pair.h) */
-    bool saturates;
+    bool obstructed;     /* by end stops */
+    bool fine;           /* needs shorter steps than the plant (shaft.h) */
+    bool single;         /* obstructed or fine: excluded from the pair of both axes (motor_pair.h) */
+    bool saturates;      /* the iron does */
     /* state */
     double i_d, i_q;     /* [A] */
     double omega;        /* mechanical [rad/s] */
     double theta;        /* mechanical, not wrapped [rad] */
-    /* what follows from the state */
-    double sine, cosine; /* of the electrical angle */
+    /* derived from the state */
+    double sine, cosine; /* of the electrical angle [1] */
     unsigned steps;      /* since these two were evaluated */
     double phase[3];     /* phase currents into the motor [A] */
-    saturation_t iron_d, iron_q;
+    saturation_t iron_d, iron_q; /* parameters */
 } plant_motor_t;
 
 /* Stator voltage in the stator frame, constant over a step [V]. */
 typedef struct {
-    double alpha, beta;
+    double alpha, beta; /* [V]; of other vectors in their own unit */
 } plant_vector_t;
 
 void plant_motor_init(plant_motor_t *motor, const plant_axis_t *config);
 
-/* Other parameters from now on, the friction not: that is the shaft's together with its brake. */
+/* New parameters but the friction, which includes the holding brake; the state is kept. */
 void plant_motor_change(plant_motor_t *motor, const plant_axis_t *config);
 
-/* Resistance of the winding and flux of the magnet, as they warm up [ohm], [V s]. */
+/* Resistances [ohm] and magnet's flux linkage [V s] at new temperatures. */
 void plant_motor_warm(plant_motor_t *motor, double r_s, double r_on, double psi_m);
 
-/* One Runge-Kutta step of at most `dt` [s] with all windings connected. Ends early where the shaft comes to a stop, so
- * that friction can be decided anew; returns the time that has passed (> 0). */
+/* One Runge-Kutta step of at most `dt` [s] with all windings connected. Ends early where the shaft
+ * stops, since friction changes there. Returns the length of the step (> 0) [s]. */
 double plant_motor_step(plant_motor_t *motor, plant_vector_t u, double dt);
 
-/* The same with open windings: no current, no torque. */
+/* The same without current and torque. */
 double plant_motor_coast(plant_motor_t *motor, double dt);
 
-/* Set the currents from the phases [A]; their sum is 0. */
+/* Set the phase currents [A]; their sum is 0. */
 void plant_motor_set_phases(plant_motor_t *motor, double i_a, double i_b);
 
-/* The motor takes steps of its own, or no longer. */
-void plant_motor_part(plant_motor_t *motor, bool fine);
+/* The motor needs shorter steps, or no longer. */
+void plant_motor_set_fine(plant_motor_t *motor, bool fine);
 
 void plant_motor_lock(plant_motor_t *motor, bool locked);
 
-/* End stops so far [rad] to both sides of where the shaft is now. */
+/* Inelastic end stops at these distances from the present angle [rad]. */
 void plant_motor_obstruct(plant_motor_t *motor, double below, double above);
 
-/* Sine, cosine and phase currents anew from the angle. */
+/* Evaluate sine, cosine and phase currents from angle and currents. */
 void plant_motor_refresh(plant_motor_t *motor);
 
-/* Another step has been taken; now and then all of these are due. */
+/* Count a step; evaluates sine, cosine and phase currents from time to time. */
 static inline void plant_motor_count_step(plant_motor_t *motor)
 {
     if (++motor->steps > PLANT_FRESH_TRIG) {
@@ -96,12 +96,12 @@ static inline void plant_motor_count_step(plant_motor_t *motor)
     }
 }
 
-double plant_motor_torque(const plant_motor_t *motor);
+double plant_motor_torque(const plant_motor_t *motor); /* air gap [N m] */
 
-/* Phase voltages induced by the rotor, open windings [V]. */
+/* Back-EMF of the phases [V]. */
 void plant_motor_back_emf(const plant_motor_t *motor, double emf[3]);
 
-/* Two selections in a row, which compilers turn into minimum and maximum instructions. */
+/* By two selections, which compilers turn into minimum and maximum instructions. */
 static inline double plant_limit(double x, double low, double high)
 {
     const double y = (x < low) ? low : x;

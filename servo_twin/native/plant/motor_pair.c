@@ -36,13 +36,13 @@ static inline pair_t limit_pair(pair_t x, double low, double high)
 #define LIMIT(x, low, high) limit_pair(x, low, high)
 #include "plant/averaged_kernel.h"
 
-/* True for a driven axis that turns or stands all along, as far as can be told beforehand; `direction` of motion, 0 for one
- * that stands. */
-static bool plain_case(const motor_lane_t *lane, double *direction)
+/* True for a driven axis that is expected to rotate or to stand during the whole step; *direction becomes that of motion, 0:
+ * standstill. */
+static bool is_regular(const motor_lane_t *lane, double *direction)
 {
     plant_motor_t *motor = lane->motor;
     *direction = 0.0;
-    if (!lane->inverter->on || lane->inverter->unplugged || lane->inverter->broken || motor->apart) {
+    if (!lane->inverter->on || lane->inverter->unplugged || lane->inverter->broken || motor->single) {
         return false;
     }
     if (fabs(motor->omega) > PLANT_STANDING) {
@@ -60,14 +60,14 @@ static bool plain_case(const motor_lane_t *lane, double *direction)
     return true;
 }
 
-/* The ends of a step, not yet taken by the axes. */
+/* End of a step, before the axes take it over; names and units as in plant_motor_t and averaged_inverter_t, charge [A s]. */
 typedef struct {
     pair_state_t x;
     pair_t theta, sine, cosine;
     pair_t phase[3], share[3], leg[3], charge, heat;
 } ends_t;
 
-static inline void take(const ends_t *ends, const motor_lane_t *lane, int n)
+static inline void take_over(const ends_t *ends, const motor_lane_t *lane, int n)
 {
     plant_motor_t *motor = lane->motor;
     motor->i_d = ends->x.i_d[n];
@@ -90,10 +90,10 @@ static inline void take(const ends_t *ends, const motor_lane_t *lane, int n)
 
 unsigned motor_pair_step(const motor_pair_t *pair, const motor_lane_t lane[2], double u_dc, double *charge)
 {
-    double ways[2];
-    const bool plain[2] = {plain_case(&lane[0], &ways[0]), plain_case(&lane[1], &ways[1])};
+    double directions[2];
+    const bool regular[2] = {is_regular(&lane[0], &directions[0]), is_regular(&lane[1], &directions[1])};
     *charge = 0.0;
-    if (!plain[0] && !plain[1]) {
+    if (!regular[0] && !regular[1]) {
         return 0;
     }
     ends_t ends;
@@ -105,9 +105,9 @@ unsigned motor_pair_step(const motor_pair_t *pair, const motor_lane_t lane[2], d
             pair_drive_leg(before[k], inv_i_w, INVERTER(duty[k]), INVERTER(dead_leg[k]), v_drop, u_dc, &ends.leg[k]);
     }
     const pair_t omega = MOTOR(omega);
-    /* not by way of memory, where a load of both waits until the stores of each are done, and the step with it */
-    const pair_t direction = {ways[0], ways[1]};
-    const pair_t moves = direction * direction; /* without motion there is no acceleration */
+    /* not through memory: a load of both lanes would stall on the two stores */
+    const pair_t direction = {directions[0], directions[1]};
+    const pair_t moves = direction * direction; /* 0 at standstill, where there is no acceleration */
     const pair_step_t m = {
         .angle = pair_of(pair->angle),
         .inv_l_d = pair_of(pair->inv_l_d),
@@ -143,13 +143,13 @@ unsigned motor_pair_step(const motor_pair_t *pair, const motor_lane_t lane[2], d
     ends.charge = charge_twice * (0.5 * pair->step);
     const pair_t onwards = ends.x.omega * direction;
     unsigned taken = 0;
-    if (plain[0] && onwards[0] >= 0.0) {
-        take(&ends, &lane[0], 0);
+    if (regular[0] && onwards[0] >= 0.0) {
+        take_over(&ends, &lane[0], 0);
         *charge += ends.charge[0];
         taken |= 1u;
     }
-    if (plain[1] && onwards[1] >= 0.0) {
-        take(&ends, &lane[1], 1);
+    if (regular[1] && onwards[1] >= 0.0) {
+        take_over(&ends, &lane[1], 1);
         *charge += ends.charge[1];
         taken |= 2u;
     }

@@ -4,7 +4,7 @@
 
 static inline motor_lane_t lane_of(plant_drive_t *axis) { return (motor_lane_t){&axis->inverter, &axis->motor}; }
 
-static void pair_up(plant_t *plant)
+static void update_pair(plant_t *plant)
 {
     const motor_lane_t lane[2] = {lane_of(&plant->axis[0]), lane_of(&plant->axis[1])};
     motor_pair_init(&plant->pair, lane, plant->step);
@@ -36,12 +36,12 @@ void plant_init(plant_t *plant, const board_config_t *config)
     plant_change(plant, config);
 }
 
-/* On the second mass, where there is one. */
+/* External torque, on the second mass if there is one [N m]. */
 static void set_load(plant_drive_t *axis, double torque)
 {
     axis->shaft.load = torque;
     axis->stop.load = axis->shaft.two_masses ? 0.0 : torque;
-    axis->motor.load = axis->stop.load; /* the next step adds what stops, shaft and cogging take */
+    axis->motor.load = axis->stop.load; /* the next step adds the torque of end stops, shaft and cogging */
 }
 
 double plant_resistance(const plant_drive_t *axis)
@@ -49,8 +49,8 @@ double plant_resistance(const plant_drive_t *axis)
     return axis->config.winding_warms > 0.0 ? axis->config.r_s * thermal_copper(&axis->winding) : axis->config.r_s;
 }
 
-/* Resistance and flux at the present temperatures. Returns false where they never change. */
-static bool follow_heat(plant_drive_t *axis)
+/* Update resistance and flux to the present temperatures. False if they do not depend on them. */
+static bool apply_temperatures(plant_drive_t *axis)
 {
     const plant_axis_t *c = &axis->config;
     if (c->winding_warms <= 0.0 && c->magnet_coefficient == 0.0) {
@@ -72,15 +72,15 @@ static void change_axis(plant_drive_t *axis, const plant_axis_t *config, double 
     axis->motor.friction = plant_pins_friction(&axis->pins);
     const double part = step / PLANT_SHAFT_STEPS;
     shaft_change(&axis->shaft, config, axis->motor.theta, axis->motor.omega);
-    plant_motor_part(&axis->motor, axis->shaft.fine);
+    plant_motor_set_fine(&axis->motor, axis->shaft.fine);
     axis->stop = end_stop_of(config, axis->shaft.fine ? part : step);
     set_load(axis, config->load_torque);
     plant_encoder_change(&axis->encoder, config);
     axis->codes_per_ampere = 2048.0 / config->i_full_scale;
     thermal_change(&axis->sink, config->sink_capacity, config->sink_resistance);
     thermal_change(&axis->winding, config->winding_capacity, config->winding_resistance);
-    axis->magnet_follows = thermal_magnet(step * PLANT_STEPS_PER_WARMTH, config->magnet_time);
-    follow_heat(axis);
+    axis->magnet_share = thermal_magnet(step * PLANT_THERMAL_STEPS, config->magnet_time);
+    apply_temperatures(axis);
 }
 
 void plant_change(plant_t *plant, const board_config_t *config)
@@ -92,11 +92,11 @@ void plant_change(plant_t *plant, const board_config_t *config)
     plant->codes_per_volt = 4096.0 / config->bus.u_full_scale;
     supply_change(&plant->bus, &config->bus);
     plant->bus_step = supply_step_of(&plant->bus, plant->step);
-    pair_up(plant);
+    update_pair(plant);
 }
 
-/* Part of a step of the plant, from `start` [ns] on. Returns the charge drawn from the bus [A s]. */
-static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, double start, double step)
+/* Step of one axis: `step` [ns] from `start` [ns] within the step of the plant. Returns the charge drawn from the bus [A s]. */
+static double step_axis(plant_drive_t *axis, double u_dc, uint64_t now_ns, double start, double step)
 {
     plant_motor_t *motor = &axis->motor;
     double done = 0.0; /* [ns] */
@@ -111,14 +111,14 @@ static double axis_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, doubl
         if (plant_encoder_leaves(&axis->encoder, motor->theta)) {
             plant_encoder_move(&axis->encoder, &movement, now_ns);
         }
-        /* less than a nanosecond left is only the rounding of the units */
+        /* a rest below half a nanosecond is rounding */
         done = (rest - used < 0.5) ? step : done + used;
     }
     return charge;
 }
 
-/* The same for all of a step in parts, each with the torque that shaft, cogging and end stops have in its middle. */
-static PLANT_COLD double fine_step(plant_drive_t *axis, double u_dc, uint64_t now_ns, double step)
+/* A whole step in parts, each with the torque of shaft, cogging and end stops in its middle. */
+static PLANT_COLD double step_axis_finely(plant_drive_t *axis, double u_dc, uint64_t now_ns, double step)
 {
     const double part = step / PLANT_SHAFT_STEPS;
     double charge = 0.0;
@@ -126,13 +126,13 @@ static PLANT_COLD double fine_step(plant_drive_t *axis, double u_dc, uint64_t no
         plant_motor_t *motor = &axis->motor;
         motor->load = end_stop_load(&axis->stop, motor->theta, motor->omega) +
                       shaft_step(&axis->shaft, motor->theta, motor->omega, 1e-9 * part);
-        charge += axis_step(axis, u_dc, now_ns, n * part, part);
+        charge += step_axis(axis, u_dc, now_ns, n * part, part);
     }
     return charge;
 }
 
-/* Pulses on the lines of the encoder. */
-static void glitch(plant_drive_t *axis, double step, uint64_t now_ns)
+/* Random pulses on the encoder lines. */
+static void inject_glitches(plant_drive_t *axis, double step, uint64_t now_ns)
 {
     for (int line = 0; line < PLANT_ENCODER_LINES; line++) {
         const double rate = axis->faults.glitches[line];
@@ -142,10 +142,10 @@ static void glitch(plant_drive_t *axis, double step, uint64_t now_ns)
     }
 }
 
-static void warm_up(plant_t *plant)
+static void update_temperatures(plant_t *plant)
 {
-    const double h = plant->step * PLANT_STEPS_PER_WARMTH;
-    bool warmer = false;
+    const double h = plant->step * PLANT_THERMAL_STEPS;
+    bool changed = false;
     for (int i = 0; i < BOARD_AXES; i++) {
         plant_drive_t *axis = &plant->axis[i];
         if (!axis->faults.sink_held) {
@@ -156,11 +156,11 @@ static void warm_up(plant_t *plant)
         const double loss =
             1.5 * axis->config.r_s * thermal_copper(&axis->winding) * (m->i_d * m->i_d + m->i_q * m->i_q);
         thermal_advance(&axis->winding, h, loss * h);
-        axis->t_magnet += axis->magnet_follows * (axis->winding.t - axis->t_magnet);
-        warmer = follow_heat(axis) || warmer;
+        axis->t_magnet += axis->magnet_share * (axis->winding.t - axis->t_magnet);
+        changed = apply_temperatures(axis) || changed;
     }
-    if (warmer) {
-        pair_up(plant);
+    if (changed) {
+        update_pair(plant);
     }
     supply_warm(&plant->bus, h);
 }
@@ -182,8 +182,8 @@ PLANT_NOINLINE void plant_step(plant_t *plant, uint64_t now_ns)
     for (int i = 0; i < BOARD_AXES; i++) {
         plant_drive_t *axis = &drive[i];
         if ((taken & (1u << i)) == 0u) {
-            charge += axis->shaft.fine ? fine_step(axis, plant->bus.u, now_ns, (double)plant->step_ns)
-                                       : axis_step(axis, plant->bus.u, now_ns, 0.0, (double)plant->step_ns);
+            charge += axis->shaft.fine ? step_axis_finely(axis, plant->bus.u, now_ns, (double)plant->step_ns)
+                                       : step_axis(axis, plant->bus.u, now_ns, 0.0, (double)plant->step_ns);
         } else if (plant_encoder_leaves(&axis->encoder, axis->motor.theta)) {
             if (axis->encoder.armed) {
                 const plant_movement_t movement = {
@@ -195,13 +195,13 @@ PLANT_NOINLINE void plant_step(plant_t *plant, uint64_t now_ns)
             }
         }
         if (axis->faults.has_glitches) {
-            glitch(axis, plant->step, now_ns);
+            inject_glitches(axis, plant->step, now_ns);
         }
     }
     (void)supply_take_step(&plant->bus, &plant->bus_step, charge * plant->steps_per_second);
-    if (++plant->steps == PLANT_STEPS_PER_WARMTH) {
+    if (++plant->steps == PLANT_THERMAL_STEPS) {
         plant->steps = 0;
-        warm_up(plant);
+        update_temperatures(plant);
     }
 }
 
@@ -218,15 +218,15 @@ bool plant_over_current(const plant_t *plant, int axis)
     const plant_motor_t *motor = &plant->axis[axis].motor;
     const averaged_inverter_t *inverter = &plant->axis[axis].inverter;
     const double *phase = motor->phase;
-    const double most = plant->axis[axis].config.i_break;
-    if (inverter->broken && averaged_inverter_shorted(inverter)) { /* what flows there is beyond any threshold */
+    const double i_max = plant->axis[axis].config.i_break;
+    if (inverter->broken && averaged_inverter_shorted(inverter)) { /* its current exceeds any threshold */
         return true;
     }
-    if (motor->i_d * motor->i_d + motor->i_q * motor->i_q < most * most) { /* no phase is larger than the vector */
+    if (motor->i_d * motor->i_d + motor->i_q * motor->i_q < i_max * i_max) { /* no phase exceeds the vector */
         return false;
     }
-    return phase[0] > most || phase[1] > most || phase[2] > most || phase[0] < -most || phase[1] < -most ||
-           phase[2] < -most;
+    return phase[0] > i_max || phase[1] > i_max || phase[2] > i_max || phase[0] < -i_max || phase[1] < -i_max ||
+           phase[2] < -i_max;
 }
 
 uint16_t plant_bus_code(plant_t *plant)
@@ -299,13 +299,13 @@ void plant_set_fault(plant_t *plant, const board_fault_t *fault, bool cleared)
             axis->faults.glitches[PLANT_LINE_A] > 0.0 || axis->faults.glitches[PLANT_LINE_B] > 0.0;
         break;
     case BOARD_STALLED_CORE:
-        break; /* nothing of the plant */
+        break; /* not part of the plant */
     case BOARD_HEAT:
         axis->faults.sink_held = !cleared;
         axis->sink.t = cleared ? axis->sink.t : fault->value;
         break;
     case BOARD_CUT_WIRE:
-        break; /* the board's, which knows the time */
+        break; /* handled by the board, which knows the time */
     case BOARD_SLIPPED_ENCODER:
         plant_encoder_slip(&axis->encoder, cleared ? 0 : (int)fault->value);
         break;

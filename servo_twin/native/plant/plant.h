@@ -1,4 +1,4 @@
-/* plant.h - all that is outside of the chip: two axes on one DC bus, and what their sensors show. */
+/* plant.h - averaged plant: two axes on one DC bus, with their sensors. */
 #ifndef PLANT_PLANT_H
 #define PLANT_PLANT_H
 
@@ -18,8 +18,8 @@
 #include "plant/supply.h"
 #include "plant/thermal.h"
 
-#define PLANT_STEPS_PER_WARMTH 32u /* steps per step of the temperatures */
-#define PLANT_SHAFT_STEPS 4 /* parts of a step, where a shaft takes shorter ones: 7.8 us at 16 kHz */
+#define PLANT_THERMAL_STEPS 32u /* steps of the plant per step of the temperatures */
+#define PLANT_SHAFT_STEPS 4 /* parts of a step for a shaft that needs shorter ones: 7.8 us at 16 kHz */
 
 typedef struct {
     plant_axis_t config;
@@ -28,28 +28,29 @@ typedef struct {
     end_stop_t stop;
     plant_encoder_t encoder;
     plant_random_t noise;
-    double codes_per_ampere;
+    double codes_per_ampere; /* [1/A] */
     plant_faults_t faults;
     thermal_t sink;        /* heatsink of the inverter */
-    thermal_t winding; /* its resistance grows in its losses; in the motor if the configuration says so */
+    thermal_t winding;
     plant_pins_t pins;
     shaft_t shaft;
     double t_magnet; /* [deg C] */
-    double magnet_follows; /* part of its way to the winding's temperature, in a step of the temperatures */
+    double
+        magnet_share; /* decay of its difference to the winding's temperature per step of the temperatures, 0..1 [1] */
 } plant_drive_t;
 
 typedef struct {
     plant_drive_t axis[BOARD_AXES];
     supply_t bus;
     supply_step_t bus_step;
-    double u_noise, u_noise_configured; /* of a bus sample; as it should be [V] */
+    double u_noise, u_noise_configured; /* standard deviation of a bus sample; without a fault [V] */
     plant_random_t bus_noise;
     motor_pair_t pair;
-    double codes_per_volt;
-    uint64_t step_ns;
-    double step, steps_per_second;
-    double u_step; /* of the bus, at the beginning of the last step [V] */
-    unsigned steps; /* since the temperatures were worked out */
+    double codes_per_volt; /* [1/V] */
+    uint64_t step_ns; /* half a PWM period [ns] */
+    double step, steps_per_second; /* the same [s], and its inverse [1/s] */
+    double u_step; /* bus voltage at the beginning of the last step [V] */
+    unsigned steps; /* since the last step of the temperatures */
 } plant_t;
 
 void plant_init(plant_t *plant, const board_config_t *config);
@@ -57,10 +58,10 @@ void plant_init(plant_t *plant, const board_config_t *config);
 /* One step of plant->step_ns, a half cycle of the PWM, that begins at `now_ns`. */
 void plant_step(plant_t *plant, uint64_t now_ns);
 
-/* Other values from now on, as board_change_plant. */
+/* New parameters, as board_change_plant. */
 void plant_change(plant_t *plant, const board_config_t *config);
 
-/* Resistance of the winding, as the motor has it now [ohm]. */
+/* Present resistance of the winding in the motor's equations [ohm]. */
 double plant_resistance(const plant_drive_t *axis);
 
 /* External torque [N m], as board_set_load. */
@@ -69,13 +70,12 @@ void plant_set_load(plant_t *plant, int axis, double torque);
 /* Voltages of the phases against the midpoint of the bus at the end of the last step [V]. */
 void plant_voltages(const plant_t *plant, int axis, double voltage[3]);
 
-/* True if a phase current of the axis is beyond the threshold of the hardware. */
+/* True if a phase current exceeds the comparator's threshold. */
 bool plant_over_current(const plant_t *plant, int axis);
 
-/* Two phase shunts, sampled at one instant: currents and noise are those of then, a converter's damage that of when somebody
- * reads the codes. */
+/* Two phase shunts sampled at one instant. A stuck converter applies when the codes are read. */
 typedef struct {
-    const int *phase;
+    const int *phase; /* the two phases */
     double current[2]; /* [A] */
     plant_random_t noise;
 } plant_samples_t;
@@ -111,10 +111,10 @@ uint16_t plant_bus_code(plant_t *plant);
 /* Converter code of a power stage's thermistor, linearised: 0 deg C at 0, PLANT_SINK_FULL_SCALE at 4096. */
 uint16_t plant_sink_code(const plant_t *plant, int axis);
 
-/* The holding brakes follow their coils. */
+/* Let the holding brakes follow their coils, at the time `now` [s]. */
 void plant_update_holding_brakes(plant_t *plant, double now);
 
-/* Something breaks, or is whole again. */
+/* Inject a fault, or clear it. */
 void plant_set_fault(plant_t *plant, const board_fault_t *fault, bool cleared);
 
 #endif

@@ -8,10 +8,10 @@
 #define JITTER_MAX 0.08 /* [pitches]: edges have to keep their order */
 #define DUTY_ERROR_MAX 0.12
 
-/* Level of an edge's line above it. */
+/* Level of its line above edge n. */
 static bool rises(int64_t n) { return ((n & 2) != 0) == ((n & 1) == 0); }
 
-/* Nearly Gaussian with standard deviation 1: two 16-bit uniforms have the variance 2/12; never beyond +-2.45. */
+/* Triangular distribution with standard deviation 1: the sum of two 16-bit uniforms has the variance 2/12; limited to +-2.45. */
 static double spread(uint64_t bits)
 {
     const int32_t sum = (int32_t)(bits & 0xFFFFu) + (int32_t)((bits >> 16) & 0xFFFFu) - 0xFFFF;
@@ -26,7 +26,7 @@ static double disc_of(const quadrature_t *q, double theta)
     return theta + q->eccentricity * sine;
 }
 
-/* Angle of the shaft where its disc is at `disc`, by Newton's method. */
+/* Angle of the shaft at which its disc is at `disc` [rad], by Newton's method. */
 static double shaft_of(const quadrature_t *q, double disc)
 {
     double theta = disc;
@@ -39,11 +39,11 @@ static double shaft_of(const quadrature_t *q, double disc)
     return theta;
 }
 
-/* Where the next edge in a direction is this time. */
+/* Draw the angle of the next edge in a direction [rad]. */
 static inline double draw(quadrature_t *q, bool upwards)
 {
     const int64_t n = q->position + upwards;
-    static const double late[2] = {1.0, -1.0}; /* a table, as no processor can guess which */
+    static const double late[2] = {1.0, -1.0}; /* a table instead of an unpredictable branch */
     const double shift = late[rises(n)] * q->early + q->jitter * spread(plant_random_bits(&q->random));
     const double disc = ((double)(n - q->slipped) + shift) * q->pitch + (upwards ? 0.5 : -0.5) * q->hysteresis;
     return (q->eccentricity > 0.0) ? shaft_of(q, disc) : disc;
@@ -70,7 +70,7 @@ void quadrature_init(quadrature_t *q, const plant_axis_t *config, uint64_t seed,
     q->upwards = true;
     q->edge[0] = draw(q, false);
     q->edge[1] = draw(q, true);
-    /* the last edge passed upwards has set its line, the one before the other */
+    /* the last two edges, passed upwards, have set the two lines */
     for (int64_t n = q->position - 1; n <= q->position; n++) {
         q->level[(n & 1) == 0] = rises(n);
     }
@@ -121,27 +121,27 @@ quadrature_trajectory_t quadrature_trajectory(quadrature_t *q, double theta, dou
         q->upwards = drive > 0.0;
     }
     const double per_omega = (omega != 0.0) ? 1.0 / omega : 0.0;
-    const quadrature_trajectory_t course = {
+    const quadrature_trajectory_t trajectory = {
         .theta = theta,
         .omega = omega,
         .accel = accel,
         .per_omega = per_omega,
-        .bend = accel * per_omega,
-        .twist = (1.0 / 6.0) * jerk * per_omega,
+        .accel_ratio = accel * per_omega,
+        .jerk_ratio = (1.0 / 6.0) * jerk * per_omega,
         .range = time * (fabs(omega) + time * (fabs(accel) + time * fabs(jerk))),
     };
-    return course;
+    return trajectory;
 }
 
-/* Root of way = omega t + accel t^2 / 2 in the form that does not cancel; NEVER if it turns back before. */
-double quadrature_slow_time(const quadrature_trajectory_t *course, double way)
+/* Root of way = omega t + accel t^2 / 2 in the form without cancellation; NEVER if the shaft reverses before. */
+double quadrature_general_time(const quadrature_trajectory_t *trajectory, double way)
 {
-    const double omega = course->omega;
-    const double drive = (omega != 0.0) ? omega : course->accel;
-    if (way * drive <= 0.0) { /* an edge that was drawn on the other side of the shaft, unless there is no motion */
+    const double omega = trajectory->omega;
+    const double drive = (omega != 0.0) ? omega : trajectory->accel;
+    if (way * drive <= 0.0) { /* an edge whose jitter put it behind the shaft, if the shaft moves */
         return (drive != 0.0) ? 0.0 : NEVER;
     }
-    const double square = omega * omega + 2.0 * course->accel * way;
+    const double square = omega * omega + 2.0 * trajectory->accel * way;
     if (square < 0.0) {
         return NEVER;
     }

@@ -1,9 +1,9 @@
-/* saturation.h - flux linkage of a winding axis whose iron saturates, without the magnet's.
+/* saturation.h - flux linkage of a winding axis with saturated iron, without that of the magnet.
  *
  *   i = (lambda / L) (1 + (lambda / lambda_s)^2 / 3),  lambda_s = L i_s
  *   d(lambda)/di = L / (1 + (lambda / lambda_s)^2)
- * L is that without current; at i = 4/3 i_s it is half of it for small changes, 3/4 for all of the flux. Each axis has its
- * own, so the energy of the field is a function of the two fluxes. No libm (trig.h).
+ * L is the inductance without current. At i = 4/3 i_s the differential inductance is half of it, and flux over current 3/4 of
+ * it. The axes are independent (no cross-saturation), so the field energy is a function of the two fluxes. No libm (trig.h).
  */
 #ifndef PLANT_SATURATION_H
 #define PLANT_SATURATION_H
@@ -12,28 +12,30 @@
 
 typedef struct {
     double l;     /* without current [H] */
-    double per_s; /* 1 / lambda_s; 0: it never saturates [1 / (V s)] */
+    double per_s; /* 1 / lambda_s; 0: no saturation [1/(V s)] */
 } saturation_t;
 
+/* `l` inductance without current [H], `i_s` current scale [A]; 0: no saturation. */
 static inline saturation_t saturation_of(double l, double i_s)
 {
     return (saturation_t){l, (i_s > 0.0) ? 1.0 / (l * i_s) : 0.0};
 }
 
+/* Current of a flux [A]. */
 static inline double saturation_current(saturation_t s, double flux)
 {
     const double x = flux * s.per_s;
     return flux / s.l * (1.0 + (1.0 / 3.0) * x * x);
 }
 
-/* For small changes [H]. */
+/* Differential inductance [H]. */
 static inline double saturation_inductance(saturation_t s, double flux)
 {
     const double x = flux * s.per_s;
     return s.l / (1.0 + x * x);
 }
 
-/* Flux of a current, by Newton's method from above: the curve bends upwards, so it never falls short. */
+/* Flux of a current [V s], by Newton's method from above, which converges monotonically as the curve is convex. */
 static inline double saturation_flux(saturation_t s, double current)
 {
     double flux = s.l * current;

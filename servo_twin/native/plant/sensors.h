@@ -1,4 +1,4 @@
-/* sensors.h - from volts and amperes to the codes of a 12-bit converter, with noise of our own making. */
+/* sensors.h - codes of a 12-bit converter, and reproducible noise. */
 #ifndef PLANT_SENSORS_H
 #define PLANT_SENSORS_H
 
@@ -8,7 +8,7 @@
 #include <emmintrin.h>
 #endif
 
-/* A sequence of random numbers (splitmix64): the state is a counter, so streams with different seeds never meet. */
+/* Random number generator (splitmix64). The state is a counter, so the sequences of different streams do not overlap. */
 typedef struct {
     uint64_t state;
 } plant_random_t;
@@ -30,7 +30,7 @@ static inline uint64_t plant_random_bits(plant_random_t *random)
     return plant_random_scramble(random->state);
 }
 
-/* The next `count` numbers of the sequence, to be drawn from what is returned if anybody asks for them. */
+/* Skip `count` numbers; the returned generator draws them if they are needed. */
 static inline plant_random_t plant_random_reserve(plant_random_t *random, uint64_t count)
 {
     const plant_random_t reserved = *random;
@@ -49,7 +49,7 @@ static inline int32_t plant_sum_of_bytes(uint64_t bytes)
 #endif
 }
 
-/* Nearly Gaussian, mean 0, standard deviation 1: the sum of eight bytes, in steps of 1/209, never beyond +-4.88. */
+/* Approximately Gaussian, mean 0, standard deviation 1: the sum of eight bytes, in steps of 1/209, limited to +-4.88. */
 static inline double plant_random_gauss(plant_random_t *random)
 {
     /* each byte has the mean 127.5 and the variance (2^16 - 1) / 12 */

@@ -1,14 +1,13 @@
-/* shaft.h - what lies between a motor's rotor and its load, beside the bearing's friction: cogging, and a shaft that twists
- * before a second mass follows.
+/* shaft.h - cogging torque, and an elastic shaft with backlash between the rotor and a second mass.
  *
  *   T_cogging = A sin(N theta + phi)                                  on the rotor
  *   twist     = theta - theta_load
- *   T_shaft   = k (twist -+ gap / 2) + d twist'   beyond the gap and while it pushes, or else 0
+ *   T_shaft   = k (twist -+ gap / 2) + d twist'   beyond the gap and while it pushes, otherwise 0
  *   J_load d(omega_load)/dt = T_shaft - T_load - T_friction,load
  *
- * The rotor is given one torque for a step of h seconds: spring and cogging of where angle and twist will be in the middle of the
- * step, which conserves energy (leapfrog): a resonance of w is found at w (1 + (w h)^2 / 24), stable up to w h = 2. The speed of
- * the twist there is that of this step and the one before, extrapolated.
+ * The torque on the rotor is constant over a step of h seconds. Spring and cogging torque are those of angle and twist in the
+ * middle of the step, which conserves energy (leapfrog): a resonance w appears at w (1 + (w h)^2 / 24); stable up to w h = 2.
+ * The speed of the twist there is extrapolated from this step and the one before.
  */
 #ifndef PLANT_SHAFT_H
 #define PLANT_SHAFT_H
@@ -20,23 +19,23 @@
 #include "plant/trig.h"
 
 typedef struct {
-    bool fine; /* there is something that takes steps shorter than those of the plant */
+    bool fine; /* needs shorter steps than the plant: second mass, cogging or saturation */
     bool two_masses;
-    double stiffness; /* [N m/rad] */
-    double damping; /* [N m s] */
-    double half_gap; /* [rad] */
-    double inv_inertia; /* of the load [1 / (kg m^2)] */
-    double friction; /* of the load [N m] */
-    double load; /* external, on the second mass [N m] */
+    double stiffness; /* of the shaft [N m/rad] */
+    double damping; /* of the shaft [N m s] */
+    double half_gap; /* half the backlash [rad] */
+    double inv_inertia; /* of the second mass [1/(kg m^2)] */
+    double friction; /* Coulomb friction of the second mass [N m] */
+    double load; /* external torque on the second mass [N m] */
     double cogging; /* amplitude [N m] */
-    double periods, phase; /* of it, per turn, [rad] */
+    double periods, phase; /* of the cogging: per turn, [rad] */
     double theta, omega; /* of the second mass at the end of the step [rad], [rad/s] */
-    double accel; /* of it in the step [rad/s^2] */
+    double accel; /* of the second mass in the step [rad/s^2] */
     double speed; /* of the twist at the beginning of the step [rad/s] */
-    double torque; /* through the shaft in the step [N m] */
+    double torque; /* of the shaft in the step [N m] */
 } shaft_t;
 
-/* Other parameters; a second mass that was not there moves with the rotor at theta and omega. */
+/* New parameters; a new second mass starts with the rotor's theta [rad] and omega [rad/s]. */
 static inline void shaft_change(shaft_t *s, const plant_axis_t *config, double theta, double omega)
 {
     const bool begins = config->load_inertia > 0.0 && !s->two_masses;
@@ -59,18 +58,18 @@ static inline void shaft_change(shaft_t *s, const plant_axis_t *config, double t
     }
 }
 
-/* Torque through the shaft with the twist in the middle of a step, and its speed there. */
+/* Torque of the shaft [N m] at the twist [rad] in the middle of a step, and its speed there [rad/s]. */
 static inline double shaft_torque(const shaft_t *s, double twist, double speed)
 {
-    const double deep = (twist > s->half_gap)    ? twist - s->half_gap
-                        : (twist < -s->half_gap) ? twist + s->half_gap
-                                                 : 0.0;
-    const double torque = s->stiffness * deep + s->damping * speed;
-    return (torque * deep > 0.0) ? torque : 0.0;
+    const double beyond_gap = (twist > s->half_gap)    ? twist - s->half_gap
+                              : (twist < -s->half_gap) ? twist + s->half_gap
+                                                       : 0.0;
+    const double torque = s->stiffness * beyond_gap + s->damping * speed;
+    return (torque * beyond_gap > 0.0) ? torque : 0.0;
 }
 
-/* The second mass over a step with this torque: friction takes speed, but never turns it round. */
-static inline void shaft_carry(shaft_t *s, double h)
+/* Step of the second mass; friction reduces the speed, but does not reverse it. */
+static inline void shaft_step_load(shaft_t *s, double h)
 {
     const double free = s->omega + h * (s->torque - s->load) * s->inv_inertia;
     const double brake = h * s->friction * s->inv_inertia;
@@ -80,24 +79,25 @@ static inline void shaft_carry(shaft_t *s, double h)
     s->omega = omega;
 }
 
-/* A step of h seconds begins with the rotor at theta and omega: what acts against its positive motion meanwhile [N m]. */
+/* Step of h seconds, with the rotor at theta [rad] and omega [rad/s] at its beginning. Returns the torque against the rotor's
+ * positive motion in the step [N m]. */
 static inline double shaft_step(shaft_t *s, double theta, double omega, double h)
 {
-    double against = 0.0;
+    double torque = 0.0;
     if (s->two_masses) {
         const double speed = omega - s->omega;
         s->torque = shaft_torque(s, theta - s->theta + 0.5 * h * speed, 1.5 * speed - 0.5 * s->speed);
         s->speed = speed;
-        shaft_carry(s, h);
-        against = s->torque;
+        shaft_step_load(s, h);
+        torque = s->torque;
     }
     if (s->cogging > 0.0) {
         double sine;
         double cosine;
         plant_sincos(s->periods * (theta + 0.5 * h * omega) + s->phase, &sine, &cosine);
-        against -= s->cogging * sine;
+        torque -= s->cogging * sine;
     }
-    return against;
+    return torque;
 }
 
 #endif

@@ -2,9 +2,9 @@
 
 #include "plant/decay.h"
 
-#define SERIES 0.125 /* time constants that the series for e^-x are good for */
+#define SERIES_MAX 0.125 /* largest x for the series of e^-x */
 
-static void find_regular(supply_t *s) { s->regular = (s->braking || s->dip > 0.0) ? 0.0 : SERIES; }
+static void update_regular(supply_t *s) { s->regular = (s->braking || s->dip > 0.0) ? 0.0 : SERIES_MAX; }
 
 void supply_change(supply_t *supply, const plant_bus_t *config)
 {
@@ -22,13 +22,13 @@ void supply_init(supply_t *supply, const plant_bus_t *config, double ambient)
     *supply = (supply_t){.u = config->u_source};
     thermal_init(&supply->brake, config->brake_capacity, config->brake_resistance, ambient);
     supply_change(supply, config);
-    find_regular(supply);
+    update_regular(supply);
 }
 
 void supply_switch(supply_t *supply, bool braking)
 {
     supply->braking = braking;
-    find_regular(supply);
+    update_regular(supply);
 }
 
 void supply_set(supply_t *supply, double volts)
@@ -43,14 +43,14 @@ void supply_dip(supply_t *supply, double volts, double seconds)
 {
     supply->u_source = volts;
     supply->dip = seconds;
-    find_regular(supply);
+    update_regular(supply);
 }
 
 void supply_recover(supply_t *supply)
 {
     supply->u_source = supply->u_nominal;
     supply->dip = 0.0;
-    find_regular(supply);
+    update_regular(supply);
 }
 
 void supply_warm(supply_t *supply, double h)
@@ -59,45 +59,45 @@ void supply_warm(supply_t *supply, double h)
     supply->e_warm = supply->e_brake;
 }
 
-/* With or without the source all along: u' = (i - g u) / C. Returns the voltage at the end. */
-static inline double settle(supply_t *s, double h, double i_load, bool fed, double *u_h)
+/* Step with the source conducting all the time, or not at all: u' = (i - g u) / C. Returns the voltage at the end. */
+static inline double solve_step(supply_t *s, double h, double i_load, bool conducts, double *u_h)
 {
     const double g_brake = s->braking ? s->g_brake : 0.0;
-    const double g = fed ? s->g_source + g_brake : g_brake;
-    const double i = fed ? s->g_source * s->u_source - i_load : -i_load;
+    const double g = conducts ? s->g_source + g_brake : g_brake;
+    const double i = conducts ? s->g_source * s->u_source - i_load : -i_load;
     const double x = h * g * s->inv_c;
-    const double rise = h * (i - g * s->u) * s->inv_c; /* at the slope of the beginning */
-    if (x < SERIES) { /* (1 - e^-x) / x and (x - 1 + e^-x) / x^2 */
+    const double rise = h * (i - g * s->u) * s->inv_c; /* with the slope at the beginning */
+    if (x < SERIES_MAX) { /* (1 - e^-x) / x and (x - 1 + e^-x) / x^2 */
         *u_h = h * (s->u + rise * (0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0 - x * (1.0 / 120.0)))));
         return s->u + rise * (1.0 - x * (0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0))));
     }
-    const double y = plant_approach(x);
+    const double y = plant_one_minus_decay(x);
     *u_h = h * (s->u + rise * (x - y) / (x * x));
     return s->u + rise * y / x;
 }
 
-/* Part of a step in one regime; the voltage moves to `u` and has the integral `u_h`. */
-static inline void take_over(supply_t *s, double h, double u, double u_h, double i_load, bool fed)
+/* Account a part of a step that ends at the voltage `u` [V] and has the integral `u_h` [V s]. */
+static inline void account_step(supply_t *s, double h, double u, double u_h, double i_load, bool conducts)
 {
     const double mean = 0.5 * (s->u + u);
     const double q_brake = s->braking ? s->g_brake * u_h : 0.0;
-    if (fed) { /* what has come in: the rest of the balance of charges */
+    if (conducts) { /* charge from the source by charge balance */
         s->e_source += mean * ((u - s->u) * s->c + q_brake + i_load * h);
     }
     s->e_brake += mean * q_brake;
     s->u = u;
 }
 
-/* When the voltage of the source is passed within a step that ends at `u`: the chord, improved by the slope there, which
- * is the same with the source and without. */
-static double crossing(supply_t *s, double h, double i_load, bool fed, double u)
+/* Time at which the bus crosses the voltage of the source in a step that ends at `u`: from the chord, refined by the slope there,
+ * which is the same with and without the source. */
+static double source_crossing(supply_t *s, double h, double i_load, bool conducts, double u)
 {
     const double g_brake = s->braking ? s->g_brake : 0.0;
     const double slope = -(i_load + g_brake * s->u_source) * s->inv_c;
     double part = h * (s->u_source - s->u) / (u - s->u);
     for (int n = 0; n < 2 && slope != 0.0; n++) {
         double u_h;
-        const double next = part + (s->u_source - settle(s, part, i_load, fed, &u_h)) / slope;
+        const double next = part + (s->u_source - solve_step(s, part, i_load, conducts, &u_h)) / slope;
         if (!(next > 0.0 && next < h)) {
             break;
         }
@@ -106,7 +106,7 @@ static double crossing(supply_t *s, double h, double i_load, bool fed, double u)
     return part;
 }
 
-double supply_advance_slowly(supply_t *s, double h, double i_load)
+double supply_advance_general(supply_t *s, double h, double i_load)
 {
     if (s->dip > 0.0) {
         s->dip -= h;
@@ -114,24 +114,24 @@ double supply_advance_slowly(supply_t *s, double h, double i_load)
             supply_recover(s);
         }
     }
-    const bool fed = s->u < s->u_source || (s->u == s->u_source && i_load > 0.0);
+    const bool conducts = s->u < s->u_source || (s->u == s->u_source && i_load > 0.0);
     double u_h;
-    double u = settle(s, h, i_load, fed, &u_h);
-    if (fed ? u > s->u_source : u < s->u_source) {
-        const double part = crossing(s, h, i_load, fed, u);
+    double u = solve_step(s, h, i_load, conducts, &u_h);
+    if (conducts ? u > s->u_source : u < s->u_source) {
+        const double part = source_crossing(s, h, i_load, conducts, u);
         double first_h = 0.0;
         if (part > 0.0) {
-            (void)settle(s, part, i_load, fed, &first_h);
-            take_over(s, part, s->u_source, first_h, i_load, fed);
+            (void)solve_step(s, part, i_load, conducts, &first_h);
+            account_step(s, part, s->u_source, first_h, i_load, conducts);
         }
         s->u = s->u_source;
-        u = settle(s, h - part, i_load, !fed, &u_h);
+        u = solve_step(s, h - part, i_load, !conducts, &u_h);
         if (h > part) {
-            take_over(s, h - part, u, u_h, i_load, !fed);
+            account_step(s, h - part, u, u_h, i_load, !conducts);
         }
         u_h += first_h;
     } else {
-        take_over(s, h, u, u_h, i_load, fed);
+        account_step(s, h, u, u_h, i_load, conducts);
     }
     if (s->u < 0.0) {
         s->u = 0.0;

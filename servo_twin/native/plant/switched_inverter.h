@@ -75,7 +75,7 @@ typedef enum {
 
 /* Symmetric matrix, (aa ab; ab bb). */
 typedef struct {
-    double aa, ab, bb;
+    double aa, ab, bb; /* here [H] or [1/H] */
 } symmetric_matrix_t;
 
 /* Linear interval: a short time in which the currents obey i' = L^-1 v + K i + e + e' t with constant L^-1, K, e, e'. */
@@ -134,11 +134,11 @@ typedef struct {
     double leg_mean; /* mean of the leg voltages above the negative rail [V] */
     double dtorque; /* slope of the torque [N m/s] */
     double jerk; /* [rad/s^3] */
-    double direction; /* of motion: 1, -1; 0: standstill */
+    double direction; /* of motion: 1, -1; 0: standstill [1] */
     double k_max, emf_term_max; /* bounds of K and e' of i'' = K i' + e' [1/s], [A/s^2] */
     bool trajectory_changed; /* motion of the shaft no longer as extrapolated; cleared by the reader */
     /* derived from the state */
-    double cosine, sine; /* of the electrical angle */
+    double cosine, sine; /* of the electrical angle [1] */
     symmetric_matrix_t inverse; /* L^-1 in the stator reference frame [1/H] */
     double torque; /* air gap [N m] */
     unsigned rotations; /* incremental updates of cosine and sine since they were evaluated */
@@ -162,16 +162,16 @@ typedef struct {
     double per_s_d, per_s_q; /* saturation_t.per_s of the two axes [1/(V s)] */
     double inv_l_mean, inv_l_half; /* half the sum and half the difference of 1 / L_d and 1 / L_q [1/H] */
     double psi_m; /* magnet's flux linkage [V s] */
-    double pole_pairs;
+    double pole_pairs; /* [1] */
     double inv_l_max; /* the larger one of 1 / L_d and 1 / L_q [1/H] */
-    double saliency; /* the larger one of 1 / L_d and 1 / L_q over the smaller one */
-    double coupling; /* bound of the slope change in another phase per slope change in one */
-    double k_torque; /* 3/2 p */
+    double saliency; /* the larger one of 1 / L_d and 1 / L_q over the smaller one [1] */
+    double coupling; /* bound of the slope change in another phase per slope change in one [1] */
+    double k_torque; /* 3/2 p [1] */
     double inv_inertia; /* [1/(kg m^2)] */
     double friction, viscous; /* Coulomb [N m], viscous [N m s] */
     double step_max; /* longest step of the general integration [s] */
     double tau; /* time constant of the current amplifiers [s] */
-    double decay_fine[INVERTER_DECAY], decay_coarse[INVERTER_DECAY + 1]; /* the last one is 0 */
+    double decay_fine[INVERTER_DECAY], decay_coarse[INVERTER_DECAY + 1]; /* [1]; the last one is 0 */
     /* sums since the beginning */
     double e_copper, e_switch; /* losses in windings, in switches and diodes [J] */
     double e_bus; /* energy drawn from the bus [J] */
@@ -181,7 +181,7 @@ typedef struct {
 
 /* Integrals of the terminal voltages above the negative rail, while the winding's resistance is constant [V s]. */
 typedef struct {
-    double volts[3];
+    double volts[3]; /* [V s] */
 } terminal_integral_t;
 
 /* All gates off, no current, shaft at rest. */

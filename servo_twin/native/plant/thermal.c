@@ -13,10 +13,10 @@ void thermal_change(thermal_t *body, double capacity, double resistance)
     body->resistance = resistance;
 }
 
-double thermal_magnet(double h, double time) { return (time > 0.0) ? plant_approach(h / time) : 1.0; }
+double thermal_magnet(double h, double time) { return (time > 0.0) ? plant_one_minus_decay(h / time) : 1.0; }
 
 void thermal_advance(thermal_t *body, double h, double energy)
 {
-    const double end = body->ambient + body->resistance * energy / h; /* where this power leads to */
-    body->t += (end - body->t) * plant_approach(h / (body->resistance * body->capacity));
+    const double end = body->ambient + body->resistance * energy / h; /* final temperature at this power */
+    body->t += (end - body->t) * plant_one_minus_decay(h / (body->resistance * body->capacity));
 }

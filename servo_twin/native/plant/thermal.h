@@ -1,4 +1,4 @@
-/* thermal.h - temperatures of a winding and of a heatsink: one capacity each, one resistance to the ambient air.
+/* thermal.h - temperature of a body (winding, heatsink, resistor): one heat capacity, one resistance to the ambient air.
  *
  *   C dT/dt = P - (T - T_ambient) / R
  */
@@ -6,26 +6,28 @@
 #define PLANT_THERMAL_H
 
 typedef struct {
-    double capacity;   /* [J/K] */
-    double resistance; /* [K/W] */
-    double ambient;    /* [deg C] */
-    double t;          /* [deg C] */
+    double capacity; /* heat capacity [J/K] */
+    double resistance; /* thermal, to the ambient air [K/W] */
+    double ambient; /* [deg C] */
+    double t; /* temperature [deg C] */
 } thermal_t;
 
-/* Resistance of copper over that at the ambient temperature. */
-#define THERMAL_COPPER 3.93e-3 /* [1/K] */
+#define THERMAL_COPPER 3.93e-3 /* temperature coefficient of copper's resistance [1/K] */
 
+/* Resistance of copper relative to that at the ambient temperature. */
 static inline double thermal_copper(const thermal_t *body) { return 1.0 + THERMAL_COPPER * (body->t - body->ambient); }
 
+/* At the ambient temperature. */
 void thermal_init(thermal_t *body, double capacity, double resistance, double ambient);
 
-/* Another body at the same temperature. */
+/* New parameters; the temperature is kept. */
 void thermal_change(thermal_t *body, double capacity, double resistance);
 
-/* Part of its way that a magnet, which follows its winding, has gone after `h` seconds; `time` 0: all of it. */
+/* Share of the temperature difference between winding and magnet that has decayed after `h` seconds, at the time constant `time`
+ * [s]; 1 if that is 0. */
 double thermal_magnet(double h, double time);
 
-/* `energy` has been burnt in the last `h` seconds, evenly [J]. */
+/* Advance by `h` seconds with the loss `energy` [J], evenly distributed. */
 void thermal_advance(thermal_t *body, double h, double energy);
 
 #endif

@@ -1,5 +1,5 @@
-/* trig.h - sine and cosine from additions and products only: libm picks its code by processor, so its last bit is not
- * the same everywhere, and a run of the plant has to be. */
+/* trig.h - sine and cosine from additions and products only, with the same bits on every processor; libm selects its code by
+ * processor. */
 #ifndef PLANT_TRIG_H
 #define PLANT_TRIG_H
 
@@ -10,16 +10,16 @@
 #define PLANT_PI 3.14159265358979323846
 #define PLANT_SQRT3 1.73205080756887729353
 
-/* Taylor series on [-pi/4, pi/4], where sixteen powers reach double precision; even and odd terms are summed apart,
- * which halves the chain of dependent products. */
+/* Taylor series on [-pi/4, pi/4], where sixteen powers reach double precision. Even and odd terms are summed separately, which
+ * halves the chain of dependent products. */
 static inline void plant_sincos(double angle, double *sine, double *cosine)
 {
-    /* 1.5 x 2^52 pushes the fraction out of the number: what is left is rounded, its low bits are the quadrant */
+    /* adding 1.5 x 2^52 rounds to an integer, whose low bits are the quadrant */
     const double shifted = angle * (2.0 / PLANT_PI) + 6755399441055744.0;
     const double quarter = shifted - 6755399441055744.0;
     uint64_t bits;
     memcpy(&bits, &shifted, sizeof bits);
-    /* pi/2 in two parts: the first ends in zeros, so that its product with a few million quarters is exact */
+    /* pi/2 in two parts: the first ends in zero bits, so its product with up to some million quadrants is exact */
     const double x = (angle - quarter * 1.57079632673412561417) - quarter * 6.07710050650619224932e-11;
     const double z = x * x;
     const double w = z * z;

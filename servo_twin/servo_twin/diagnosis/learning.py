@@ -40,7 +40,7 @@ _SPAN: Final = 100  # blocks of which one maximum is taken for the tail, and one
 _MEAN_SPAN: Final = 10.0  # of which one maximum of the running means is taken [s]
 _DETECT_MIN: Final = 12.0
 _FEW: Final = 100  # samples of a bin from which its own noise is used
-_LEAST: Final = 20  # spans from which a tail is worth something
+_SPANS_MIN: Final = 20  # spans from which a tail is worth something
 _ENOUGH: Final = 5  # blocks from which a mean square is one
 _INFLATION: Final = 2.0  # of the largest mean square of the residual that was seen
 
@@ -138,9 +138,9 @@ class Learner:
             maxima += ratios
             unexplained = tuple((_INFLATION * squares).tolist())
             axes.append(replace(noise, spread=spread, unexplained=unexplained, means=limits))
-        if len(maxima) < _LEAST:
+        if len(maxima) < _SPANS_MIN:
             raise ThresholdsError(
-                f"{len(maxima) * _SPAN * BLOCK:.0f} s of motion are not enough, {_LEAST * _SPAN * BLOCK:.0f} s are"
+                f"{len(maxima) * _SPAN * BLOCK:.0f} s of motion are not enough, {_SPANS_MIN * _SPAN * BLOCK:.0f} s are"
             )
         span_hours = _SPAN * BLOCK / 3600.0
         voltages = np.array(self._voltages)

@@ -39,7 +39,7 @@ _SPEED_MAX: Final = 260.0
 """Beyond the speeds of calibration nothing is judged: voltages come to their limit, which no equation has [rad/s]."""
 _BUS_MARGIN: Final = 0.02  # the resistance of the supply is not known well
 _SURE: Final = 1.5  # for which something has been found before the twin takes it over [s]
-_LEAST: Final = 0.05  # part of a value that is left at least
+_REMAINDER_MIN: Final = 0.05  # part of a value that is left at least
 _GAP: Final = 0.05  # longest time that one sample stands for [s]
 _NEEDED: Final = ("u_dc", *(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in NEEDED))
 
@@ -188,5 +188,5 @@ def _with_change(plant: PlantConfig, axis: int | None, name: str, value: float) 
         return plant.with_bus(u_source=plant.bus.u_source * (1.0 + value))
     entry = PLANT_VALUES[name]
     old = getattr(plant.axes[axis], entry)
-    new = old + value if name == "load" else old * max(1.0 + value, _LEAST)
+    new = old + value if name == "load" else old * max(1.0 + value, _REMAINDER_MIN)
     return plant.with_axis(axis, **{entry: new})

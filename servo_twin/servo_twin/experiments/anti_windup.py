@@ -30,12 +30,12 @@ MEASURED: Final = 10  # periods
 DEPTH: Final = 0.88
 """What the limited current can accelerate, over what the sine asks for. 1 A does this to the shaft of F21."""
 
-CURRENT_MOST: Final = 4.0  # limit of the drive [A]
+CURRENT_MAX: Final = 4.0  # limit of the drive [A]
 
-HIGHER_LEAST: Final = 1.1
+HIGHER_MIN: Final = 1.1
 """Peak without anti-windup over the peak with it."""
 
-LATER_LEAST: Final = 1.25
+LATER_MIN: Final = 1.25
 """Lag without over the lag with it; friction takes some of the windup away."""
 
 
@@ -47,12 +47,12 @@ def whole_ticks(frequency: float) -> float:
 def current_limit(axis: AxisPlant, frequency: float) -> float:
     """Limit that saturates a shaft as deeply as 1 A does the one of F21 [A], in steps of 0.01 A."""
     torque = DEPTH * axis.inertia * AMPLITUDE * 2.0 * np.pi * frequency
-    return float(np.clip(round(torque / axis.torque_constant, 2), 0.1, CURRENT_MOST))
+    return float(np.clip(round(torque / axis.torque_constant, 2), 0.1, CURRENT_MAX))
 
 
 def top_frequency(axis: AxisPlant) -> float:
     """Highest frequency for which the drive has the current that saturates a shaft so [Hz]."""
-    return CURRENT_MOST * axis.torque_constant / (DEPTH * axis.inertia * AMPLITUDE * 2.0 * np.pi)
+    return CURRENT_MAX * axis.torque_constant / (DEPTH * axis.inertia * AMPLITUDE * 2.0 * np.pi)
 
 
 def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) -> Recording:
@@ -98,9 +98,9 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield judge("peak with", higher, "rpm", 0.95 * asked, 1.1 * asked, seed="F21: almost no overshoot")
     yield judge("lag with", lags[0], "deg", 0.0, 20.0, seed="F21: small lag")
     yield judge("time at the limit with", saturated[0], "", 0.05, 0.8, seed="F21: at the limit while accelerating")
-    least = HIGHER_LEAST * max(higher, asked)
+    least = HIGHER_MIN * max(higher, asked)
     yield judge("peak without", peaks[1] / RPM, "rpm", least, seed="F22: overshoot at every peak")
-    yield judge("lag without", lags[1], "deg", LATER_LEAST * lags[0], seed="F22: clear lag")
+    yield judge("lag without", lags[1], "deg", LATER_MIN * lags[0], seed="F22: clear lag")
     yield judge("time at the limit without", saturated[1], "", saturated[0], seed="F22: longer at the limit")
     yield _panel("F21: with anti-windup", with_it, frequency)
     yield _panel("F22: without anti-windup", without, frequency)

@@ -30,9 +30,9 @@ FOLLOWS: Final = 0.75
 SETTLE: Final = 0.8  # [s]
 MEASURED: Final = 0.5  # [s]
 SHOWN: Final = 0.05  # [s]
-LEFT_MOST: Final = 0.25  # of the ripple without compensation
+LEFT_MAX: Final = 0.25  # of the ripple without compensation
 NOMINAL: Final = 2.0  # [A]
-RIPPLE_MOST: Final = 0.01  # of the nominal current
+RIPPLE_MAX: Final = 0.01  # of the nominal current
 
 
 def capacitance(plant: PlantConfig, axis: int) -> float:
@@ -78,8 +78,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         ratio, part = currents[0] / max(currents[1], 1e-9), 100.0 * currents[0] / NOMINAL
         judge = Judge(f"{name}, ", "F7: compensated")
         yield judge("ripple of the bus", bus, "%", 80.0 * SWING, 110.0 * SWING, seed="10 %")
-        yield judge("current ripple, with over without", ratio, most=LEFT_MOST)
-        yield judge("current ripple with", part, "% of 2 A", most=100.0 * RIPPLE_MOST)
+        yield judge("current ripple, with over without", ratio, most=LEFT_MAX)
+        yield judge("current ripple with", part, "% of 2 A", most=100.0 * RIPPLE_MAX)
         yield (
             f"{name}: i_q ripple {1e3 * currents[0]:.3g} mA with, {1e3 * currents[1]:.3g} mA without; "
             f"speed ripple {speeds[0]:.3g} and {speeds[1]:.3g} rpm"

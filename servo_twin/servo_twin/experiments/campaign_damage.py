@@ -41,7 +41,7 @@ NO_DAMAGE: Final = "no damage"
 UNDER, OVER = 16.0, 33.0  # limits of the bus in servo.toml [V]
 NEAR: Final = 0.5  # noise and filter leave it open on which side of them the bus was [V]
 WATCHDOG: Final = 0.05  # s
-SLIP_LEAST: Final = 30.0  # electrical [deg]
+SLIP_MIN: Final = 30.0  # electrical [deg]
 SLIP_NAMED: Final = 90.0  # from here on the torque acts the other way [deg]
 WORN_LOAD: Final = 0.2  # part of the inertia that is behind a worn shaft
 WORN_RESONANCE: Final = 400.0  # Hz
@@ -54,12 +54,12 @@ class Seen:
 
     Attributes
     ----------
-    u_least, u_most : float
+    u_min, u_max : float
         Extremes of the bus [V].
     """
 
-    u_least: float
-    u_most: float
+    u_min: float
+    u_max: float
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def _plug(rng: random.Random, at: Where) -> Damage:
 def _slip(rng: random.Random, at: Where) -> Damage:
     """Before the rotor is looked for it means nothing; afterwards a small one leaves a part of the torque."""
     motor = at.plant.axes[at.axis]
-    degrees = rng.choice((-1.0, 1.0)) * rng.uniform(SLIP_LEAST, 180.0)
+    degrees = rng.choice((-1.0, 1.0)) * rng.uniform(SLIP_MIN, 180.0)
     slip = SlippedEncoder(at.axis, round(degrees / 360.0 * 4 * motor.encoder_lines / motor.pole_pairs))
     if not at.state.calibrated:
         names: tuple[str, ...] = (NOTHING,)
@@ -168,11 +168,11 @@ def _held(rng: random.Random, at: Where) -> Damage:
 
 def _by_voltage(seen: Seen) -> tuple[str, ...]:
     names: list[str] = []
-    if seen.u_least < UNDER + NEAR:
+    if seen.u_min < UNDER + NEAR:
         names.append("UNDER_VOLTAGE")
-    if seen.u_most > OVER - NEAR:
+    if seen.u_max > OVER - NEAR:
         names.append("OVER_VOLTAGE")
-    if seen.u_least > UNDER - NEAR and seen.u_most < OVER + NEAR:
+    if seen.u_min > UNDER - NEAR and seen.u_max < OVER + NEAR:
         names.append(NOTHING)
     return tuple(names)
 

@@ -39,7 +39,7 @@ OTHERS: Final = tuple(_TABLES)
 MOTORS: Final = OWN + OTHERS
 """All of them."""
 
-OBSERVED_LEAST: Final = 0.2
+OBSERVED_MIN: Final = 0.2
 """Part of the speed limit from which on an axis without an encoder has to bear its full current."""
 
 SLOWEST: Final = 1.1
@@ -109,7 +109,7 @@ class Motor:
             return True  # the experiments without an encoder show that
         motor, limits = self.believed, _TABLES[self.name]["limits"]
         unknown = (DEVIATION["r_s"][1] - 1.0) * motor.r_s * float(limits["current"])
-        return motor.pole_pairs * motor.psi_m * OBSERVED_LEAST * float(limits["speed"]) > unknown
+        return motor.pole_pairs * motor.psi_m * OBSERVED_MIN * float(limits["speed"]) > unknown
 
     @property
     def slowest(self) -> float:

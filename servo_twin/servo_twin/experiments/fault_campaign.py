@@ -16,7 +16,7 @@ import numpy as np
 from servo_twin.experiments.campaign_damage import DAMAGES, NO_DAMAGE, Damage, Seen, Where, no_damage
 from servo_twin.experiments.campaign_motors import MOTORS, Motor, deviating
 from servo_twin.experiments.campaign_states import MANOEUVRES, STATES, Bench, Script, State
-from servo_twin.experiments.named_faults import EVERYTHING, NAMED, NOTHING, PROVOKED, fault_time, gain_most
+from servo_twin.experiments.named_faults import EVERYTHING, NAMED, NOTHING, PROVOKED, fault_time, gain_max
 from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
 from servo_twin.experiments.rig import TICK, TICK_NS, at_level, level, positive
 from servo_twin.level import Level
@@ -144,8 +144,8 @@ class _Watch:
         self._events = sorted(script.events, key=lambda event: event[0])
         self._start = start
         self.wait = script.wait
-        self.speed_most = 0.0
-        self.u_least, self.u_most = np.inf, 0.0
+        self.speed_max = 0.0
+        self.u_min, self.u_max = np.inf, 0.0
 
     def play(self, until_ns: int) -> None:
         """Run to a moment, and do what is to be done before."""
@@ -168,8 +168,8 @@ class _Watch:
 
     def look(self) -> None:
         truth = self._bench.board.truth(self._bench.axis)
-        self.speed_most = max(self.speed_most, abs(truth.omega_m))
-        self.u_least, self.u_most = min(self.u_least, truth.u_dc), max(self.u_most, truth.u_dc)
+        self.speed_max = max(self.speed_max, abs(truth.omega_m))
+        self.u_min, self.u_max = min(self.u_min, truth.u_dc), max(self.u_max, truth.u_dc)
 
     def forget(self) -> None:
         """No more of what was to be done."""
@@ -179,7 +179,7 @@ class _Watch:
 def _gain(motor: AxisPlant, plant: PlantConfig, damage: Damage) -> float:
     """The bus takes the current back, but for what goes round in a short, which drop and resistance end."""
     shorted = damage.kind in SHORTS
-    return gain_most(motor, motor.v_drop + 0.5 * motor.r_s * motor.i_break if shorted else plant.bus.u_source)
+    return gain_max(motor, motor.v_drop + 0.5 * motor.r_s * motor.i_break if shorted else plant.bus.u_source)
 
 
 def run_trial(trial: Trial) -> Result:
@@ -202,7 +202,7 @@ def run_trial(trial: Trial) -> Result:
 def _break(trial: Trial, bench: Bench, watch: _Watch, sign: float) -> Result:
     board, damage = bench.board, trial.damage
     watch.look()
-    at_first, cause = watch.speed_most, board.time_ns
+    at_first, cause = watch.speed_max, board.time_ns
     damage.strike(board)
     found = watch.fault_within(watch.wait)
     seconds = None
@@ -215,16 +215,16 @@ def _break(trial: Trial, bench: Bench, watch: _Watch, sign: float) -> Result:
     # What an axis bears while its core works drives it when that stands still.
     driven = abs(bench.torque_of_load) / bench.motor.inertia * (seconds or 0.0)
     before = abs(board.truth(bench.axis).omega_m)
-    fastest = watch.speed_most
+    fastest = watch.speed_max
     beyond = fastest - max(at_first, bench.wanted)
     board.set_load(bench.axis, 0.0)  # whatever moves the shaft now is the drive
-    watch.speed_most = before
+    watch.speed_max = before
     watch.forget()
     for _ in range(round(NAMED / TICK)):
         watch.fault_within(TICK)
-    gained = watch.speed_most - before if found else 0.0
+    gained = watch.speed_max - before if found else 0.0
     name = bench.first_fault()
-    right = damage.names(Seen(watch.u_least, watch.u_most))
+    right = damage.names(Seen(watch.u_min, watch.u_max))
     blows = damage.kind == NO_DAMAGE  # of a load, which may well drive a light shaft beyond its limit
     most = np.inf if blows else RUNAWAY_MARGIN + max(at_first, bench.speed_limit) + driven
     complaints = [

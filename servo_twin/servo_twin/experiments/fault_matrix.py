@@ -18,7 +18,7 @@ from servo_twin.experiments.named_faults import (
     fault_time,
     faults,
     first_fault,
-    gain_most,
+    gain_max,
     place,
     word,
 )
@@ -213,7 +213,7 @@ class Case:
     """PWM periods from the cause to the fault; None if the axis had to be asked to move, or there was none."""
     gained: float
     """Speed that the shaft gained after the outputs were off [rad/s]."""
-    gain_most: float
+    gain_max: float
     """What the current that is left in the winding may give it [rad/s]."""
     other: bool
     """Axis 2 did what it should."""
@@ -224,7 +224,7 @@ class Case:
 
     @property
     def agrees(self) -> bool:
-        return self.named and self.gained <= self.gain_most and self.other
+        return self.named and self.gained <= self.gain_max and self.other
 
 
 def _fault_within(board: Board, seconds: float) -> bool:
@@ -262,7 +262,7 @@ def case(plant: PlantConfig, seed: int, damage: Damage, state: str) -> Case:
         other = faults(board, 1)
         error = abs(board.truth(1).omega_m - OTHER_SPEED)
         fine = other == {name} if name in EVERYTHING else not other and error < OTHER_OFF
-        gain = gain_most(plant.axes[0], plant.bus.u_source)  # the bus takes the current back
+        gain = gain_max(plant.axes[0], plant.bus.u_source)  # the bus takes the current back
         return Case(damage, state, name, periods, most - speed if found else 0.0, gain, fine)
 
 
@@ -308,7 +308,7 @@ def _rows(judge: Judge, damage: Damage, mine: Sequence[Case]) -> Iterator[Row]:
     """What is right; the slowest in a turning motor, and the slowest that showed by itself, where that is bounded."""
     for name, right in (
         (" or ".join(damage.faults) or "no fault", [c.named for c in mine]),
-        ("no motion after", [c.gained <= c.gain_most for c in mine]),
+        ("no motion after", [c.gained <= c.gain_max for c in mine]),
         ("axis 2 as it should", [c.other for c in mine]),
     ):
         yield judge(name, sum(right) / len(right), "of all", 1.0, 1.0)

@@ -33,10 +33,10 @@ CHOICES: Final[Mapping[str, Mapping[str, bool]]] = {
     "speed, acceleration": {"SPEED_FORWARD": True, "ACCELERATION_FORWARD": True},
     "all": {"SPEED_FORWARD": True, "ACCELERATION_FORWARD": True, "FRICTION": True},
 }
-SPEED_LEFT_MOST: Final = 0.25
+SPEED_LEFT_MAX: Final = 0.25
 """Part of the following error that may be left with the speed: the lag of E44 goes, that of the acceleration stays."""
 
-ACCELERATION_LEFT_MOST: Final = 0.75
+ACCELERATION_LEFT_MAX: Final = 0.75
 """Part of that which may be left with the acceleration: the torque still comes a slow loop late."""
 
 OVERSHOOT_OF_WRONG: Final = 0.1
@@ -46,7 +46,7 @@ OVERSHOOT_OF_FRICTION: Final = 1.0
 
 REST: Final = 0.8  # recorded after the ramp's end [s]
 ARRIVED: Final = 2.0  # [counts]
-SETTLE_WORSE_MOST: Final = 0.01
+SETTLE_WORSE_MAX: Final = 0.01
 """A time constant of the path filter [s]."""
 
 SEED_LAG: Final = "E44: a plain gain trails"
@@ -132,7 +132,7 @@ def error_bound(speed_error: float, inertia: Mismatch) -> float:
     A part of the error with the speed alone [counts], for the torque that comes late; the error that a wrong belief of
     the inertia brings back; three counts.
     """
-    return (ACCELERATION_LEFT_MOST * inertia.lighter + inertia.wrong) * speed_error + ARRIVED + 1.0
+    return (ACCELERATION_LEFT_MAX * inertia.lighter + inertia.wrong) * speed_error + ARRIVED + 1.0
 
 
 @experiment(NAME)
@@ -162,7 +162,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
 
 def _rows(judge: Judge, moves: Mapping[str, Move], inertia: Mismatch, friction: Mismatch) -> Iterator[Row]:
     none, speed = moves["none"], moves["speed"]
-    left, most = speed.error / max(none.error, 1e-9), SPEED_LEFT_MOST * inertia.heavier
+    left, most = speed.error / max(none.error, 1e-9), SPEED_LEFT_MAX * inertia.heavier
     yield judge("following error, speed over none", left, most=most, seed=SEED_LAG)
     for choice in ("speed, acceleration", "all"):
         most = error_bound(speed.error, inertia)
@@ -175,8 +175,8 @@ def _rows(judge: Judge, moves: Mapping[str, Move], inertia: Mismatch, friction: 
     yield judge("overshoot, worst", beyond, "counts", most=most, seed=SEED_OVERSHOOT)
     later = _later(none.settling, [move.settling for move in forward])
     lag = none.error * COUNT / max(float(np.abs(none.recording.omega).max()), 1e-9)
-    apart = SETTLE_WORSE_MOST + lag * math.log(max(move.window for move in moves.values()) / ARRIVED)
-    yield judge("settling, latest less none", later, "s", most=SETTLE_WORSE_MOST, apart=apart)
+    apart = SETTLE_WORSE_MAX + lag * math.log(max(move.window for move in moves.values()) / ARRIVED)
+    yield judge("settling, latest less none", later, "s", most=SETTLE_WORSE_MAX, apart=apart)
 
 
 def _later(without: float | None, forward: list[float | None]) -> float | None:

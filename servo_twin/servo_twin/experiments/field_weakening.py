@@ -31,7 +31,7 @@ differ by 10 % from their nominal data, and both axes at once. The reference des
 AXIS: Final = 0
 RATED: Final = 4000.0 * RPM
 CURRENT: Final = 4.0  # of the drive [A],
-I_D_MOST: Final = 3.0  # the part of it that it lets field weakening have [A],
+I_D_MAX: Final = 3.0  # the part of it that it lets field weakening have [A],
 MARGIN: Final = 0.3  # and the voltage that this keeps free [V]
 
 LOADS: Final = (0.02, 0.045, 0.08, 0.12)  # [N m]
@@ -78,7 +78,7 @@ def formula(axis: AxisPlant, volts: float, load: float, *, weak: bool) -> float:
     def torque(speed: float) -> float:
         return load + axis.friction + axis.viscous * speed
 
-    return min(speed_left(axis, CURRENT, voltage, -I_D_MOST if weak else 0.0, torque), RATED)
+    return min(speed_left(axis, CURRENT, voltage, -I_D_MAX if weak else 0.0, torque), RATED)
 
 
 @contextmanager
@@ -161,7 +161,7 @@ def _load_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
     curves: list[Curve] = []
     for weak, how in ((False, "without"), (True, "with")):
         voltage = MODULATION * volts - (MARGIN if weak else 0.0)
-        torques = [reserve_at(axis, CURRENT, w, voltage, -I_D_MOST if weak else 0.0).torque for w in grid]
+        torques = [reserve_at(axis, CURRENT, w, voltage, -I_D_MAX if weak else 0.0).torque for w in grid]
         rest = np.maximum(np.array(torques) - axis.friction - axis.viscous * grid, 0.0)
         curves.append(Curve(f"{how}, on paper", grid / RPM, 1e3 * rest))
         curves.append(Curve(f"{how}, measured", np.array(speeds[weak]) / RPM, 1e3 * np.array(LOADS), "o"))
@@ -295,4 +295,4 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         yield from _sag_rows(judge, plant.axes[axis], recording, BOTH_SAG)
     yield from _fault_rows(plant, seed)
     yield from _motor_rows(plant, seed)
-    yield f"axis {AXIS + 1}; i_d down to -{I_D_MOST:g} A of {CURRENT:g} A, {MARGIN:g} V kept free"
+    yield f"axis {AXIS + 1}; i_d down to -{I_D_MAX:g} A of {CURRENT:g} A, {MARGIN:g} V kept free"

@@ -44,10 +44,10 @@ CLOSELY: Final = TICK_NS // 8
 FAR: Final = 20.0  # [rad]
 SPEED: Final = 60.0  # [rad/s]
 
-SPREAD_MOST: Final = 3.0
+SPREAD_MAX: Final = 3.0
 """Of three contacts, which differ in where friction lets the shaft come to rest [counts]."""
 
-PLACE_MOST: Final = 2.0
+PLACE_MAX: Final = 2.0
 """Beyond what friction may hold back: a count at each end [counts]."""
 
 ON_SWITCH: Final = (0.1, 0.6)  # beyond the edge, where a homing may begin [rad]
@@ -59,7 +59,7 @@ two of the filter) at the speed of the first approach. The others are slower in 
 SWITCH_SPREAD: Final = BEYOND_EDGE[1] - 1.0
 """Of three edges, which differ in the speed at each [counts]."""
 
-CURRENT_MOST: Final = 1.25
+CURRENT_MAX: Final = 1.25
 """Of the limit, the true current, the largest of some ten thousand instants: dead time and noise."""
 
 OVERSHOOT: Final = 1.2
@@ -319,10 +319,10 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         found = [c for trial in range(TRIALS) for c in contacts(plant, seed, kind, trial)]
         judge = Judge(f"{kind}: ")
         yield judge.none("homings that fail", sum(not c.done for c in found))
-        yield judge("spread", max(c.spread for c in found), "counts", most=SPREAD_MOST)
-        yield judge("repeats within", max(c.repeats for c in found), "counts", most=PLACE_MOST)
-        yield judge("place", max(c.place for c in found), "counts", most=PLACE_MOST)
-        yield judge("largest current", max(c.current for c in found), "of the limit", most=CURRENT_MOST)
+        yield judge("spread", max(c.spread for c in found), "counts", most=SPREAD_MAX)
+        yield judge("repeats within", max(c.repeats for c in found), "counts", most=PLACE_MAX)
+        yield judge("place", max(c.place for c in found), "counts", most=PLACE_MAX)
+        yield judge("largest current", max(c.current for c in found), "of the limit", most=CURRENT_MAX)
         yield judge("largest force", max(c.force for c in found), "of an ideal spring", 0.3, 1.0)
         places.append(_places(kind, [c.place for c in found], "o"))
     switches = [one for trial in range(TRIALS) for one in to_switches(plant, seed, trial)]

@@ -96,7 +96,7 @@ class Pair:
             "ideal": side(self.ideal),
             "registers": side(self.registers),
             "difference": _finite(self.difference),
-            "difference_most": _finite(self.most),
+            "difference_max": _finite(self.most),
             "agrees": self.agrees,
         }
 

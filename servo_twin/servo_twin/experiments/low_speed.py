@@ -26,13 +26,13 @@ MEASURED: Final = 4.0  # [s]
 RARE: Final = 10.0
 """Below, an edge of track B comes every six slow loops at most: here the enhanced method has to help [rpm]."""
 
-BETTER_MOST: Final = 0.9
+BETTER_MAX: Final = 0.9
 """Deviation with the enhanced method over that with the plain one, at the speed at which it helps most."""
 
 CHANCE: Final = 1.25
 """The same at any speed: where both methods see the same edges, the rest is noise."""
 
-WAY_MOST: Final = 8.0
+WAY_MAX: Final = 8.0
 """The shaft is so far from where the set-point wants it, at the most, after the time measured [counts]."""
 
 
@@ -65,7 +65,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             lost = abs(means[1] - speed) * MEASURED / COUNT
             judge = Judge(f"{what}, ", NOT_SHOWN)
             yield judge("deviation enhanced over plain", ratio, most=CHANCE, seed=says)
-            yield judge("way lost with enhanced", lost, "counts", most=WAY_MOST)
+            yield judge("way lost with enhanced", lost, "counts", most=WAY_MAX)
             yield (
                 f"{what}: deviation {100 * rms[0]:.3g} % plain, {100 * rms[1]:.3g} % enhanced; true mean "
                 f"{means[0] / RPM:.3g} and {means[1] / RPM:.3g} rpm"
@@ -73,7 +73,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             if axis == 0:
                 yield _panel(what, rpm, plain, better)
         judge = Judge(f"{axis_name(axis)}, where it helps most, ", "2.4.6: better when edges are rare")
-        yield judge("deviation enhanced over plain", min(rare), most=BETTER_MOST)
+        yield judge("deviation enhanced over plain", min(rare), most=BETTER_MAX)
 
 
 def _panel(title: str, rpm: float, plain: Recording, better: Recording) -> Panel:

@@ -38,20 +38,20 @@ STEPS: Final = (0.3, 0.15, 0.1, 0.08, 0.07, 0.06, 0.05, 0.045, 0.04, 0.035, 0.03
 LOADS: Final = (0.0, 0.25, 0.5)
 """Parts of the torque at the current limit."""
 
-SEED_MOST: Final = 5.0
+SEED_MAX: Final = 5.0
 """The reference design's minimum speed, in percent of the maximum."""
 
 LOST: Final = 0.4
 """A back-EMF that is a smaller part of what dead time and drops take is no minimum that a motor could be blamed for."""
 
-MEAN_MOST: Final = 0.03
+MEAN_MAX: Final = 0.03
 """Deviation of the true mean from the set-point, over it, at the most."""
 
 SETTLE: Final = 0.5  # after each step [s]
 MEASURED: Final = 0.75  # then [s]
 LOADING: Final = 0.4  # the load grows so slowly that the speed hardly falls [s]
 
-AWAY_MOST: Final = 1.5
+AWAY_MAX: Final = 1.5
 """Largest speed at the end, over the highest set-point: it must not run away where it can no longer be observed."""
 
 
@@ -103,15 +103,15 @@ def _not_held(trace: Trace, speed: float) -> str:
     """Why a speed is not held; empty when it is."""
     omega = trace.part(SETTLE).omega
     mean = float(omega.mean())
-    if abs(mean / speed - 1.0) > MEAN_MOST:
+    if abs(mean / speed - 1.0) > MEAN_MAX:
         return f"a mean of {mean / RPM:.3g} rpm"
     return "a shaft that stood" if float(omega.min()) <= 0.0 else ""
 
 
-def _most(plant: PlantConfig, axis: int, limit: float) -> float:
+def _lowest_speed_max(plant: PlantConfig, axis: int, limit: float) -> float:
     """The reference design's figure, or what a weak back-EMF allows [% of the limit of the speed, in rad/s]."""
     least = LOST * dead_voltage(plant, axis) / back_emf(plant.axes[axis], limit)
-    return max(SEED_MOST, 100.0 * least)
+    return max(SEED_MAX, 100.0 * least)
 
 
 @experiment(NAME)
@@ -124,12 +124,12 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             what = f"{name}, load {100.0 * load:.0f} %" if load else f"{name}, no load"
             judge, says = Judge(f"{what}, ", NOT_SHOWN), "5 % of the maximum"
             if not it.speeds:
-                yield judge("lowest speed", None, "% of limit", most=SEED_MOST, seed=says)
+                yield judge("lowest speed", None, "% of limit", most=SEED_MAX, seed=says)
                 continue
             limit, lowest, r = it.speeds[0] / STEPS[0], it.speeds[-1], it.trace
             part = 100.0 * lowest / limit
-            yield judge("lowest speed", part, "% of limit", most=_most(plant, axis, limit), seed=says)
-            yield judge("largest speed", it.fastest / it.speeds[0], most=AWAY_MOST)
+            yield judge("lowest speed", part, "% of limit", most=_lowest_speed_max(plant, axis, limit), seed=says)
+            yield judge("largest speed", it.fastest / it.speeds[0], most=AWAY_MAX)
             yield (
                 f"{what}: down to {lowest / RPM:.3g} rpm, ripple {100.0 * float(r.omega.std()) / lowest:.2g} %, "
                 f"angle error up to {float(np.abs(r.error).max()):.2g} deg; ended by {it.end}"

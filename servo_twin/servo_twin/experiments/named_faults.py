@@ -20,7 +20,7 @@ __all__ = [
     "fault_time",
     "faults",
     "first_fault",
-    "gain_most",
+    "gain_max",
     "place",
     "word",
 ]
@@ -80,7 +80,7 @@ def fault_time(board: Board, axis: int, *, lost_count: bool = False) -> int:
     return fault_record(board, axis).tick * PERIOD_NS
 
 
-def gain_most(motor: AxisPlant, volts: float) -> float:
+def gain_max(motor: AxisPlant, volts: float) -> float:
     """Speed that a shaft may gain with the outputs off [rad/s].
 
     The largest current goes on while it decays: half of torque times decay, over inertia.

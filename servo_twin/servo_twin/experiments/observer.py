@@ -49,13 +49,13 @@ SENSITIVE: Final = (SPEEDS[1], SPEEDS[2], SPEEDS[3])
 
 SENSITIVE_CURRENT: Final = 0.5
 
-ERROR_MOST: Final = 5.0
+ERROR_MAX: Final = 5.0
 """Mean error at a point, beyond what the saliency of the rotor makes on paper [deg]: 0.4 % of the torque."""
 
 LEFT: Final = 1.0 / 8.0
 """Part of the dead time's voltage that its compensation may leave: where the back-EMF is small, this is more."""
 
-PAPER_MOST: Final = 3.0
+PAPER_MAX: Final = 3.0
 """Between the change that another winding makes and that on paper, which knows no dead time [deg]."""
 
 RIPPLE: Final = 9.0
@@ -189,7 +189,7 @@ def _worst(plant: PlantConfig, axis: int, points: Mapping[tuple[float, float], P
     found: list[tuple[float, float]] = []
     for point in points.values():
         beyond = max(abs(point.mean) - abs(paper(motor, motor, point.speed, point.i_q)), 0.0)
-        found.append((beyond, max(ERROR_MOST, math.degrees(LEFT * lost / back_emf(motor, point.speed)))))
+        found.append((beyond, max(ERROR_MAX, math.degrees(LEFT * lost / back_emf(motor, point.speed)))))
     return max(found, key=lambda pair: (pair[0] / pair[1], pair))
 
 
@@ -213,8 +213,8 @@ def _sensitivity(
             what, says = f"Rs x {r_s:g}", "not very sensitive to Rs"
         judge = Judge(f"{axis_name(axis)}, {what}, ", says)
         if r_s != 1.0:
-            yield judge("error changes by", largest, "deg", most=PAPER_MOST)
-        yield judge("change less that on paper", away, "deg", most=PAPER_MOST)
+            yield judge("error changes by", largest, "deg", most=PAPER_MAX)
+        yield judge("change less that on paper", away, "deg", most=PAPER_MAX)
 
 
 def _observable(motor: AxisPlant, point: Point) -> bool:

@@ -25,14 +25,14 @@ Position set-points of both axes: steps, which the path filter shapes, and ramps
 reference design requires no overshoot and no oscillation of the position (2.7.3); it shows no measurement."""
 
 DISTANCES: Final = (0.01, 1.0, 100.0)  # [turns]
-MOST_COUNTS: Final = 2.0
+COUNTS_MAX: Final = 2.0
 SETTLE: Final = 0.5
 """Allowed from the end of the speed-limited ramp until the shaft has arrived [s]: path filter and position loop.
 
 More where a heavy shaft makes the path filter slow."""
 
 RAMP_SPEED: Final = 0.5  # of the speed limit
-RAMP_LEAST: Final = 0.2  # [s]
+RAMP_MIN: Final = 0.2  # [s]
 REST: Final = 1.0  # recorded after the shaft should have arrived [s]
 
 SEED_OVERSHOOT: Final = "2.7.3: position must not overshoot"
@@ -62,14 +62,14 @@ class Move:
 def measure(recording: Recording, target: int, ramp_end: float, shaft: AxisPlant) -> Move:
     """Judge a move of a shaft that began with the recording; `target` in counts, `ramp_end` in seconds."""
     last = recording.part(recording.time[-1] - REST / 2.0).position
-    swerve = swerve_at(recording, shaft, target, MOST_COUNTS)
+    swerve = swerve_at(recording, shaft, target, COUNTS_MAX)
     swing = pushed(recording, shaft, position=True)[-last.size :]
     return Move(
         recording,
         overshoot=rig.overshoot(recording, target),
         cycle=float(np.ptp(last)),
         error=float(np.abs(last - target).mean()),
-        settling=rig.arrives(recording, target, MOST_COUNTS + swerve, ramp_end),
+        settling=rig.arrives(recording, target, COUNTS_MAX + swerve, ramp_end),
         swerve=swerve,
         swing=float(round(np.ptp(swing))),
     )
@@ -80,7 +80,7 @@ def travel(board: Board, axis: int, turns: float, ramp: bool, settle: float = SE
     limit, start = rig.get_axis(board, "param.speed_limit", axis), rig.position_of(board, axis)
     target = start + round(turns * COUNTS_PER_TURN)
     distance = abs(target - start) * COUNT
-    duration = max(distance / (RAMP_SPEED * limit), RAMP_LEAST) if ramp else distance / limit
+    duration = max(distance / (RAMP_SPEED * limit), RAMP_MIN) if ramp else distance / limit
 
     def act(k: int) -> None:
         if ramp and k * TICK <= duration + TICK:
@@ -104,8 +104,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             how, way = f"{'ramp' if ramp else 'step'} of {distance:g} turns", -distance if ramp else distance
             moves = [travel(board, axis, way, ramp, settle) for axis, settle in enumerate(settles)]
             for axis, (move, settle) in enumerate(zip(moves, settles, strict=True)):
-                judge, within = Judge(f"{axis_name(axis)} {how}, ", SEED_NONE), MOST_COUNTS + move.swerve
-                calm = MOST_COUNTS + move.swing
+                judge, within = Judge(f"{axis_name(axis)} {how}, ", SEED_NONE), COUNTS_MAX + move.swerve
+                calm = COUNTS_MAX + move.swing
                 yield judge("overshoot", move.overshoot, "counts", most=within, seed=SEED_OVERSHOOT)
                 yield judge("limit cycle", move.cycle, "counts", most=calm, seed=SEED_CYCLE)
                 yield judge("steady-state error", move.error, "counts", most=within)

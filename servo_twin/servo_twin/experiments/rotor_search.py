@@ -48,11 +48,11 @@ TURN_COUNTS: Final = 12
 """Most that the last vector, which turns, may move it besides [counts]: three counts to follow, as far as a heavy shaft
 swings beyond, and half an interval to lie on the vector."""
 
-VECTOR_LEAST: Final = 0.1  # current that is shown as a vector [A]
+VECTOR_MIN: Final = 0.1  # current that is shown as a vector [A]
 BOOT_NS: Final = 60 * TICK_NS  # from reset until both axes are in STOP
-SEARCH_MOST: Final = 6.0  # [s]
+SEARCH_MAX: Final = 6.0  # [s]
 LOOK: Final = 0.02  # between two looks at the state [s]
-NAMED_MOST: Final = 1.5  # until a search that cannot succeed ends in its fault [s]; under way it is verified first
+NAMED_MAX: Final = 1.5  # until a search that cannot succeed ends in its fault [s]; under way it is verified first
 NAMED_LATE: Final = 4.0  # the same for one that has to be tried again, after the shaft has come to rest [s]
 REST_TICKS: Final = 5  # shortest pause between two vectors, in slow ticks; noise may give one or two zeros
 
@@ -66,7 +66,7 @@ class Damage:
     """Name that the firmware has to give it."""
     do: Callable[[Board, int], None]
     """Does it to an axis of a board."""
-    most: float = NAMED_MOST
+    most: float = NAMED_MAX
     """Time until the fault is named [s]."""
 
 
@@ -176,7 +176,7 @@ def find(
         enums = board.catalogue.enums
         closed_loop = enums["state_t"]["RUN"], enums["substate_t"]["SPIN"]
         pause = TICK if trace else LOOK
-        for look in range(round(SEARCH_MOST / pause)):
+        for look in range(round(SEARCH_MAX / pause)):
             if damage is not None and look == round(after / pause):
                 for axis in axes:
                     damage.do(board, axis)
@@ -203,7 +203,7 @@ def find(
 def _vector(board: Board, axis: int) -> float:
     """Angle of the current vector in the stator frame [degrees]; NaN where there is hardly one."""
     truth = board.truth(axis)
-    if math.hypot(truth.i_d, truth.i_q) < VECTOR_LEAST:
+    if math.hypot(truth.i_d, truth.i_q) < VECTOR_MIN:
         return math.nan
     rotor = board.plant.axes[axis].pole_pairs * truth.theta_m
     return wrapped(math.degrees(rotor + math.atan2(truth.i_q, truth.i_d)))
@@ -220,7 +220,7 @@ def _search(board: Board, log: NDArray[np.void], axis: int, error: float | None,
     counts = log[f"{name}.position"][align].astype(np.float64)
     driven = _driven(current)
     starts = np.count_nonzero(np.diff(driven.astype(np.int8), prepend=0) == 1)
-    pulls = driven & (si[f"{name}.i_d"][align] > VECTOR_LEAST)  # along the vector; reversed while it brakes
+    pulls = driven & (si[f"{name}.i_d"][align] > VECTOR_MIN)  # along the vector; reversed while it brakes
     theta_m = np.where(pulls, np.array(vectors)[align], np.nan) if vectors else np.array([])
     return Search(
         error=error,

@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 BOOT: Final = 0.03  # reset to STOP [s]
-START_MOST: Final = 3.0  # of a start-up [s]
+START_MAX: Final = 3.0  # of a start-up [s]
 LOOK: Final = 0.01  # between two looks at the state [s]
 
 
@@ -148,7 +148,7 @@ def started(plant: PlantConfig, seed: int, speeds: Mapping[int, float]) -> Itera
     with observing(plant, seed) as board:
         for axis, part in speeds.items():
             command_speed(board, axis, part * limits_of(board, axis)[0] / 3.0)
-        for _ in range(round(START_MOST / LOOK)):
+        for _ in range(round(START_MAX / LOOK)):
             board.run(LOOK)
             for axis in speeds:
                 if faults := word(board, axis, "faults"):
@@ -156,7 +156,7 @@ def started(plant: PlantConfig, seed: int, speeds: Mapping[int, float]) -> Itera
             if not any(ended(board, axis) for axis in speeds):
                 yield board
                 return
-        raise SimulationError(f"no start within {START_MOST:g} s")
+        raise SimulationError(f"no start within {START_MAX:g} s")
 
 
 def follow(

@@ -41,24 +41,24 @@ BEHIND: Final = 0.1  # the limit set behind the shaft [turns]
 SETTLE: Final = 0.3  # [s]; more where a heavy shaft makes the path filter slow
 FLAG_LAST: Final = 0.5  # the limit names itself all that time [s]
 
-BEYOND_MOST: Final = 2.0
+BEYOND_MAX: Final = 2.0
 """Past the limit in position mode [counts]."""
 
-BEYOND_UNHELD_MOST: Final = 4.0
+BEYOND_UNHELD_MAX: Final = 4.0
 """The same in speed and torque mode, where no position is held: two edges of track B [counts]."""
 
-NEAR_MOST: Final = 0.01 * COUNTS_PER_TURN
+NEAR_MAX: Final = 0.01 * COUNTS_PER_TURN
 """The shaft stops so close to the limit [counts]; in torque mode where the current left is worth the friction."""
 
-PASSES_LEAST: Final = 0.5 * COUNTS_PER_TURN  # without the limit [counts]
-BACK_LEAST: Final = 0.01 * COUNTS_PER_TURN  # [counts]
+PASSES_MIN: Final = 0.5 * COUNTS_PER_TURN  # without the limit [counts]
+BACK_MIN: Final = 0.01 * COUNTS_PER_TURN  # [counts]
 
 SPEED_LIMIT: Final = 100.0  # [rad/s]
 SPEED_ASKED: Final = 150.0  # [rad/s]
 ACCELERATION: Final = 1000.0  # [rad/s^2]
-SPEED_MOST: Final = 1.1  # of the limit: the speed controller overshoots at the end of its ramp
+SPEED_MAX: Final = 1.1  # of the limit: the speed controller overshoots at the end of its ramp
 CURRENT_LIMIT: Final = 1.0  # [A]
-CURRENT_MOST: Final = 1.15
+CURRENT_MAX: Final = 1.15
 """Of the limit, the true current, mean over a slow loop; ripple of dead time and noise."""
 
 
@@ -188,24 +188,24 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     for mode in MODES:
         free, limited = (visit(plant, seed, mode, on, speeds) for on in (False, True))
         for name, *pair in zip(names, free, limited, strict=True):
-            most = BEYOND_MOST if mode == "POSITION" else BEYOND_UNHELD_MOST
+            most = BEYOND_MAX if mode == "POSITION" else BEYOND_UNHELD_MAX
             yield from _rows_visit(Judge(f"{name}, position, {mode.lower()} mode: "), most, *pair)
         yield _panel(f"limit of the position, {mode.lower()} mode", free, limited)
     for name, way, limited_way in zip(names, lean(plant, seed, False), lean(plant, seed, True), strict=True):
         judge = Judge(f"{name}, position, a load leans on it: ")
-        yield judge("beyond without", way, "counts", PASSES_LEAST)
-        yield judge("beyond with", limited_way, "counts", most=BEYOND_UNHELD_MOST)
+        yield judge("beyond without", way, "counts", PASSES_MIN)
+        yield judge("beyond with", limited_way, "counts", most=BEYOND_UNHELD_MAX)
     alone, farther, nearer = set_behind(plant, seed)
     for axis, name in enumerate(names):
         judge, back = Judge(f"{name}, limit set behind the shaft"), nearer[axis].shaft
-        moved, off = 2.0 * BEHIND * COUNTS_PER_TURN, BEYOND_MOST + 1.0
-        yield judge(": moves", np.ptp(alone[axis].shaft), "counts", most=BEYOND_MOST)
-        yield judge(", target farther out: moves", np.ptp(farther[axis].shaft), "counts", most=BEYOND_MOST)
+        moved, off = 2.0 * BEHIND * COUNTS_PER_TURN, BEYOND_MAX + 1.0
+        yield judge(": moves", np.ptp(alone[axis].shaft), "counts", most=BEYOND_MAX)
+        yield judge(", target farther out: moves", np.ptp(farther[axis].shaft), "counts", most=BEYOND_MAX)
         yield judge.near(", target inside: moves", back[0] - back[-1], "counts", moved, off)
     for mode in ("SPEED", "TORQUE"):
         free, limited = (turn(plant, seed, mode, limit) for limit in (None, SPEED_LIMIT))
         for name, *pair in zip(names, free, limited, strict=True):
-            most, least = SPEED_MOST * SPEED_LIMIT, 1.2 * SPEED_LIMIT
+            most, least = SPEED_MAX * SPEED_LIMIT, 1.2 * SPEED_LIMIT
             without, with_it = (float(np.abs(it.out.omega).max()) for it in pair)
             judge = Judge(f"{name}, speed, {mode.lower()} mode: ")
             yield judge("highest without", without, "rad/s", least)
@@ -215,7 +215,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     for axis, name in enumerate(names):
         judge, pair = Judge(f"{name}, current, torque mode: "), [free[axis], limited[axis]]
         without, with_it = (float(np.abs(it.out.i_q_true).max()) for it in pair)
-        most = CURRENT_MOST * CURRENT_LIMIT + ripple(plant, axis, CURRENT_LIMIT)
+        most = CURRENT_MAX * CURRENT_LIMIT + ripple(plant, axis, CURRENT_LIMIT)
         yield judge("largest without", without, "A", 1.5 * CURRENT_LIMIT)
         yield judge("largest with", with_it, "A", most=most)
         yield judge("names itself", pair[1].named, "of the time", 0.9, 1.0)
@@ -224,11 +224,11 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
 def _rows_visit(judge: Judge, most: float, free: Run, limited: Run) -> Iterator[Row]:
     assert limited.back is not None
     last = limited.out.shaft[-1]
-    yield judge("beyond without", free.beyond, "counts", PASSES_LEAST)
-    yield judge("beyond with", limited.beyond, "counts", most=most, apart=most + NEAR_MOST)
-    yield judge("stops before", limited.limit - last, "counts", -most, NEAR_MOST)
+    yield judge("beyond without", free.beyond, "counts", PASSES_MIN)
+    yield judge("beyond with", limited.beyond, "counts", most=most, apart=most + NEAR_MAX)
+    yield judge("stops before", limited.limit - last, "counts", -most, NEAR_MAX)
     yield judge("names itself", limited.named, "of the time", 1.0, 1.0)
-    yield judge("comes back", last - limited.back.shaft[-1], "counts", BACK_LEAST)
+    yield judge("comes back", last - limited.back.shaft[-1], "counts", BACK_MIN)
 
 
 def _panel(title: str, free: list[Run], limited: list[Run]) -> Panel:

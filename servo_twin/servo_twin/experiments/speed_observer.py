@@ -38,7 +38,7 @@ HOLDS: Final = ((1.0, 1.0), (1.0, 0.2), (1.0, 3.0), (0.5, 1.0), (3.0, 1.0))
 
 LOAD: Final = 2.0  # [A] worth of torque
 
-CYCLE_MOST: Final = 2.0
+CYCLE_MAX: Final = 2.0
 """Counts: one to either side, which is what the encoder can tell.
 
 More by what the current that the inverter keeps back around zero moves the shaft to either side (dead_time_torque.py):
@@ -46,7 +46,7 @@ friction does not hold a light or light-running one against it, and whether it c
 more where the M/T method does no better: neither sees less than a count.
 """
 
-MEAN_MOST: Final = 1.0
+MEAN_MAX: Final = 1.0
 """Deviation of the true mean from the set-point [%]: two counts in 4 s at 2 rpm are 0.4 %."""
 
 BETTER: Final = 1.0
@@ -141,7 +141,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             without, observed = creep(known, seed, axis, speed)
             error = 100.0 * abs(float(observed.omega.mean()) / speed - 1.0)
             better = BETTER + chance(without, known.axes[axis], speed)
-            yield judge("error of the true mean", error, "%", most=MEAN_MOST)
+            yield judge("error of the true mean", error, "%", most=MEAN_MAX)
             yield judge("deviation with over without", rms(observed, speed) / rms(without, speed), most=better)
             if axis == 0:
                 yield _creep_panel(f"{name} at {rpm:g} rpm", without, observed, rpm)
@@ -154,8 +154,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         for inertia, friction in HOLDS:
             other = shaft(plant, axis, belief, inertia, friction)
             without, observed = move(other, seed, axis)
-            pushed_most = whole_counts(observed, other.axes[axis], ARRIVED, inertia)
-            calm = max(CYCLE_MOST + 2.0 * pushed_most, held(without))
+            pushed_max = whole_counts(observed, other.axes[axis], ARRIVED, inertia)
+            calm = max(CYCLE_MAX + 2.0 * pushed_max, held(without))
             what = f"{name} holds, inertia x {inertia:g}, friction x {friction:g}, "
             yield Judge(what)("movement", held(observed), "counts", most=calm)
         yield from _costs(known, seed, axis, moved)

@@ -42,10 +42,10 @@ SIZE: Final = 64  # observed speeds of the reference design's criterion
 THRESHOLD: Final = 0.0625  # VARIANCE_THRESHOLD of the drive
 HYSTERESIS: Final = 200  # RELIABILITY_HYSTERESYS of the drive, slow ticks
 
-NOTICED_MOST: Final = (SIZE + HYSTERESIS) * TICK
+NOTICED_MAX: Final = (SIZE + HYSTERESIS) * TICK
 """What the reference design's own criterion takes when every test fails from the stall on [s]."""
 
-OSCILLATING_MOST: Final = 0.5
+OSCILLATING_MAX: Final = 0.5
 """The reference design does not notice at all; so long may a shaft with an encoder stand at full current [s]."""
 
 BEFORE: Final = 0.4  # the axis turns steadily for so long [s]
@@ -216,8 +216,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     for axis in range(AXES):
         name, shown = axis_name(axis), {}
         cases: list[tuple[str, float, float | None, str, float]] = [
-            *((f"held fast from {100.0 * p:.0f} %", p, None, "a fault by the variance", NOTICED_MOST) for p in SPEEDS),
-            *((f"oscillating with {f:g} Hz", SPEEDS[1], f, "not noticed", OSCILLATING_MOST) for f in FREQUENCIES),
+            *((f"held fast from {100.0 * p:.0f} %", p, None, "a fault by the variance", NOTICED_MAX) for p in SPEEDS),
+            *((f"oscillating with {f:g} Hz", SPEEDS[1], f, "not noticed", OSCILLATING_MAX) for f in FREQUENCIES),
         ]
         for what, part, frequency, says, most in cases:
             it, judge = stall(plant, seed, axis, part, frequency), Judge(f"{name}, {what}, ", says)

@@ -40,8 +40,8 @@ STARTS_SLOWLY: Final = 20
 CONVERGED: Final = 15.0
 """Error from which on the angle counts as converged [deg]; it costs 3.4 % of the torque."""
 
-ANGLE_MOST: Final = 0.150  # of the seed [s]
-CRITERION_MOST: Final = 0.500  # of the seed [s]
+ANGLE_MAX: Final = 0.150  # of the seed [s]
+CRITERION_MAX: Final = 0.500  # of the seed [s]
 
 INERTIA: Final = (0.5, 2.0)
 """Spread of the inertia, a factor, even on a logarithmic scale."""
@@ -55,13 +55,13 @@ LOAD: Final = 0.3
 SET_POINTS: Final = (0.15, 0.9)
 """Spread of the set-point, parts of the speed limit."""
 
-RATE_LEAST: Final = 99.0
+RATE_MIN: Final = 99.0
 """Of the random starts that have to succeed [%]: the reference design gives no figure."""
 
 NOMINAL: Final = 0.6  # length of the nominal start [s]
 LONGEST: Final = 2.5  # of a random one until its speed is judged [s]
 SETTLED: Final = 0.4  # the axis turns in closed loop for so long before its speed is judged [s]
-SPEED_MOST: Final = 0.1  # deviation of the true speed from the set-point then, over it
+SPEED_MAX: Final = 0.1  # deviation of the true speed from the set-point then, over it
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ def _judged(board: Board, trace: Trace, found: Start, speed: float, what: str) -
         first = int(trace.faults[int(np.argmax(trace.faults != 0))])
         return replace(found, end=fault_names(board, first), what=what)
     mean = float(trace.omega[-round(0.05 / TICK) :].mean())
-    slow = f"{mean / RPM:.0f} rpm instead of {speed / RPM:.0f}" if abs(mean / speed - 1.0) > SPEED_MOST else ""
+    slow = f"{mean / RPM:.0f} rpm instead of {speed / RPM:.0f}" if abs(mean / speed - 1.0) > SPEED_MAX else ""
     return replace(found, end=found.end or slow or ("a wrong angle" if found.converged is None else ""), what=what)
 
 
@@ -219,8 +219,8 @@ def many(plant: PlantConfig, seed: int, count: int, runner: Runner) -> list[Star
 
 
 TIMES: Final[tuple[tuple[str, str, str, float, Callable[[Start], float | None]], ...]] = (
-    ("angle converges within", "angle", "angle has converged", ANGLE_MOST, lambda start_: start_.converged),
-    ("criterion met within", "criterion", "criterion is met", CRITERION_MOST, lambda start_: start_.criterion),
+    ("angle converges within", "angle", "angle has converged", ANGLE_MAX, lambda start_: start_.converged),
+    ("criterion met within", "criterion", "criterion is met", CRITERION_MAX, lambda start_: start_.criterion),
 )
 """What is judged of a start: names of the figure, in the notes and of the curve, bound and value [s]."""
 
@@ -245,7 +245,7 @@ def run(plant: PlantConfig, seed: int, count: int | None = None, runner: Runner 
     good, failed = ([s for s in starts if s.succeeded is succeeded] for succeeded in (True, False))
     yield f"random starts: {len(starts)}"
     judge = Judge("", NOT_SHOWN)
-    yield judge("random starts, success", 100.0 * len(good) / len(starts), "%", RATE_LEAST)
+    yield judge("random starts, success", 100.0 * len(good) / len(starts), "%", RATE_MIN)
     lost = sum(s.criterion is not None and not s.end.isupper() for s in failed)  # faults have names in capitals
     yield judge("of them turning wrongly without a fault", lost, most=0.0)
     distributions: list[Curve] = []

@@ -23,8 +23,8 @@ LEAD: Final = 0.1  # before the load [s]
 LOADED: Final = 1.0  # [s]
 UNLOADED: Final = 1.0  # [s]
 ARRIVED: Final = 2.0  # [counts]
-RECOVERY_MOST: Final = 0.5  # [s]
-DEFLECTION_MOST: Final = 0.05 * 2.0 * np.pi  # [rad]
+RECOVERY_MAX: Final = 0.5  # [s]
+DEFLECTION_MAX: Final = 0.05 * 2.0 * np.pi  # [rad]
 
 
 def least_deflection(axis: AxisPlant) -> float:
@@ -60,10 +60,10 @@ def _rows(judge: Judge, motor: AxisPlant, r: Recording) -> Iterator[Row]:
     away = float(np.abs(loaded.theta - r.part(0.0, LEAD).theta[-1]).max())
     torque = NOMINAL * motor.torque_constant
     error = np.abs(loaded.position[-200:] - target).mean()
-    bounds = float(np.degrees(least_deflection(motor))), float(np.degrees(DEFLECTION_MOST))
+    bounds = float(np.degrees(least_deflection(motor))), float(np.degrees(DEFLECTION_MAX))
     yield judge("deflection", np.degrees(away), "deg", *bounds)
-    yield judge("stiffness", torque / max(away, COUNT), "N m/rad", torque / DEFLECTION_MOST)
-    yield judge("recovery", arrives(loaded, target, ARRIVED, LEAD), "s", TICK, RECOVERY_MOST)
-    yield judge("recovery after the load", arrives(after, target, ARRIVED, LEAD + LOADED), "s", TICK, RECOVERY_MOST)
+    yield judge("stiffness", torque / max(away, COUNT), "N m/rad", torque / DEFLECTION_MAX)
+    yield judge("recovery", arrives(loaded, target, ARRIVED, LEAD), "s", TICK, RECOVERY_MAX)
+    yield judge("recovery after the load", arrives(after, target, ARRIVED, LEAD + LOADED), "s", TICK, RECOVERY_MAX)
     yield judge("steady-state error under load", error, "counts", most=ARRIVED)
     yield judge("largest i_q*", np.abs(r.i_q_ref).max(), "A", NOMINAL, LIMIT + 1e-3, seed="4 A limit")

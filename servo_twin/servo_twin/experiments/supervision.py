@@ -44,7 +44,7 @@ OVER_SPEED: Final = 1.2  # of the speed that is asked for, or allowed in torque 
 ASKED: Final = 1.5  # too much, of the same
 ACCELERATION: Final = 1000.0  # [rad/s^2]
 
-SOONER_MOST: Final = 0.8
+SOONER_MAX: Final = 0.8
 """Part of the time that it takes without, if the outputs go off then at all."""
 
 SHARE: Final = 0.55
@@ -136,12 +136,12 @@ def _pull(bench: Bench, board: Board, axis: int) -> None:
     rig.set_axis(board, "cmd.i_q", axis, 0.25 * bench.peaks[axis] / bench.plant.axes[axis].torque_constant)
 
 
-def blocked_most(bench: Bench, axis: int) -> float:
+def blocked_max(bench: Bench, axis: int) -> float:
     """The set-point goes on at the speed limit while the shaft stands [s]."""
     return FOLLOWING / bench.speeds[axis] + FOLLOWING_LASTS + ANSWER
 
 
-def overloaded_most(bench: Bench, axis: int) -> float:
+def overloaded_max(bench: Bench, axis: int) -> float:
     """Braked by at least what the load has more than the drive, the shaft falls behind a set-point that goes on [s]."""
     braking = (LOAD - 1.0) * bench.peaks[axis] / bench.plant.axes[axis].inertia
     return math.sqrt(2.0 * FOLLOWING / braking) + FOLLOWING_LASTS + ANSWER
@@ -178,13 +178,13 @@ class Cause:
 
 
 BLOCKED: Final = Cause(
-    "shaft blocked in a move", "FOLLOWING_ERROR", _far, lambda _, board, axis: board.lock_shaft(axis), blocked_most
+    "shaft blocked in a move", "FOLLOWING_ERROR", _far, lambda _, board, axis: board.lock_shaft(axis), blocked_max
 )
 CAUSES: Final = (
     BLOCKED,
     Cause(
         "too large a load in a move", "FOLLOWING_ERROR", _far,
-        lambda bench, board, axis: board.set_load(axis, LOAD * bench.peaks[axis]), overloaded_most,
+        lambda bench, board, axis: board.set_load(axis, LOAD * bench.peaks[axis]), overloaded_max,
     ),
     Cause(
         "driven by a load", "OVER_SPEED", _pull,
@@ -240,7 +240,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             sooner = math.inf if without.time is None else without.time
             yield judge("outputs off after", time, "s", 0.0, cause.most(bench, axis))
             yield judge.true("the fault's name is right", supervised.fault == masks[cause.fault])
-            yield judge("time with over without", None if time is None else time / sooner, most=SOONER_MOST)
+            yield judge("time with over without", None if time is None else time / sooner, most=SOONER_MAX)
             yield f"{what}without {_story(without, masks)}; with {_story(supervised, masks)}"
             ends = {"without": without, "with": supervised}
             curves += [_until_off(f"{axis_name(axis)} {how}", it) for how, it in ends.items()]

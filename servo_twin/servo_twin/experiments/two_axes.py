@@ -37,8 +37,8 @@ STANDS: Final = 0.01  # of the speed that both have braked from
 BUS_SWING: Final = 0.05
 """Part of what the other axis could do to the bus without losses; less than this and it has not disturbed it."""
 
-HOLD_MOST: Final = 2.0  # [counts]
-EVEN_MOST: Final = 1.0  # more deviation than alone [% of the set-point]
+HOLD_MAX: Final = 2.0  # [counts]
+EVEN_MAX: Final = 1.0  # more deviation than alone [% of the set-point]
 UNDER_VOLTAGE: Final = 16.0  # [V]
 
 
@@ -145,8 +145,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         swing, least = np.ptp(together.u_dc), BUS_SWING * reversals.lift(plant, 1 - watched)
         reached, unfelt = np.ptp(other.omega) / (2.0 * reversals.speed), "2.3: the bus must not be felt"
         yield judge(", the other reverses: bus swing", swing, "V", least, OVER_VOLTAGE - UNDER_VOLTAGE)
-        yield judge(" turns, the other reverses: more deviation", more, "% of speed", most=EVEN_MOST, seed=unfelt)
-        yield judge(" holds, the other reverses: deviation", away, "counts", most=HOLD_MOST, seed=unfelt)
+        yield judge(" turns, the other reverses: more deviation", more, "% of speed", most=EVEN_MAX, seed=unfelt)
+        yield judge(" holds, the other reverses: deviation", away, "counts", most=HOLD_MAX, seed=unfelt)
         yield judge(", the other reaches its speed", reached, "of set-point", 0.9, 1.2)
         yield (
             f"{name} at {EVEN / RPM:g} rpm, largest deviation: {deviation(alone) / RPM:.3g} rpm alone, "

@@ -38,14 +38,17 @@ REFINED: Final = ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous"
 """What is refined, in the order of the parameters."""
 
 MODEL_ERROR: Final[Mapping[str, float]] = {
-    "r_s": 0.002,
+    "r_s": 0.0015,
     "l_d": 0.0005,
-    "l_q": 0.002,
+    "l_q": 0.0015,
     "friction": 0.01,
     "dead_voltage": 0.004,
 }
 """Relative standard uncertainty that the residuals do not show: what the errors of random motors spread beyond the
 jackknife's (doc/identify.md)."""
+
+BIAS_ERROR: Final[Mapping[str, float]] = {"friction": 0.1, "viscous": 0.1}
+"""Part of a bias that its correction may miss: ripple that the converters sample, as much as half the friction."""
 
 BATCH: Final = 4  # neighbouring samples whose residuals are not independent
 STEP: Final = 0.04
@@ -87,7 +90,7 @@ _DEPENDS: Final[Mapping[str, Sequence[str]]] = {
 }
 """What a signal depends on; all else in a numerical derivative is roughness."""
 
-_LEAST: Final[Mapping[tuple[str, str], float]] = {
+_SIGMA_MIN: Final[Mapping[tuple[str, str], float]] = {
     ("level", "u_d"): 1e-3,
     ("speed", "i_q"): 4e-3,
     ("speed", "speed"): 0.2,
@@ -260,7 +263,7 @@ class _Difference:
                 _, sigma = mean_of((here - there)[part.usable])
             noise.setdefault((part.label, part.column), []).append(sigma)
         for key, sigmas in noise.items():
-            self._sigma[key] = max(float(np.median(sigmas)), _LEAST[key])
+            self._sigma[key] = max(float(np.median(sigmas)), _SIGMA_MIN[key])
         for name, values in self._sweeps(shown):
             self._sigma["sweep", name] = max(_usual(np.diff(values)) / math.sqrt(2.0), 1e-9)
 
@@ -405,7 +408,9 @@ def refine(
     for k, name in enumerate(names):
         value = start[name] + x[k] * scale[name]
         sigma = math.sqrt(max(spread[k, k], 0.0)) * scale[name]
-        found[name] = Estimate(value, math.hypot(sigma, MODEL_ERROR.get(name, 0.0) * value, floor.get(name, 0.0)))
+        missed = BIAS_ERROR.get(name, 0.0) * (start[name] - first.values[name].value)
+        part = MODEL_ERROR.get(name, 0.0) * value
+        found[name] = Estimate(value, math.hypot(sigma, part, floor.get(name, 0.0), missed))
     final = values_of(x)
     shown_close = simulated(log, plant_of(base, log.axis, final, limits), final.get("load", 0.0), level)
     return Refinement(MotorEstimates(found, first.undetermined), before, difference.rms(shown_close), shown_close)

@@ -25,7 +25,7 @@ from servo_twin.board_memory import BoardError
 from servo_twin.lockstep.replica import Replica
 from servo_twin.lockstep.samples import BY_ANGLE, COUNTED_FROM_ZERO, OWN
 
-__all__ = ["BurstAnswer", "BurstFollower", "Frame"]
+__all__ = ["Alignment", "BurstAnswer", "BurstFollower"]
 
 _TICK: Final = "tick"
 _COPIED: Final = (_TICK, topics.BURST_TIME, *topics.STAMP_COLUMNS)
@@ -33,7 +33,7 @@ _LOOPS: Final = (PERIOD_NS, PERIOD_NS * SLOW_PERIODS)  # time base by recorder [
 _READING: Final = 30.0  # longest time from the end of a burst to its last byte, and how far a twin may lag [s]
 _LATE: Final = 32_000  # ticks that sampling goes on when the recorder is idle: the burst may come after that news
 _MEMORY: Final = 1 << 26  # that samples may take [bytes]
-_FRAMES: Final = 1024  # changes of the frame that are remembered
+_ALIGNMENTS: Final = 1024  # changes of the alignment that are remembered
 _ELEMENT: Final = re.compile(r"(.+?)(?:\[(\d+)\])?")
 _SAME_ANGLE: Final = 10  # counts between two shafts whose phases have the same angle: noise of a rotor search
 _WRAP: Final = 1 << 32
@@ -41,7 +41,7 @@ _NOT_TOLD: Final = "the twin was not there when the recorder was set up"
 
 
 @dataclass(frozen=True)
-class Frame:
+class Alignment:
     """How the twin's board lies to the real one, from a sample of the real board on.
 
     Attributes
@@ -73,7 +73,7 @@ class BurstAnswer:
     columns : sequence of str
         Those of the burst that the twin has, in its order.
     twin : array of float, shape (points, columns)
-        Values of the twin, SI, in the frame of the real board; no points where it has none.
+        Values of the twin, SI, in ticks and positions of the real board; no points where it has none.
     residual : array of float, shape (points, columns)
         Real minus twin, angles and positions the short way round; ticks, times and stamps as they are. NaN where the
         boards could not be compared.
@@ -113,7 +113,7 @@ class BurstFollower:
         self._end: int | None = None  # real tick at which sampling ends
         self._replica: Replica | None = None  # that samples
         self._elements: dict[str, tuple[Variable, int]] = {}  # by column, in the order of a point
-        self._frames: deque[Frame] = deque(maxlen=_FRAMES)
+        self._alignments: deque[Alignment] = deque(maxlen=_ALIGNMENTS)
         self._burst: _Burst | None = None
         self._trouble = ""  # why nothing is sampled, although something is set up
         self._since = ""  # why the twin's board is not the one from before
@@ -145,14 +145,14 @@ class BurstFollower:
         if self._setup is not None:
             self._end = (newest or 0) + _LATE
 
-    def begin(self, replica: Replica, frame: Frame | None = None) -> None:
+    def begin(self, replica: Replica, alignment: Alignment | None = None) -> None:
         """Sample a board from now on, if something is about to be recorded.
 
         Parameters
         ----------
         replica : Replica
             The twin's board.
-        frame : Frame, optional
+        alignment : Alignment, optional
             How it lies to the real one; of a new board that is not known before the next `note`.
         """
         setup = self._setup
@@ -169,9 +169,9 @@ class BurstFollower:
             self._trouble = f"the twin's board cannot sample it: {error}"
             return
         self._replica = replica
-        self._frames.clear()
-        if frame is not None:
-            self._frames.append(frame)
+        self._alignments.clear()
+        if alignment is not None:
+            self._alignments.append(alignment)
 
     def _refusal(self, setup: RecorderSetup, room: int) -> str:
         """Why the twin cannot sample that; empty when it can."""
@@ -188,19 +188,19 @@ class BurstFollower:
     def dropped(self, reason: str) -> None:
         """The twin's board is gone, and with it what was sampled."""
         self._replica = None
-        self._frames.clear()
+        self._alignments.clear()
         self._trouble, self._since = f"the twin does not follow the board: {reason}", reason
         if self._burst is not None:
             self._refuse(self._burst)
         if self._end is not None:
             self._setup = self._end = None  # it was over: ticks may count from zero now
 
-    def note(self, frame: Frame) -> None:
+    def note(self, alignment: Alignment) -> None:
         """Note how the boards lie to each other at a sample of the real one, up to which both have run."""
-        last = self._frames[-1] if self._frames else None
-        if last is None or replace(last, tick=frame.tick) != frame:
-            self._frames.append(frame)
-        self._settle(frame.tick)
+        last = self._alignments[-1] if self._alignments else None
+        if last is None or replace(last, tick=alignment.tick) != alignment:
+            self._alignments.append(alignment)
+        self._settle(alignment.tick)
 
     def burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64], tick: int | None) -> None:
         """Take a burst of the real board.
@@ -259,7 +259,7 @@ class BurstFollower:
         if self._replica is not None:
             self._replica.end_sampling()
             self._replica = None
-        self._frames.clear()
+        self._alignments.clear()
 
     # ---- cutting
     def _settle(self, tick: int) -> None:
@@ -277,13 +277,13 @@ class BurstFollower:
         self._answers.append(_nothing(burst, reason or (self._trouble if self._setup else _NOT_TOLD)))
 
     def _cut(self, burst: _Burst, replica: Replica) -> BurstAnswer:
-        frames = list(self._frames)
-        begins = [frame.tick for frame in frames]
+        alignments = list(self._alignments)
+        begins = [alignment.tick for alignment in alignments]
         where = np.array([bisect_right(begins, tick) - 1 for tick in burst.ticks.tolist()])
         points = replica.sampled()
         if not len(points) or where.min() < 0:
             return self._too_late(burst, begins[0] if begins else None)
-        shifts = np.array([frame.shift for frame in frames])[where]
+        shifts = np.array([alignment.shift for alignment in alignments])[where]
         fields = dict(zip(self._elements, points.dtype.names or (), strict=True))
         # The board counts modulo 2^32; no point is far from the tick that the replica has come to.
         own = replica.tick - _signed(replica.tick - points[fields[_TICK]].astype(np.int64))
@@ -294,11 +294,11 @@ class BurstFollower:
         if missing:
             return _nothing(burst, f"the twin's board has no sample at {missing} of {len(rows)} ticks")
         raw = {name: points[field][rows].astype(np.int64) for name, field in fields.items()}
-        apart = np.array([bool(frame.difference) for frame in frames])[where]
-        turned = _bring_to_real_frame(raw, np.array([frame.offsets for frame in frames])[where])
+        apart = np.array([bool(alignment.difference) for alignment in alignments])[where]
+        turned = _to_real_board(raw, np.array([alignment.offsets for alignment in alignments])[where])
         notes = []
         if apart.any():
-            reasons = dict.fromkeys(frames[k].difference for k in where.tolist() if frames[k].difference)
+            reasons = dict.fromkeys(alignments[k].difference for k in where.tolist() if alignments[k].difference)
             notes.append(f"no residual at {int(apart.sum())} of {len(apart)} points: {'; '.join(reasons)}")
         if turned:
             notes.append(f"no residual of {', '.join(turned)}: the twin's shaft is at another angle")
@@ -335,7 +335,7 @@ class BurstFollower:
         return BurstAnswer(burst.label, columns, twin, residual, "; ".join([*missing, *notes]))
 
 
-def _bring_to_real_frame(raw: dict[str, NDArray[np.int64]], offsets: NDArray[np.int64]) -> list[str]:
+def _to_real_board(raw: dict[str, NDArray[np.int64]], offsets: NDArray[np.int64]) -> list[str]:
     """Shift positions of the twin's board to where the real one counts from.
 
     Parameters

@@ -33,7 +33,7 @@ from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 from servo_twin.lockstep.axis_tie import POINTS, AxisTie
 from servo_twin.lockstep.blocks import TAKE, Blocks, blocks_of, bring, checksums_of, repeat
-from servo_twin.lockstep.bursts import BurstAnswer, BurstFollower, Frame
+from servo_twin.lockstep.bursts import Alignment, BurstAnswer, BurstFollower
 from servo_twin.lockstep.ledger import CommandLedger
 from servo_twin.lockstep.replica import ReplayBoard, Replica, slow_tick
 from servo_twin.lockstep.samples import OWN, Activity, RestWatch, Sample, SampleReader, activity
@@ -87,7 +87,7 @@ class Pair:
     real : mapping
         The real sample, SI, by column name.
     twin : mapping
-        The twin's values, SI, in the frame of the real board; every column of `real` that the twin has.
+        The twin's values, SI, in ticks and positions of the real board; every column of `real` that the twin has.
     difference : str
         Empty when the two can be compared; otherwise what keeps them apart, for people.
     stopping : tuple of bool
@@ -212,7 +212,7 @@ class Twin:
             return
         self._bursts.set_up(setup)
         if self._replica is not None and self._last is not None:
-            self._bursts.begin(self._replica, self._frame(self._last))
+            self._bursts.begin(self._replica, self._alignment(self._last))
 
     def burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64]) -> None:
         """Take what the recorder of the real board has recorded, as it was published: a table (points, columns), SI.
@@ -359,13 +359,13 @@ class Twin:
             return None
         self._apart = difference
         if self._bursts.sampling:
-            self._bursts.note(self._frame(sample))
+            self._bursts.note(self._alignment(sample))
         stopping = tuple(axis.stopping for axis in self._axes)
         values = self._values(replica, sample)
         return Pair(sample.tick, sample.stamp_ns, sample.values, values, difference, stopping, self.fault)
 
-    def _frame(self, sample: Sample) -> Frame:
-        return Frame(sample.tick, self._shift, tuple(axis.offset for axis in self._axes), self._apart)
+    def _alignment(self, sample: Sample) -> Alignment:
+        return Alignment(sample.tick, self._shift, tuple(axis.offset for axis in self._axes), self._apart)
 
     def _settle(self, sample: Sample) -> None:
         """Everything that took effect up to this sample is dealt with."""

@@ -39,8 +39,8 @@ def _move(plant: PlantConfig, seed: int) -> Outcome:
             Row(f"{r.axis} settling time", BEYOND, settling, "ms", OPEN),
             Row(f"{r.axis} overshoot", BEYOND, float(r.overshoot), "counts", OPEN),
             Row(f"{r.axis} steady state", BEYOND, float(r.steady_state), "counts", OPEN),
-            Row(f"{r.axis} largest speed", BEYOND, r.speed_most, "rad/s", OPEN),
-            Row(f"{r.axis} largest i_q", BEYOND, r.i_q_most, "A", OPEN),
+            Row(f"{r.axis} largest speed", BEYOND, r.speed_max, "rad/s", OPEN),
+            Row(f"{r.axis} largest i_q", BEYOND, r.i_q_max, "A", OPEN),
         ]
     return Outcome(MOVE, tuple(rows), ())
 

@@ -21,11 +21,11 @@ MOTORS: Final = ("motor 1", "motor 2")
 VECTORS: Final = (VECTOR_M1, VECTOR_M2)
 NAMES: Final = ("M1", "M2")
 
-PHASE_MOST: Final = 0.3
+PHASE_MAX: Final = 0.3
 """Off 180 degrees: a few clocks through the crossbar [degrees]."""
-CENTRE_MOST: Final = 1.0e-6
+CENTRE_MAX: Final = 1.0e-6
 """From the centre of a window to the sample in it: the delays of amplifier and converter [s]."""
-SKEW_MOST: Final = 0.5e-6
+SKEW_MAX: Final = 0.5e-6
 """High sides rise with the last duty and fall with the new one, which has been loaded in their middle [s]."""
 CONVERSION: Final = 0.3e-6
 """Each pair after the first takes 6 clocks of the converter at 20 MHz [s]."""
@@ -49,15 +49,15 @@ def _carriers(trace: Trace) -> list[Row]:
         periods = np.diff(cycles[0])
         clocks = 1.0 / (PWM * CLOCK)
         exact = Bound(clocks - 0.5, clocks + 0.5)
-        rows.append(Row(f"{motor}: period, shortest", "4.3.1: 16 kHz", _least(periods), "clocks", exact))
-        rows.append(Row(f"{motor}: period, longest", "4.3.1: 16 kHz", _most(periods), "clocks", exact))
+        rows.append(Row(f"{motor}: period, shortest", "4.3.1: 16 kHz", _min(periods), "clocks", exact))
+        rows.append(Row(f"{motor}: period, longest", "4.3.1: 16 kHz", _max(periods), "clocks", exact))
         apart = _apart(cycles)
         rows.append(Row(f"{motor}: counters apart", "F33: in step", apart, "clocks", Bound(0.0, 0.0)))
     first, second = (trace.clocks(Kind.CYCLE, phases[0]) for phases in PHASES)
     turns = 360.0 * _after(first, second) * CLOCK * PWM
-    around = Bound(180.0 - PHASE_MOST, 180.0 + PHASE_MOST)
-    rows.append(Row("motor 2 behind motor 1, least", "F34: 180 degrees", _least(turns), "deg", around))
-    rows.append(Row("motor 2 behind motor 1, most", "F34: 180 degrees", _most(turns), "deg", around))
+    around = Bound(180.0 - PHASE_MAX, 180.0 + PHASE_MAX)
+    rows.append(Row("motor 2 behind motor 1, least", "F34: 180 degrees", _min(turns), "deg", around))
+    rows.append(Row("motor 2 behind motor 1, most", "F34: 180 degrees", _max(turns), "deg", around))
     return rows
 
 
@@ -77,16 +77,16 @@ def _samples(trace: Trace) -> list[Row]:
     for number, (motor, phases) in enumerate(zip(MOTORS, PHASES, strict=True)):
         own, foreign = number * PAIRS, (1 - number) * PAIRS + 1
         for what, sample, switch, side, most in (
-            ("currents", own, 1, "low", CENTRE_MOST),
-            ("offsets", foreign, 0, "high", CENTRE_MOST + CONVERSION + SKEW_MOST),
+            ("currents", own, 1, "low", CENTRE_MAX),
+            ("offsets", foreign, 0, "high", CENTRE_MAX + CONVERSION + SKEW_MAX),
         ):
             instants = trace.clocks(Kind.SAMPLE, sample)
             offsets = [_from_centre(trace.intervals(phase, switch), instants) for phase in phases]
             both = np.concatenate(offsets) * CLOCK if offsets else np.empty(0)
-            within = Bound(-SKEW_MOST * 1e6 if side == "high" else 0.0, most * 1e6)
+            within = Bound(-SKEW_MAX * 1e6 if side == "high" else 0.0, most * 1e6)
             text = f"F34: {side}-side centre"
-            rows.append(Row(f"{motor}: {what} after the centre, least", text, _scaled(_least(both)), "us", within))
-            rows.append(Row(f"{motor}: {what} after the centre, most", text, _scaled(_most(both)), "us", within))
+            rows.append(Row(f"{motor}: {what} after the centre, least", text, _scaled(_min(both)), "us", within))
+            rows.append(Row(f"{motor}: {what} after the centre, most", text, _scaled(_max(both)), "us", within))
     return rows
 
 
@@ -121,7 +121,7 @@ def _scans(trace: Trace) -> list[Row]:
     count = max(ends.size - 1, 0)
     whole = Bound(1.0, 1.0)
     half = 0.5 / PWM * 1e6
-    pause = _scaled(_least(np.asarray(pauses) * CLOCK))
+    pause = _scaled(_min(np.asarray(pauses) * CLOCK))
     return [
         Row("scans with six pairs in order", "F35", _share(in_order, count), "of all", whole),
         Row("scans with both converters together", "F35: parallel", _share(together, count), "of all", whole),
@@ -148,7 +148,7 @@ def _interrupts(trace: Trace) -> list[Row]:
         per_period = _share(runs.shape[0], periods.size)
         about_one = Bound(1.0 - 2.0 / max(periods.size, 1), 1.0 + 2.0 / max(periods.size, 1))
         rows.append(Row(f"{name} per PWM period", "F38: once", per_period, "", about_one))
-        since = _scaled(_least(_before(data, runs[:, 0]) * CLOCK))
+        since = _scaled(_min(_before(data, runs[:, 0]) * CLOCK))
         least = CONVERSION if vector == VECTOR_M1 else 0.0
         text = "t1: after three conversions" if vector == VECTOR_M1 else "t3: after the scan"
         rows.append(Row(f"{name} begins after its data, least", text, since, "us", Bound(least * 1e6, SOON * 1e6)))
@@ -236,11 +236,11 @@ def _before(events: NDArray[np.int64], instants: NDArray[np.int64]) -> NDArray[n
     return np.asarray(instants[found] - events[index[found]])
 
 
-def _least(values: NDArray[Any]) -> float | None:
+def _min(values: NDArray[Any]) -> float | None:
     return float(values.min()) if values.size else None
 
 
-def _most(values: NDArray[Any]) -> float | None:
+def _max(values: NDArray[Any]) -> float | None:
     return float(values.max()) if values.size else None
 
 

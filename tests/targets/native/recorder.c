@@ -7,7 +7,7 @@
 #include "digest.h"
 #include "trace_writer.h"
 
-#define CODE_MOST 4095U
+#define CODE_MAX 4095U
 
 /* A vector that grows. */
 typedef struct {
@@ -107,7 +107,7 @@ static uint16_t code_of(uint16_t axis, uint16_t code)
         return code;
     }
     const uint32_t random = random32();
-    return ((random >> 16) % 4U == 0U) ? (uint16_t)((random & 1U) * CODE_MOST) : (uint16_t)(random & CODE_MOST);
+    return ((random >> 16) % 4U == 0U) ? (uint16_t)((random & 1U) * CODE_MAX) : (uint16_t)(random & CODE_MAX);
 }
 
 /* On the average what it is, or else the faults of the bus would end the run. */
@@ -117,7 +117,7 @@ static uint16_t bus_code_of(uint16_t code)
         return code;
     }
     const uint32_t random = code / 2U + random32() % (code + 1U);
-    return (uint16_t)((random < CODE_MOST) ? random : CODE_MOST);
+    return (uint16_t)((random < CODE_MAX) ? random : CODE_MAX);
 }
 
 /* ---- words and calls -------------------------------------------------------------------------------------------- */

@@ -1,6 +1,6 @@
 #include "trace.h"
 
-#define ERROR_MOST 4095 /* eight times that still fits */
+#define ERROR_MAX 4095 /* eight times that still fits */
 
 void trace_model_init(trace_model_t *model)
 {
@@ -70,7 +70,7 @@ static void average(uint8_t *error, uint16_t value, uint16_t prediction)
     const uint16_t up = (uint16_t)(value - prediction);
     const uint16_t down = (uint16_t)(prediction - value);
     const uint16_t distance = (up < down) ? up : down;
-    const uint16_t folded = (distance < ERROR_MOST / 2) ? (uint16_t)(2U * distance) : (uint16_t)ERROR_MOST;
+    const uint16_t folded = (distance < ERROR_MAX / 2) ? (uint16_t)(2U * distance) : (uint16_t)ERROR_MAX;
     *error = narrow((uint16_t)(before - before / 8U + folded));
 }
 

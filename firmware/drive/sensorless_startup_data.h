@@ -1,6 +1,6 @@
-/* startup_data.h - configuration and state of the sensorless start-up (startup.h). */
-#ifndef SERVO_DRIVE_STARTUP_DATA_H
-#define SERVO_DRIVE_STARTUP_DATA_H
+/* sensorless_startup_data.h - configuration and state of the sensorless start-up (sensorless_startup.h). */
+#ifndef SERVO_DRIVE_SENSORLESS_STARTUP_DATA_H
+#define SERVO_DRIVE_SENSORLESS_STARTUP_DATA_H
 
 #include "control/transforms.h"
 

@@ -1,4 +1,4 @@
-#include "drive/startup.h"
+#include "drive/sensorless_startup.h"
 
 #include "drive/current_drive.h"
 #include "drive/estimate.h"

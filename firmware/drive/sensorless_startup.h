@@ -1,4 +1,4 @@
-/* startup.h - from rest to a speed at which the observer works (ST slides "起动策略", "起动成功的判据").
+/* sensorless_startup.h - from rest to a speed at which the observer works (ST slides "起动策略", "起动成功的判据").
  *
  * First the windings are kept without current: the back-EMF of a shaft that turns shows then, and it is caught as it is.
  * But dead time and drops keep a current away that is meant to flow, so what seems to be back-EMF may be the echo of the
@@ -7,8 +7,8 @@
  * the vector like a pendulum with hardly any friction; the back-EMF across the vector tells how fast, and a current across
  * it takes the swing away.
  */
-#ifndef SERVO_DRIVE_STARTUP_H
-#define SERVO_DRIVE_STARTUP_H
+#ifndef SERVO_DRIVE_SENSORLESS_STARTUP_H
+#define SERVO_DRIVE_SENSORLESS_STARTUP_H
 
 #include "drive/axis_data.h"
 

@@ -9,14 +9,14 @@ from servo_msgs_py.board_parameters import RawParameters
 from servo_msgs_py.catalogue import Catalogue, axis_name
 from servo_msgs_py.convert import flag_texts
 
-from servo_bridge.telemetry import Frame
+from servo_bridge.telemetry import Snapshot
 
-__all__ = ["FrameEvents"]
+__all__ = ["SnapshotEvents"]
 
 _TIMEOUT: Final = "param.command_timeout"
 
 
-class FrameEvents:
+class SnapshotEvents:
     """Compares samples.
 
     Parameters
@@ -32,7 +32,7 @@ class FrameEvents:
         self._joints = joints
         self._expired = catalogue.flag("limits", "EXPIRED").mask
 
-    def faults(self, before: Frame | None, now: Frame) -> list[str]:
+    def faults(self, before: Snapshot | None, now: Snapshot) -> list[str]:
         """One sentence per new fault."""
         words = before.faults if before is not None else [0] * len(now.faults)
         return [
@@ -41,7 +41,7 @@ class FrameEvents:
             for text in flag_texts(self._catalogue, "faults", new & ~old)
         ]
 
-    def expired(self, before: Frame | None, now: Frame, parameters: RawParameters | None) -> list[str]:
+    def expired(self, before: Snapshot | None, now: Snapshot, parameters: RawParameters | None) -> list[str]:
         """One sentence per axis whose set-point was not written again in time; the time is that of the parameters."""
         timeout = _TIMEOUT
         if parameters is not None:
@@ -52,5 +52,5 @@ class FrameEvents:
             if self._has_expired(now, axis) and not (before is not None and self._has_expired(before, axis))
         ]
 
-    def _has_expired(self, frame: Frame, axis: int) -> bool:
-        return bool(int(frame.values.get(f"{axis_name(axis)}.limits", 0)) & self._expired)
+    def _has_expired(self, snapshot: Snapshot, axis: int) -> bool:
+        return bool(int(snapshot.values.get(f"{axis_name(axis)}.limits", 0)) & self._expired)
