@@ -235,6 +235,7 @@ def test_thresholds_are_learned_and_read_again(tmp_path: Path) -> None:
         Thresholds.load(path)
 
 
+@pytest.mark.slow
 def test_another_motor_is_learned_and_its_changes_are_named(tmp_path: Path) -> None:
     """Other motors on both axes and another supply, of board and twin, with the firmware for the usual ones."""
     plant, learned = tmp_path / "plant.toml", tmp_path / "thresholds.toml"

@@ -43,8 +43,8 @@ current near zero, and the ripple that is left of them grows with the speed."""
 _Array = NDArray[np.float64]
 
 _RIPPLE: Final = 0.3
-"""Part of an independent sample that a voltage is at a small current: the ripple of the dead time, six times per
-electrical turn, is aliased to beats of some samples."""
+"""Part of an independent sample that the voltage d is, and the voltage q at a small current: the ripple of the dead
+time, six times per electrical turn, is aliased to beats of some samples."""
 
 
 class ThresholdsError(ValueError):
@@ -93,7 +93,7 @@ class AxisNoise:
         y, phi, alias, share, current, speed, error = (np.array(part) for part in zip(*samples, strict=True))
         voltages = np.array([self.voltage_q, self.voltage_d])[:, bin_of(current, speed)]
         part = np.where(phi[:, VOLTAGE_Q, RESISTANCE] != 0.0, 1.0, _RIPPLE)
-        independent = np.stack([share, part * phi[:, VOLTAGE_Q].any(axis=1), part], axis=1)
+        independent = np.stack([share, part * phi[:, VOLTAGE_Q].any(axis=1), np.full_like(part, _RIPPLE)], axis=1)
         variance = np.stack([np.full(len(share), self.torque**2), *(voltages**2 + error**2)], axis=1)
         y = y - alias @ np.array(self.alias) - phi @ np.array(self.baseline)
         return Rows(y, np.concatenate([phi, alias], axis=2), independent / variance, independent)
