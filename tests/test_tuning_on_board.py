@@ -45,7 +45,7 @@ def axes() -> list[Tuned]:
 
 
 def shaft_with(axis: int, inertia: float) -> PlantConfig:
-    """The packaged plant, which is what the configuration believes, with another inertia of one axis."""
+    """The packaged plant, which has the nominal values of the configuration, with another inertia of one axis."""
     plant = PlantConfig.load()
     return plant.with_axis(axis, inertia=inertia * plant.axes[axis].inertia)
 
@@ -107,7 +107,7 @@ def test_closed_speed_loop(
 
 
 def critical_inertia(it: Tuned) -> float:
-    """Over the believed one: lighter shafts make the speed loop unstable."""
+    """Over the nominal one: lighter shafts make the speed loop unstable."""
     low, high = 0.05, 1.0
     for _ in range(30):
         middle = math.sqrt(low * high)

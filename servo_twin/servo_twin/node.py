@@ -338,7 +338,7 @@ class ServoTwin(Node):
             self._log.info(f"the twin takes over: {self._located}")
             self._plant = plant
             self._adaptations += 1
-            self._diagnosis.believe(plant)
+            self._diagnosis.set_plant(plant)
             self._located = ""
         self._twin.take_plant(plant)
 

@@ -183,7 +183,7 @@ def test_the_residual_after_adapting_is_that_of_an_unchanged_pair() -> None:
             plant = monitor.adapted(one.tick)
             if plant is not None:
                 pair.twin.take_plant(plant)
-                monitor.believe(plant)
+                monitor.set_plant(plant)
         after = list(motion.run(10.0))
         assert pair.twin.synchronisations == 1
     for name in ("axis1.i_q", "axis1.speed", "axis1.u_q"):

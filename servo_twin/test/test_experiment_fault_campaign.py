@@ -198,8 +198,8 @@ def test_a_trial_says_what_replays_it() -> None:
 
 
 def test_motors_differ_and_are_known_by_name() -> None:
-    believed = [Motor.of(name, PLANT).believed for name in MOTORS]
-    assert len(set(believed)) == len(MOTORS)
+    nominal = [Motor.of(name, PLANT).nominal for name in MOTORS]
+    assert len(set(nominal)) == len(MOTORS)
     with pytest.raises(SimulationError, match="no motor 'steam'"):
         Motor.of("steam", PLANT)
 

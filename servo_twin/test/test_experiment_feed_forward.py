@@ -6,7 +6,7 @@ import pytest
 from servo_twin.board import Board
 from servo_twin.experiments import feed_forward, rig
 from servo_twin.experiments.feed_forward import Mismatch
-from servo_twin.experiments.plant_limits import believed
+from servo_twin.experiments.plant_limits import nominal_shafts
 from servo_twin.experiments.rig import spinning, watch
 from servo_twin.plant import PlantConfig
 
@@ -34,13 +34,13 @@ def test_agrees(changes: dict[str, float]) -> None:
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("missing", ["SPEED_FORWARD", "ACCELERATION_FORWARD"])
 def test_a_feature_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
-    genuine, beliefs = rig.features, believed(PlantConfig.load(), 4)
+    genuine, nominals = rig.features, nominal_shafts(PlantConfig.load(), 4)
 
     def features(board: Board, axis: int, **switches: bool) -> None:
         genuine(board, axis, **{name: on for name, on in switches.items() if name != missing})
 
     monkeypatch.setattr(rig, "features", features)
-    monkeypatch.setattr(feed_forward, "believed", lambda plant, seed: beliefs)
+    monkeypatch.setattr(feed_forward, "nominal_shafts", lambda plant, seed: nominals)
     found = rows()
     for axis in (1, 2):
         if missing == "SPEED_FORWARD":

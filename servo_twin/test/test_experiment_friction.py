@@ -1,11 +1,11 @@
-"""Friction compensation helps as much as its belief is right, and the figures notice when it is not there."""
+"""Friction compensation helps as much as its nominal value is right, and the figures notice when it is not there."""
 
 from __future__ import annotations
 
 import pytest
 from servo_twin.board import Board
 from servo_twin.experiments import friction, rig
-from servo_twin.experiments.plant_limits import believed
+from servo_twin.experiments.plant_limits import nominal_shafts
 from servo_twin.plant import PlantConfig
 
 
@@ -23,26 +23,26 @@ def test_agrees() -> None:
 
 
 @pytest.mark.usefixtures("only_right", "level")
-def test_the_right_belief_agrees() -> None:
+def test_the_right_nominal_value_agrees() -> None:
     assert wrong() == set()
 
 
 @pytest.mark.usefixtures("level")
 def test_a_feature_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By every figure, with twice the friction that is believed: what a start loses to less, the encoder may hide."""
+    """By every figure, with twice the nominal friction: what a start loses to less, the encoder may hide."""
     monkeypatch.setattr(friction, "TIMES", (2.0,))
-    genuine, beliefs = rig.features, believed(PlantConfig.load(), 5)
+    genuine, nominals = rig.features, nominal_shafts(PlantConfig.load(), 5)
 
     def features(board: Board, axis: int, **switches: bool) -> None:
         genuine(board, axis, **{name: on for name, on in switches.items() if name != "FRICTION"})
 
     monkeypatch.setattr(rig, "features", features)
-    monkeypatch.setattr(friction, "believed", lambda plant, seed: beliefs)
+    monkeypatch.setattr(friction, "nominal_shafts", lambda plant, seed: nominals)
     assert len(wrong()) == 6
 
 
-def test_a_belief_that_is_half_right_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twice the friction where the bounds expect what the controller believes in."""
+def test_a_nominal_value_that_is_half_right_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twice the friction where the bounds expect the nominal value."""
     monkeypatch.setattr(friction, "TIMES", (2.0,))
     monkeypatch.setattr(friction, "left", lambda times: 0.0)
     assert len(wrong()) == 6

@@ -33,7 +33,7 @@ def test_a_firmware_that_knows_nothing_of_its_pins_is_noticed(monkeypatch: pytes
     assert not said["enable, at rest: refused without a fault"]
 
 
-def test_a_brake_that_is_slower_than_believed_lets_the_load_drop(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_brake_that_is_slower_than_nominal_lets_the_load_drop(monkeypatch: pytest.MonkeyPatch) -> None:
     """The time that the configuration waits matters: 30 ms of it are too little for a brake that takes 90 ms."""
     monkeypatch.setattr(pins, "CLOSE_TIME", 0.09)
     found = pins.hang(PlantConfig.load(), 2, math.pi / 3)

@@ -1,4 +1,4 @@
-"""What a plant can do, what the controller believes of it, and runs that end in a fault."""
+"""What a plant can do, the controller's nominal values, and runs that end in a fault."""
 
 from __future__ import annotations
 
@@ -7,7 +7,14 @@ import math
 import numpy as np
 import pytest
 from servo_twin.experiments import plant_limits
-from servo_twin.experiments.plant_limits import Demand, believed, differences, move_speeds, path_demands, top_speed
+from servo_twin.experiments.plant_limits import (
+    Demand,
+    differences,
+    move_speeds,
+    nominal_shafts,
+    path_demands,
+    top_speed,
+)
 from servo_twin.experiments.rig import (
     COUNT,
     TICK,
@@ -35,19 +42,19 @@ def both(plant: PlantConfig, **factors: float) -> PlantConfig:
 
 
 @pytest.mark.parametrize("factors", [{}, {"friction": 0.3, "inertia": 2.0}])
-def test_belief_does_not_depend_on_what_is_there(plant: PlantConfig, factors: dict[str, float]) -> None:
-    """The packaged configuration believes in the packaged plant."""
-    for entry, belief in zip(plant.axes, believed(both(plant, **factors), 3), strict=True):
-        assert belief.inertia == pytest.approx(entry.inertia, rel=0.01)
-        assert belief.friction == pytest.approx(entry.friction + plant_limits.PROBE_SPEED * entry.viscous, rel=0.01)
+def test_the_nominal_shaft_does_not_depend_on_what_is_there(plant: PlantConfig, factors: dict[str, float]) -> None:
+    """The packaged configuration has the nominal values of the packaged plant."""
+    for entry, nominal in zip(plant.axes, nominal_shafts(both(plant, **factors), 3), strict=True):
+        assert nominal.inertia == pytest.approx(entry.inertia, rel=0.01)
+        assert nominal.friction == pytest.approx(entry.friction + plant_limits.PROBE_SPEED * entry.viscous, rel=0.01)
 
 
-def test_belief_is_worth_more_on_a_stronger_motor(plant: PlantConfig) -> None:
-    belief = believed(both(plant, psi_m=1.2), 3)[0]
-    assert belief.inertia == pytest.approx(1.2 * plant.axes[0].inertia, rel=0.01)
+def test_the_nominal_shaft_is_worth_more_on_a_stronger_motor(plant: PlantConfig) -> None:
+    nominal = nominal_shafts(both(plant, psi_m=1.2), 3)[0]
+    assert nominal.inertia == pytest.approx(1.2 * plant.axes[0].inertia, rel=0.01)
 
 
-def test_belief_shows_in_a_smaller_step(plant: PlantConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_nominal_shaft_shows_in_a_smaller_step(plant: PlantConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the current limit hides the inertia; the friction shows in the large one."""
     genuine, steps = plant_limits._first_current, []
 
@@ -58,16 +65,16 @@ def test_belief_shows_in_a_smaller_step(plant: PlantConfig, monkeypatch: pytest.
         return genuine(plant, seed, switch, speed)
 
     monkeypatch.setattr(plant_limits, "_first_current", first_current)
-    for entry, belief in zip(plant.axes, believed(plant, 3), strict=True):
-        assert belief.inertia == pytest.approx(entry.inertia, rel=0.02)
+    for entry, nominal in zip(plant.axes, nominal_shafts(plant, 3), strict=True):
+        assert nominal.inertia == pytest.approx(entry.inertia, rel=0.02)
     assert min(steps) == 0.5
 
 
-def test_belief_hidden_by_the_current_limit(plant: PlantConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_nominal_shaft_is_hidden_by_the_current_limit(plant: PlantConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plant_limits, "PROBE_SPEED", 20.0)
     monkeypatch.setattr(plant_limits, "PROBE_HALVINGS", 1)
     with pytest.raises(SimulationError, match="current limit"):
-        believed(plant, 3)
+        nominal_shafts(plant, 3)
 
 
 def test_path_asks_for_a_half_of_the_current(plant: PlantConfig) -> None:

@@ -34,10 +34,10 @@ def test_a_part_that_is_not_there_is_noticed(monkeypatch: pytest.MonkeyPatch, na
     effect = next(effect for effect in EFFECTS if effect.name == name)
 
     def measure(board: Board, axis: int) -> real_shaft.Seen:
-        believed = board.plant
+        nominal = board.plant
         for value, without in UNSEEN[name].items():
             board.set_plant(f"axis{axis + 1}.{value}", without)
-        board.plant = believed
+        board.plant = nominal
         return effect.measure(board, axis)
 
     monkeypatch.setattr(real_shaft, "EFFECTS", (dataclasses.replace(effect, measure=measure),))

@@ -25,17 +25,17 @@ def test_other_motors_than_those_of_the_experiment_agree_too(monkeypatch: pytest
 def test_a_drive_that_does_not_derate_shows(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the feature nothing holds the current back."""
     monkeypatch.setattr(rig, "features", lambda *_, **__: None)
-    world, text, believed, true = configured(PLANT, QUICK)
+    world, text, nominal, true = configured(PLANT, QUICK)
     found = courses(world, SEED, text, 2.5)
-    for it, model, real in zip(found, believed, true, strict=True):
+    for it, model, real in zip(found, nominal, true, strict=True):
         wrong = {row.name for row in winding.figures(Judge(), it, model, real) if not row.agrees}
         assert {"time until derating", "current in the end", "winding in the end"} <= wrong
         assert it.current[-1] == pytest.approx(4.0, abs=0.01)
 
 
-def test_a_belief_that_is_wrong_is_the_controllers_alone() -> None:
-    world, _, believed, true = configured(PLANT, CASES[2].motors)
-    for axis, (model, real, motor) in enumerate(zip(believed, true, CASES[2].motors, strict=True)):
+def test_a_wrong_nominal_value_is_the_controllers_alone() -> None:
+    world, _, nominal, true = configured(PLANT, CASES[2].motors)
+    for axis, (model, real, motor) in enumerate(zip(nominal, true, CASES[2].motors, strict=True)):
         assert model.resistance == pytest.approx(motor.resistance_error * real.resistance)
         assert model.capacity == pytest.approx(motor.capacity_error * real.capacity)
         assert world.axes[axis].winding_resistance == real.resistance

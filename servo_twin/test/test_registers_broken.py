@@ -346,7 +346,7 @@ def test_time_stamps_at_twice_the_clock_halve_the_speed(spinning: Board) -> None
 
 
 def test_without_reload_on_capture_a_slow_shaft_seems_slower(spinning: Board) -> None:
-    """TMRA3 no longer tells the age of the last edge; the enhanced M/T method believes that the shaft has stopped."""
+    """TMRA3 no longer tells the age of the last edge; the enhanced M/T method reports that the shaft has stopped."""
     set_speed(spinning, 2.0)
     spinning.run(0.3)
 

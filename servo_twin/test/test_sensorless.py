@@ -358,7 +358,7 @@ def test_dead_encoder_of_a_turning_shaft_is_noticed(mode: str) -> None:
 
 @pytest.mark.parametrize("factor", [1.0, 1.5])
 def test_no_false_alarm(factor: float) -> None:
-    """Speeds, reversals, load steps up to the current limit; the resistance as believed, and half as much more."""
+    """Speeds, reversals, load steps up to the current limit; the nominal resistance, and half as much more."""
     plant = PlantConfig.load().with_bus(capacitance=0.05)  # both may brake at once
     for axis in range(2):
         plant = plant.with_axis(axis, r_s=plant.axes[axis].r_s * factor)

@@ -91,7 +91,7 @@ class TestExactness:
         assert worst(pairs, "axis1.i_q") > 0.0
         assert pairs[-1].real["axis1.position"] == pytest.approx(10 * math.pi, abs=3 * COUNT)
 
-    def test_a_plant_that_is_not_what_the_twin_believes_shows(self) -> None:
+    def test_a_plant_that_is_not_the_twins_model_shows(self) -> None:
         heavy = PlantConfig.load().with_axis(0, friction=8e-3)
         with TwinRig(plant=heavy) as rig:
             rig.up()

@@ -211,7 +211,7 @@ def test_follows_and_publishes_the_boards_topics(rig: Rig) -> None:
         assert list(message.velocity) == [row["axis1.speed"], row["axis2.speed"]]
     assert joints[-1].position[0] == pytest.approx(4 * np.pi, abs=0.02)
     assert list(joints[-1].name) == ["axis1", "axis2"]
-    # 3/2 p psi_m of the firmware's beliefs
+    # 3/2 p psi_m of the firmware's nominal values
     assert joints[-1].effort[0] == pytest.approx(rows[-1]["axis1.i_q"] * 0.0462, rel=1e-3)
 
 

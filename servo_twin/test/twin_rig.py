@@ -41,7 +41,7 @@ class TwinRig:
     every : int
         Ticks between two samples.
     plant : PlantConfig, optional
-        Of the real board, where it differs from what the twin believes.
+        Of the real board, where it differs from the twin's model.
     settings : TwinSettings, optional
         Of the twin.
     tick_base : int

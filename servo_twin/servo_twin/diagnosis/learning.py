@@ -54,7 +54,7 @@ class Learner:
     Parameters
     ----------
     plant : PlantConfig
-        What the twin believes.
+        The twin's model of the plant.
     """
 
     def __init__(self, plant: PlantConfig) -> None:

@@ -65,14 +65,14 @@ class DiagnosisMonitor:
     Parameters
     ----------
     plant : PlantConfig
-        What the twin believes.
+        The twin's model of the plant.
     thresholds : Thresholds
         What a healthy pair shows.
 
     Attributes
     ----------
     plant : PlantConfig
-        What the twin believes.
+        The twin's model of the plant.
     watch : SignalWatch
         Of what no equation describes.
     missing : str
@@ -95,9 +95,9 @@ class DiagnosisMonitor:
         bus = Unknowns((SUPPLY,), np.array([_BUS_MARGIN]), np.ones(1))
         self.bus = Channel(bus, thresholds.detect, np.array([np.inf]), np.empty(0), thresholds.bus_rows)
         self.watch = SignalWatch([noise.means for noise in thresholds.axes])
-        self.believe(plant)
+        self.set_plant(plant)
 
-    def believe(self, plant: PlantConfig) -> None:
+    def set_plant(self, plant: PlantConfig) -> None:
         """The twin has another plant from now on."""
         self.plant = plant
         self.watch.interrupt()

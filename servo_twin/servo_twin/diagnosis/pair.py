@@ -50,7 +50,7 @@ class BoardPair:
     plant : PlantConfig
         Of the real board.
     twin_plant : PlantConfig
-        What the twin believes.
+        The twin's model of the plant.
     seed : int
         Of the noise of both boards and of the times of the samples.
     level : {"registers", "ideal"}, optional

@@ -127,7 +127,7 @@ class AxisSignals:
     axis : int
         Index.
     plant : AxisPlant
-        What the twin believes.
+        The twin's model of the plant.
     """
 
     def __init__(self, axis: int, plant: AxisPlant) -> None:
@@ -203,7 +203,7 @@ class BusSignal:
     Parameters
     ----------
     supply : float
-        What the twin believes [V].
+        The twin's model of the bus [V].
     """
 
     def __init__(self, supply: float) -> None:

@@ -26,7 +26,7 @@ sqrt(R_s^2 + w^2 L_s^2), to be compared with the current limit first; it shows n
 both shafts would raise the bus above 33 V."""
 
 BRAKE_FROM: Final = 3500.0 * RPM  # at most
-RESISTOR: Final = 4.7  # that the firmware believes in, and where the plant has none [ohm]
+RESISTOR: Final = 4.7  # nominal value of the firmware, also where the plant has none [ohm]
 ON: Final = 28.0  # the firmware's resistor is on from here [V],
 BUDGET: Final = 60.0  # may burn so much at once [J],
 POWER: Final = 10.0  # bears so much for ever [W],
@@ -203,7 +203,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield from _rows_bus(judge, plant, speed, with_one, _with_resistor(plant, speed, resistor))
     yield judge("burnt in it", with_one.burnt[-1], "J", 0.0, kinetic(plant, speed))
     judge = Judge("budget: ", NOT_SHOWN)
-    allowed = (BUDGET + POWER * budget.seconds) * (RESISTOR / resistor)  # computed with the one that is believed in
+    allowed = (BUDGET + POWER * budget.seconds) * (RESISTOR / resistor)  # computed with the nominal one
     rest = (1.0 - RESTED) * BUDGET / POWER
     yield judge("burnt until off", budget.burnt, "J", 0.95 * allowed, 1.05 * allowed)
     yield judge("rest until used again", budget.rest, "s", 0.95 * rest, 1.05 * rest)
@@ -258,7 +258,7 @@ def _longest(plant: PlantConfig, speed: float) -> float:
 
 def _short(plant: PlantConfig, seed: int, axis: int) -> Iterator[Row | Panel]:
     motor, judge = plant.axes[axis], Judge(f"{axis_name(axis)}: ")
-    refused = refusal_speed(PlantConfig.load().axes[axis])  # the firmware judges by what it believes
+    refused = refusal_speed(PlantConfig.load().axes[axis])  # the firmware judges by its nominal values
     below, above = (1.0 - NEAR) * refused, (1.0 + NEAR) * refused
     omega, current = short(plant, seed, axis, below, COAST_TIME)
     _, beyond = short(plant, seed, axis, above, 0.01)

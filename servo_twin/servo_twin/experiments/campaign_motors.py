@@ -54,7 +54,7 @@ DEVIATION: Final[Mapping[str, tuple[float, float]]] = {
     "friction": (0.5, 1.5),
     "viscous": (0.5, 1.5),
 }
-"""Least and largest part of what the controller believes that a motor really has."""
+"""Range of a motor's true values, as parts of the nominal ones."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Motor:
     axis : int
         Index of its axis.
     plant : PlantConfig
-        Both motors of the board, as the controller believes.
+        Nominal values of both motors of the board.
     group : str
         Names the board: that of the plant, or what to tune the firmware for.
     """
@@ -98,16 +98,16 @@ class Motor:
         return cls(name, pair.index(name), plant, " ".join(pair))
 
     @property
-    def believed(self) -> AxisPlant:
+    def nominal(self) -> AxisPlant:
         """What the controller takes this motor for."""
         return self.plant.axes[self.axis]
 
     @property
     def observable(self) -> bool:
-        """Whether the observer can tell its back-EMF from what a warm winding takes beside the believed resistance."""
+        """Whether the observer can tell its back-EMF from what a warm winding takes besides the nominal resistance."""
         if not self.group:
             return True  # the experiments without an encoder show that
-        motor, limits = self.believed, _TABLES[self.name]["limits"]
+        motor, limits = self.nominal, _TABLES[self.name]["limits"]
         unknown = (DEVIATION["r_s"][1] - 1.0) * motor.r_s * float(limits["current"])
         return motor.pole_pairs * motor.psi_m * OBSERVED_MIN * float(limits["speed"]) > unknown
 
@@ -124,7 +124,7 @@ class Motor:
         return _firmware(self.group, level()) if self.group else None
 
     def board(self, plant: PlantConfig, seed: int) -> Board:
-        """Its board, just switched on, on a plant that may deviate from what the controller believes."""
+        """Its board, just switched on, on a plant that may deviate from the nominal values."""
         return fresh_board(plant, seed, self.firmware())
 
 
@@ -147,8 +147,8 @@ def _configuration(group: str) -> str:
 
 
 def deviating(plant: PlantConfig, rng: random.Random) -> PlantConfig:
-    """Copy of a plant whose motors are not quite what the controller believes."""
-    for axis, believed in enumerate(plant.axes):
-        changes = {name: getattr(believed, name) * rng.uniform(*part) for name, part in DEVIATION.items()}
+    """Copy of a plant whose motors deviate from their nominal values."""
+    for axis, nominal in enumerate(plant.axes):
+        changes = {name: getattr(nominal, name) * rng.uniform(*part) for name, part in DEVIATION.items()}
         plant = plant.with_axis(axis, **changes)
     return plant

@@ -14,7 +14,7 @@ from servo_msgs_py.units import COUNTS_PER_TURN
 from servo_twin.experiments import rig
 from servo_twin.experiments.dead_time_torque import swerve_at
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
-from servo_twin.experiments.plant_limits import believed, move_speeds
+from servo_twin.experiments.plant_limits import move_speeds, nominal_shafts
 from servo_twin.experiments.rig import COUNT, TICK, Recording
 from servo_twin.plant import AxisPlant, PlantConfig
 
@@ -42,7 +42,7 @@ ACCELERATION_LEFT_MAX: Final = 0.75
 OVERSHOOT_OF_WRONG: Final = 0.1
 OVERSHOOT_OF_FRICTION: Final = 1.0
 """Counts that current against a friction pushes which is not there, per part of the friction that is."""
-"""Of the error that a wrong belief of the inertia brings, what may come out beyond the target."""
+"""Of the error that a wrong nominal inertia brings, what may come out beyond the target."""
 
 REST: Final = 0.8  # recorded after the ramp's end [s]
 ARRIVED: Final = 2.0  # [counts]
@@ -105,32 +105,32 @@ def travel(
 
 @dataclass(frozen=True)
 class Mismatch:
-    """How inertia or friction that is there compares with what the controller believes in."""
+    """True inertia or friction against the nominal value."""
 
     there: float
-    believed: float
+    nominal: float
 
     @property
     def heavier(self) -> float:
-        """What acceleration costs a loop tuned for less inertia; 1 for less than believed."""
-        return max(self.there / self.believed, 1.0)
+        """What acceleration costs a loop tuned for less inertia; 1 for less than nominal."""
+        return max(self.there / self.nominal, 1.0)
 
     @property
     def lighter(self) -> float:
-        """By how much a late torque costs more than the acceleration itself; 1 for more than believed."""
-        return max(self.believed / self.there, 1.0)
+        """By how much a late torque costs more than the acceleration itself; 1 for more than nominal."""
+        return max(self.nominal / self.there, 1.0)
 
     @property
     def wrong(self) -> float:
         """Error of feed-forward over what is needed (ratio)."""
-        return abs(self.there - self.believed) / self.there
+        return abs(self.there - self.nominal) / self.there
 
 
 def error_bound(speed_error: float, inertia: Mismatch) -> float:
     """Following error that may be left with the acceleration fed forward, too [counts].
 
-    A part of the error with the speed alone [counts], for the torque that comes late; the error that a wrong belief of
-    the inertia brings back; three counts.
+    A part of the error with the speed alone [counts], for the torque that comes late; the error that a wrong nominal
+    inertia brings back; three counts.
     """
     return (ACCELERATION_LEFT_MAX * inertia.lighter + inertia.wrong) * speed_error + ARRIVED + 1.0
 
@@ -139,9 +139,9 @@ def error_bound(speed_error: float, inertia: Mismatch) -> float:
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Every distance, every choice, both axes at once."""
     speeds, lowered = move_speeds(plant, seed, together=True)
-    beliefs = list(zip(plant.axes, believed(plant, seed), strict=True))
-    inertias = [Mismatch(entry.inertia, belief.inertia) for entry, belief in beliefs]
-    frictions = [Mismatch(entry.friction, belief.friction) for entry, belief in beliefs]
+    nominals = list(zip(plant.axes, nominal_shafts(plant, seed), strict=True))
+    inertias = [Mismatch(entry.inertia, nominal.inertia) for entry, nominal in nominals]
+    frictions = [Mismatch(entry.friction, nominal.friction) for entry, nominal in nominals]
     yield lowered
     for turns in DISTANCES:
         moves = {choice: travel(plant, seed, turns, on, speeds) for choice, on in CHOICES.items()}

@@ -257,7 +257,7 @@ def _fault_rows(plant: PlantConfig, seed: int) -> Iterator[Row]:
 
 
 def _motor_rows(plant: PlantConfig, seed: int) -> Iterator[Row]:
-    """The plant's motor is not what the drive believes."""
+    """The plant's motor deviates from its nominal values."""
     axis, volts = plant.axes[AXIS], plant.bus.u_source
     for (what, names), sign in itertools.product((("psi_m", ("psi_m",)), ("L", ("l_d", "l_q"))), (-1.0, 1.0)):
         factor = 1.0 + sign * DEVIATION

@@ -1,4 +1,4 @@
-"""Current against friction, fed forward: reversals and starts, with the right belief and with wrong ones."""
+"""Current against friction, fed forward: reversals and starts, with right and wrong nominal values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from servo_msgs_py.units import COUNTS_PER_TURN
 from servo_twin.experiments import rig
 from servo_twin.experiments.dead_time_torque import answer, pushed
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.experiments.plant_limits import believed
+from servo_twin.experiments.plant_limits import nominal_shafts
 from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording
 from servo_twin.plant import AxisPlant, PlantConfig
 
@@ -28,7 +28,7 @@ with feed-forward of speed and acceleration in both runs. The true friction is e
 of it: the loop has to supply the difference."""
 
 TIMES: Final = (1.0, 2.0, 0.5)
-"""Friction that is there over the one that the controller believes in."""
+"""True friction over the nominal one."""
 
 SPEED: Final = 50.0 * RPM
 SPEED_FREQUENCY: Final = 1.0  # [Hz]
@@ -178,7 +178,7 @@ TASKS: Final = (
 def most(task: Task, without: Recording, shaft: Shaft, rest: float) -> float:
     """What may be left of an error [counts]: the part of the friction that is, and what the encoder hides.
 
-    The loop is slower, and what it does not see grows, as much as the shaft is heavier than the controller believes.
+    The loop is slower, and what it does not see grows, as much as the shaft is heavier than nominal.
     """
     if task.run is start:
         return expected_at_start(shaft, rest) + START_HIDDEN
@@ -188,16 +188,16 @@ def most(task: Task, without: Recording, shaft: Shaft, rest: float) -> float:
 @experiment(NAME)
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Three frictions, three tasks, without and with."""
-    beliefs = believed(plant, seed)
-    torques = ", ".join(f"{axis_name(axis)} {1e3 * belief.friction:.3g} mN m" for axis, belief in enumerate(beliefs))
-    yield f"the friction of the plant is set, Coulomb only, from what the controller believes: {torques}"
+    nominals = nominal_shafts(plant, seed)
+    torques = ", ".join(f"{axis_name(axis)} {1e3 * nominal.friction:.3g} mN m" for axis, nominal in enumerate(nominals))
+    yield f"the friction of the plant is set, Coulomb only, from the nominal values: {torques}"
     for times in TIMES:
         changed = plant
-        for axis, belief in enumerate(beliefs):
-            changed = changed.with_axis(axis, friction=times * belief.friction, viscous=0.0)
+        for axis, nominal in enumerate(nominals):
+            changed = changed.with_axis(axis, friction=times * nominal.friction, viscous=0.0)
         shafts = [
-            Shaft(entry, max(entry.inertia / belief.inertia, 1.0))
-            for entry, belief in zip(changed.axes, beliefs, strict=True)
+            Shaft(entry, max(entry.inertia / nominal.inertia, 1.0))
+            for entry, nominal in zip(changed.axes, nominals, strict=True)
         ]
         found = [(task, task.run(changed, seed, False), task.run(changed, seed, True)) for task in TASKS]
         for axis, shaft in enumerate(shafts):

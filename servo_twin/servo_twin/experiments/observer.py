@@ -139,11 +139,11 @@ def _point(trace: Trace, speed: float, rest: float) -> Point:
     return Point(speed, float(trace.i_q.mean()), mean, float(error.std()), amplitude, trace)
 
 
-def paper(motor: AxisPlant, belief: AxisPlant, speed: float, i_q: float) -> float:
-    """Error of the observed angle [deg] of a motor that is believed to be another one."""
-    believed = 0.5 * (belief.l_d + belief.l_q)
-    emf = motor.psi_m + (motor.r_s - belief.r_s) * i_q / (motor.pole_pairs * speed)
-    return math.degrees(math.atan2((motor.l_q - believed) * i_q, emf))
+def paper(motor: AxisPlant, nominal: AxisPlant, speed: float, i_q: float) -> float:
+    """Error of the observed angle [deg] of a motor that has other nominal values."""
+    l_s = 0.5 * (nominal.l_d + nominal.l_q)
+    emf = motor.psi_m + (motor.r_s - nominal.r_s) * i_q / (motor.pole_pairs * speed)
+    return math.degrees(math.atan2((motor.l_q - l_s) * i_q, emf))
 
 
 @experiment(NAME)
@@ -205,8 +205,8 @@ def _sensitivity(
         away, largest = 0.0, 0.0
         for (speed, part), point in measure(other, seed, axis, speeds, (SENSITIVE_CURRENT,)).items():
             before = nominal[speed, part]
-            change, believed = point.mean - before.mean, paper(motor, motor, point.speed, before.i_q)
-            expected = paper(other.axes[axis], motor, point.speed, point.i_q) - believed
+            change, theory = point.mean - before.mean, paper(motor, motor, point.speed, before.i_q)
+            expected = paper(other.axes[axis], motor, point.speed, point.i_q) - theory
             away, largest = max(away, abs(change - expected)), max(largest, abs(change))
         what, says = f"Ls x {inductance:g}", "moderately sensitive to Ls"
         if r_s != 1.0:

@@ -1,4 +1,4 @@
-"""What a plant can do, from its own data, and what the controller believes of it, seen from outside.
+"""What a plant can do, from its own data, and the controller's nominal values of it, seen from outside.
 
 Bounds of the experiments that depend on the motor come from here, so that they hold for another motor, too; and where a
 plant cannot do what an experiment asks of the nominal one, the experiment asks for less and says so.
@@ -21,13 +21,13 @@ from servo_twin.simulation import SimulationError
 
 __all__ = [
     "OVER_VOLTAGE",
-    "Belief",
     "Demand",
-    "believed",
+    "NominalShaft",
     "current_limits",
     "differences",
     "inertia_ratio",
     "move_speeds",
+    "nominal_shafts",
     "path_demands",
     "path_ends",
     "path_settles",
@@ -67,8 +67,8 @@ PROBE_SLOPE: Final = 10  # [slow ticks] between two points of its speed
 
 
 @dataclass(frozen=True)
-class Belief:
-    """What the controller believes of one axis, expressed by the torque that its current makes on the plant's motor."""
+class NominalShaft:
+    """Nominal values of one axis in the controller, from the torque that its current makes on the plant's motor."""
 
     friction: float
     """Of a slowly turning shaft [N m]."""
@@ -86,7 +86,7 @@ class Demand:
     """The limit [A]."""
 
 
-def believed(plant: PlantConfig, seed: int) -> tuple[Belief, ...]:
+def nominal_shafts(plant: PlantConfig, seed: int) -> tuple[NominalShaft, ...]:
     """Friction and inertia that feed-forward stands for: the difference it makes to i_q* in the very tick of a step.
 
     Until that tick the runs are the same, bit for bit.
@@ -106,7 +106,7 @@ def believed(plant: PlantConfig, seed: int) -> tuple[Belief, ...]:
             if halving == PROBE_HALVINGS:
                 raise
     return tuple(
-        Belief(
+        NominalShaft(
             friction=friction[axis] * entry.torque_constant,
             inertia=inertia[axis] * entry.torque_constant / (speed / TICK),
         )
@@ -122,14 +122,14 @@ def _forward(plant: PlantConfig, seed: int, switch: str, speed: float) -> list[f
 
 def inertia_ratio(plant: PlantConfig, seed: int, axis: int) -> float:
     """Inertia over the nominal one (ratio): a loop is so many times slower, or quicker."""
-    return plant.axes[axis].inertia / believed(plant, seed)[axis].inertia
+    return plant.axes[axis].inertia / nominal_shafts(plant, seed)[axis].inertia
 
 
 def differences(plant: PlantConfig, seed: int) -> tuple[str, ...]:
     """What the controller was told otherwise, in words; bounds of the seed hold for a plant that it is tuned for."""
     notes: list[str] = []
-    for axis, (entry, belief) in enumerate(zip(plant.axes, believed(plant, seed), strict=True)):
-        ratio = entry.inertia / belief.inertia
+    for axis, (entry, nominal) in enumerate(zip(plant.axes, nominal_shafts(plant, seed), strict=True)):
+        ratio = entry.inertia / nominal.inertia
         if not 1.0 / TUNED_WITHIN <= ratio <= TUNED_WITHIN:
             notes.append(
                 f"{axis_name(axis)}: a current accelerates the shaft {1.0 / ratio:.2g} times as much as the gains are"

@@ -14,7 +14,7 @@ from servo_twin.board import Board
 from servo_twin.experiments import rig
 from servo_twin.experiments.dead_time_torque import pushed, whole_counts
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.experiments.plant_limits import Belief, believed
+from servo_twin.experiments.plant_limits import NominalShaft, nominal_shafts
 from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording
 from servo_twin.plant import AxisPlant, PlantConfig
 
@@ -34,7 +34,7 @@ MOVE: Final = 1.0  # [turns]
 ARRIVED: Final = 0.7  # from the set-point on [s]
 HELD: Final = 0.5  # [s]
 HOLDS: Final = ((1.0, 1.0), (1.0, 0.2), (1.0, 3.0), (0.5, 1.0), (3.0, 1.0))
-"""Inertia and friction while a position is held, over what the controller believes."""
+"""Inertia and friction while a position is held, over the nominal values."""
 
 LOAD: Final = 2.0  # [A] worth of torque
 
@@ -77,9 +77,11 @@ def creep(plant: PlantConfig, seed: int, axis: int, speed: float) -> Pair:
     return both(plant, seed, axis, play)
 
 
-def shaft(plant: PlantConfig, axis: int, belief: Belief, inertia: float = 1.0, friction: float = 1.0) -> PlantConfig:
+def shaft(
+    plant: PlantConfig, axis: int, nominal: NominalShaft, inertia: float = 1.0, friction: float = 1.0
+) -> PlantConfig:
     """Plant with so many times (ratios) the nominal inertia and friction."""
-    return plant.with_axis(axis, inertia=inertia * belief.inertia, friction=friction * belief.friction)
+    return plant.with_axis(axis, inertia=inertia * nominal.inertia, friction=friction * nominal.friction)
 
 
 def move(plant: PlantConfig, seed: int, axis: int) -> Pair:
@@ -134,8 +136,8 @@ def held(recording: Recording) -> float:
 @experiment(NAME)
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Everything on both axes, with and without."""
-    for axis, belief in enumerate(believed(plant, seed)):
-        name, known = axis_name(axis), shaft(plant, axis, belief)
+    for axis, nominal in enumerate(nominal_shafts(plant, seed)):
+        name, known = axis_name(axis), shaft(plant, axis, nominal)
         for rpm in SPEEDS:
             speed, judge = rpm * RPM, Judge(f"{name} at {rpm:g} rpm, ")
             without, observed = creep(known, seed, axis, speed)
@@ -152,7 +154,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         if axis == 0:
             yield _move_panel(name, without, observed)
         for inertia, friction in HOLDS:
-            other = shaft(plant, axis, belief, inertia, friction)
+            other = shaft(plant, axis, nominal, inertia, friction)
             without, observed = move(other, seed, axis)
             pushed_max = whole_counts(observed, other.axes[axis], ARRIVED, inertia)
             calm = max(CYCLE_MAX + 2.0 * pushed_max, held(without))

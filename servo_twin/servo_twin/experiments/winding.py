@@ -48,16 +48,16 @@ REST: Final = 0.05
 
 @dataclass(frozen=True)
 class Motor:
-    """A motor, and what the controller believes of its winding."""
+    """A motor, and the nominal values of its winding."""
 
     rated: float
     """Current that leads to the maximum for ever [A]."""
     capacity: float
-    """Heat capacity of the winding, as believed [J/K]."""
+    """Nominal heat capacity of the winding [J/K]."""
     r_s: float | None = None
     """Of a phase, in the place of the plant's [ohm]."""
     resistance_error: float = 1.0
-    """What the controller believes of the thermal resistance, over what there is."""
+    """Nominal thermal resistance over the true one."""
     capacity_error: float = 1.0
     """The same of the heat capacity."""
 
@@ -72,7 +72,7 @@ class Case:
 
 RIGHT: Final = (Motor(2.0, 0.5), Motor(2.0, 0.9))
 CASES: Final = (
-    Case("as believed", RIGHT),
+    Case("nominal", RIGHT),
     Case("other windings", (Motor(1.5, 0.3, r_s=0.9), Motor(2.6, 0.8, r_s=0.3))),
     Case(
         "wrong by 30 %",
@@ -109,9 +109,9 @@ class Course:
 
 
 def configured(plant: PlantConfig, motors: Sequence[Motor]) -> tuple[PlantConfig, str, list[Winding], list[Winding]]:
-    """The plant with these motors, the configuration for it, and the windings as they are believed and as they are.
+    """The plant with these motors, the configuration for it, and the windings nominal and true.
 
-    The believed thermal resistance is that with which the rated current leads to the maximum in the plant's air.
+    The nominal thermal resistance is that with which the rated current leads to the maximum in the plant's air.
     """
     table = {**servo_table()}
     table["defaults"] = {**table["defaults"], "winding": {**table["defaults"]["winding"], "ambient": plant.ambient}}
@@ -121,9 +121,9 @@ def configured(plant: PlantConfig, motors: Sequence[Motor]) -> tuple[PlantConfig
         entry["winding"] = {"heat_capacity": motor.capacity}
         table[axis_name(axis)] = entry
     text = as_toml(table)
-    believed = [Winding.of(axis) for axis in loads(text, Catalogue.load()).axes]
+    nominal = [Winding.of(axis) for axis in loads(text, Catalogue.load()).axes]
     true: list[Winding] = []
-    for axis, (motor, winding) in enumerate(zip(motors, believed, strict=True)):
+    for axis, (motor, winding) in enumerate(zip(motors, nominal, strict=True)):
         true.append(
             replace(
                 winding,
@@ -138,7 +138,7 @@ def configured(plant: PlantConfig, motors: Sequence[Motor]) -> tuple[PlantConfig
             winding_capacity=true[axis].capacity,
             viscous=plant.axes[axis].torque_constant * winding.current / REACHED,
         )
-    return plant, text, believed, true
+    return plant, text, nominal, true
 
 
 def courses(plant: PlantConfig, seed: int, text: str, seconds: float = SECONDS) -> list[Course]:
@@ -174,9 +174,9 @@ def _watched(board: Board, seconds: float) -> list[Course]:
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Both axes, every case."""
     for case in CASES:
-        world, text, believed, true = configured(plant, case.motors)
+        world, text, nominal, true = configured(plant, case.motors)
         found = courses(world, seed, text, SECONDS)
-        for axis, (it, model, winding) in enumerate(zip(found, believed, true, strict=True)):
+        for axis, (it, model, winding) in enumerate(zip(found, nominal, true, strict=True)):
             name = f"{axis_name(axis)}, {case.name}"
             yield from figures(Judge(f"{name}: "), it, model, winding)
             beyond = float(it.truth[-1]) - winding.maximum
@@ -190,7 +190,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
 
 
 def figures(judge: Judge, it: Course, model: Winding, winding: Winding) -> Iterator[Row]:
-    """What the controller does follows from what it believes (`model`), the winding from that current."""
+    """What the controller does follows from its nominal values (`model`), the winding from that current."""
     until = model.time_to(model.derating, model.current)
     current, estimate = model.settled()
     truth = winding.equilibrium(current)

@@ -129,7 +129,7 @@ def identified(
     level: Level = CLOSE,
     report: Report = lambda text: None,
 ) -> Identified:
-    """Estimates from a measurement, and whether they can be believed.
+    """Estimates from a measurement, and whether they are reliable.
 
     Parameters
     ----------

@@ -149,7 +149,7 @@ int main(void)
     bench_board_init(&hal);
     servo_init(&servo, &hal);
     for (uint16_t i = 0; i < HAL_AXES; i++) {
-        servo.parameter.faults_enabled[i] = 0; /* these motors are too simple to be believed in everything */
+        servo.parameter.faults_enabled[i] = 0; /* these motors are too simple for every monitor */
         servo.parameter.feedback[i] =
             (machine_image(0) == WITHOUT_ENCODERS) ? FEEDBACK_KIND_OBSERVER : FEEDBACK_KIND_ENCODER;
         if (machine_image(0) == ALL_FEATURES) {

@@ -86,7 +86,7 @@ def tuning(rig: Rig) -> None:
 
 
 def hot_winding(rig: Rig) -> None:
-    """A winding that is believed to bear less and less: derating, the rated current alone, a fault, and out of it."""
+    """A winding whose nominal capacity falls: derating, the rated current alone, a fault, and out of it."""
     blocks, step = Blocks(rig), 0.034  # of the thermal model [s]
     rig.set("param.features", features("WINDING_MODEL"), features())
     spin(rig)
