@@ -35,8 +35,8 @@ SEARCH_CURRENT: Final = 4.0  # of the configuration [A]
 BRAKE: Final = 0.6  # torque of the brake, of the same
 OPEN_TIME: Final = 0.03  # of the brake [s]
 CLOSE_TIME: Final = 0.02
-OPEN_TIME: Final = 0.04  # the configuration waits longer: servo.toml [s]
-CLOSE_TIME: Final = 0.03
+OPEN_NOMINAL: Final = 0.04  # the configuration waits longer: servo.toml [s]
+CLOSE_NOMINAL: Final = 0.03
 ANGLES: Final = 4  # at which a rotor starts
 
 FIRST_DROP: Final = 0.5
@@ -63,8 +63,8 @@ def fit(board: Board, *pins: Pin) -> None:
     flags = {flag.name.lower(): flag.mask for flag in board.catalogue.flags["inputs"]}
     changed = {
         "pins.fitted": sum(flags["brake_open" if pin == "brake" else pin] for pin in pins),
-        "pins.open_ticks": round(OPEN_TIME / TICK),
-        "pins.close_ticks": round(CLOSE_TIME / TICK),
+        "pins.open_ticks": round(OPEN_NOMINAL / TICK),
+        "pins.close_ticks": round(CLOSE_NOMINAL / TICK),
     }
     for axis in range(AXES):
         send_block(replica, axis, {**read_block(replica, axis), **changed})
