@@ -160,7 +160,7 @@ test: export ROS_DOMAIN_ID := $(TEST_DOMAIN_ID)
 test: export SERVO_TWIN_FLAGS := $(ARCH) -O1 -fno-lto
 test: export PATH := $(addsuffix :,$(CCACHE))$(PATH)
 test: export CCACHE_DIR := $(CURDIR)/$(VENV)/ccache
-test: export CCACHE_BASEDIR := /
+test: export CCACHE_NOHASHDIR := 1
 
 # ---- how the environment is made -------------------------------------------------------------------------------------
 # The stamps make a second run quick. A sourced ROS lends its rclpy to the environment; without one it comes as wheels.

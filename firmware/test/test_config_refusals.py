@@ -249,7 +249,7 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
     ("poles outside", K | {"axis1__observer__k_2": 9e5}, "axis1.observer.k_2 = 900000", "outside the unit circle"),
     ("poles next to 1", K | {"axis1__observer__k_2": 50.0}, "axis1.observer.k_2 = 50", "too near to the unit circle"),
     ("K1 alone", {"axis1__observer__k_1": -5e3}, "axis1.observer.k_1 = -5000", "nothing without k_2"),
-    ("both ways", K | {"axis1__observer__bandwidth": 400.0}, "axis1.observer.k_1 = -5200", "400 Hz says it"),
+    ("both ways", K | {"axis1__observer__bandwidth": 400.0}, "axis1.observer.k_1 = -5200", "400 Hz specifies the same"),
     (
         "poles faster than the samples",
         {"axis1__observer__bandwidth": 2000.0},
@@ -271,7 +271,7 @@ TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
         "its samples",
     ),
     ("slow PLL", {"axis1__observer__pll_i": 1e4}, "axis1.observer.pll_i = 10000", "trail the start-up"),
-    ("load of the PLL", {"axis1__observer__pll_load": 1.0}, "axis1.observer.pll_load = 1", "swings"),
+    ("load of the PLL", {"axis1__observer__pll_load": 1.0}, "axis1.observer.pll_load = 1", "oscillates"),
     ("threshold", {"axis1__reliability__variance_threshold": 0.5}, "axis1.reliability.variance_threshold", "twice its"),
     # start-up
     ("hasty start-up", {"axis1__start_up__speed_time": 0.008}, "axis1.start_up.speed_time = 0.008", "9812 rad/s^2"),

@@ -44,7 +44,7 @@ def test_json(tmp_path: File) -> None:
     [
         ("", "line 1: the file is empty; begin with a header"),
         ("time,elbow\n", "line 1: column 'elbow' is unknown; columns are time, axis1, axis2, axis1_velocity"),
-        ("time,axis1,axis1\n", "line 1: column axis1 is there twice"),
+        ("time,axis1,axis1\n", "line 1: column axis1 is given twice; remove one"),
         ("axis1,axis2\n", "line 1: no column time, or no joint; begin with time,axis1,axis2"),
         ("time,axis1,axis2,axis2_velocity\n", "line 1: axis1 has only one of position and velocity"),
         ("time,axis1\n", "line 1: there is no line after the header"),

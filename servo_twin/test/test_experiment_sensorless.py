@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from servo_twin.experiments import load_step, minimum_speed, observer, stall, start_up
+from servo_twin.experiments import minimum_speed, observer, sensorless_load_step, stall, start_up
 from servo_twin.experiments.observer import Point
 from servo_twin.experiments.outcome import Outcome
 from servo_twin.experiments.rig import TICK
@@ -166,14 +166,14 @@ def test_minimum_speed_notices_what_is_not_slow(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_load_step_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(load_step, "SPEEDS", (0.05, 0.2))
-    monkeypatch.setattr(load_step, "STEPS", (0.2, 0.4, 0.5))
-    assert wrong(run(load_step)) == []
+    monkeypatch.setattr(sensorless_load_step, "SPEEDS", (0.05, 0.2))
+    monkeypatch.setattr(sensorless_load_step, "STEPS", (0.2, 0.4, 0.5))
+    assert wrong(run(sensorless_load_step)) == []
 
 
 def test_load_step_notices_what_was_not_borne() -> None:
     """More than the current can hold: the shaft goes back, and the step before is what was borne."""
-    it = load_step.bear(PLANT, SEED, 0, 0.1, (0.3, 1.2))
+    it = sensorless_load_step.bear(PLANT, SEED, 0, 0.1, (0.3, 1.2))
     assert it.torque == pytest.approx(0.3 * 4.0 * PLANT.axes[0].torque_constant, rel=1e-3)
     assert it.end
 

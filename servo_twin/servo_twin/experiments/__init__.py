@@ -48,7 +48,7 @@ def _entry(module: ModuleType) -> Experiment:
 _MODULES: Final = """
     anti_windup position rotor_search mt_speed path_filter stiffness low_speed bus_ripple two_axes braking feed_forward
     friction speed_observer soft_limits homing supervision field_weakening pins observer start_up minimum_speed
-    load_step stall winding real_shaft fault_matrix fault_campaign
+    sensorless_load_step stall winding real_shaft fault_matrix fault_campaign
 """
 
 EXPERIMENTS: Final[Mapping[str, Experiment]] = {

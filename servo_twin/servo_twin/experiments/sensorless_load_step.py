@@ -17,7 +17,7 @@ from servo_twin.experiments.rig import RPM, command_speed
 from servo_twin.experiments.sensorless import Trace, ended, follow, let_go, limits_of, started
 from servo_twin.plant import AxisPlant, PlantConfig
 
-NAME: Final = "load-step"
+NAME: Final = "sensorless-load-step"
 HELP: Final = """\
 An axis without an encoder turns steadily without load; then a torque against the motion is applied in a step, and
 removed in a step. The load is active: if the motor cannot hold it, it reverses the shaft. The steps increase, over a
