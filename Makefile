@@ -18,8 +18,8 @@ export SERVO_TWIN_LEVEL := $(LEVEL)
 endif
 # A test that hangs fails; one that hangs where Python cannot interrupt it ends the run with the stack of every thread.
 TIMEOUTS := --timeout 900 --timeout-method signal -o faulthandler_exit_on_timeout=true
-# These tests mostly wait for the clock, so the processors are shared by more of them than there are processors.
-REALTIME := -n 3 --dist loadfile --max-worker-restart 1 --reruns 1 -rR --timeout 120 -o faulthandler_timeout=180
+# These tests mostly wait for the clock: two at a time, each in a ROS domain of its own.
+REALTIME := -n 2 --dist loadfile --max-worker-restart 1 --reruns 1 -rR --timeout 120 -o faulthandler_timeout=180
 # Many tests compile the C sources. With ccache (if there is one) a file that has been compiled is taken from the cache; without
 # link-time optimisation the rest takes a fourth of the time. The numbers are the same bits.
 CCACHE := $(wildcard /usr/lib/ccache)
