@@ -22,7 +22,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 BOTH = ("axis1", "axis2")
 ACTION = "/servo/follow_joint_trajectory"
-PATIENCE = 20.0
+TIMEOUT = 20.0
 STATUS = {
     GoalStatus.STATUS_SUCCEEDED: "SUCCEEDED",
     GoalStatus.STATUS_ABORTED: "ABORTED",
@@ -51,7 +51,7 @@ class Running:
         self._client = client
         self.feedback: list[Any] = []
         sent = client.action.send_goal_async(wanted, lambda message: self.feedback.append(message.feedback))
-        client.me.until(sent.done, PATIENCE, "the goal is not answered")
+        client.me.until(sent.done, TIMEOUT, "the goal is not answered")
         self.handle = sent.result()
         assert self.handle.accepted
         self._result = self.handle.get_result_async()
@@ -59,12 +59,12 @@ class Running:
     def moving(self) -> Running:
         """Wait until it says that a joint moves."""
         self._client.me.until(
-            lambda: any(max(map(abs, f.actual.velocities)) > 0.5 for f in self.feedback), PATIENCE, "nothing moves"
+            lambda: any(max(map(abs, f.actual.velocities)) > 0.5 for f in self.feedback), TIMEOUT, "nothing moves"
         )
         return self
 
     def result(self) -> dict[str, Any]:
-        self._client.me.until(self._result.done, PATIENCE, "no result")
+        self._client.me.until(self._result.done, TIMEOUT, "no result")
         response = self._result.result()
         return {
             "status": STATUS[response.status],
@@ -102,7 +102,7 @@ class Client:
                 quiet = time.monotonic() + 0.3
             return time.monotonic() > quiet
 
-        self.me.until(holds, PATIENCE, "the shafts do not rest")
+        self.me.until(holds, TIMEOUT, "the shafts do not rest")
 
 
 # ---- cases: each returns what the test looks at

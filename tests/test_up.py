@@ -18,7 +18,7 @@ from servo_twin.up import main, parser
 
 pytestmark = pytest.mark.realtime
 
-PATIENCE = 60.0
+TIMEOUT = 60.0
 MARK = "SERVO_UP_TEST_MARK"
 
 
@@ -65,7 +65,7 @@ class Up:
         self.wait_until(lambda: text in self.text(), f"servo-up does not say {text!r}")
 
     def wait_until(self, holds: Callable[[], bool], complaint: str = "servo-up does not get there") -> None:
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + TIMEOUT
         while not holds():
             assert self.process.poll() is None, f"servo-up has ended:\n{self.text()}"
             assert time.monotonic() < deadline, f"{complaint}:\n{self.text()}"

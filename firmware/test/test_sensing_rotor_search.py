@@ -42,7 +42,7 @@ def axis_shaft(axis: int, degrees: float, **changes: Any) -> Shaft:
 
 
 def search(
-    core: Core, shaft: Shaft, axis: int = 0, patience: float = 5.0, each_tick: Callable[[Any], None] | None = None
+    core: Core, shaft: Shaft, axis: int = 0, timeout: float = 5.0, each_tick: Callable[[Any], None] | None = None
 ) -> Result:
     """Search until it ends; `each_tick` may change the shaft under way."""
     config = core.ffi.addressof(core.lib.probe_config().axis[axis].rotor_search)
@@ -53,7 +53,7 @@ def search(
     positions = [shaft.counts]
     twitches = [0]
     before = 0.0
-    while s.phase < FOUND and len(currents) < patience / SLOW:
+    while s.phase < FOUND and len(currents) < timeout / SLOW:
         driven = core.lib.rotor_search_drives(s)
         assert driven or s.phase == REST
         assert driven or s.current == 0

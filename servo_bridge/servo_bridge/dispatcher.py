@@ -20,7 +20,7 @@ from servo_bridge.set_point_queue import CommandWrite, SetPointQueue
 
 __all__ = ["Dispatcher"]
 
-_PATIENCE = 40 * SLOW_PERIODS
+_TIMEOUT = 40 * SLOW_PERIODS
 """PWM periods (20 ms) after which an accepted write that no sample has shown is given up. The board latches within one
 slow tick; the rest is for a sample that was already on its way."""
 
@@ -153,7 +153,7 @@ class Dispatcher:
             return AppliedCommand(write.variable, extended, write.numbers(), write.mask)
         if item.first_tick is None:
             item.first_tick = tick
-        elif tick - item.first_tick > _PATIENCE:
+        elif tick - item.first_tick > _TIMEOUT:
             self._on_trouble(f"the board took a write of {item.write.variable} but did not carry it out")
             if item.done is None:
                 self._set_points.failed(item.write)

@@ -27,7 +27,7 @@ METHODS: Final = ("here", "stop_positive", "stop_negative", "switch_positive", "
 _TAKEN: Final = 4 * SLOW_PERIODS
 """PWM periods after which a command that has taken effect shows in the telemetry."""
 
-_PATIENCE: Final = 32_000
+_TIMEOUT: Final = 32_000
 """PWM periods (2 s) after a restart within which a position is restored."""
 
 _RETRY: Final = 3_200
@@ -312,7 +312,7 @@ class Homing:
                 memory.wanted = bool(features[number] & self._feature)
             return
         if restarted and memory.position is not None and memory.wanted and self.restores:
-            memory.until, memory.next, memory.tried = snapshot.tick + _PATIENCE, snapshot.tick, self._seen
+            memory.until, memory.next, memory.tried = snapshot.tick + _TIMEOUT, snapshot.tick, self._seen
         if memory.until is None:
             memory.position = None  # lost, or about to be found anew
         elif snapshot.tick > memory.until or snapshot.axes[number].spinning:

@@ -22,7 +22,7 @@ Outcome = tuple[bool, str]
 _RECHECK = 4 * SLOW_PERIODS
 """PWM periods after which a fault whose cause is still there has come back."""
 
-_ENABLE_PATIENCE = 40_000
+_ENABLE_TIMEOUT = 40_000
 """PWM periods (2.5 s) after which an enable is answered though the axes are still on their way."""
 
 
@@ -87,7 +87,7 @@ class MotionServices:
     def enable(self, on: bool) -> Future[Outcome]:
         """Switch both axes on, and let set-points through again; or ramp down and switch off.
 
-        The answer to an enable comes when a set-point would pass, at the latest after `_ENABLE_PATIENCE`.
+        The answer to an enable comes when a set-point would pass, at the latest after `_ENABLE_TIMEOUT`.
         """
         if not on:
             return self._stop(
@@ -112,7 +112,7 @@ class MotionServices:
                 return
             if stops == self._stops:
                 self._arbiter.release()
-            self._enabling.append((stops, result.result() + _ENABLE_PATIENCE, answer))
+            self._enabling.append((stops, result.result() + _ENABLE_TIMEOUT, answer))
 
         self._dispatcher.urgent(_both("cmd.enable", 1)).add_done_callback(written)
         return answer

@@ -30,7 +30,7 @@ from servo_msgs_py import topics
 
 __all__ = ["StorageService"]
 
-_PATIENCE: Final = 5.0
+_TIMEOUT: Final = 5.0
 """Longest time for a request [s]; the flash takes half a second at most."""
 
 T = TypeVar("T")
@@ -97,7 +97,7 @@ class StorageService:
             answer.set_result((False, "a request is already in progress; call again after its answer"))
             return answer
         self._busy = True
-        until = self._clock() + _PATIENCE
+        until = self._clock() + _TIMEOUT
         failed = partial(self._failed, kind, answer)
         self._job(lambda memory: begin_request(memory, kind), partial(self._look, kind, answer, until), failed)
         return answer
@@ -108,7 +108,7 @@ class StorageService:
                 self._seen(storage)
                 self._done(answer, (True, success_text(kind, storage)))
             elif self._clock() > until:
-                self._failed(kind, answer, StorageRefusedError("", f"the board is not done within {_PATIENCE:g} s"))
+                self._failed(kind, answer, StorageRefusedError("", f"the board is not done within {_TIMEOUT:g} s"))
             else:
                 self._look(kind, answer, until, token)
 

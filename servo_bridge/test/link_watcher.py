@@ -12,7 +12,7 @@ from fake_servo import CATALOGUE
 from servo_bridge.wire.link import Link, LinkConfig, LinkState, LinkStatus, Sample
 
 TELEMETRY = ("applied_tick", "applied_count", "u_dc", "axis1.position", "axis2.position")
-PATIENCE = 20.0
+TIMEOUT = 20.0
 
 
 class Watcher:
@@ -39,7 +39,7 @@ class Watcher:
 
     def wait(self, condition: Callable[[], bool]) -> None:
         with self.news:
-            assert self.news.wait_for(condition, PATIENCE), f"never happened; states: {[str(s) for s in self.states]}"
+            assert self.news.wait_for(condition, TIMEOUT), f"never happened; states: {[str(s) for s in self.states]}"
 
     def wait_state(self, state: LinkState) -> LinkStatus:
         self.wait(lambda: bool(self.states) and self.states[-1].state is state)

@@ -14,7 +14,7 @@ from bridge_rig import FAULT, STOP, Rig
 from fake_port import FakePort
 from fake_servo import CATALOGUE, FakeServo
 from fake_target import Reader
-from link_watcher import PATIENCE, Watcher
+from link_watcher import TIMEOUT, Watcher
 from rcl_interfaces.msg import Log
 from recorded_fault import NONE, decoded, recorded
 from servo_bridge.freemaster.errors import TransportError
@@ -62,7 +62,7 @@ def never_after_the_first_piece(board: FakeServo, port: FakePort) -> threading.E
 def test_a_record_comes_whole(faulted: FakeServo, connected: Watcher) -> None:
     """In several pieces, each as long as the buffer of the board."""
     before = len(faulted.requests)
-    assert connected.link.read("axis1.fault_record").result(PATIENCE) == LOST
+    assert connected.link.read("axis1.fault_record").result(TIMEOUT) == LOST
     addresses = {Reader(payload).uleb() for command, payload in faulted.requests[before:] if command == READ_MEMORY}
     assert len(addresses) >= 3
 
@@ -73,15 +73,15 @@ def test_a_board_that_vanishes_in_the_middle_of_a_record(
     """The read fails, the link comes back, and then the record is there."""
     reached = never_after_the_first_piece(faulted, fake_port)
     reading = connected.link.read("axis1.fault_record")
-    assert reached.wait(PATIENCE)
+    assert reached.wait(TIMEOUT)
     fake_port.unplug()
     with pytest.raises(TransportError, match="is gone"):
-        reading.result(PATIENCE)
+        reading.result(TIMEOUT)
     connected.wait_state(LinkState.DISCONNECTED)
     fake_port.mangle = lambda answer: answer
     fake_port.plug()
     connected.wait_state(LinkState.CONNECTED)
-    assert connected.link.read("axis1.fault_record").result(PATIENCE) == LOST
+    assert connected.link.read("axis1.fault_record").result(TIMEOUT) == LOST
 
 
 # ---- servo-tool -----------------------------------------------------------------------------------------------------
@@ -140,9 +140,9 @@ def test_snapshot_of_a_board_that_vanishes_in_the_middle(
     status: list[int] = []
     thread = threading.Thread(target=lambda: status.append(run("snapshot")))
     thread.start()
-    assert reached.wait(PATIENCE)
+    assert reached.wait(TIMEOUT)
     fake_port.unplug()
-    thread.join(PATIENCE)
+    thread.join(TIMEOUT)
     assert status == [1]
     printed = capsys.readouterr()
     assert printed.out == ""

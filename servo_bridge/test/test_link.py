@@ -10,7 +10,7 @@ import pytest
 from fake_port import FakePort
 from fake_servo import FakeServo
 from fake_target import RO
-from link_watcher import PATIENCE, StartLink, Watcher
+from link_watcher import TIMEOUT, StartLink, Watcher
 from servo_bridge.freemaster.errors import OutOfRangeError, StatusError
 from servo_bridge.wire.link import LinkConfig, LinkDownError, LinkState, LinkStatus
 
@@ -76,7 +76,7 @@ def test_a_job_does_not_wait_for_a_slow_telemetry(fake_port: FakePort, start_lin
     watcher = start_link(rate=0.2)
     watcher.wait_state(LinkState.CONNECTED)
     begin = time.monotonic()
-    watcher.link.read("u_dc").result(PATIENCE)
+    watcher.link.read("u_dc").result(TIMEOUT)
     assert time.monotonic() - begin < 2.5
 
 
@@ -85,7 +85,7 @@ def test_a_write_arrives_and_its_effect_is_seen(connected: Watcher, fake_board: 
     connected.wait_samples(1)
     count = connected.samples[-1].applied_count
     assert count is not None
-    result = connected.link.write("cmd.position", [6.283185307179586], first=1).result(PATIENCE)
+    result = connected.link.write("cmd.position", [6.283185307179586], first=1).result(TIMEOUT)
     assert fake_board.written == [("cmd.position", 4, (4000).to_bytes(4, "little"))]
     assert result.variable == "cmd.position"
     assert result.request_ns < result.response_ns
@@ -98,10 +98,10 @@ def test_a_write_arrives_and_its_effect_is_seen(connected: Watcher, fake_board: 
 
 def test_raw_write_read_and_command(connected: Watcher, fake_board: FakeServo) -> None:
     fake_board.commands[1] = lambda arguments: (0x42, arguments)
-    connected.link.write_raw("cmd.i_q", [100, -100]).result(PATIENCE)
+    connected.link.write_raw("cmd.i_q", [100, -100]).result(TIMEOUT)
     assert fake_board.get("cmd.i_q") == [100, -100]
-    assert connected.link.read("cmd.i_q").result(PATIENCE) == pytest.approx([100 * 8.25 / 32768, -100 * 8.25 / 32768])
-    assert connected.link.run_command(1).result(PATIENCE) == 0x42
+    assert connected.link.read("cmd.i_q").result(TIMEOUT) == pytest.approx([100 * 8.25 / 32768, -100 * 8.25 / 32768])
+    assert connected.link.run_command(1).result(TIMEOUT) == 0x42
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_a_refusal_of_the_board_does_not_break_the_link(connected: Watcher, fake
     row = next(e for e in fake_board.tables[0] if e.name == "cmd.enable")
     row.kind = RO
     with pytest.raises(StatusError, match="access denied"):
-        connected.link.write("cmd.enable", [1.0, 1.0]).result(PATIENCE)
+        connected.link.write("cmd.enable", [1.0, 1.0]).result(TIMEOUT)
     connected.wait_samples(5)
     assert connected.states[-1].state is LinkState.CONNECTED
 
@@ -152,7 +152,7 @@ def test_a_value_that_the_board_refuses_is_named_with_its_range(
     connected: Watcher, fake_board: FakeServo, name: str, raw: list[int], first: int, text: str
 ) -> None:
     with pytest.raises(OutOfRangeError, match=text):
-        connected.link.write_raw(name, raw, first=first).result(PATIENCE)
+        connected.link.write_raw(name, raw, first=first).result(TIMEOUT)
     connected.wait_samples(3)
     assert connected.states[-1].state is LinkState.CONNECTED
     assert fake_board.written == []
@@ -161,7 +161,7 @@ def test_a_value_that_the_board_refuses_is_named_with_its_range(
 def test_without_a_link_jobs_fail_at_once(start_link: StartLink) -> None:
     watcher = start_link()
     with pytest.raises(LinkDownError):
-        watcher.link.write("cmd.enable", [1.0, 1.0]).result(PATIENCE)
+        watcher.link.write("cmd.enable", [1.0, 1.0]).result(TIMEOUT)
 
 
 # ---- the end ------------------------------------------------------------------------------------------------------
@@ -173,7 +173,7 @@ def test_last_words(connected: Watcher, fake_board: FakeServo) -> None:
     assert [name for name, _, _ in fake_board.written] == ["cmd.quick_stop", "cmd.enable"]
     assert connected.states[-1] == LinkStatus(LinkState.DISCONNECTED, "closed")
     with pytest.raises(LinkDownError):
-        connected.link.write("cmd.enable", [1.0, 1.0]).result(PATIENCE)
+        connected.link.write("cmd.enable", [1.0, 1.0]).result(TIMEOUT)
 
 
 def test_last_words_into_silence(fake_port: FakePort, connected: Watcher) -> None:

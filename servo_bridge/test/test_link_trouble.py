@@ -11,7 +11,7 @@ import pytest
 from fake_port import Device, FakePort, NoiseDevice
 from fake_servo import CATALOGUE, FakeServo
 from fake_target_v3 import FakeTargetV3
-from link_watcher import PATIENCE, StartLink, Watcher
+from link_watcher import TIMEOUT, StartLink, Watcher
 from servo_bridge.freemaster.errors import AnswerTimeoutError, CommandUnfinishedError
 from servo_bridge.wire.link import Link, LinkConfig, LinkDownError, LinkState, LinkStatus, Sample
 
@@ -30,14 +30,14 @@ def test_the_port_is_waited_for(tmp_path: Path, fake_board: FakeServo, start_lin
 
 
 def test_the_port_vanishes_and_returns(fake_port: FakePort, connected: Watcher, fake_board: FakeServo) -> None:
-    connected.link.write("cmd.enable", [1.0, 1.0]).result(PATIENCE)
+    connected.link.write("cmd.enable", [1.0, 1.0]).result(TIMEOUT)
     fake_port.unplug()
     gone = time.monotonic()
     status = connected.wait_state(LinkState.DISCONNECTED)
     assert connected.times[-1] - gone < 1.0
     assert "gone" in status.reason or "no port" in status.reason
     with pytest.raises(LinkDownError):
-        connected.link.write("cmd.position", [1.0, 1.0]).result(PATIENCE)
+        connected.link.write("cmd.position", [1.0, 1.0]).result(TIMEOUT)
     fake_port.plug()
     connected.wait_state(LinkState.CONNECTED)
     connected.wait_samples(5)
@@ -56,7 +56,7 @@ def test_a_board_that_falls_silent(fake_port: FakePort, connected: Watcher, fake
     assert "stopped answering" in status.reason
     for write in pending:
         with pytest.raises(Exception, match=r"stopped answering|no answer"):
-            write.result(PATIENCE)
+            write.result(TIMEOUT)
     seen = len(fake_board.written)
     fake_port.silent = False
     connected.wait_state(LinkState.CONNECTED)
@@ -91,7 +91,7 @@ def test_a_board_of_another_version_gets_no_command(
     assert "another table of variables" in status.reason
     assert "flash the firmware" in status.remedy
     with pytest.raises(LinkDownError, match="another table of variables"):
-        watcher.link.write("cmd.enable", [1.0, 1.0]).result(PATIENCE)
+        watcher.link.write("cmd.enable", [1.0, 1.0]).result(TIMEOUT)
     # The right firmware is flashed while the program runs.
     fake_board.put("catalogue_hash", CATALOGUE.hash)
     watcher.wait_state(LinkState.CONNECTED)
@@ -110,7 +110,7 @@ def test_a_reset_of_the_board(connected: Watcher, fake_board: FakeServo) -> None
     fake_board.restart()
     connected.wait(lambda: any("reset" in s.reason for s in connected.states))
     connected.wait(lambda: connected.states[-1].state is LinkState.CONNECTED and connected.samples[-1].epoch == 1)
-    assert connected.samples[-1].tick < 16_000 * PATIENCE
+    assert connected.samples[-1].tick < 16_000 * TIMEOUT
     assert connected.link.statistics().resets == 1
 
 
@@ -196,11 +196,11 @@ def test_a_command_without_answer_is_not_repeated_and_costs_no_link(
 ) -> None:
     fake_port.mangle = lambda answer: b"" if fake_board.requests[-1][0] == 0x30 else answer
     with pytest.raises(AnswerTimeoutError):
-        connected.link.run_command(0x11).result(PATIENCE)
+        connected.link.run_command(0x11).result(TIMEOUT)
     fake_board.commands[0x12] = lambda _: (0xFE, b"")
     fake_port.mangle = lambda answer: answer
     with pytest.raises(CommandUnfinishedError):
-        connected.link.run_command(0x12).result(PATIENCE)
+        connected.link.run_command(0x12).result(TIMEOUT)
     connected.wait_samples(5)
     assert fake_board.requests.count((0x30, b"\x11")) == 1
     assert [s.state for s in connected.states] == [LinkState.CONNECTING, LinkState.CONNECTED]
@@ -217,7 +217,7 @@ def test_lost_bytes_are_endured(fake_port: FakePort, connected: Watcher, fake_bo
     fake_port.mangle = lose
     writes = [connected.link.write("cmd.position", [0.1 * k, 0.0]) for k in range(4)]
     for write in writes:
-        write.result(PATIENCE)
+        write.result(TIMEOUT)
     connected.wait_samples(5)
     assert connected.states[-1].state is LinkState.CONNECTED
 
@@ -240,5 +240,5 @@ def test_errors_in_callbacks_do_not_end_the_thread(
     link = Link(LinkConfig(fake_port.path), CATALOGUE, on_sample=fail, on_state=ignore)
     with caplog.at_level(logging.CRITICAL):
         link.start()
-        assert done.wait(PATIENCE)
+        assert done.wait(TIMEOUT)
         link.close()

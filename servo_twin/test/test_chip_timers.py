@@ -346,7 +346,7 @@ FILTERS = {"TMRA0_FILT": 0x0105, "TMRA1_FILT": 0x0105}
 WATCHED = ("TMRA0_CNTR", "TMRA0_CAPT", "TMRA0_SCTRL", "TMRA0_CSCTRL", "TMRA1_CAPT", "TMRA2_CNTR", "TMRA3_CNTR")
 
 
-class TestPatience:
+class TestDeferrableEdges:
     """Edges that only count may be handed over late, without a visible difference."""
 
     @staticmethod

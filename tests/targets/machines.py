@@ -19,7 +19,7 @@ missing cast."""
 AVR_RAM_END: Final = 0xEFFF
 """Last address of the memory that the simulator gives it."""
 
-PATIENCE: Final = 300.0
+TIMEOUT: Final = 300.0
 """How long a simulator may take for one recording [s]; the slowest needs a dozen seconds."""
 
 CORTEX_M3: Final = ("-mcpu=cortex-m3", "-mthumb", "-ffreestanding", "-ffunction-sections", "-fdata-sections")
@@ -152,7 +152,7 @@ class QemuProgram:
             file.write(image)
             file.flush()
             loader = f"loader,file={file.name},addr={QEMU_IMAGE_ADDRESS:#x},force-raw=on"
-            return run([*QEMU, *self.options, "-device", loader, "-kernel", self.path], timeout=PATIENCE)
+            return run([*QEMU, *self.options, "-device", loader, "-kernel", self.path], timeout=TIMEOUT)
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ class AvrProgram:
         with tempfile.NamedTemporaryFile(dir=self.elf.parent) as file:
             file.write(image)
             file.flush()
-            text = run([self.simulator, self.elf, file.name], timeout=PATIENCE)
+            text = run([self.simulator, self.elf, file.name], timeout=TIMEOUT)
         return "".join(
             line for line in text.splitlines(keepends=True) if not line.startswith("Loaded ")
         )  # simavr's own

@@ -85,7 +85,7 @@ class Rig:
         Parameters
         ----------
         within : float
-            Patience [s of simulated time].
+            Time-out [s of simulated time].
         silent : bool
             Say nothing meanwhile.
 

@@ -35,7 +35,7 @@ def run(
     data : bytes
         What the program finds at its standard input.
     timeout : float
-        Patience [s].
+        Time-out [s].
     merged : bool
         Return what went to the standard error as well.
     folder : Path, optional

@@ -157,7 +157,7 @@ class Line:
         AnswerTimeoutError, DamagedAnswerError, DisturbedRequestError, StatusError, TransportError
         """
         left = self.retries if retries is None else retries
-        patience_ns = (left + 1) * self._latency_ns
+        remaining_ns = (left + 1) * self._latency_ns
         lost = False
         while True:
             if self._unsettled and self._settle():
@@ -169,8 +169,8 @@ class Line:
                 self._unsettled = lost = True
                 self._round_trip.lost()
                 # Short waits do not count as retries, only their sum does: the target may just be busy for a moment.
-                patience_ns -= self.clock() - begin_ns
-                if not request.idempotent or left == 0 or patience_ns <= 0:
+                remaining_ns -= self.clock() - begin_ns
+                if not request.idempotent or left == 0 or remaining_ns <= 0:
                     raise
                 self.statistics.retries += 1
                 continue

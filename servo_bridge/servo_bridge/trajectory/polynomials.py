@@ -36,7 +36,7 @@ def enclosure(coefficients: Array) -> tuple[Array, Array]:
 def roots(coefficients: Array) -> Array:
     """Real parts of all roots inside (0, 1), in order, of coefficients of shape (degree + 1,), constant term first.
 
-    Some of them are no real roots; who only cuts an interval there, or takes the value there, does no harm, and a
+    Some of them are not real roots; to split an interval there, or to take the value there, is harmless, and a
     double root that rounding has made complex is not lost.
     """
     size = np.abs(coefficients)

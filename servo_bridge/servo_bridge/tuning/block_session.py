@@ -11,7 +11,7 @@ from servo_bridge.wire.session import Session
 
 __all__ = ["BlockSession"]
 
-_PATIENCE: Final = 1.0
+_TIMEOUT: Final = 1.0
 
 
 class BlockSession:
@@ -50,5 +50,5 @@ class BlockSession:
         """The next look takes longer than a slow tick by itself; False when the board has had its time."""
         now = self._clock()
         if self._until is None:
-            self._until = now + _PATIENCE
+            self._until = now + _TIMEOUT
         return now < self._until

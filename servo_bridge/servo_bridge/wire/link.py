@@ -340,7 +340,7 @@ class Link:
         """
         line = client.line
         period = round(1e9 / self._config.rate) if self._config.rate > 0.0 else 0
-        patience_ns = round(self._config.lost_after * self._config.latency * 1e9)
+        timeout_ns = round(self._config.lost_after * self._config.latency * 1e9)
         due = time.monotonic_ns() + period
         timeouts = damaged = 0
         silent_ns = 0
@@ -363,7 +363,7 @@ class Link:
             except AnswerTimeoutError:
                 silent_ns = silent_ns if timeouts else asked_ns
                 timeouts += 1
-                if timeouts >= self._config.lost_after and time.monotonic_ns() - silent_ns >= patience_ns:
+                if timeouts >= self._config.lost_after and time.monotonic_ns() - silent_ns >= timeout_ns:
                     raise
                 continue
             except DamagedAnswerError:

@@ -109,7 +109,7 @@ class SerialPort:
         self.close()
 
     def close(self) -> None:
-        """Close the port; more than once does no harm."""
+        """Close the port; may be called again."""
         self._fd = None
         with contextlib.suppress(OSError, termios.error):  # gone already: nothing left to close
             self._serial.close()

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 FOLDER: Final = Path(__file__).resolve().parents[3] / "out" / "bench" / "motulator"
 SCRIPT: Final = Path(__file__).with_name("motulator_drive.py")
-PATIENCE_S: Final = 600.0
+TIMEOUT_S: Final = 600.0
 WANTED: Final = ("motulator==0.18.*", "motulator-export==0.11.*")  # whose interfaces the script knows
 PYTHON_VARIABLE: Final = "PEER_PYTHON"
 """Environment variable that names the interpreter; the peers want Python 3.12 or later, this project does not."""
@@ -38,9 +38,9 @@ def _run(*command: str) -> str:
         If it fails or takes too long, with its last word.
     """
     try:
-        result = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
+        result = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S)
     except subprocess.TimeoutExpired:
-        raise OSError(f"{Path(command[0]).name} takes longer than {PATIENCE_S:g} s") from None
+        raise OSError(f"{Path(command[0]).name} takes longer than {TIMEOUT_S:g} s") from None
     if result.returncode != 0:
         raise OSError((result.stderr.strip().splitlines() or ["it failed"])[-1])
     return result.stdout
