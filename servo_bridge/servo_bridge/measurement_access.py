@@ -49,7 +49,7 @@ class SessionAccess(BoardAccess):
         self._session, self._meanwhile = session, meanwhile
         self._line = session.client.line
 
-    def _clock(self) -> float:
+    def clock(self) -> float:
         return self._line.clock() * 1e-9
 
     @property
@@ -108,7 +108,7 @@ class SessionAccess(BoardAccess):
             samples,
             1.0 / step,
         )
-        recording = BurstRecording(request, self.catalogue, clock=self._clock)
+        recording = BurstRecording(request, self.catalogue, clock=self.clock)
         try:
             burst = self._recorded(recording, start, samples * step, lead, meanwhile or (lambda _: None))
         except (RecorderError, UnknownVariableError, ValueError) as error:
@@ -131,19 +131,19 @@ class SessionAccess(BoardAccess):
             meanwhile(False)
         # Nothing triggers before the memory was full once; without a trigger the last samples before the stop are kept.
         filling = 0.0 if recording.request.trigger is None else seconds
-        ready = self._clock() + max(filling + _LEAD - lead, 0.0)
-        while self._clock() < ready:
+        ready = self.clock() + max(filling + _LEAD - lead, 0.0)
+        while self.clock() < ready:
             self.wait(_ATTEND)
             meanwhile(False)
         if start is not None:
             start()
-        due, full, attended = self._clock() + TRIGGER_TIMEOUT + seconds, False, self._clock()
+        due, full, attended = self.clock() + TRIGGER_TIMEOUT + seconds, False, self.clock()
         while (burst := recording.step(self._session)) is None:
-            if recording.phase is Phase.WAITING and self._clock() > due:
+            if recording.phase is Phase.WAITING and self.clock() > due:
                 raise RecorderError(f"nothing started within {TRIGGER_TIMEOUT:g} s: the recording was not triggered")
             self._meanwhile()
-            if (recording.phase is Phase.READING) != full or self._clock() >= attended + _ATTEND:
-                full, attended = recording.phase is Phase.READING, self._clock()
+            if (recording.phase is Phase.READING) != full or self.clock() >= attended + _ATTEND:
+                full, attended = recording.phase is Phase.READING, self.clock()
                 meanwhile(full)
             self.wait(recording.pause)
         return burst

@@ -61,6 +61,9 @@ class VirtualBoardAccess(BoardAccess):
             return False
         return True
 
+    def clock(self) -> float:
+        return self.board.time_ns * 1e-9
+
     def wait(self, seconds: float) -> None:
         """Let simulated time pass [s]."""
         self.board.run(seconds)

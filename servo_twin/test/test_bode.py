@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import pytest
 from servo_msgs_py.axis_config import AxisConfigTable
@@ -236,6 +236,20 @@ def test_a_shaft_that_does_not_keep_its_speed_is_refused(access: VirtualBoardAcc
         measure(slow, BodeRequest(0, "speed", repeats=2))
     access.wait(0.2)
     assert abs(access.read("axis1.speed")[0]) < 1.0
+
+
+class Computing(VirtualBoardAccess):
+    """A host that computes for longer than a set-point lasts, after each recording."""
+
+    def record(self, *args: Any, **options: Any) -> Recording:
+        recording = super().record(*args, **options)
+        self.board.run(0.8)
+        return recording
+
+
+def test_a_current_that_expires_between_two_recordings_still_holds_the_rotor(access: VirtualBoardAccess) -> None:
+    found = measure(Computing(access.board), BodeRequest(0, "current", repeats=2), enable=True)
+    assert found.bands
 
 
 class EndedSignal(VirtualBoardAccess):

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.measurement.access import MeasurementError, Recording, step_of
+from servo_msgs_py.measurement.axis_under_test import AxisUnderTest
 from servo_msgs_py.measurement.log import MeasurementLog
 from servo_msgs_py.measurement.motor_test import MotorTest
 from servo_msgs_py.measurement.motor_values import Limits
@@ -298,6 +299,27 @@ def test_a_shaft_that_does_not_come_to_rest_is_waited_for_and_told(seconds: floa
         assert different == (set() if math.isfinite(seconds) else {"config.checksum"})
         assert any("NOT RESTORED: configuration" in text for text in said) == math.isinf(seconds)
         assert ("Do not enable it" in test.restoring_text) == math.isinf(seconds)
+
+
+def test_a_set_point_is_kept_up_while_exchanges_take_the_time() -> None:
+    """As on a serial port that delays each answer by 16 ms."""
+    written: list[float] = []
+
+    class Timed(_Watched):
+        def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
+            if name == "cmd.i_q":
+                written.append(self.clock())
+            return super().write_words(name, words, first)
+
+    with Board(PlantConfig.load(), seed=1, level="ideal") as board:
+        it = AxisUnderTest(Timed(board, slow=0.016), 0)
+        it.command_timeout(1.0)
+        it.command("cmd.i_q", 0.0)
+        for _ in range(50):
+            it.wait(0.002)
+            it.value("speed"), it.value("position")
+    assert len(written) > 4
+    assert max(np.diff(written)) < 0.5
 
 
 @pytest.mark.parametrize("mode", ["TEST", "SPEED"])

@@ -102,6 +102,9 @@ class BoardAccess(BlockMemory, Protocol):
         if not self.write_words(name, [variable.to_raw(value) for value in values], first):
             raise MeasurementError(f"{name}: the board refuses {', '.join(f'{value:g}' for value in values)}")
 
+    def clock(self) -> float:
+        """Time that has passed, exchanges included [s]; only differences mean something."""
+
     def wait(self, seconds: float) -> None:
         """Let board time pass [s]; the board does not miss its host meanwhile."""
 

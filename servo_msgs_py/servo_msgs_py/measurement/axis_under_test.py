@@ -32,8 +32,8 @@ HELD_SPEED: Final = 1.0  # of one that is held: position control moves it by a c
 _REST_MAX: Final = 6.0  # until a shaft without current stands [s]
 _HOLD_MAX: Final = 5.0  # until one that is stopped does [s]
 _RENEWED: Final = 0.25  # of the time-out, between two writes of a set-point
-_ATTENDED: Final = 0.1  # between two calls of who attends a recording [s]
 _RENEW_MAX: Final = 0.25  # the same where set-points do not expire [s]
+_INSTANT: Final = 1e-6  # less than a write takes [s]
 _TRIES: Final = 3
 _COMMANDS: Final = ("cmd.i_q", "cmd.speed", "cmd.mode")
 _NOT_OF_AN_AXIS: Final = ("param.monitor",)
@@ -66,7 +66,7 @@ class AxisUnderTest:
         self.access, self.axis, self.name, self.report = access, axis, axis_name(axis), report
         self.unrestored: list[str] = []
         self._set_point: tuple[str, float] | None = None
-        self._since = 0.0  # it was written [s]
+        self._due = 0.0  # when it has to be written again, by the clock of the access [s]
         self._find_interval()
 
     # ---- variables ---------------------------------------------------------------------------------------------------
@@ -102,7 +102,7 @@ class AxisUnderTest:
 
     def mode(self, mode: str) -> None:
         """Another mode; a set-point of the last one is not kept up any more."""
-        self._set_point = None
+        self.release()
         self.write_word("cmd.mode", self.access.catalogue.enums["control_mode_t"][mode])
 
     def command(self, variable: str, value: float) -> None:
@@ -110,7 +110,11 @@ class AxisUnderTest:
         if self._set_point is not None:
             self.refuse_limits("EXPIRED")
         self.write(variable, value)
-        self._set_point, self._since = (variable, value), 0.0
+        self._set_point, self._due = (variable, value), self.access.clock() + self._interval
+
+    def release(self) -> None:
+        """Keep up no set-point any more: the next one may come after the last one has expired."""
+        self._set_point = None
 
     def command_timeout(self, seconds: float) -> None:
         """Another time after which set-points of the board expire."""
@@ -123,23 +127,23 @@ class AxisUnderTest:
 
     def renew(self) -> None:
         """Write the set-point again."""
-        self._since = 0.0
         if self._set_point is not None:
             self.command(*self._set_point)
 
     # ---- under guard -------------------------------------------------------------------------------------------------
 
     def wait(self, seconds: float) -> None:
-        """Let time pass; the set-point is kept up."""
-        while seconds > 1e-9:
-            part = min(seconds, self._interval - self._since)
+        """Let time pass [s]; the set-point is kept up, also where exchanges have taken the time."""
+        while True:
+            self._keep_up()
+            if seconds < _INSTANT:
+                return
+            part = seconds if self._set_point is None else min(seconds, max(self._due - self.access.clock(), _INSTANT))
             self.access.wait(part)
             seconds -= part
-            self._passed(part)
 
-    def _passed(self, seconds: float) -> None:
-        self._since += seconds
-        if self._since > self._interval - 1e-9:
+    def _keep_up(self) -> None:
+        if self._set_point is not None and self.access.clock() > self._due - _INSTANT:
             self.renew()
 
     def reached(self, condition: Callable[[], bool], seconds: float, *, guarded: bool = True) -> bool:
@@ -187,7 +191,7 @@ class AxisUnderTest:
 
         def attend(full: bool) -> None:
             meanwhile(full)
-            self._passed(_ATTENDED)
+            self._keep_up()
 
         names = [f"{self.name}.{column}" for column in columns]
         trigger = f"{self.name}.test_point" if triggered else None
@@ -219,13 +223,13 @@ class AxisUnderTest:
         problem = f"has not reached {substate}"
         self.until(lambda: self.substate == substate, seconds, problem, ": is the board in order?")
 
-    def off(self) -> None:
-        """Outputs off, and the shaft at rest."""
-        self._set_point = None
+    def off(self, rest: bool = True) -> None:
+        """Outputs off, and the shaft at rest if `rest`."""
+        self.release()
         self.write_word("cmd.enable", 0)
 
         def ended() -> bool:
-            return self.label("state") in ("STOP", "FAULT") and self.stands()
+            return self.label("state") in ("STOP", "FAULT") and (not rest or self.stands())
 
         remedy = ": something turns the shaft; take the load off, or balance it"
         self.until(ended, _REST_MAX, "does not come to rest with its outputs off", remedy, guarded=False)
@@ -247,7 +251,7 @@ class AxisUnderTest:
         try:
             yield
         finally:
-            self._set_point = None
+            self.release()
             self.unrestored = [f"{what}: {reason}" for what, step in steps if (reason := _done(step))]
             for text in self.unrestored:
                 self.report(f"NOT RESTORED: {text}")

@@ -77,7 +77,7 @@ class BodeRig(AxisUnderTest):
         def outputs() -> None:
             if not spun:
                 self.write("cmd.i_q", 0.0)
-                self.off()
+                self.off(rest=False)  # a load may turn the shaft now, as before
 
         def mode_before() -> None:
             if mode == "TORQUE" and self.spins:
@@ -136,6 +136,7 @@ class BodeRig(AxisUnderTest):
         if loop.slow:
             self.hold()
         else:
+            self.release()  # a current that has expired since the last recording still holds the rotor
             self.command("cmd.i_q", BASE_PART * self.access.read("param.i_q_limit")[self.axis])
             self._stand_still()
         return self.record(

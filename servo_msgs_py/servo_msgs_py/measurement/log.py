@@ -194,6 +194,9 @@ class LoggedAccess(BoardAccess):
         self._calls.append(Call("write", (name, [int(word) for word in words], first), stage=self.stage))
         return self._access.write_words(name, words, first)
 
+    def clock(self) -> float:
+        return self._access.clock()
+
     def wait(self, seconds: float) -> None:
         """Let board time pass [s], and note it."""
         self._calls.append(Call("wait", (seconds,), stage=self.stage))

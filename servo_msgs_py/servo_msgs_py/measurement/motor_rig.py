@@ -145,7 +145,9 @@ class MotorRig(AxisUnderTest):
         except ConfigError as error:
             raise MeasurementError(f"the controller cannot be tuned for the test: {error}") from None
         AxisConfigTable.load().check(block)
+        self.wait(0.0)  # a set-point is kept up on both sides of so many exchanges
         send_configuration(self.access, {self.axis: block})
+        self.wait(0.0)
         self.write("param.i_q_limit", self.limits.current)
 
     def _features(self) -> None:
