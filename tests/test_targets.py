@@ -75,9 +75,6 @@ NOT_ON_A_TARGET = {
 SLOW = 100.0
 """Weight of a target from which on its test takes more than a few seconds."""
 
-SHORT = 60_000
-"""Bytes of the longest recording that a slow target replays here; `make targets` replays every recording."""
-
 
 @pytest.mark.parametrize(
     "target",
@@ -89,11 +86,9 @@ SHORT = 60_000
 def test_target_agrees(
     target: Target, needs: Needs, expected: list[Expectation], c_sources: Sources, tmp_path: Path
 ) -> None:
-    """Every word out of the core and every published snapshot of the runs, and the arithmetic beyond them."""
+    """Every word out of the core and every published snapshot of every run, and the arithmetic beyond them."""
     needs(target)
-    replayed = [one for one in expected if len(one.image) <= SHORT] if target.weight > SLOW else expected
-    assert len(replayed) > 20
-    (report,) = check([target], replayed, c_sources, tmp_path)
+    (report,) = check([target], expected, c_sources, tmp_path)
     assert not report.problems, "\n".join(report.problems)
     assert report.agrees
 

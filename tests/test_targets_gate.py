@@ -21,8 +21,11 @@ HOST = Host("host", "gcc", ("-O1",), "for these tests", ("gcc",))
 
 CASTS = [
     ("math/frac.h", "frac16_t f16_add(", "(int32_t)"),
+    ("math/frac.h", "frac16_t f16_mul(", "(int32_t)"),
     ("control/current_loop.c", "-2 * (int32_t)omega_e", "(int32_t)"),
+    ("control/svm.h", "#define SVM_ONE_BY_SQRT3_Q15", "INT32_C(18919)"),
     ("sensing/encoder.c", "(int32_t)(int16_t)count - (int16_t)previous", "(int32_t)"),
+    ("drive/current_sense.c", "(uint32_t)code << SENSE_OFFSET_BITS", "(uint32_t)"),
     ("comm/leb128.c", "(uint32_t)(data[at] & 0x7Fu) << shift", "(uint32_t)"),
 ]
 """File, a part of the line, and what is removed: the host's 32-bit `int` does without."""
