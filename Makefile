@@ -18,8 +18,8 @@ export SERVO_TWIN_LEVEL := $(LEVEL)
 endif
 # A test that hangs fails; one that hangs where Python cannot interrupt it ends the run with the stack of every thread.
 TIMEOUTS := --timeout 900 --timeout-method signal -o faulthandler_exit_on_timeout=true
-# These tests mostly wait for the clock: two at a time, each in a ROS domain of its own.
-REALTIME := -n 2 --dist loadfile --max-worker-restart 1 --reruns 1 -rR --timeout 120 -o faulthandler_timeout=180
+# These tests mostly wait for the clock.
+REALTIME := --timeout 120 -o faulthandler_timeout=180
 # Many tests compile the C sources. With ccache (if there is one) a file that has been compiled is taken from the cache; without
 # link-time optimisation the rest takes a fourth of the time. The numbers are the same bits.
 CCACHE := $(wildcard /usr/lib/ccache)
@@ -103,14 +103,18 @@ targets: $(VENV)/.packages ## the same bits everywhere: replay recorded runs on 
 fuzz: $(VENV)/.packages ## libFuzzer (clang) on the FreeMASTER server for FUZZ_SECONDS=600; inputs that it finds in out/fuzz
 	@$(BIN)/python firmware/test/freemaster_fuzz.py --seconds $(or $(FUZZ_SECONDS),600)
 
-# What keeps the time of the wall runs by itself, the rest on every core; 5 is pytest's way to say that nothing was chosen.
-# The machine may be busy for a moment: a test that keeps the time of the wall gets a second try, and is then listed.
+# Tests in real time run two at a time, each in a ROS domain of its own. Two chains of processes may overload two cores for a
+# moment: what fails is run once more, alone. Status 5: no test was chosen.
 test: $(VENV)/.native $(VENV)/.dev ## every check and every test
 	@status=0; $(MAKE) --no-print-directory lint || { status=1; echo "make lint fails (above)"; }; \
-	run() { echo "== pytest: $$1"; shift; $(BIN)/python -m pytest $(TIMEOUTS) $(PYTEST_ARGS) "$$@"; result=$$?; \
-	[ $$result -eq 0 ] || [ $$result -eq 5 ] || status=1; }; \
+	run() { echo "== pytest: $$1"; shift; $(BIN)/python -m pytest $(TIMEOUTS) $(PYTEST_ARGS) "$$@"; result=$$?; }; \
 	run "on every core" -m "not realtime$(if $(MARKS), and ($(MARKS)))" -n auto --dist loadfile --max-worker-restart 0; \
-	run "in real time" -m "realtime$(if $(MARKS), and ($(MARKS)))" $(REALTIME); \
+	[ $$result -eq 0 ] || [ $$result -eq 5 ] || status=1; \
+	set -- -m "realtime$(if $(MARKS), and ($(MARKS)))" $(REALTIME); \
+	run "in real time" "$$@" -n 2 --dist loadfile --max-worker-restart 1; \
+	[ $$result -eq 0 ] || [ $$result -eq 5 ] || { \
+	run "what failed in real time, alone" "$$@" --last-failed --last-failed-no-failures none; \
+	[ $$result -eq 0 ] || status=1; }; \
 	exit $$status
 
 # The checks of the C sources run beside those of Python; their output comes last.

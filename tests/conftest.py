@@ -1,5 +1,4 @@
-"""What these tests share: the recorded runs; and for all tests, that none may be skipped where that is asked
-for, and why one needed a second try."""
+"""What these tests share: the recorded runs; and for all tests, that none may be skipped where that is asked for."""
 
 from __future__ import annotations
 
@@ -49,9 +48,6 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     for reason in _skipped_in_vain(config):
         terminalreporter.write_line(f"{SKIP_NOTHING} is set, but a test was skipped: {reason}", red=True)
-    for report in terminalreporter.stats.get("rerun", ()):
-        terminalreporter.section(f"second try of {report.nodeid}, because")
-        terminalreporter.write_line(report.longreprtext)
 
 
 @pytest.fixture(scope="session")

@@ -20,9 +20,11 @@ from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.wire.session import connect
 from servo_msgs_py.board_storage import StorageRefusedError, begin_request, carry_out
 from servo_msgs_py.catalogue import Catalogue
+from servo_msgs_py.runtime.qos import latched_qos
 from servo_twin.board import Board
 from servo_twin.level import Level
 from servo_twin.lockstep.replica import Replica
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from test_tune_on_board import BAUD, Desk, edited
 
@@ -208,6 +210,7 @@ def test_services_diagnostics_and_the_twin_of_a_board_with_stored_values(tmp_pat
     chain, flash = Chain(tmp_path), tmp_path / "flash.bin"
     with user() as me:
         keeper = Keeper(me)
+        me.listen("/servo/tuning", String, latched_qos())
         try:
             board = chain.board(flash=flash)
             gains = edited(tmp_path, "gains.toml", control={"position_gain": 50.0, "speed_bandwidth": 60.0})
@@ -226,6 +229,7 @@ def test_services_diagnostics_and_the_twin_of_a_board_with_stored_values(tmp_pat
             chain.twin()
             me.until(me.connected, 30.0, "the bridge is not connected again")
             assert keeper.until_storage("values of copy A since the reset; newest set 1").level == DiagnosticStatus.OK
+            me.until(lambda: "position_gain = 50" in me.last("/servo/tuning"), 30.0, "the gains are not known")
             me.until(lambda: me.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
 
             me.spinning()

@@ -18,6 +18,8 @@ __all__ = ["Channel", "Estimate", "Finding", "Kind"]
 _INTERVAL: Final = 1.96  # of 95 %
 _SEPARATE: Final = 6.0  # by which the likelihood of the change that is named exceeds that of any other,
 _SEPARATE_PART: Final = 0.1  # and by which part of itself
+_SEVERAL_AFTER: Final = 4  # blocks of signs after which several changes are named,
+_UNKNOWN_AFTER: Final = 20  # and a residual that no change explains: beats of the aliased ripple last 0.5 s at times
 _AMBIGUOUS: Final = 30  # blocks after which changes that cannot be told apart are named together
 _SEVERAL: Final = 0.02  # part of what the first change explains that its own nonlinearity may leave to others
 _LEFT: Final = 0.1  # part of the residual that a single change may leave, whatever the noise
@@ -207,10 +209,10 @@ class Channel(Generic[_Sample]):
         single = names[found.change]
         known = (found.value, found.value - half, found.value + half, since, tick)
         if left:
-            return Finding(Kind.UNKNOWN, (), 0.0, 0.0, 0.0, since, tick) if self._age > 3 else None
+            return Finding(Kind.UNKNOWN, (), 0.0, 0.0, 0.0, since, tick) if self._age >= _UNKNOWN_AFTER else None
         if found.second_ratio > self._detect + _SEVERAL * found.ratio:
             both = tuple(sorted((single, names[found.second])))
-            return Finding(Kind.SEVERAL, both, *known) if self._age > 3 else None
+            return Finding(Kind.SEVERAL, both, *known) if self._age >= _SEVERAL_AFTER else None
         if found.ratio - found.rival_ratio > _SEPARATE + _SEPARATE_PART * found.ratio:
             return Finding(Kind.SINGLE, (single,), *known)
         if self._age > _AMBIGUOUS:
