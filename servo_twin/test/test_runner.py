@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from servo_twin.board import SimulationError
 from servo_twin.runner import HERE, RunError, Runner, TrialError, WorkerLostError, run_in_order
 
 NUMBERS = range(40)
@@ -64,10 +65,11 @@ class Raises:
     """Raises in one trial."""
 
     number: int
+    error: type[Exception] = ZeroDivisionError
 
     def run(self, number: int) -> int:
         if number == self.number:
-            raise ZeroDivisionError("on purpose")
+            raise self.error("on purpose")
         return number
 
 
@@ -120,6 +122,12 @@ def test_workers_that_cannot_start_are_not_blamed_on_a_trial() -> None:
 def test_an_exception_names_its_trial(workers: int) -> None:
     with pytest.raises(TrialError, match=r"(?s)trial 11.*on purpose"):
         run_in_order(Runner(workers), Raises(11), NUMBERS, "trials")
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_a_board_says_comes_without_a_traceback(workers: int) -> None:
+    with pytest.raises(TrialError, match=r"\Atrial 11:\non purpose\Z"):
+        run_in_order(Runner(workers), Raises(11, SimulationError), NUMBERS, "trials")
 
 
 def test_no_worker_outlives_a_run_that_is_left() -> None:

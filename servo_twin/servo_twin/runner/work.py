@@ -32,7 +32,7 @@ class Answer(NamedTuple):
     value : object
         Its result.
     problem : str or None
-        Traceback of the exception that it raised instead.
+        Why there is none: the message of a `SimulationError`, the traceback of another exception.
     """
 
     number: int
@@ -47,9 +47,11 @@ class Answer(NamedTuple):
 
 
 def attempt(work: Work[Any], number: int) -> Answer:
-    """Run a trial; its exception travels as text, as tracebacks cannot be pickled."""
+    """Run a trial; its exception travels as text, as tracebacks cannot be pickled. The reason of a board is enough."""
     try:
         return Answer(number, work.run(number), None)
+    except SimulationError as error:
+        return Answer(number, None, str(error))
     except Exception:
         return Answer(number, None, traceback.format_exc())
 
