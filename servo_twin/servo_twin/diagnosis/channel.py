@@ -138,8 +138,7 @@ class Channel(Generic[_Sample]):
             self._calm(sums)
             return
         self._age += 1
-        few = found.ratio <= self._needed(len(sums.samples) - found.since)
-        if not left and (misfit or few):
+        if not left and (misfit or found.rest <= self._detect):
             return
         finding = self._finding(found, left, tick)
         if finding is None:
@@ -155,10 +154,6 @@ class Channel(Generic[_Sample]):
         self.finding = finding
         if found.since and len(sums.samples) - found.since >= _SETTLED:
             self._window.forget_before(found.since)
-
-    def _needed(self, blocks: int) -> float:
-        """Likelihood ratio from which so many blocks show a change: the noise of neighbouring blocks is not independent."""
-        return self._detect * max(_ENOUGH / blocks, 1.0)
 
     def _forget_what_is_over(self) -> None:
         """Keep only what has come since the change that is known has become another one, or none."""
