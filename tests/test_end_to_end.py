@@ -370,18 +370,19 @@ class Whole:
     twin: Process
 
 
+@pytest.fixture(scope="class")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Whole]:
+    chain = Chain(tmp_path_factory.mktemp("chain"))
+    with user() as me:
+        try:
+            yield Whole(chain, me, chain.board(), chain.bridge(), chain.twin())
+        finally:
+            chain.end()
+            print(chain.logs())
+
+
 class TestTrouble:
     """Cables, and bridges that end without notice: test_failures_bridge.py."""
-
-    @pytest.fixture(scope="class")
-    def whole(self, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Whole]:
-        chain = Chain(tmp_path_factory.mktemp("chain"))
-        with user() as me:
-            try:
-                yield Whole(chain, me, chain.board(), chain.bridge(), chain.twin())
-            finally:
-                chain.end()
-                print(chain.logs())
 
     def test_a_board_that_vanishes_and_comes_back_anew(self, whole: Whole) -> None:
         me = whole.me
