@@ -440,9 +440,7 @@ class TestTrouble:
         fast = Chain(tmp_path, FAST, level="ideal")
         try:
             fast.board()
-            fast.bridge(
-                telemetry_rate=300.0
-            )  # at the full rate three processes and this one are busy with nothing else
+            fast.bridge(telemetry_rate=300.0)  # the full one keeps every process busy
             fast.twin()
             with user() as me:
                 me.until(me.connected, 30.0)
