@@ -34,7 +34,7 @@ from servo_msgs_py.convert import AppliedCommand, applied_from_message, snapshot
 from servo_msgs_py.runtime.end_with_parent import bound_to_us
 from servo_msgs_py.runtime.qos import command_qos, latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
-from servo_twin.level import Level, chosen_level
+from servo_twin.level import LEVEL_VARIABLE, Level, chosen_level
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
@@ -158,6 +158,8 @@ class Chain:
         Line speed.
     environment : mapping, optional
         Variables that every process gets besides those of this one.
+    level : {"ideal", "registers"}, optional
+        Of boards and twins; the chosen one by default. `ideal` takes a fifth of the processor.
 
     Attributes
     ----------
@@ -165,13 +167,20 @@ class Chain:
         Environment of every process.
     """
 
-    def __init__(self, folder: Path, baud: int = 115200, environment: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        baud: int = 115200,
+        environment: Mapping[str, str] | None = None,
+        level: Level | None = None,
+    ) -> None:
         self.folder = folder
         self.port = folder / "board"
         self.baud = baud
         self._mark = uuid.uuid4().hex
         self._started: list[Process] = []
-        own = {"ROS_DOMAIN_ID": str(DOMAIN), MARK: self._mark, "PYTHONUNBUFFERED": "1"}
+        level = level or chosen_level()
+        own = {"ROS_DOMAIN_ID": str(DOMAIN), MARK: self._mark, "PYTHONUNBUFFERED": "1", LEVEL_VARIABLE: level}
         self.environment = os.environ | own | dict(environment or {})
 
     def _start(self, module: str, *arguments: str) -> Process:
@@ -189,11 +198,11 @@ class Chain:
             pytest.skip(f"{name} is not installed beside {sys.executable}")
         return self._launch(name, [str(path), *arguments])
 
-    def board(self, seed: int = 5, level: Level | None = None, flash: Path | None = None) -> Process:
-        """Start a board, of the chosen level unless one is given, and wait for its port."""
+    def board(self, seed: int = 5, flash: Path | None = None) -> Process:
+        """Start a board and wait for its port."""
         options = ["--link", str(self.port), "--baud", str(self.baud), "--seed", str(seed)]
         options += ["--flash", str(flash)] if flash else []
-        board = self._start(BOARD, *options, "--level", level or chosen_level())
+        board = self._start(BOARD, *options)
         wait_for(self.port.exists, 10.0, board.text)
         return board
 
@@ -413,13 +422,15 @@ def user() -> Iterator[User]:
 
 
 @contextlib.contextmanager
-def followed_board(folder: Path) -> Iterator[User]:
+def followed_board(
+    folder: Path, baud: int = 115200, level: Level | None = None, telemetry_rate: float = 0.0
+) -> Iterator[User]:
     """A user of a virtual board, its bridge and its twin, once the twin is healthy."""
-    chain = Chain(folder)
+    chain = Chain(folder, baud, level=level)
     with user() as me:
         try:
             chain.board()
-            chain.bridge()
+            chain.bridge(telemetry_rate=telemetry_rate)
             chain.twin()
             me.until(me.connected, 30.0, "the bridge is not connected")
             me.until(lambda: me.last("/twin/healthy") is True, 30.0, "the twin is not healthy")

@@ -163,9 +163,9 @@ def test_the_shaft_stays_within_its_range_however_slow_the_line_is(
 @pytest.mark.realtime
 @pytest.mark.slow
 def test_a_board_on_a_pty_is_measured(tmp_path: Path) -> None:
-    chain = Chain(tmp_path, FAST)
+    chain = Chain(tmp_path, FAST, level="ideal")
     try:
-        chain.board(level="ideal")
+        chain.board()
         found = json.loads(chain.tool("bode", "axis2", "speed", "--enable", "--repeat", "2", "--json"))
         assert found["measured"]["crossover"]["value"] == pytest.approx(found["predicted"]["crossover"], rel=0.05)
         assert found["measured"]["phase margin"]["value"] == pytest.approx(found["predicted"]["phase margin"], abs=3.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from typing import get_args
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
-from chain import Chain, Process, User, followed_board, user, wait_for
+from chain import FAST, Chain, Process, User, followed_board, user, wait_for
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import from_stamp, snapshot_table
@@ -55,8 +56,8 @@ def me(running: User) -> User:
 
 @pytest.fixture
 def chain(tmp_path: Path) -> Iterator[Chain]:
-    """A chain of its own for a test that breaks it."""
-    chain = Chain(tmp_path)
+    """A chain of its own for a test that breaks it; unless a level is asked for, of the one that takes less time."""
+    chain = Chain(tmp_path, level=None if LEVEL_VARIABLE in os.environ else "ideal")
     try:
         yield chain
     finally:
@@ -375,7 +376,7 @@ class Whole:
 
 @pytest.fixture(scope="class")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Whole]:
-    chain = Chain(tmp_path_factory.mktemp("chain"))
+    chain = Chain(tmp_path_factory.mktemp("chain"), level="ideal")
     with user() as me:
         try:
             yield Whole(chain, me, chain.board(), chain.bridge(), chain.twin())
@@ -436,10 +437,10 @@ class TestTrouble:
         assert "Traceback" not in chain.logs()
 
     def test_a_fast_line_carries_more(self, tmp_path: Path) -> None:
-        fast = Chain(tmp_path, baud=1_000_000)
+        fast = Chain(tmp_path, FAST, level="ideal")
         try:
             fast.board()
-            fast.bridge()
+            fast.bridge(telemetry_rate=300.0)  # the full one keeps every process busy
             fast.twin()
             with user() as me:
                 me.until(me.connected, 30.0)

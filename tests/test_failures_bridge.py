@@ -107,17 +107,15 @@ class Rig:
     ----------
     chain : Chain
         Nothing in it runs yet.
-    level : {"ideal", "registers"}
-        Of the board.
     me : User
         The user.
     """
 
-    def __init__(self, chain: Chain, level: Level, me: User) -> None:
-        self.chain, self.level, self.me = chain, level, me
+    def __init__(self, chain: Chain, me: User) -> None:
+        self.chain, self.me = chain, me
         self._commander = me.node.create_timer(1.0 / 20.0, self._ask)
         self._commander.cancel()
-        self.board = chain.board(level=level)
+        self.board = chain.board()
         self.cable: Cable | None = None
         self.bridge: Process | None = None
 
@@ -303,9 +301,9 @@ def fell_silent(reader: Reader, applied: float) -> None:
 def rig(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     """What all rows share: every one leaves it so that the next one can go on."""
     baud, level = request.param
-    chain = Chain(tmp_path_factory.mktemp("chain"), baud)
+    chain = Chain(tmp_path_factory.mktemp("chain"), baud, level=level)
     with user() as me:
-        rig = Rig(chain, level, me)
+        rig = Rig(chain, me)
         try:
             yield rig
         finally:
@@ -416,7 +414,7 @@ class TestRows:
         assert rig.me.last("/servo/armed") is False
         known = rig.mark() + 1
         rig.chain.port.unlink()
-        rig.board = rig.chain.board(seed=6, level=rig.level)
+        rig.board = rig.chain.board(seed=6)
         rig.me.until(lambda: rig.mark() >= known and rig.state == STOP, 30.0, "the bridge does not come back")
         assert travel(rig.me.rows(known)) <= HOLDING
         rig.comes_back_by_command_only()

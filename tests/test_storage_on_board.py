@@ -157,7 +157,7 @@ def test_the_command_line_has_to_make_sense(desk: Desk, tmp_path: Path) -> None:
 
 @pytest.mark.realtime
 def test_a_board_that_is_killed_comes_up_with_what_it_has_stored(tmp_path: Path) -> None:
-    chain, flash = Chain(tmp_path, FAST), tmp_path / "flash.bin"
+    chain, flash = Chain(tmp_path, FAST, level="ideal"), tmp_path / "flash.bin"
     try:
         board = chain.board(flash=flash)
         assert flash.stat().st_size == 32896
@@ -207,7 +207,7 @@ class Keeper:
 @pytest.mark.slow
 @pytest.mark.realtime
 def test_services_diagnostics_and_the_twin_of_a_board_with_stored_values(tmp_path: Path) -> None:
-    chain, flash = Chain(tmp_path, FAST), tmp_path / "flash.bin"
+    chain, flash = Chain(tmp_path, FAST, level="ideal"), tmp_path / "flash.bin"
     with user() as me:
         keeper = Keeper(me)
         me.listen("/servo/tuning", String, latched_qos())
@@ -253,7 +253,7 @@ def test_services_diagnostics_and_the_twin_of_a_board_with_stored_values(tmp_pat
         image = bytearray(flash.read_bytes())
         image[COPY_B + 200] ^= 0x01
         flash.write_bytes(image)
-        chain = Chain(tmp_path, FAST)
+        chain = Chain(tmp_path, FAST, level="ideal")
         try:
             chain.board(flash=flash)
             chain.bridge(telemetry_rate=130.0)

@@ -26,6 +26,8 @@ pytestmark = pytest.mark.realtime
 TIMEOUT = 60.0
 MARK = "SERVO_UP_TEST_MARK"
 MAIN = "import sys; from servo_twin.up import main; sys.exit(main())"
+IDEAL = ("--level", "ideal")
+"""The level that leaves the processor to others."""
 BOTH = ["axis1", "axis2"]
 
 
@@ -54,7 +56,7 @@ class Up:
         program = [sys.executable, "-c", f"{before}\n{MAIN}"] if before else [str(executable("servo-up"))]
         with self.log.open("wb") as output:
             self.process = subprocess.Popen(
-                bound_to_us([*program, "--no-web", "--domain-id", str(DOMAIN), "--out", str(out), *arguments]),
+                bound_to_us([*program, *IDEAL, "--no-web", "--domain-id", str(DOMAIN), "--out", str(out), *arguments]),
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
@@ -91,12 +93,15 @@ def started() -> Iterator[list[Up]]:
             up.process.wait(30.0)
 
 
-def test_a_child_that_dies_is_named_and_takes_everything_down(started: list[Up], tmp_path: Path) -> None:
-    up = Up(tmp_path)
+def test_without_a_board_everything_stays_up_until_a_child_dies_which_is_named(
+    started: list[Up], tmp_path: Path
+) -> None:
+    short = "from servo_twin import up; up._CONNECT_TIMEOUT = 3.0"
+    up = Up(tmp_path, "--port", "/dev/ttyNoSuchPort", before=short)
     started.append(up)
-    with user() as me:
-        me.until(me.connected, TIMEOUT)
-        me.spinning()
+    up.wait_for("Ctrl-C ramps down")
+    assert "no board on /dev/ttyNoSuchPort yet" in up.text()
+    assert "there is no port /dev/ttyNoSuchPort" in up.text()
     os.kill(up.child("bin/servo_twin\0"), signal.SIGKILL)
     assert up.process.wait(30.0) == 1
     assert "servo_twin has ended with status -9" in up.text()
@@ -104,21 +109,9 @@ def test_a_child_that_dies_is_named_and_takes_everything_down(started: list[Up],
     assert left_behind(up.mark) == []
 
 
-def test_a_port_without_a_board_is_said_and_everything_stays_up(started: list[Up], tmp_path: Path) -> None:
-    short = "from servo_twin import up; up._CONNECT_TIMEOUT = 3.0"
-    up = Up(tmp_path, "--port", "/dev/ttyNoSuchPort", before=short)
-    started.append(up)
-    up.wait_for("Ctrl-C ramps down")
-    assert "no board on /dev/ttyNoSuchPort yet" in up.text()
-    assert "there is no port /dev/ttyNoSuchPort" in up.text()
-    up.process.send_signal(signal.SIGTERM)
-    assert up.process.wait(30.0) == 0
-    assert left_behind(up.mark) == []
-
-
 def test_the_demonstration_moves_records_and_draws(tmp_path: Path) -> None:
     result = subprocess.run(
-        [str(executable("servo-up")), "--demo", "--domain-id", str(DOMAIN), "--out", str(tmp_path)],
+        [str(executable("servo-up")), "--demo", *IDEAL, "--domain-id", str(DOMAIN), "--out", str(tmp_path)],
         env={**os.environ, MARK: str(tmp_path), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
         capture_output=True,
         text=True,
@@ -188,11 +181,11 @@ def test_parameters_and_plant_arrive_and_ctrl_c_ends_everything(started: list[Up
     assert "Traceback" not in up.text()
 
 
-def test_ctrl_c_ends_the_demonstration_while_it_moves(started: list[Up], tmp_path: Path) -> None:
+def test_sigterm_ends_the_demonstration_while_it_moves(started: list[Up], tmp_path: Path) -> None:
     up = Up(tmp_path, "--demo")
     started.append(up)
     up.wait_for("axis1 to +5 turns")
-    up.process.send_signal(signal.SIGINT)
+    up.process.send_signal(signal.SIGTERM)
     assert up.process.wait(30.0) == 130, up.text()
     assert "Traceback" not in up.text()
     assert "stopping: outputs off" in up.text()
