@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bridge_rig import DOMAIN
+from bridge_rig import DOMAIN, SPIN, STOP, Rig
 from numpy.typing import NDArray
 from servo_bridge.demo import Demo
 from servo_bridge.demo_client import DemoError, ServoClient
@@ -25,16 +26,15 @@ from servo_msgs_py.convert import AppliedCommand
 
 from servo_bridge import demo as demo_module
 
-pytestmark = pytest.mark.realtime
-
 TURN = 2.0 * math.pi
 COUNT = TURN / 4000
-STEP = 16  # PWM periods per sample: 1 ms
-SPEED = 0.25  # rad per sample
+STEP = 96  # PWM periods per sample, as at 115200 baud
+SAMPLE = STEP / 16000  # s
+SPEED = 250.0  # rad/s
 
 
 class FakeClient:
-    """A servo in simulated time: position follows its set-point at constant speed; every sample is one millisecond."""
+    """A servo in simulated time: position follows its set-point at constant speed."""
 
     def __init__(self, position: Sequence[float] = (0.3 * COUNT, -2.2 * COUNT), twin_gap: float = 0.0) -> None:
         self.joints = ["axis1", "axis2"]
@@ -70,7 +70,7 @@ class FakeClient:
         for axis in range(2):
             aim = self.target[axis] + self.error[axis]
             aim += self.path_error if on_path else 0.0
-            self.position[axis] += max(-SPEED, min(SPEED, aim - self.position[axis]))
+            self.position[axis] += max(-SPEED * SAMPLE, min(SPEED * SAMPLE, aim - self.position[axis]))
             row[f"axis{axis + 1}.position"] = self.position[axis]
             row[f"axis{axis + 1}.position_ref"] = self.target[axis]
             row[f"axis{axis + 1}.faults"] = float(self.faults)
@@ -165,12 +165,12 @@ def test_every_kind_of_move_is_made_and_measured() -> None:
     assert passed(demo.rows, demo.paths, twin=demo.twin)
     (path,) = demo.paths
     assert path.figures.ticks_apart == 0
-    assert path.figures.start == pytest.approx(0.499, abs=1e-4)  # after the tick at which the points took effect
+    assert path.figures.start == pytest.approx(0.5 - SAMPLE, abs=1e-4)  # after the tick at which the points took effect
     assert max(path.figures.error_max) < 1e-3
     assert path.residuals[1].max == pytest.approx(3 * COUNT)
     first = demo.rows[0]
     assert first.figures.commanded == pytest.approx(5 * TURN)
-    assert first.figures.settling_time == pytest.approx(5 * TURN / SPEED * 1e-3, abs=0.003)
+    assert first.figures.settling_time == pytest.approx(5 * TURN / SPEED, abs=2 * SAMPLE)
     assert first.residual is not None
     assert first.residual.rms == pytest.approx(3 * COUNT)
     stops = [row.figures for row in demo.rows if row.move == "stop"]
@@ -238,7 +238,7 @@ def test_a_twin_that_lags_is_waited_for() -> None:
     demo = run(client)
     for row in demo.rows:
         assert row.residual is not None
-        assert row.residual.samples >= 250  # all of the hold at the end as well
+        assert row.residual.samples >= 0.25 / SAMPLE  # all of the hold at the end as well
 
 
 def test_a_fault_ends_it_with_cause_and_remedy() -> None:
@@ -300,6 +300,7 @@ def test_report_is_json() -> None:
 
 
 # ---- command line
+@pytest.mark.realtime
 def test_no_servo_is_one_sentence_and_status_2(tmp_path: Path) -> None:
     result = subprocess.run(
         [sys.executable, "-m", "servo_bridge.demo", "--wait", "0.5", "--json", str(tmp_path / "x.json")],
@@ -313,6 +314,33 @@ def test_no_servo_is_one_sentence_and_status_2(tmp_path: Path) -> None:
     assert "Start the servo first" in result.stderr
     assert "Traceback" not in result.stderr
     assert not (tmp_path / "x.json").exists()
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_demonstration_disables_the_axes(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    with Rig() as rig:
+        rig.up(STOP, STOP)
+        interrupts = iter([number])
+
+        def look() -> None:
+            """The shafts of this board never move, so the first move lasts until it is ended."""
+            enables = [raw for name, _, raw in rig.link.written if name == "cmd.enable"]
+            rig.link.axes(*[SPIN if enables and any(enables[-1]) else STOP] * 2)
+            if any(name == "cmd.position" for name, *_ in rig.link.written):
+                for each in interrupts:
+                    os.kill(os.getpid(), each)
+
+        with rig.alive(look):
+            assert demo_module.main([]) == 130
+        assert rig.link.written[-1] == ("cmd.enable", 0, (0, 0))
+    said = capfd.readouterr()
+    assert "disabled: axis1=STOP axis2=STOP" in said.out
+    assert "servo-demo: interrupted" in said.err
+    assert "Traceback" not in said.err
 
 
 @pytest.mark.parametrize("arguments", [["--tolerance", "0"], ["--timeout", "-1"], ["--colour"]])
