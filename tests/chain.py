@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import select
@@ -33,12 +34,16 @@ from servo_msgs_py.convert import AppliedCommand, applied_from_message, snapshot
 from servo_msgs_py.runtime.end_with_parent import bound_to_us
 from servo_msgs_py.runtime.qos import command_qos, latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
-from servo_twin.level import Level, chosen_level
+from servo_twin.level import LEVEL_VARIABLE, Level, chosen_level
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
+from servo_bridge import tool
+
 DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 1 + os.getpid() * 37 % 100
 MARK = "SERVO_TEST_MARK"
+FAST = 1_000_000
+"""Baud rate of tests that do not look at the line: finding the variables takes 0.5 s instead of 2.5 s."""
 BOARD, BRIDGE, TWIN, TOOL = "servo_twin.virtual_board", "servo_bridge.node", "servo_twin.node", "servo_bridge.tool"
 
 
@@ -153,6 +158,8 @@ class Chain:
         Line speed.
     environment : mapping, optional
         Variables that every process gets besides those of this one.
+    level : {"ideal", "registers"}, optional
+        Of boards and twins; the chosen one by default. `ideal` takes a fifth of the processor.
 
     Attributes
     ----------
@@ -160,13 +167,20 @@ class Chain:
         Environment of every process.
     """
 
-    def __init__(self, folder: Path, baud: int = 115200, environment: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        baud: int = 115200,
+        environment: Mapping[str, str] | None = None,
+        level: Level | None = None,
+    ) -> None:
         self.folder = folder
         self.port = folder / "board"
         self.baud = baud
         self._mark = uuid.uuid4().hex
         self._started: list[Process] = []
-        own = {"ROS_DOMAIN_ID": str(DOMAIN), MARK: self._mark, "PYTHONUNBUFFERED": "1"}
+        level = level or chosen_level()
+        own = {"ROS_DOMAIN_ID": str(DOMAIN), MARK: self._mark, "PYTHONUNBUFFERED": "1", LEVEL_VARIABLE: level}
         self.environment = os.environ | own | dict(environment or {})
 
     def _start(self, module: str, *arguments: str) -> Process:
@@ -184,11 +198,11 @@ class Chain:
             pytest.skip(f"{name} is not installed beside {sys.executable}")
         return self._launch(name, [str(path), *arguments])
 
-    def board(self, seed: int = 5, level: Level | None = None, flash: Path | None = None) -> Process:
-        """Start a board, of the chosen level unless one is given, and wait for its port."""
+    def board(self, seed: int = 5, flash: Path | None = None) -> Process:
+        """Start a board and wait for its port."""
         options = ["--link", str(self.port), "--baud", str(self.baud), "--seed", str(seed)]
         options += ["--flash", str(flash)] if flash else []
-        board = self._start(BOARD, *options, "--level", level or chosen_level())
+        board = self._start(BOARD, *options)
         wait_for(self.port.exists, 10.0, board.text)
         return board
 
@@ -224,12 +238,13 @@ class Chain:
         values: dict[str, Any] = json.loads(self.tool("get", "--json", *names))
         return values
 
-    def tool(self, *arguments: str, timeout: float = 20.0) -> str:
-        """Run a command of ``servo-tool`` past the bridge, which must not be running."""
-        command = [sys.executable, "-m", TOOL, "--port", str(self.port), "--baud", str(self.baud), *arguments]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, env=self.environment)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
+    def tool(self, *arguments: str) -> str:
+        """Run a command of ``servo-tool`` in this process, past the bridge, which must not be running."""
+        output = io.StringIO()
+        with contextlib.redirect_stdout(output):
+            status = tool.main(["--port", str(self.port), "--baud", str(self.baud), *arguments])
+        assert status == 0, output.getvalue()
+        return output.getvalue()
 
     def end(self) -> None:
         """Stop whatever still runs, the last first."""
@@ -367,6 +382,11 @@ class User:
         """What the bridge has said about set-points that it refused."""
         return [m.msg for m in self.messages["/rosout"] if m.msg.startswith("rejected")]
 
+    def until_rejected(self, before: int) -> str:
+        """Wait for one more rejection than there were, and return it."""
+        self.until(lambda: len(self.rejections()) > before, 5.0, "not refused")
+        return self.rejections()[-1]
+
     def status(self, name: str) -> DiagnosticStatus:
         found = [s for m in self.messages["/diagnostics"] for s in m.status if s.name == name]
         return found[-1] if found else DiagnosticStatus(message="no diagnostics yet")
@@ -402,13 +422,15 @@ def user() -> Iterator[User]:
 
 
 @contextlib.contextmanager
-def followed_board(folder: Path) -> Iterator[User]:
+def followed_board(
+    folder: Path, baud: int = 115200, level: Level | None = None, telemetry_rate: float = 0.0
+) -> Iterator[User]:
     """A user of a virtual board, its bridge and its twin, once the twin is healthy."""
-    chain = Chain(folder)
+    chain = Chain(folder, baud, level=level)
     with user() as me:
         try:
             chain.board()
-            chain.bridge()
+            chain.bridge(telemetry_rate=telemetry_rate)
             chain.twin()
             me.until(me.connected, 30.0, "the bridge is not connected")
             me.until(lambda: me.last("/twin/healthy") is True, 30.0, "the twin is not healthy")

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
-from chain import Chain, wait_for
+from chain import FAST, Chain
 from line_world import SimulatedLine
 from numpy.typing import NDArray
 from servo_bridge.freemaster.client import Client
@@ -163,11 +163,10 @@ def test_the_shaft_stays_within_its_range_however_slow_the_line_is(
 @pytest.mark.realtime
 @pytest.mark.slow
 def test_a_board_on_a_pty_is_measured(tmp_path: Path) -> None:
-    chain = Chain(tmp_path)
+    chain = Chain(tmp_path, FAST, level="ideal")
     try:
-        chain.board(level="ideal")
-        wait_for(lambda: (tmp_path / "board").exists(), 20.0, chain.logs)
-        found = json.loads(chain.tool("bode", "axis2", "speed", "--enable", "--repeat", "2", "--json", timeout=60.0))
+        chain.board()
+        found = json.loads(chain.tool("bode", "axis2", "speed", "--enable", "--repeat", "2", "--json"))
         assert found["measured"]["crossover"]["value"] == pytest.approx(found["predicted"]["crossover"], rel=0.05)
         assert found["measured"]["phase margin"]["value"] == pytest.approx(found["predicted"]["phase margin"], abs=3.0)
     finally:

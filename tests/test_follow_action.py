@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from chain import Chain
+from chain import FAST, Chain
 from interface_build import action_environment
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
@@ -22,9 +22,9 @@ Answers = dict[str, dict[str, Any]]
 @pytest.fixture(scope="module")
 def answers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Answers]:
     """What the client has seen, by case."""
-    chain = Chain(tmp_path_factory.mktemp("action"), baud=1_000_000, environment=action_environment())
+    chain = Chain(tmp_path_factory.mktemp("action"), FAST, action_environment(), "ideal")
     try:
-        chain.board(level="ideal")
+        chain.board()
         chain.bridge()
         command = [sys.executable, str(CLIENT)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=110.0, env=chain.environment)

@@ -25,7 +25,7 @@ FEATURES = [
 
 @pytest.fixture
 def chain(tmp_path: Path) -> Iterator[Chain]:
-    chain = Chain(tmp_path)
+    chain = Chain(tmp_path, level="ideal")
     yield chain
     chain.end()
 

@@ -24,9 +24,9 @@ PERIOD = PERIOD_NS * 1e-9
 
 @pytest.fixture
 def chain(tmp_path: Path) -> Iterator[Chain]:
-    chain = Chain(tmp_path)
+    chain = Chain(tmp_path, level="ideal")
     try:
-        chain.board(level="ideal")
+        chain.board()
         yield chain
     finally:
         chain.end()

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 import pytest
-from chain import Chain, User, user, wait_for
+from chain import FAST, Chain, User, user, wait_for
 from diagnostic_msgs.msg import DiagnosticStatus
 from line_world import SimulatedLine
 from sensor_msgs.msg import JointState
@@ -157,7 +157,7 @@ def test_the_command_line_has_to_make_sense(desk: Desk, tmp_path: Path) -> None:
 
 @pytest.mark.realtime
 def test_a_board_that_is_killed_comes_up_with_what_it_has_stored(tmp_path: Path) -> None:
-    chain, flash = Chain(tmp_path), tmp_path / "flash.bin"
+    chain, flash = Chain(tmp_path, FAST, level="ideal"), tmp_path / "flash.bin"
     try:
         board = chain.board(flash=flash)
         assert flash.stat().st_size == 32896
@@ -207,7 +207,7 @@ class Keeper:
 @pytest.mark.slow
 @pytest.mark.realtime
 def test_services_diagnostics_and_the_twin_of_a_board_with_stored_values(tmp_path: Path) -> None:
-    chain, flash = Chain(tmp_path), tmp_path / "flash.bin"
+    chain, flash = Chain(tmp_path, FAST, level="ideal"), tmp_path / "flash.bin"
     with user() as me:
         keeper = Keeper(me)
         me.listen("/servo/tuning", String, latched_qos())
@@ -216,7 +216,7 @@ def test_services_diagnostics_and_the_twin_of_a_board_with_stored_values(tmp_pat
             gains = edited(tmp_path, "gains.toml", control={"position_gain": 50.0, "speed_bandwidth": 60.0})
             chain.tool("tune", str(gains))
             chain.tool("set", "param.speed_limit", "60,80")
-            chain.bridge()
+            chain.bridge(telemetry_rate=130.0)
             me.until(me.connected, 30.0, "the bridge is not connected")
             keeper.until_storage("built-in values since the reset; nothing stored")
 
@@ -253,10 +253,10 @@ def test_services_diagnostics_and_the_twin_of_a_board_with_stored_values(tmp_pat
         image = bytearray(flash.read_bytes())
         image[COPY_B + 200] ^= 0x01
         flash.write_bytes(image)
-        chain = Chain(tmp_path)
+        chain = Chain(tmp_path, FAST, level="ideal")
         try:
             chain.board(flash=flash)
-            chain.bridge()
+            chain.bridge(telemetry_rate=130.0)
             status = keeper.until_storage("copy B is damaged")
             assert status.level == DiagnosticStatus.WARN
             assert {value.key: value.value for value in status.values} == {

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from chain import User, followed_board
+from chain import FAST, User, followed_board
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -56,7 +56,7 @@ class Tuner:
 
 @pytest.fixture
 def tuner(tmp_path: Path) -> Iterator[Tuner]:
-    with followed_board(tmp_path) as me:
+    with followed_board(tmp_path, FAST, "ideal", telemetry_rate=130.0) as me:
         yield Tuner(me)
 
 

@@ -7,50 +7,56 @@ import json
 import os
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from chain import DOMAIN, user
+from sensor_msgs.msg import JointState
 from servo_msgs_py.runtime.end_with_parent import bound_to_us
 from servo_twin.processes import executable
 from servo_twin.up import main, parser
+
+from servo_twin import up as up_module
 
 pytestmark = pytest.mark.realtime
 
 TIMEOUT = 60.0
 MARK = "SERVO_UP_TEST_MARK"
+MAIN = "import sys; from servo_twin.up import main; sys.exit(main())"
+IDEAL = ("--level", "ideal")
+"""The level that leaves the processor to others."""
+BOTH = ["axis1", "axis2"]
 
 
-def domain() -> str:
-    return str(101 + os.getpid() % 100)
-
-
-def left_behind(mark: str) -> list[str]:
-    """Command lines of living processes that inherited the mark."""
-    found = []
+def descendants(mark: str) -> dict[int, str]:
+    """Command lines of living processes that inherited the mark, with a NUL after each word, by process id."""
+    found = {}
     for entry in Path("/proc").glob("[0-9]*"):
-        try:
+        with contextlib.suppress(OSError):
             marked = f"{MARK}={mark}".encode() in (entry / "environ").read_bytes().split(b"\0")
-            line = (entry / "cmdline").read_bytes()
-        except OSError:
-            continue
-        if marked and line and int(entry.name) != os.getpid():
-            found.append(line.replace(b"\0", b" ").decode())
+            line = (entry / "cmdline").read_text()
+            if marked and line and int(entry.name) != os.getpid():
+                found[int(entry.name)] = line
     return found
 
 
-class Up:
-    """``servo-up`` as a process."""
+def left_behind(mark: str) -> list[str]:
+    return list(descendants(mark).values())
 
-    def __init__(self, out: Path, *arguments: str) -> None:
+
+class Up:
+    """``servo-up`` as a process; `before` is Python that it runs first."""
+
+    def __init__(self, out: Path, *arguments: str, before: str = "") -> None:
         self.mark = out.as_posix()
         self.log = out / "up.log"
+        program = [sys.executable, "-c", f"{before}\n{MAIN}"] if before else [str(executable("servo-up"))]
         with self.log.open("wb") as output:
             self.process = subprocess.Popen(
-                bound_to_us(
-                    [str(executable("servo-up")), "--no-web", "--domain-id", domain(), "--out", str(out), *arguments]
-                ),
+                bound_to_us([*program, *IDEAL, "--no-web", "--domain-id", str(DOMAIN), "--out", str(out), *arguments]),
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
@@ -60,6 +66,10 @@ class Up:
 
     def text(self) -> str:
         return self.log.read_text(errors="replace")
+
+    def child(self, part: str) -> int:
+        """Process id of the child that has this in its command line."""
+        return next(number for number, line in descendants(self.mark).items() if part in line)
 
     def wait_for(self, text: str) -> None:
         self.wait_until(lambda: text in self.text(), f"servo-up does not say {text!r}")
@@ -83,52 +93,25 @@ def started() -> Iterator[list[Up]]:
             up.process.wait(30.0)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_comes_up_and_a_signal_ends_everything(started: list[Up], tmp_path: Path, number: signal.Signals) -> None:
-    up = Up(tmp_path)
-    started.append(up)
-    up.wait_for("Ctrl-C ramps down")
-    assert "bridge connected" in up.text()
-    assert "/servo/axis1/position" in up.text()
-    assert len(left_behind(up.mark)) >= 4  # itself, board, bridge, twin
-    up.process.send_signal(number)
-    assert up.process.wait(30.0) == 0
-    assert left_behind(up.mark) == []
-
-
-def test_a_child_that_dies_ends_everything_and_is_named(started: list[Up], tmp_path: Path) -> None:
-    up = Up(tmp_path)
-    started.append(up)
-    up.wait_for("Ctrl-C ramps down")
-    board = next(entry for entry in Path("/proc").glob("[0-9]*") if _is(entry, "virtual_board", up.mark))
-    os.kill(int(board.name), signal.SIGKILL)
-    assert up.process.wait(30.0) == 1
-    assert "virtual_board has ended" in up.text()
-    assert left_behind(up.mark) == []
-
-
-def _is(entry: Path, name: str, mark: str) -> bool:
-    try:
-        return name in (entry / "cmdline").read_text() and f"{MARK}={mark}" in (entry / "environ").read_text().split(
-            "\0"
-        )
-    except OSError:
-        return False
-
-
-def test_a_port_without_a_board_is_said_and_everything_stays_up(started: list[Up], tmp_path: Path) -> None:
-    up = Up(tmp_path, "--port", "/dev/ttyNoSuchPort")
+def test_without_a_board_everything_stays_up_until_a_child_dies_which_is_named(
+    started: list[Up], tmp_path: Path
+) -> None:
+    short = "from servo_twin import up; up._CONNECT_TIMEOUT = 3.0"
+    up = Up(tmp_path, "--port", "/dev/ttyNoSuchPort", before=short)
     started.append(up)
     up.wait_for("Ctrl-C ramps down")
     assert "no board on /dev/ttyNoSuchPort yet" in up.text()
     assert "there is no port /dev/ttyNoSuchPort" in up.text()
-    up.process.send_signal(signal.SIGINT)
-    assert up.process.wait(30.0) == 0
+    os.kill(up.child("bin/servo_twin\0"), signal.SIGKILL)
+    assert up.process.wait(30.0) == 1
+    assert "servo_twin has ended with status -9" in up.text()
+    assert "Traceback" not in up.text()
+    assert left_behind(up.mark) == []
 
 
 def test_the_demonstration_moves_records_and_draws(tmp_path: Path) -> None:
     result = subprocess.run(
-        [str(executable("servo-up")), "--demo", "--domain-id", domain(), "--out", str(tmp_path)],
+        [str(executable("servo-up")), "--demo", *IDEAL, "--domain-id", str(DOMAIN), "--out", str(tmp_path)],
         env={**os.environ, MARK: str(tmp_path), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
         capture_output=True,
         text=True,
@@ -168,37 +151,58 @@ def test_wrong_command_lines(arguments: list[str], text: str, capsys: pytest.Cap
     assert text in capsys.readouterr().err
 
 
-def test_parameters_and_plant_reach_board_and_twin(started: list[Up], tmp_path: Path) -> None:
+def test_parameters_and_plant_arrive_and_ctrl_c_ends_everything(started: list[Up], tmp_path: Path) -> None:
     plant = tmp_path / "plant.toml"
     plant.write_text("[axis1]\ninertia = 1.2e-5\n")
     options = ("--set", "param.features[0]=ANTI_WINDUP+FRICTION", "--set", "param.host_timeout=0.25")
     up = Up(tmp_path, *options, "--plant", str(plant))
     started.append(up)
     up.wait_for("Ctrl-C ramps down")
+    assert "bridge connected" in up.text()
+    assert "/servo/axis1/position" in up.text()
+    children = descendants(up.mark)
     for name, argument in (("virtual_board", str(plant)), ("servo_twin", f"plant:={plant}")):
-        entry = next(entry for entry in Path("/proc").glob("[0-9]*") if _is(entry, f"bin/{name}\0", up.mark))
-        assert argument in (entry / "cmdline").read_text().split("\0")
+        assert argument in children[up.child(f"bin/{name}\0")].split("\0")
     get = [str(executable("servo-command")), "get", "param.features[0]", "param.host_timeout"]
-    environment = {**os.environ, "ROS_DOMAIN_ID": domain(), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     done = subprocess.run(get, env=environment, capture_output=True, text=True, timeout=30.0, check=True)
     assert "param.features[0] = 17 (ANTI_WINDUP+FRICTION)" in done.stdout
     assert "param.host_timeout = 0.25 s" in done.stdout
+    with user() as me:
+        me.until(me.connected, 30.0)
+        me.spinning()
+        me.joint_commands.publish(JointState(name=BOTH, position=[300.0, -300.0]))
+        me.until(lambda: me.position_of(0) > 10.0)
+        up.process.send_signal(signal.SIGINT)
+        me.until(lambda: me.last("/servo/state").startswith("DISCONNECTED"))
+        assert me.last("/servo/armed") is False
+    assert up.process.wait(30.0) == 0
+    assert left_behind(up.mark) == []
+    assert "Traceback" not in up.text()
 
 
-@pytest.mark.parametrize("when", ["while it moves", "while it draws"])
-def test_ctrl_c_ends_the_demonstration(started: list[Up], tmp_path: Path, when: str) -> None:
+def test_sigterm_ends_the_demonstration_while_it_moves(started: list[Up], tmp_path: Path) -> None:
     up = Up(tmp_path, "--demo")
     started.append(up)
-    if when == "while it moves":
-        up.wait_for("axis1 to +5 turns")
-    else:
-        up.wait_for("both axes got there")
-        up.wait_until(lambda: len(left_behind(up.mark)) == 1)  # alone: the picture is drawn for seconds
-    up.process.send_signal(signal.SIGINT)
+    up.wait_for("axis1 to +5 turns")
+    up.process.send_signal(signal.SIGTERM)
     assert up.process.wait(30.0) == 130, up.text()
     assert "Traceback" not in up.text()
-    assert "stop" in up.text()
+    assert "stopping: outputs off" in up.text()
     assert left_behind(up.mark) == []
+
+
+def test_ctrl_c_while_the_picture_is_drawn_leaves_the_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The children have been stopped then: here they have never been started."""
+    record = tmp_path / "demo.rrd"
+    monkeypatch.setattr(up_module, "_bring_up", lambda *_: record.touch())
+    monkeypatch.setattr(up_module, "_run_demo", lambda *_: 0)
+    monkeypatch.setattr(up_module, "_finish_demo", lambda *_: signal.raise_signal(signal.SIGINT))
+    assert main(["--demo", "--out", str(tmp_path)]) == 130
+    assert f"stopped; the recording is in {record}, the picture was not drawn" in capsys.readouterr().out
+    assert record.exists()
 
 
 def test_help_names_every_option() -> None:

@@ -1,4 +1,4 @@
-"""Declarations for cffi straight from the firmware's headers, so that a test can never assume another layout.
+"""Declarations for cffi straight from the headers, so that a test can never assume another layout.
 
 cffi parses C without bodies and without the system's headers. The preprocessor sees empty standard headers here, and of
 an inline function only the prototype is left: ``core_inlines.c`` makes functions of them.
@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import re
 import subprocess
-from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from firmware_compiler import FIRMWARE, TEST
 
@@ -25,6 +26,9 @@ _STANDARD = {
     "stdbool.h": "#define bool _Bool\n#define true 1\n#define false 0\n",
     "stddef.h": "#define NULL 0\n",
     "string.h": "",
+    "math.h": "",
+    "setjmp.h": "typedef struct __jmp_buf_tag { ...; } jmp_buf[1];\n",
+    "ucontext.h": "typedef struct ucontext_t { ...; } ucontext_t;\n",
 }
 
 
@@ -46,28 +50,32 @@ def _without_bodies(text: str) -> str:
 
 
 def _without_choices(text: str) -> str:
-    """Work out ``(a < b ? c : d)`` in array sizes: cffi has no conditional expressions."""
+    """Work out ``(a < b ? c : d)`` in array sizes and leave assertions out: cffi has no conditional expressions."""
 
     def choose(match: re.Match[str]) -> str:
         a, b, c, d = map(int, match.groups())
         return str(c if a < b else d)
 
+    text = re.sub(r"typedef char \w+\[\(.*\) \? 1 : -1\];", "", text)
     return re.sub(r"\((\d+) < (\d+) \? (\d+) : (\d+)\)", choose, text)
 
 
-def declarations(folder: Path, headers: Sequence[str]) -> str:
-    """What cffi needs to know from some headers; `folder` is for files of this function.
+@cache
+def declarations(*headers: str, include: tuple[Path, ...] = (FIRMWARE, TEST), defines: tuple[str, ...] = ()) -> str:
+    """What cffi needs to know from some headers, which lie in folders of `include`.
 
     The macros of the headers do not come along: cffi only wants types and functions.
     """
-    for name, text in _STANDARD.items():
-        (folder / name).write_text(f"#pragma once\n{text}", encoding="ascii")
     includes = "".join(f'#include "{header}"\n' for header in headers)
-    result = subprocess.run(  # as a compiler without attributes would see it
-        ["gcc", "-E", "-P", "-std=c99", "-U__GNUC__", "-nostdinc", f"-I{folder}", f"-I{FIRMWARE}", f"-I{TEST}", "-"],
-        input=includes,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    with TemporaryDirectory() as folder:
+        for name, text in _STANDARD.items():
+            (Path(folder) / name).write_text(f"#pragma once\n{text}", encoding="ascii")
+        options = [*(f"-I{path}" for path in (folder, *include)), *(f"-D{define}" for define in defines)]
+        result = subprocess.run(  # as a compiler without attributes would see it
+            ["gcc", "-E", "-P", "-std=c99", "-U__GNUC__", "-nostdinc", *options, "-"],
+            input=includes,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
     return _without_choices(_without_bodies(result.stdout))

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import cffi
@@ -34,14 +31,8 @@ class Core(NamedTuple):
     lib: Any
 
 
-@lru_cache(maxsize=1)
-def _cdef() -> str:
-    with TemporaryDirectory() as folder:
-        return declarations(Path(folder), [*_files("*.h"), "core_probe.h", "fake_hal.h"])
-
-
 def load_core(compile_c: CompileC) -> Core:
     """Build the library once per session; every test module makes a fixture of it."""
-    core = Core(*compile_c("core", BOARD_SOURCES, _cdef()))
+    core = Core(*compile_c("core", BOARD_SOURCES, declarations(*_files("*.h"), "core_probe.h", "fake_hal.h")))
     assert core.ffi.sizeof("servo_t") == core.lib.probe_servo_size()
     return core

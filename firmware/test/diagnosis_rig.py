@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from c_declarations import declarations
@@ -18,12 +15,6 @@ _HEADERS: Final = ("diagnosis/diagnosis.h", "diagnosis/fault_isolate.h", "diagno
 _OTHERS: Final = ("math/trig.c", "sensing/rotor_follow.c", "test/diagnosis_inlines.c")
 
 
-@lru_cache(maxsize=1)
-def _cdef() -> str:
-    with TemporaryDirectory() as folder:
-        return declarations(Path(folder), _HEADERS)
-
-
 def _length(x: int, y: int) -> int:
     """Length of a vector, as the firmware estimates it."""
     a, b = abs(x), abs(y)
@@ -35,7 +26,7 @@ class Diagnosis:
 
     def __init__(self, compile_c: CompileC) -> None:
         sources = [str(path.relative_to(FIRMWARE)) for path in sorted((FIRMWARE / "diagnosis").glob("*.c"))]
-        self.ffi, lib = compile_c("diagnosis", [*sources, *_OTHERS], _cdef())
+        self.ffi, lib = compile_c("diagnosis", [*sources, *_OTHERS], declarations(*_HEADERS))
         self.lib: Any = lib
         self.monitors: Any = self.ffi.new("diagnosis_t *")
         self.seen: Any = self.ffi.new("observation_t *")

@@ -7,34 +7,13 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import cffi
+from c_declarations import declarations
 from freemaster_model import MEMORY_SIZE, Answer, Layout, parse_answer, request
 
 LINE = 4096
 EVENTS = 64
 
-CDEF = f"""
-typedef struct harness harness_t;
-harness_t *harness_new(void);
-void harness_free(harness_t *harness);
-void harness_set_put_room(harness_t *harness, uint16_t bytes);
-void harness_feed(harness_t *harness, const uint8_t *data, uint16_t size);
-void harness_poll(harness_t *harness);
-uint16_t harness_take(harness_t *harness, uint8_t data[{LINE}]);
-uint8_t harness_read(harness_t *harness, uint32_t address, uint8_t *data, uint16_t size);
-uint8_t harness_write(harness_t *harness, uint32_t address, const uint8_t *data, const uint8_t *mask, uint16_t size);
-void harness_set_refusing(harness_t *harness, bool refusing);
-void harness_memory(const harness_t *harness, uint8_t *data);
-void harness_poke(harness_t *harness, uint16_t offset, const uint8_t *data, uint16_t size);
-void harness_poke_live(harness_t *harness, uint16_t offset, const uint8_t *data, uint16_t size);
-void harness_sample(harness_t *harness, uint16_t recorder);
-uint16_t harness_events(harness_t *harness, uint16_t triples[{3 * EVENTS}]);
-uint16_t harness_violations(const harness_t *harness);
-void harness_set_passwords(harness_t *harness, const uint8_t *view, const uint8_t *command, const uint8_t *tune);
-void harness_finish(harness_t *harness, uint8_t code, const uint8_t *result, uint16_t size);
-void harness_print(harness_t *harness, const uint8_t *text, uint16_t size);
-uint8_t harness_level(const harness_t *harness);
-void harness_statistics(const harness_t *harness, uint32_t values[6]);
-"""
+CDEF = declarations("freemaster_harness.h")
 
 EVENT_NAMES = ("hold", "release", "written", "command")
 

@@ -4,41 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from types import SimpleNamespace
 from typing import Any, Final
 
 from core_library import Core
 from quad_timer import AGE_OVERFLOW, COUNTS, QuadTimer
 from servo_msgs_py.catalogue import Catalogue
 
-FAULT, INIT, STOP, RUN = range(4)
-CALIB, READY, ALIGN, SPIN, FREEWHEEL, STARTUP, TEST = range(7)
-POSITION, SPEED, TORQUE = range(3)
+CATALOGUE: Final = Catalogue.load()
 
-OVER_VOLTAGE, UNDER_VOLTAGE, OVER_CURRENT, CURRENT_OFFSET, ROTOR_SEARCH, ENCODER, HOST_SILENT, STALLED, RUNAWAY = (
-    1 << bit for bit in range(9)
+
+def _masks(word: str) -> SimpleNamespace:
+    """Masks of the flags of a word, by their names."""
+    return SimpleNamespace(**{flag.name: flag.mask for flag in CATALOGUE.flags[word]})
+
+
+STATE, SUBSTATE, MODE, TEST_POINT, STOP_CATEGORY = (
+    SimpleNamespace(**CATALOGUE.enums[name])
+    for name in ("state_t", "substate_t", "control_mode_t", "test_point_t", "stop_category_t")
 )
-ENCODER_LOST, FAULT_FOLLOWING_ERROR, FAULT_OVER_SPEED, ENCODER_REVERSED = (1 << bit for bit in range(9, 13))
-OVER_TEMPERATURE, START_UP, SPEED_FEEDBACK, ANGLE_MISMATCH, PHASE_LOST, CURRENT_SENSE, LATE_LOOP, WATCHDOG = (
-    1 << bit for bit in range(13, 21)
-)
-MOTOR_TEMPERATURE: Final = 1 << 21
-ENABLE_INPUT, LIMIT_SWITCH = (1 << bit for bit in (23, 24))
-ALL_FAULTS: Final = sum(flag.mask for flag in Catalogue.load().flags["faults"])
-LIMIT_CURRENT, LIMIT_VOLTAGE, LIMIT_SPEED, LIMIT_EXPIRED, LIMIT_POSITION = (1 << bit for bit in range(5))
-LIMIT_REGENERATION, LIMIT_SENSORLESS = 1 << 5, 1 << 7
-LIMIT_TEMPERATURE = 1 << 9
-WINDING_MODEL = 1 << 13  # features
-LIMIT_FIELD_WEAKENING = 1 << 10
-LIMIT_INPUT = 1 << 12
-BRAKE_OPEN_INPUT = 1 << 4
+FAULTS, LIMITS, FEATURES, INPUTS = map(_masks, ("faults", "limits", "features", "inputs"))
+ALL_FAULTS: Final = sum(vars(FAULTS).values())
 SEED_FEATURES: Final = 0b1111
 """Those of the reference design, which are on after reset."""
-FRICTION, SPEED_FORWARD, ACCELERATION_FORWARD, POSITION_LIMITS, FOLLOWING_ERROR, OVER_SPEED, SPEED_OBSERVER = (
-    1 << bit for bit in range(4, 11)
-)
-
-FIELD_WEAKENING = 1 << 14
-
 PULL, BRAKE, REST, VERIFY, TURN, FOUND, HELD, BLIND, REVERSED, STARVED = range(10)  # rotor_search_phase_t
 PERIODS: Final = 8
 VARIABLES: Final = 0x1000
@@ -101,7 +89,7 @@ class Bench:
         self.servo.parameter.command_timeout = 0  # set-points stand until the next one
         for axis in range(2):
             # No current flows on this board, whatever the voltage: a lost phase, if it were monitored.
-            self.servo.parameter.faults_enabled[axis] = ALL_FAULTS & ~PHASE_LOST
+            self.servo.parameter.faults_enabled[axis] = ALL_FAULTS & ~FAULTS.PHASE_LOST
 
     # ---- time ----------------------------------------------------------------------------------------------------
 
@@ -145,7 +133,7 @@ class Bench:
         """A rotor without friction that twitches towards the vector of the search, or follows it; the current flows as
         asked for."""
         axis = self.axis(i)
-        aligning = (axis.sm.state, axis.substate) == (RUN, ALIGN)
+        aligning = (axis.sm.state, axis.substate) == (STATE.RUN, SUBSTATE.ALIGN)
         if self._search_drives[i] or aligning:
             self._search_drives[i] = aligning and axis.search.phase in (PULL, BRAKE, VERIFY, TURN)
             self._flow(i)
@@ -183,7 +171,7 @@ class Bench:
 
     def let_turn(self, axis: int, speed: float) -> None:
         """Turn a spinning axis from outside [rad/s] without its controllers against it."""
-        self.write(axis, mode=TORQUE, i_q=0)
+        self.write(axis, mode=MODE.TORQUE, i_q=0)
         self.turn(axis, speed)
 
     # ---- the host's side ------------------------------------------------------------------------------------------
@@ -266,10 +254,10 @@ class Bench:
     # ---- ways to a state ------------------------------------------------------------------------------------------
 
     def to_stop(self) -> None:
-        self.until(lambda: all(self.view(i).state == STOP for i in range(2)), 100)
+        self.until(lambda: all(self.view(i).state == STATE.STOP for i in range(2)), 100)
 
     def to_substate(self, axis: int, substate: int, ticks: int = 2000) -> None:
-        self.until(lambda: (self.view(axis).state, self.view(axis).substate) == (RUN, substate), ticks)
+        self.until(lambda: (self.view(axis).state, self.view(axis).substate) == (STATE.RUN, substate), ticks)
 
     def to_spin(self, *axes: int) -> None:
         """From anywhere without a fault: enable and let the rotor be found."""
@@ -277,7 +265,7 @@ class Bench:
         for axis in axes:
             self.write(axis, enable=1)
         for axis in axes:
-            self.to_substate(axis, SPIN)
+            self.to_substate(axis, SUBSTATE.SPIN)
 
     def clear(self, axis: int) -> None:
         self.write(axis, clear_faults=1)

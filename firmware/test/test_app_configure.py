@@ -6,11 +6,10 @@ from collections.abc import Callable, Iterator
 
 import pytest
 from block_bench import BlockBench
-from core_library import Core, load_core
-from firmware_compiler import CompileC
+from core_library import Core
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from servo_bench import RUN, SPEED, STOP, amps, speed
+from servo_bench import MODE, STATE, amps, speed
 from servo_msgs_py.axis_config import AxisConfigTable, Member
 from servo_msgs_py.axis_config_transfer import BlockRefusedError, read_block, send_block, take_blocks
 from servo_msgs_py.tuning.block import block_of
@@ -20,11 +19,6 @@ from tuning_tool import axis as tuned_axis
 TABLE = AxisConfigTable.load()
 MEMBERS = list(TABLE.members.values())
 REFUSALS = CATALOGUE.bits["config_refusal"]
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 @pytest.fixture
@@ -192,7 +186,7 @@ def test_in_motion_only_live_members_change(bench: BlockBench) -> None:
     live = {m.path: other(m, old[m.path]) for m in MEMBERS if m.live}
     send_block(bench, 0, {**old, **live})
     take(bench, 0)
-    assert bench.axis(0).sm.state == RUN
+    assert bench.axis(0).sm.state == STATE.RUN
     for member in MEMBERS:
         now = read_block(bench, 0)
         if member.live or member.minimum == member.maximum:
@@ -221,7 +215,7 @@ def test_one_axis_in_motion_keeps_the_other_from_its_block(bench: BlockBench) ->
 def test_an_axis_that_is_turned_by_hand_is_not_at_rest(bench: BlockBench) -> None:
     bench.turn(0, 20.0)
     bench.slow(100)
-    assert bench.axis(0).sm.state == STOP
+    assert bench.axis(0).sm.state == STATE.STOP
     send_block(bench, 0, {**read_block(bench, 0), "u_dc_max": 30000})
     with pytest.raises(BlockRefusedError, match="at rest"):
         take(bench, 0)
@@ -270,7 +264,7 @@ def test_no_set_point_jumps_when_gains_change(core: Core, data: st.DataObject) -
     bench = BlockBench(core)
     bench.to_stop()
     bench.to_spin(0)
-    bench.write(0, mode=SPEED, speed=speed(50.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(50.0))
     bench.slow(20)
     axis = bench.axis(0)
     block = read_block(bench, 0)

@@ -8,7 +8,7 @@ import pytest
 from core_library import Core
 from hypothesis import given
 from hypothesis import strategies as st
-from servo_bench import OVER_CURRENT, SPEED, TORQUE, Bench
+from servo_bench import FAULTS, MODE, Bench
 
 FIELDS = ("position", "speed", "i_q", "mode", "enable", "quick_stop", "clear_faults", "home")
 """Set-points and requests of one element per axis, in the order of the block."""
@@ -77,7 +77,7 @@ def test_freshness_lasts_one_tick(bench: Bench) -> None:
 def test_whole_block_in_one_write(bench: Bench) -> None:
     """Every field of both axes at once: the mode is known when the set-point counts."""
     bench.to_spin(0, 1)
-    bench.write_raw("cmd.mode", [SPEED, TORQUE])
+    bench.write_raw("cmd.mode", [MODE.SPEED, MODE.TORQUE])
     bench.write_raw("cmd.speed", [2**27, 0])
     bench.write_raw("cmd.i_q", [0, 1234])
     bench.slow(2)
@@ -151,13 +151,13 @@ def test_held_parameters_of_the_board_are_not_read_and_pending_faults_not_publis
     bench.servo.parameter.brake = 1
     bench.hal.axis[0].over_current = True
     bench.slow(2)
-    assert bench.axis(0).latch.pending & OVER_CURRENT
+    assert bench.axis(0).latch.pending & FAULTS.OVER_CURRENT
     assert bench.servo.record[0].pending == 0
     settings = bench.servo.settings
     assert (settings.host_timeout, settings.monitor[0], settings.brake_fitted) == (before, 0, False)
     bench.servo.held = False
     bench.slow(2)
-    assert bench.servo.record[0].pending & OVER_CURRENT
+    assert bench.servo.record[0].pending & FAULTS.OVER_CURRENT
     assert (settings.host_timeout, settings.monitor[0], settings.brake_fitted) == (before + 1, 1, True)
 
 
@@ -172,7 +172,7 @@ def test_a_latch_that_is_left_out_does_not_repeat_a_fresh_write(bench: Bench) ->
 
 def test_held_tick_does_not_repeat_a_fresh_write(bench: Bench) -> None:
     bench.to_spin(0)
-    bench.write(0, enable=1, mode=SPEED, position=1, speed=2, i_q=3, quick_stop=1, clear_faults=1)
+    bench.write(0, enable=1, mode=MODE.SPEED, position=1, speed=2, i_q=3, quick_stop=1, clear_faults=1)
     bench.core.lib.probe_run(bench.servo, TO_LATCH)
     command = bench.axis(0).command
     assert command.fresh == sum(1 << bit for field, bit in BITS.items() if field != "home")

@@ -6,10 +6,18 @@ import random
 
 import pytest
 from core_library import Core
-from servo_bench import ALIGN, CALIB, CODE_24V, FAULT, FREEWHEEL, INIT, READY, RUN, SPIN, STOP, Bench, bus_code
+from servo_bench import CODE_24V, STATE, SUBSTATE, Bench, bus_code
 
-LEGAL = {(FAULT, INIT), (INIT, FAULT), (INIT, STOP), (STOP, FAULT), (STOP, RUN), (RUN, FAULT), (RUN, STOP)}
-AT_ONCE = {(STOP, INIT), (RUN, INIT)}
+LEGAL = {
+    (STATE.FAULT, STATE.INIT),
+    (STATE.INIT, STATE.FAULT),
+    (STATE.INIT, STATE.STOP),
+    (STATE.STOP, STATE.FAULT),
+    (STATE.STOP, STATE.RUN),
+    (STATE.RUN, STATE.FAULT),
+    (STATE.RUN, STATE.STOP),
+}
+AT_ONCE = {(STATE.STOP, STATE.INIT), (STATE.RUN, STATE.INIT)}
 """By way of FAULT: found by the watches in the middle of a tick, cleared at its end."""
 
 
@@ -70,17 +78,17 @@ class Monkey:
         assert view.state in range(4)
         assert view.substate in range(5)
         if hal.outputs_on:
-            assert view.state == RUN
-            assert view.substate in (READY, ALIGN, SPIN)
+            assert view.state == STATE.RUN
+            assert view.substate in (SUBSTATE.READY, SUBSTATE.ALIGN, SUBSTATE.SPIN)
             assert view.faults == 0
-        assert (view.state == FAULT) == (view.faults != 0)
+        assert (view.state == STATE.FAULT) == (view.faults != 0)
         assert all(0 <= duty <= 32767 for duty in hal.duty)
         assert abs(view.i_q_ref) <= 15888  # 4 A
         assert hal.pair == self.bench.axis(axis).sense.pair
         assert now[0] == before[0] or (before[0], now[0]) in LEGAL | AT_ONCE
-        if before[0] == STOP and now[0] == RUN:
+        if before[0] == STATE.STOP and now[0] == STATE.RUN:
             assert self.enabled[axis], "no command since the last stop"
-        if now[0] in (FAULT, INIT, STOP) and before[0] == RUN:
+        if now[0] in (STATE.FAULT, STATE.INIT, STATE.STOP) and before[0] == STATE.RUN:
             self.enabled[axis] = False
 
 
@@ -99,5 +107,10 @@ def test_outputs_are_on_only_in_run_without_a_fault(core: Core, seed: int) -> No
             for axis in range(2):
                 monkey.check(axis, before[axis])
     print(sorted(monkey.seen))
-    assert {state for state, _ in monkey.seen} == {FAULT, INIT, STOP, RUN}
-    assert {substate for state, substate in monkey.seen if state == RUN} >= {CALIB, ALIGN, SPIN, FREEWHEEL}
+    assert {state for state, _ in monkey.seen} == {STATE.FAULT, STATE.INIT, STATE.STOP, STATE.RUN}
+    assert {substate for state, substate in monkey.seen if state == STATE.RUN} >= {
+        SUBSTATE.CALIB,
+        SUBSTATE.ALIGN,
+        SUBSTATE.SPIN,
+        SUBSTATE.FREEWHEEL,
+    }

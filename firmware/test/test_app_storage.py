@@ -9,12 +9,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pytest
 from block_bench import BlockBench
-from core_library import Core, load_core
-from firmware_compiler import CompileC
+from core_library import Core
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from servo_bench import RUN, STOP
+from servo_bench import STATE
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block, send_block, take_blocks
 from servo_msgs_py.board_parameters import layout, parameters
@@ -137,11 +136,6 @@ class StorageBench(BlockBench):
         take_blocks(self, [1], self.tick)
 
 
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
-
-
 @pytest.fixture
 def bench(core: Core) -> StorageBench:
     board = StorageBench(core)
@@ -238,7 +232,7 @@ def test_a_stored_set_moves_and_enables_nothing(bench: StorageBench) -> None:
     bench.keep()
     bench.start(bench.flash)
     bench.slow(2000)
-    assert [state for state, _, _ in bench.states()] == [STOP, STOP]
+    assert [state for state, _, _ in bench.states()] == [STATE.STOP, STATE.STOP]
     assert [bench.hal.axis[i].times_on for i in range(2)] == [0, 0]
     assert bench.read_words("applied_count") == [0]
 
@@ -467,7 +461,7 @@ def test_nothing_is_written_while_an_axis_is_not_at_rest(bench: StorageBench) ->
     assert not bench.request(SAVE)
     assert bench.refusal() == "MOTION"
     bench.write(1, enable=0)
-    bench.until(lambda: bench.view(1).state == STOP, 5000)
+    bench.until(lambda: bench.view(1).state == STATE.STOP, 5000)
     bench.keep()
     bench.turn(0, 20.0)
     bench.slow(100)
@@ -482,7 +476,7 @@ def test_an_axis_that_is_enabled_meanwhile_starts_and_the_old_set_stays(bench: S
     bench.change(60.0, 9)
     bench.begin(SAVE, step)
     bench.write(0, enable=1)
-    bench.until(lambda: bench.view(0).state == RUN, 10)
+    bench.until(lambda: bench.view(0).state == STATE.RUN, 10)
     assert bench.finish() in ("MOTION", "NONE")
     bench.start(bench.flash)
     assert bench.copies()[1] == "INTACT"

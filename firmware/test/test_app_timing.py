@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from core_library import Core
-from servo_bench import RUN, SPIN, Bench
+from servo_bench import STATE, SUBSTATE, Bench
 
 M1, M2 = 0, 1
 
@@ -146,7 +146,7 @@ def test_tick_wraps(bench: Bench, core: Core) -> None:
     bench.servo.tick = 2**32 - 16
     bench.slow(4)
     assert bench.servo.snapshot.tick == 16
-    assert (bench.view(0).state, bench.view(0).substate) == (RUN, SPIN)
+    assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, SUBSTATE.SPIN)
 
 
 def test_snapshot_is_taken_after_both_slow_loops(bench: Bench, core: Core) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import cffi
 import pytest
+from c_declarations import declarations
 from firmware_compiler import CompileC
 from freemaster_board import Board
 from freemaster_model import SERVO, Answer, answer, examples, request, uleb
@@ -192,7 +193,7 @@ def test_any_sequence_against_the_model(
 
 @pytest.fixture(scope="module")
 def digest(compile_c: CompileC) -> tuple[cffi.FFI, Any]:
-    return compile_c("sha1", ["comm/sha1.c"], "void sha1(const uint8_t *message, uint16_t size, uint8_t *digest);")
+    return compile_c("sha1", ["comm/sha1.c"], declarations("comm/sha1.h"))
 
 
 @pytest.mark.parametrize("size", range(56))

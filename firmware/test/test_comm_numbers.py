@@ -7,17 +7,11 @@ from typing import Any
 
 import cffi
 import pytest
+from c_declarations import declarations
 from firmware_compiler import CompileC
 from freemaster_model import crc8, examples, sleb, uleb
 from hypothesis import given
 from hypothesis import strategies as st
-
-CDEF = """
-uint8_t crc8_add(uint8_t crc, uint8_t byte);
-uint16_t leb128_get_unsigned(const uint8_t *data, uint16_t size, uint32_t *value);
-uint16_t leb128_get_signed(const uint8_t *data, uint16_t size, int32_t *value);
-uint16_t leb128_put_unsigned(uint8_t *data, uint32_t value);
-"""
 
 U32 = st.one_of(st.integers(0, 2**32 - 1), st.sampled_from([0, 127, 128, 2**14, 2**28 - 1, 2**28, 2**31, 2**32 - 1]))
 I32 = st.one_of(st.integers(-(2**31), 2**31 - 1), st.sampled_from([-1, -64, -65, 63, 64, -(2**31), 2**31 - 1]))
@@ -49,7 +43,9 @@ class Numbers:
 
 @pytest.fixture(scope="module")
 def numbers(compile_c: CompileC) -> Numbers:
-    return Numbers(*compile_c("numbers", ["comm/crc8.c", "comm/leb128.c"], CDEF))
+    return Numbers(
+        *compile_c("numbers", ["comm/crc8.c", "comm/leb128.c"], declarations("comm/crc8.h", "comm/leb128.h"))
+    )
 
 
 def test_crc_check_value(numbers: Numbers) -> None:

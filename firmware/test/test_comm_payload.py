@@ -6,21 +6,10 @@ from typing import Any
 
 import cffi
 import pytest
+from c_declarations import declarations
 from firmware_compiler import CompileC
 from freemaster_model import uleb
 
-CDEF = """
-typedef struct { const uint8_t *data; uint16_t left; bool missing; } payload_reader_t;
-typedef struct { uint8_t *data; uint16_t room; uint16_t size; bool full; } payload_writer_t;
-uint8_t payload_get_u8(payload_reader_t *reader);
-uint32_t payload_get_unsigned(payload_reader_t *reader);
-int32_t payload_get_signed(payload_reader_t *reader);
-const uint8_t *payload_take(payload_reader_t *reader, uint32_t size);
-uint8_t *payload_reserve(payload_writer_t *writer, uint32_t size);
-void payload_put_u8(payload_writer_t *writer, uint8_t value);
-void payload_put_unsigned(payload_writer_t *writer, uint32_t value);
-void payload_put_string(payload_writer_t *writer, const char *text);
-"""
 ROOM = 8
 
 
@@ -45,7 +34,7 @@ class Payload:
 @pytest.fixture
 def payload(compile_c: CompileC, request: pytest.FixtureRequest) -> Payload:
     """A payload of the bytes given by the test."""
-    ffi, lib = compile_c("payload", ["comm/payload.c", "comm/leb128.c"], CDEF)
+    ffi, lib = compile_c("payload", ["comm/payload.c", "comm/leb128.c"], declarations("comm/payload.h"))
     return Payload(ffi, lib, getattr(request, "param", b""))
 
 

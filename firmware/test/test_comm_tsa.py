@@ -7,25 +7,9 @@ from typing import Any
 
 import cffi
 import pytest
+from c_declarations import declarations
 from firmware_compiler import CompileC
 
-CDEF = """
-typedef struct { uint16_t name, type; uint32_t address; uint16_t size, kind; } tsa_entry_t;
-typedef struct { uint32_t address; uint16_t offset, size; } tsa_source_t;
-typedef struct {
-    const tsa_entry_t *entry; uint16_t entries; const uint8_t *strings; uint16_t strings_size;
-    const tsa_source_t *source; uint16_t sources;
-} tsa_table_t;
-typedef struct {
-    const tsa_table_t *table; uint8_t *memory; uint32_t memory_size; const uint8_t *live; uint32_t live_size;
-} tsa_space_t;
-typedef struct { uint32_t offset; uint16_t size; uint8_t region; } tsa_place_t;
-bool tsa_readable(const tsa_space_t *space, uint32_t address, uint32_t size, tsa_place_t *place);
-bool tsa_writable(const tsa_space_t *space, uint32_t address, uint32_t size, tsa_place_t *place);
-bool tsa_string_length(const tsa_table_t *table, uint32_t address, uint16_t *length);
-const uint8_t *tsa_live(const tsa_space_t *space, uint32_t address, uint32_t size, uint8_t *cell);
-uint32_t tsa_table_size(const tsa_table_t *table);
-"""
 VARIABLES, STRINGS, TABLE, LIVE = 0x1000, 0x0010_0000, 0x0020_0000, 0x0030_0000
 RW = 3
 
@@ -80,7 +64,7 @@ class Tsa:
 
 @pytest.fixture(scope="module")
 def library(compile_c: CompileC) -> tuple[cffi.FFI, Any]:
-    return compile_c("tsa", ["comm/tsa.c"], CDEF)
+    return compile_c("tsa", ["comm/tsa.c"], declarations("comm/tsa.h"))
 
 
 def test_string_without_an_end(library: tuple[cffi.FFI, Any]) -> None:

@@ -7,17 +7,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
+from core_library import Core
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from observer_rig import FULL_SPEED, PAIRS, PSI, SLOW, U_FS, Estimator, Rig, T, wrapped
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 class Ideal:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -14,15 +13,8 @@ from core_library import CORE_SOURCES
 from firmware_compiler import FIRMWARE, STRICT, CompileProgram, has_library
 
 AVR = ["-mmcu=atmega1284p", "-Os"]
-WRAPS = "-fwrapv"
-"""A sum that is too large for 16 bits shows: without it the compiler may widen the sum, and often does."""
 SANITIZE = "-O0 -g1 -fsanitize=undefined,address -fno-sanitize-recover=all"
 INSIDE = "FIRMWARE_TESTS_SANITIZED"
-VECTOR_SOURCES = [
-    *(s for s in CORE_SOURCES if s.startswith(("math/", "control/", "sensing/", "config/"))),
-    "drive/current_sense.c",
-    "test/core_vectors.c",
-]
 
 
 @pytest.mark.skipif(INSIDE in os.environ, reason="this is the sanitized run")
@@ -72,43 +64,14 @@ def test_sanitizers_bite(compile_program: CompileProgram, tmp_path: Path) -> Non
     assert "signed integer overflow" in result.stderr
 
 
-def needs_avr() -> None:
-    if not has_library("avr-gcc", "libc.a"):
-        pytest.skip("avr-gcc with avr-libc is not installed")
-
-
 def test_compiles_with_16_bit_int(tmp_path: Path) -> None:
     """All of the core, warnings as errors."""
-    needs_avr()
+    if not has_library("avr-gcc", "libc.a"):
+        pytest.skip("avr-gcc with avr-libc is not installed")
     command = ["avr-gcc", *STRICT, *AVR, f"-I{FIRMWARE}", "-c", *(str(FIRMWARE / s) for s in CORE_SOURCES)]
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     assert len(list(tmp_path.glob("*.o"))) == len(CORE_SOURCES)
-
-
-def sums(output: str) -> dict[str, str]:
-    return dict(re.findall(r"(\w+) ([0-9A-F]{8})", re.sub(r"\x1b\[[0-9;]*m", "", output)))
-
-
-def test_same_numbers_with_16_bit_int(compile_program: CompileProgram) -> None:
-    """Bit for bit: a missing cast that the host's 32-bit int hides changes a sum here."""
-    needs_avr()
-    if shutil.which("simavr") is None:
-        pytest.skip("simavr is not installed")
-    host = compile_program("core_vectors_host", VECTOR_SOURCES, ["-O1"])
-    expected = sums(subprocess.run([str(host)], capture_output=True, text=True, check=True).stdout)
-    assert len(expected) == 9
-    assert len(set(expected.values())) == 9
-    elf = compile_program("core_vectors.elf", VECTOR_SOURCES, [*AVR, WRAPS], (), "avr-gcc")
-    target = subprocess.run(
-        ["simavr", "-m", "atmega1284p", "-f", "16000000", str(elf)],
-        capture_output=True,
-        text=True,
-        errors="replace",
-        timeout=120.0,
-        check=False,
-    )
-    assert sums(target.stdout + target.stderr) == expected
 
 
 def test_no_file_scope_state(tmp_path: Path) -> None:

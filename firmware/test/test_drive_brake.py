@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
+from core_library import Core
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from servo_msgs_py.tuning.braking import brake_constants
@@ -14,11 +13,6 @@ from tuning_tool import configuration
 
 TICK = 0.5e-3
 U_FULL = 36.3
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 def volts(value: float) -> int:

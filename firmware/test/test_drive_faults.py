@@ -6,30 +6,9 @@ from collections.abc import Callable
 
 import pytest
 from core_library import Core
-from servo_bench import (
-    ALIGN,
-    CALIB,
-    CODE_24V,
-    CURRENT_OFFSET,
-    ENCODER,
-    ENCODER_LOST,
-    FAULT,
-    FREEWHEEL,
-    HOST_SILENT,
-    INIT,
-    OVER_CURRENT,
-    OVER_VOLTAGE,
-    READY,
-    ROTOR_SEARCH,
-    RUN,
-    SPIN,
-    STOP,
-    UNDER_VOLTAGE,
-    Bench,
-    bus_code,
-)
+from servo_bench import CODE_24V, FAULTS, STATE, SUBSTATE, Bench, bus_code
 
-RUN_SUBSTATES = [CALIB, READY, ALIGN, SPIN, FREEWHEEL]
+RUN_SUBSTATES = [SUBSTATE.CALIB, SUBSTATE.READY, SUBSTATE.ALIGN, SUBSTATE.SPIN, SUBSTATE.FREEWHEEL]
 
 
 @pytest.fixture
@@ -40,8 +19,8 @@ def bench(core: Core) -> Bench:
 def go_to(bench: Bench, axis: int, substate: int) -> None:
     bench.to_stop()
     bench.write(axis, enable=1)
-    if substate == FREEWHEEL:
-        bench.to_substate(axis, SPIN)
+    if substate == SUBSTATE.FREEWHEEL:
+        bench.to_substate(axis, SUBSTATE.SPIN)
         bench.turn(axis, 20.0)
         bench.slow(5)
         bench.write(axis, enable=0)
@@ -60,7 +39,11 @@ def over_current(bench: Bench) -> None:
     bench.hal.axis[0].over_current = True
 
 
-CAUSES = [(over_voltage, OVER_VOLTAGE), (under_voltage, UNDER_VOLTAGE), (over_current, OVER_CURRENT)]
+CAUSES = [
+    (over_voltage, FAULTS.OVER_VOLTAGE),
+    (under_voltage, FAULTS.UNDER_VOLTAGE),
+    (over_current, FAULTS.OVER_CURRENT),
+]
 
 
 def remove_causes(bench: Bench) -> None:
@@ -75,7 +58,7 @@ def test_fault_from_every_sub_state(bench: Bench, substate: int, cause: Callable
     go_to(bench, 0, substate)
     cause(bench)
     bench.slow(20)
-    assert bench.view(0).state == FAULT
+    assert bench.view(0).state == STATE.FAULT
     assert bench.view(0).faults == fault
     hal = bench.hal.axis[0]
     assert not hal.outputs_on
@@ -90,13 +73,13 @@ def test_fault_from_stop_and_init(core: Core, cause: Callable[[Bench], None], fa
     bench.to_stop()
     cause(bench)
     bench.slow(20)
-    assert bench.view(0).state == FAULT
+    assert bench.view(0).state == STATE.FAULT
     bench = Bench(core)
     cause(bench)
     bench.slow(15)
-    assert bench.view(0).state == (INIT if fault == UNDER_VOLTAGE else FAULT)
+    assert bench.view(0).state == (STATE.INIT if fault == FAULTS.UNDER_VOLTAGE else STATE.FAULT)
     bench.slow(40)
-    assert (bench.view(0).state, bench.view(0).faults) == (FAULT, fault)
+    assert (bench.view(0).state, bench.view(0).faults) == (STATE.FAULT, fault)
 
 
 def test_over_current_opens_the_switches_in_the_next_fast_loop(bench: Bench) -> None:
@@ -104,8 +87,8 @@ def test_over_current_opens_the_switches_in_the_next_fast_loop(bench: Bench) -> 
     bench.hal.axis[0].over_current = True
     bench.core.lib.probe_run(bench.servo, 1)
     assert not bench.hal.axis[0].outputs_on
-    assert bench.axis(0).sm.state == FAULT
-    assert bench.axis(1).sm.state == RUN
+    assert bench.axis(0).sm.state == STATE.FAULT
+    assert bench.axis(1).sm.state == STATE.RUN
 
 
 def test_break_interrupt_opens_them_at_once(bench: Bench) -> None:
@@ -114,7 +97,7 @@ def test_break_interrupt_opens_them_at_once(bench: Bench) -> None:
     bench.core.lib.servo_break_isr(bench.servo, 0)
     assert not bench.hal.axis[0].outputs_on
     bench.slow()
-    assert bench.view(0).faults == OVER_CURRENT
+    assert bench.view(0).faults == FAULTS.OVER_CURRENT
 
 
 @pytest.mark.parametrize(("cause", "fault"), CAUSES)
@@ -124,13 +107,13 @@ def test_clear_works_only_when_the_cause_is_gone(bench: Bench, cause: Callable[[
     bench.slow(20)
     for _ in range(3):
         bench.clear(0)
-        assert (bench.view(0).state, bench.view(0).faults) == (FAULT, fault)
+        assert (bench.view(0).state, bench.view(0).faults) == (STATE.FAULT, fault)
     remove_causes(bench)
-    assert (bench.view(0).state, bench.view(0).faults) == (FAULT, fault), "a fault stays until it is cleared"
+    assert (bench.view(0).state, bench.view(0).faults) == (STATE.FAULT, fault), "a fault stays until it is cleared"
     bench.clear(0)
-    assert (bench.view(0).state, bench.view(0).faults) == (INIT, 0)
+    assert (bench.view(0).state, bench.view(0).faults) == (STATE.INIT, 0)
     bench.slow(40)
-    assert bench.view(0).state == STOP
+    assert bench.view(0).state == STATE.STOP
 
 
 def test_clear_keeps_the_faults_whose_cause_remains(bench: Bench) -> None:
@@ -138,10 +121,10 @@ def test_clear_keeps_the_faults_whose_cause_remains(bench: Bench) -> None:
     over_voltage(bench)
     over_current(bench)
     bench.slow(20)
-    assert bench.view(0).faults == OVER_VOLTAGE | OVER_CURRENT
+    assert bench.view(0).faults == FAULTS.OVER_VOLTAGE | FAULTS.OVER_CURRENT
     bench.hal.axis[0].over_current = False
     bench.clear(0)
-    assert (bench.view(0).state, bench.view(0).faults) == (FAULT, OVER_VOLTAGE)
+    assert (bench.view(0).state, bench.view(0).faults) == (STATE.FAULT, FAULTS.OVER_VOLTAGE)
 
 
 def test_no_motion_after_a_fault_without_a_new_enable(bench: Bench) -> None:
@@ -154,34 +137,34 @@ def test_no_motion_after_a_fault_without_a_new_enable(bench: Bench) -> None:
     remove_causes(bench)
     bench.write(0, enable=1, clear_faults=1)
     bench.slow(200)
-    assert bench.view(0).state == STOP
+    assert bench.view(0).state == STATE.STOP
     assert not bench.hal.axis[0].outputs_on
     bench.write(0, enable=1)
-    bench.to_substate(0, SPIN)
+    bench.to_substate(0, SUBSTATE.SPIN)
 
 
 def test_clear_is_one_shot_and_does_nothing_outside_fault(bench: Bench) -> None:
     bench.to_spin(0)
     bench.clear(0)
     assert bench.servo.command.clear_faults[0] == 0
-    assert (bench.view(0).state, bench.view(0).substate) == (RUN, SPIN)
+    assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, SUBSTATE.SPIN)
     over_current(bench)
     bench.slow(2)
     bench.hal.axis[0].over_current = False
     bench.slow(50)
-    assert bench.view(0).state == FAULT, "the clear from before the fault does not count"
+    assert bench.view(0).state == STATE.FAULT, "the clear from before the fault does not count"
 
 
 def test_outputs_never_come_on_with_a_fault_pending(bench: Bench) -> None:
     """A fault that is raised in the very slow loop that would leave CALIB."""
     bench.to_stop()
     bench.write(0, enable=1)
-    bench.to_substate(0, CALIB)
+    bench.to_substate(0, SUBSTATE.CALIB)
     bench.until(lambda: bool(bench.axis(0).calibrated) or bench.axis(0).sense.samples > 500, 200)
     times_on = bench.hal.axis[0].times_on
     bench.axis(0).encoder.position.turns += 1  # index and count disagree
     bench.slow(5)
-    assert bench.view(0).faults == ENCODER
+    assert bench.view(0).faults == FAULTS.ENCODER
     assert bench.hal.axis[0].times_on == times_on
 
 
@@ -191,8 +174,8 @@ def test_offset_far_from_mid_scale_is_refused(bench: Bench, codes: tuple[int, in
     for phase, code in enumerate(codes):
         bench.hal.axis[0].current_code[phase] = code
     bench.write(0, enable=1)
-    bench.until(lambda: bench.view(0).state == FAULT, 300)
-    assert bench.view(0).faults == CURRENT_OFFSET
+    bench.until(lambda: bench.view(0).state == STATE.FAULT, 300)
+    assert bench.view(0).faults == FAULTS.CURRENT_OFFSET
     assert bench.hal.axis[0].times_on == 0
     for phase in range(3):
         bench.hal.axis[0].current_code[phase] = 2048
@@ -205,15 +188,15 @@ def give_up(bench: Bench) -> float:
     bench.to_stop()
     bench.shaft_is_free[0] = False
     bench.write(0, enable=1)
-    bench.to_substate(0, ALIGN)
-    ticks = bench.until(lambda: bench.view(0).state == FAULT, 2500)
+    bench.to_substate(0, SUBSTATE.ALIGN)
+    ticks = bench.until(lambda: bench.view(0).state == STATE.FAULT, 2500)
     assert not bench.hal.axis[0].outputs_on
     return ticks * 0.5e-3
 
 
 def test_shaft_held_fast_fails_the_search(bench: Bench) -> None:
     assert give_up(bench) < 1.2
-    assert bench.view(0).faults == ROTOR_SEARCH
+    assert bench.view(0).faults == FAULTS.ROTOR_SEARCH
     bench.clear(0)
     bench.shaft_is_free[0] = True
     bench.to_spin(0)
@@ -224,7 +207,7 @@ def test_motor_that_moves_unseen_has_lost_its_encoder(bench: Bench, across: floa
     """What drives a current across the turning vector, so that the controller needs a voltage there, is a rotor."""
     bench.current_across[0] = across
     assert give_up(bench) < 1.2
-    assert bench.view(0).faults == ENCODER_LOST
+    assert bench.view(0).faults == FAULTS.ENCODER_LOST
     bench.clear(0)
     bench.shaft_is_free[0], bench.current_across[0] = True, 0.0
     bench.to_spin(0)
@@ -235,10 +218,10 @@ def test_search_looks_at_voltages_without_the_error_of_dead_time(bench: Bench) -
     bench.write_raw("param.features", [0, 0])
     bench.to_stop()
     bench.write(0, enable=1)
-    bench.to_substate(0, ALIGN)
+    bench.to_substate(0, SUBSTATE.ALIGN)
     bench.slow(3)
     assert not bench.axis(0).current_loop.dead_time_off
-    bench.to_substate(0, SPIN)
+    bench.to_substate(0, SUBSTATE.SPIN)
     bench.slow()
     assert bench.axis(0).current_loop.dead_time_off
 
@@ -247,7 +230,7 @@ def test_unplugged_motor_fails_the_search_at_once(bench: Bench) -> None:
     """No current, no verdict about the shaft or the encoder: the remedy names the motor cable."""
     bench.motor_plugged[0] = False
     assert give_up(bench) < 0.05
-    assert bench.view(0).faults == ROTOR_SEARCH
+    assert bench.view(0).faults == FAULTS.ROTOR_SEARCH
     bench.clear(0)
     bench.shaft_is_free[0] = bench.motor_plugged[0] = True
     bench.to_spin(0)
@@ -257,46 +240,48 @@ def test_search_with_a_shaft_turned_from_outside_ends_in_a_fault(bench: Bench) -
     bench.to_stop()
     bench.shaft_is_free[0] = False
     bench.write(0, enable=1)
-    bench.to_substate(0, ALIGN)
+    bench.to_substate(0, SUBSTATE.ALIGN)
     bench.turn(0, 20.0)
-    bench.until(lambda: bench.view(0).state == FAULT, 12000)
-    assert bench.view(0).faults == ROTOR_SEARCH
+    bench.until(lambda: bench.view(0).state == STATE.FAULT, 12000)
+    assert bench.view(0).faults == FAULTS.ROTOR_SEARCH
 
 
 def test_missing_index_pulse_is_an_encoder_fault_and_can_be_cleared(bench: Bench) -> None:
     bench.to_spin(0)
     bench.shaft[0].index_works = False
     bench.let_turn(0, 100.0)
-    bench.until(lambda: bench.view(0).state == FAULT, 300)
-    assert bench.view(0).faults == ENCODER
+    bench.until(lambda: bench.view(0).state == STATE.FAULT, 300)
+    assert bench.view(0).faults == FAULTS.ENCODER
     bench.turn(0, 0.0)
     bench.shaft[0].index_works = True
     bench.slow(200)
     bench.clear(0)
     bench.slow(40)
-    assert (bench.view(0).state, bench.view(0).faults) == (STOP, 0)
+    assert (bench.view(0).state, bench.view(0).faults) == (STATE.STOP, 0)
     bench.to_spin(0)
     bench.let_turn(0, 100.0)
     bench.slow(400)
-    assert bench.view(0).state == RUN
+    assert bench.view(0).state == STATE.RUN
 
 
 def test_fault_of_one_axis_leaves_the_other_alone(bench: Bench) -> None:
     bench.to_spin(0, 1)
     over_current(bench)
     bench.slow(50)
-    assert bench.view(0).state == FAULT
-    assert (bench.view(1).state, bench.view(1).substate, bench.view(1).faults) == (RUN, SPIN, 0)
+    assert bench.view(0).state == STATE.FAULT
+    assert (bench.view(1).state, bench.view(1).substate, bench.view(1).faults) == (STATE.RUN, SUBSTATE.SPIN, 0)
 
 
 def test_bus_faults_stop_both(bench: Bench) -> None:
     bench.to_spin(0, 1)
     over_voltage(bench)
     bench.slow(10)
-    assert [(s[0], s[2]) for s in bench.states()] == [(FAULT, OVER_VOLTAGE)] * 2
+    assert [(s[0], s[2]) for s in bench.states()] == [(STATE.FAULT, FAULTS.OVER_VOLTAGE)] * 2
 
 
-@pytest.mark.parametrize(("volts", "state"), [(16.3, STOP), (15.7, FAULT), (32.7, STOP), (33.3, FAULT)])
+@pytest.mark.parametrize(
+    ("volts", "state"), [(16.3, STATE.STOP), (15.7, STATE.FAULT), (32.7, STATE.STOP), (33.3, STATE.FAULT)]
+)
 def test_voltage_limits(bench: Bench, volts: float, state: int) -> None:
     bench.to_stop()
     bench.hal.bus_code = bus_code(volts)
@@ -307,9 +292,9 @@ def test_voltage_limits(bench: Bench, volts: float, state: int) -> None:
 def test_captured_fault_always_reaches_the_state_machine(bench: Bench) -> None:
     """Even if the flag that announces it were lost to an interrupt."""
     bench.to_spin(0)
-    bench.axis(0).latch.captured = OVER_CURRENT
+    bench.axis(0).latch.captured = FAULTS.OVER_CURRENT
     bench.slow()
-    assert bench.view(0).state == FAULT
+    assert bench.view(0).state == STATE.FAULT
 
 
 # ---- the host falls silent ----------------------------------------------------------------------------------------
@@ -318,7 +303,7 @@ def test_captured_fault_always_reaches_the_state_machine(bench: Bench) -> None:
 def test_board_without_a_host_is_not_supervised(bench: Bench) -> None:
     bench.to_spin(0)
     bench.slow(3000)
-    assert (bench.view(0).state, bench.view(0).substate) == (RUN, SPIN)
+    assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, SUBSTATE.SPIN)
 
 
 def test_silent_host_stops_both_axes_and_then_faults(bench: Bench) -> None:
@@ -330,18 +315,18 @@ def test_silent_host_stops_both_axes_and_then_faults(bench: Bench) -> None:
     for _ in range(30):
         bench.keep_alive()
         bench.slow(30)
-    assert [s[:2] for s in bench.states()] == [(RUN, SPIN)] * 2
+    assert [s[:2] for s in bench.states()] == [(STATE.RUN, SUBSTATE.SPIN)] * 2
     bench.let_turn(0, 50.0)
     bench.keep_alive()
     bench.slow(190)
-    assert bench.view(0).substate == SPIN, "not before the time-out"
+    assert bench.view(0).substate == SUBSTATE.SPIN, "not before the time-out"
     bench.slow(13)
-    assert bench.view(0).substate == SPIN, "the shaft is ramped down before the fault"
+    assert bench.view(0).substate == SUBSTATE.SPIN, "the shaft is ramped down before the fault"
     assert bench.hal.axis[0].outputs_on
-    assert (bench.view(1).state, bench.view(1).faults) == (FAULT, HOST_SILENT), "this one stood still"
+    assert (bench.view(1).state, bench.view(1).faults) == (STATE.FAULT, FAULTS.HOST_SILENT), "this one stood still"
     bench.turn(0, 0.0)
-    bench.until(lambda: bench.view(0).state == FAULT, 1200)
-    assert bench.view(0).faults == HOST_SILENT
+    bench.until(lambda: bench.view(0).state == STATE.FAULT, 1200)
+    assert bench.view(0).faults == FAULTS.HOST_SILENT
     assert not bench.hal.axis[0].outputs_on
 
 
@@ -349,19 +334,19 @@ def test_returning_host_must_clear_and_enable(bench: Bench) -> None:
     bench.keep_alive()
     bench.to_spin(0)
     bench.slow(1500)
-    assert bench.view(0).faults == HOST_SILENT
+    assert bench.view(0).faults == FAULTS.HOST_SILENT
     bench.keep_alive()
     bench.slow(100)
-    assert bench.view(0).state == FAULT
+    assert bench.view(0).state == STATE.FAULT
     bench.clear(0)
     bench.slow(100)
-    assert bench.view(0).state == STOP
+    assert bench.view(0).state == STATE.STOP
     bench.keep_alive()
     bench.write(0, enable=1)
     for _ in range(40):
         bench.keep_alive()
         bench.slow(30)
-    assert (bench.view(0).state, bench.view(0).substate) == (RUN, SPIN)
+    assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, SUBSTATE.SPIN)
 
 
 def test_enable_during_the_ramp_down_of_a_silent_host_is_ignored(bench: Bench) -> None:
@@ -374,7 +359,7 @@ def test_enable_during_the_ramp_down_of_a_silent_host_is_ignored(bench: Bench) -
     bench.slow(10)
     assert not bench.axis(0).requested
     bench.turn(0, 0.0)
-    bench.until(lambda: bench.view(0).state == FAULT, 1200)
+    bench.until(lambda: bench.view(0).state == STATE.FAULT, 1200)
 
 
 def test_client_that_only_reads_is_no_host(bench: Bench) -> None:
@@ -391,7 +376,7 @@ def test_client_that_only_reads_is_no_host(bench: Bench) -> None:
         bench.slow(10)
     bench.read_arrives()
     bench.slow(5)
-    assert bench.view(0).faults == HOST_SILENT
+    assert bench.view(0).faults == FAULTS.HOST_SILENT
 
 
 def test_silence_of_set_points_is_no_silence_of_the_host(bench: Bench) -> None:
@@ -399,4 +384,4 @@ def test_silence_of_set_points_is_no_silence_of_the_host(bench: Bench) -> None:
     for _ in range(100):
         bench.keep_alive()
         bench.slow(30)
-    assert (bench.view(0).state, bench.view(0).faults) == (RUN, 0)
+    assert (bench.view(0).state, bench.view(0).faults) == (STATE.RUN, 0)

@@ -9,20 +9,7 @@ import itertools
 
 import pytest
 from core_library import Core
-from servo_bench import (
-    FAULT,
-    FIELD_WEAKENING,
-    FREEWHEEL,
-    LIMIT_FIELD_WEAKENING,
-    OVER_VOLTAGE,
-    SPEED,
-    SPIN,
-    TORQUE,
-    Bench,
-    amps,
-    bus_code,
-    speed,
-)
+from servo_bench import FAULTS, FEATURES, LIMITS, MODE, STATE, SUBSTATE, Bench, amps, bus_code, speed
 
 FAST = 415.0
 """The back-EMF alone is beyond what 20 V give [rad/s]."""
@@ -35,7 +22,7 @@ def bench(core: Core) -> Bench:
     return Bench(core)
 
 
-def weakened(bench: Bench, features: int = FIELD_WEAKENING) -> None:
+def weakened(bench: Bench, features: int = FEATURES.FIELD_WEAKENING) -> None:
     """Axis 1 in SPIN, turned fast at a low bus."""
     bench.to_spin(0)
     bench.switch_on(0, features)
@@ -53,14 +40,14 @@ def i_d_ref(bench: Bench) -> int:
 def test_weakens_and_says_so(bench: Bench) -> None:
     weakened(bench)
     assert i_d_ref(bench) == -MOST
-    assert bench.view(0).limits & LIMIT_FIELD_WEAKENING
-    assert not bench.view(1).limits & LIMIT_FIELD_WEAKENING
+    assert bench.view(0).limits & LIMITS.FIELD_WEAKENING
+    assert not bench.view(1).limits & LIMITS.FIELD_WEAKENING
 
 
 def test_does_nothing_without_the_feature(bench: Bench) -> None:
     weakened(bench, features=0)
     assert i_d_ref(bench) == 0
-    assert not bench.view(0).limits & LIMIT_FIELD_WEAKENING
+    assert not bench.view(0).limits & LIMITS.FIELD_WEAKENING
     assert bytes(bench.core.ffi.buffer(bench.core.ffi.addressof(bench.axis(0), "weakening"))).strip(b"\0") == b""
 
 
@@ -68,7 +55,7 @@ def test_motoring_current_gives_way_and_braking_current_does_not(bench: Bench) -
     """Beside 3 A of 4 A there are 2.6 A; motoring, none where the voltage never suffices."""
     weakened(bench)
     for wanted, most in ((4.0, 0.0), (-4.0, 2.645)):
-        bench.write(0, mode=TORQUE, i_q=amps(wanted))
+        bench.write(0, mode=MODE.TORQUE, i_q=amps(wanted))
         bench.slow(5)
         assert abs(int(bench.axis(0).current_ref.q)) == pytest.approx(amps(most), abs=2)
         assert bench.axis(0).motion.held_back
@@ -77,9 +64,9 @@ def test_motoring_current_gives_way_and_braking_current_does_not(bench: Bench) -
 def test_the_speed_controller_does_not_wind_up(bench: Bench) -> None:
     """Its sum stays at the limit that is left, which is nothing, for as long as the voltage is short."""
     weakened(bench)
-    bench.write(0, mode=SPEED, speed=speed(418.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(418.0))
     bench.slow(2000)
-    assert bench.view(0).state != FAULT
+    assert bench.view(0).state != STATE.FAULT
     assert int(bench.axis(0).current_ref.q) == 0
     held = bench.axis(0).motion.speed_pi.integral / 2.0**24 / 2**31 * 8.25
     assert abs(held) < 0.5  # the proportional part of 3 rad/s, with the other sign
@@ -99,26 +86,26 @@ def test_is_given_back_when_the_feature_is_switched_off(bench: Bench) -> None:
     steps = [after - before for before, after in itertools.pairwise(way)]
     assert way[-1] == 0
     assert 0 <= min(steps) <= max(steps) <= MOST // 8 + 1  # at the slew rate, not at once
-    assert not bench.view(0).limits & LIMIT_FIELD_WEAKENING
+    assert not bench.view(0).limits & LIMITS.FIELD_WEAKENING
 
 
 def test_a_fault_ends_it_at_once(bench: Bench) -> None:
     weakened(bench)
     bench.hal.bus_code = bus_code(36.0)
-    bench.until(lambda: bench.view(0).state == FAULT, 20)
-    assert bench.view(0).faults & OVER_VOLTAGE
+    bench.until(lambda: bench.view(0).state == STATE.FAULT, 20)
+    assert bench.view(0).faults & FAULTS.OVER_VOLTAGE
     assert not bench.hal.axis[0].outputs_on
     assert i_d_ref(bench) == 0
     assert int(bench.axis(0).weakening.d) == 0
     bench.slow()
-    assert not bench.view(0).limits & LIMIT_FIELD_WEAKENING
+    assert not bench.view(0).limits & LIMITS.FIELD_WEAKENING
 
 
 def test_outputs_that_go_off_end_it(bench: Bench) -> None:
     weakened(bench)
     bench.write_raw("param.on_disable", [0, 0])  # COAST
     bench.write(0, enable=0)
-    bench.to_substate(0, FREEWHEEL, 10)
+    bench.to_substate(0, SUBSTATE.FREEWHEEL, 10)
     assert i_d_ref(bench) == 0
     assert int(bench.axis(0).weakening.d) == 0
 
@@ -134,9 +121,9 @@ def test_a_lower_bound_holds_at_once(bench: Bench) -> None:
 
 def test_no_effect_at_a_low_speed_whatever_the_current_loop_asks_for(bench: Bench) -> None:
     bench.to_spin(0)
-    bench.switch_on(0, FIELD_WEAKENING)
+    bench.switch_on(0, FEATURES.FIELD_WEAKENING)
     bench.let_turn(0, 20.0)
-    bench.write(0, mode=TORQUE, i_q=amps(3.0))
+    bench.write(0, mode=MODE.TORQUE, i_q=amps(3.0))
     bench.slow(100)
-    assert bench.view(0).substate == SPIN
+    assert bench.view(0).substate == SUBSTATE.SPIN
     assert i_d_ref(bench) == 0

@@ -7,19 +7,7 @@ import math
 
 import pytest
 from core_library import Core
-from servo_bench import (
-    ACCELERATION_FORWARD,
-    COUNT,
-    FRICTION,
-    POSITION,
-    SPEED,
-    SPEED_FORWARD,
-    TICK,
-    Bench,
-    amps,
-    rad_s,
-    speed,
-)
+from servo_bench import COUNT, FEATURES, MODE, TICK, Bench, amps, rad_s, speed
 
 K_T = 0.0462  # N m/A of axis 1, as configured
 INERTIA = 0.8e-5
@@ -40,7 +28,7 @@ def test_shaft_does_not_trail_with_the_speed_fed_forward(bench: Bench, limit: fl
     plain = lag(bench.follow(400))
     bench.write(0, quick_stop=1)
     bench.follow(400)
-    bench.switch_on(0, SPEED_FORWARD)
+    bench.switch_on(0, FEATURES.SPEED_FORWARD)
     bench.slow()
     bench.write(0, enable=1, position=-200_000)
     forward = lag(bench.follow(400))
@@ -50,7 +38,7 @@ def test_shaft_does_not_trail_with_the_speed_fed_forward(bench: Bench, limit: fl
 
 
 def test_move_with_feed_forward_ends_on_target_without_overshoot(bench: Bench) -> None:
-    bench.switch_on(0, SPEED_FORWARD | ACCELERATION_FORWARD | FRICTION)
+    bench.switch_on(0, FEATURES.SPEED_FORWARD | FEATURES.ACCELERATION_FORWARD | FEATURES.FRICTION)
     bench.slow()
     bench.write(0, position=20_000)
     log = bench.follow(800)
@@ -64,7 +52,7 @@ def test_switching_in_motion_waits_for_rest(bench: Bench) -> None:
     bench.set_parameter("speed_limit", 100.0)
     bench.write(0, position=20_000)
     before = [rad_s(bench.view(0).speed_ref) for _ in range(200) if bench.follow(1)]
-    bench.switch_on(0, SPEED_FORWARD)
+    bench.switch_on(0, FEATURES.SPEED_FORWARD)
     after = [rad_s(bench.view(0).speed_ref) for _ in range(20) if bench.follow(1)]
     assert max(abs(b - a) for a, b in itertools.pairwise([*before[-20:], *after])) < 2.0
     assert lag(bench.follow(1))[-1] > 900
@@ -74,11 +62,11 @@ def test_switching_in_motion_waits_for_rest(bench: Bench) -> None:
 
 
 def test_position_mode_taken_over_in_motion_is_smooth_with_the_speed_fed_forward(bench: Bench) -> None:
-    bench.switch_on(0, SPEED_FORWARD)
+    bench.switch_on(0, FEATURES.SPEED_FORWARD)
     bench.slow()
-    bench.write(0, mode=SPEED, speed=speed(100.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
     bench.follow(200)
-    bench.write(0, mode=POSITION, position=30_000)
+    bench.write(0, mode=MODE.POSITION, position=30_000)
     references = [rad_s(bench.view(0).speed_ref) for _ in range(20) if bench.follow(1)]
     assert references[0] == pytest.approx(100.0, abs=3.0)
     assert max(abs(b - a) for a, b in itertools.pairwise(references)) < 5.0
@@ -103,9 +91,9 @@ def currents(core: Core, features: int, ticks: int, **commands: int) -> tuple[Be
 def test_speed_ramp_is_met_by_the_current_it_needs(bench: Bench) -> None:
     """J a / Kt in the first tick, before there is any error."""
     bench.set_parameter("acceleration_limit", 2000.0)
-    bench.switch_on(0, ACCELERATION_FORWARD)
+    bench.switch_on(0, FEATURES.ACCELERATION_FORWARD)
     bench.slow()
-    bench.write(0, mode=SPEED, speed=speed(100.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
     bench.slow()
     proportional = rad_s(bench.view(0).speed_ref) * 2.0 * math.pi * 80.0 * INERTIA / K_T  # tune.py: speed_bandwidth
     expected = INERTIA * 2000.0 / K_T
@@ -114,8 +102,8 @@ def test_speed_ramp_is_met_by_the_current_it_needs(bench: Bench) -> None:
 
 def test_path_acceleration_is_fed_forward_with_the_speed(core: Core) -> None:
     """What is added, summed up, is what J needs to reach the speed of the path."""
-    bench, with_it = currents(core, SPEED_FORWARD | ACCELERATION_FORWARD, 40, position=100_000)
-    _, without = currents(core, SPEED_FORWARD, 40, position=100_000)
+    bench, with_it = currents(core, FEATURES.SPEED_FORWARD | FEATURES.ACCELERATION_FORWARD, 40, position=100_000)
+    _, without = currents(core, FEATURES.SPEED_FORWARD, 40, position=100_000)
     gained = [a - b for a, b in zip(with_it, without, strict=True)]
     reached = rad_s(bench.axis(0).motion.shaped_speed)
     assert reached > 100.0
@@ -126,18 +114,18 @@ def test_path_acceleration_is_fed_forward_with_the_speed(core: Core) -> None:
 
 def test_path_acceleration_waits_for_the_speed_to_be_fed_forward(core: Core) -> None:
     """A shaft that trails its path accelerates later: current ahead of it would be wrong."""
-    _, with_it = currents(core, ACCELERATION_FORWARD, 60, position=10_000)
+    _, with_it = currents(core, FEATURES.ACCELERATION_FORWARD, 60, position=10_000)
     _, without = currents(core, 0, 60, position=10_000)
     assert with_it == without
 
 
 def test_no_acceleration_is_seen_in_a_change_of_mode(bench: Bench) -> None:
     """The shaped speed starts from the shaft's own: the change itself needs no current."""
-    bench.switch_on(0, ACCELERATION_FORWARD)
+    bench.switch_on(0, FEATURES.ACCELERATION_FORWARD)
     bench.slow()
-    bench.write(0, mode=SPEED, speed=speed(100.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
     bench.follow(300)
-    for mode in ({"mode": 2, "i_q": 0}, {"mode": SPEED, "speed": speed(100.0)}, {"quick_stop": 1}):
+    for mode in ({"mode": 2, "i_q": 0}, {"mode": MODE.SPEED, "speed": speed(100.0)}, {"quick_stop": 1}):
         bench.write(0, **mode)
         bench.follow(1)
         assert abs(bench.axis(0).motion.acceleration) <= speed(4000.0 * TICK) + 1
@@ -148,7 +136,7 @@ def test_no_acceleration_is_seen_in_a_change_of_mode(bench: Bench) -> None:
 
 def test_friction_current_follows_the_set_point_not_the_shaft(bench: Bench) -> None:
     """Turned by hand against a set-point of zero, the shaft gets no push from it."""
-    bench.write(0, mode=SPEED, speed=0)
+    bench.write(0, mode=MODE.SPEED, speed=0)
     bench.slow(5)
     bench.turn(0, 0.5)
     plain = []
@@ -158,8 +146,8 @@ def test_friction_current_follows_the_set_point_not_the_shaft(bench: Bench) -> N
     other = Bench(bench.core)
     other.to_spin(0)
     other.slow(2)
-    other.switch_on(0, FRICTION)
-    other.write(0, mode=SPEED, speed=0)
+    other.switch_on(0, FEATURES.FRICTION)
+    other.write(0, mode=MODE.SPEED, speed=0)
     other.slow(5)
     other.turn(0, 0.5)
     for k in range(60):
@@ -170,7 +158,7 @@ def test_friction_current_follows_the_set_point_not_the_shaft(bench: Bench) -> N
 @pytest.mark.parametrize("rad_per_s", [100.0, -100.0, 250.0])
 def test_coulomb_and_viscous_friction_are_fed_forward(core: Core, rad_per_s: float) -> None:
     """2.0 mN m and 1e-5 N m s, as configured, over Kt."""
-    _, with_it = currents(core, FRICTION, 200, mode=SPEED, speed=speed(rad_per_s))
-    _, without = currents(core, 0, 200, mode=SPEED, speed=speed(rad_per_s))
+    _, with_it = currents(core, FEATURES.FRICTION, 200, mode=MODE.SPEED, speed=speed(rad_per_s))
+    _, without = currents(core, 0, 200, mode=MODE.SPEED, speed=speed(rad_per_s))
     expected = math.copysign(2.0e-3, rad_per_s) + 1e-5 * rad_per_s
     assert with_it[-1] - without[-1] == pytest.approx(expected / K_T, abs=0.001)

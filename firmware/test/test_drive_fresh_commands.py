@@ -6,22 +6,7 @@ from collections.abc import Callable
 
 import pytest
 from core_library import Core
-from servo_bench import (
-    COUNT,
-    LIMIT_EXPIRED,
-    LIMIT_POSITION,
-    POSITION,
-    POSITION_LIMITS,
-    RUN,
-    SEED_FEATURES,
-    SPEED,
-    SPIN,
-    TORQUE,
-    Bench,
-    amps,
-    rad_s,
-    speed,
-)
+from servo_bench import COUNT, FEATURES, LIMITS, MODE, SEED_FEATURES, STATE, SUBSTATE, Bench, amps, rad_s, speed
 
 
 @pytest.fixture
@@ -41,13 +26,13 @@ def speed_of(bench: Bench) -> float:
 
 def held_by_soft_limit(bench: Bench) -> None:
     """Asked for 50 rad/s and held at a limit 10 rad ahead."""
-    bench.switch_on(0, POSITION_LIMITS)
+    bench.switch_on(0, FEATURES.POSITION_LIMITS)
     bench.set_parameter("position_max", 10.0)
-    bench.write(0, mode=SPEED, speed=speed(50.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(50.0))
     bench.follow(2000)
     assert speed_of(bench) < 0.01
     assert bench.view(0).position * COUNT == pytest.approx(10.0, abs=0.01)
-    assert bench.view(0).limits & LIMIT_POSITION
+    assert bench.view(0).limits & LIMITS.POSITION
 
 
 @pytest.mark.parametrize(
@@ -69,7 +54,7 @@ def test_shaft_held_by_a_soft_limit_stays_when_the_limit_goes(bench: Bench, wide
 
 
 def test_speed_that_a_limit_has_taken_comes_back_with_a_set_point(bench: Bench) -> None:
-    bench.write(0, mode=SPEED, speed=speed(100.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
     bench.follow(200)
     bench.set_parameter("speed_limit", 20.0)
     bench.follow(200)
@@ -84,7 +69,7 @@ def test_speed_that_a_limit_has_taken_comes_back_with_a_set_point(bench: Bench) 
 
 def test_position_move_goes_on_at_the_speed_limit_that_it_has_begun_with(bench: Bench) -> None:
     bench.set_parameter("speed_limit", 50.0)
-    bench.write(0, mode=POSITION, position=1_000_000)
+    bench.write(0, mode=MODE.POSITION, position=1_000_000)
     bench.follow(1000)
     bench.set_parameter("speed_limit", 300.0)
     bench.follow(1000)
@@ -95,7 +80,7 @@ def test_position_move_goes_on_at_the_speed_limit_that_it_has_begun_with(bench: 
 
 
 def test_current_that_a_limit_has_taken_comes_back_with_a_set_point(bench: Bench) -> None:
-    bench.write(0, mode=TORQUE, i_q=amps(2.0))
+    bench.write(0, mode=MODE.TORQUE, i_q=amps(2.0))
     bench.slow(2)
     bench.set_parameter("i_q_limit", 0.5)
     bench.slow(2)
@@ -110,7 +95,7 @@ def test_current_that_a_limit_has_taken_comes_back_with_a_set_point(bench: Bench
 
 def test_ramp_goes_on_at_the_acceleration_that_it_has_begun_with(bench: Bench) -> None:
     bench.set_parameter("acceleration_limit", 100.0)
-    bench.write(0, mode=SPEED, speed=speed(300.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(300.0))
     bench.follow(200)
     bench.set_parameter("acceleration_limit", 4000.0)
     before = speed_of(bench)
@@ -150,51 +135,55 @@ def test_set_points_expire_half_a_second_after_reset(core: Core) -> None:
 @pytest.mark.parametrize("sign", [1, -1])
 def test_speed_set_point_that_is_not_renewed_ends_in_a_stop_and_a_hold(expiring: Bench, sign: int) -> None:
     bench = expiring
-    bench.write(0, mode=SPEED, speed=speed(sign * 100.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(sign * 100.0))
     bench.follow(199)
     assert speed_of(bench) == pytest.approx(100.0, rel=1e-2)
-    assert not bench.view(0).limits & LIMIT_EXPIRED
+    assert not bench.view(0).limits & LIMITS.EXPIRED
     bench.follow(int(100.0 / 4000.0 / 0.5e-3) + 5)
     assert speed_of(bench) < 1.0
-    assert bench.view(0).limits & LIMIT_EXPIRED
-    assert (bench.view(0).state, bench.view(0).substate, bench.view(0).faults) == (RUN, SPIN, 0)
+    assert bench.view(0).limits & LIMITS.EXPIRED
+    assert (bench.view(0).state, bench.view(0).substate, bench.view(0).faults) == (STATE.RUN, SUBSTATE.SPIN, 0)
     bench.follow(100)
     held = bench.view(0).position
     bench.follow(2000)
     assert abs(bench.view(0).position - held) <= 1
-    assert bench.view(0).limits & LIMIT_EXPIRED, "until the next set-point"
+    assert bench.view(0).limits & LIMITS.EXPIRED, "until the next set-point"
     bench.write(0, speed=speed(sign * 100.0))
     bench.follow(100)
     assert speed_of(bench) == pytest.approx(100.0, rel=1e-2)
-    assert not bench.view(0).limits & LIMIT_EXPIRED
+    assert not bench.view(0).limits & LIMITS.EXPIRED
 
 
 def test_torque_set_point_that_is_not_renewed_ends_in_a_stop(expiring: Bench) -> None:
     bench = expiring
     bench.turn(0, 100.0)
-    bench.write(0, mode=TORQUE, i_q=amps(1.0))
+    bench.write(0, mode=MODE.TORQUE, i_q=amps(1.0))
     bench.slow(199)
     assert bench.view(0).i_q_ref == pytest.approx(amps(1.0), abs=1)
     bench.slow(20)
     assert bench.view(0).i_q_ref < 0, "the shaft is braked"
-    assert bench.view(0).limits & LIMIT_EXPIRED
+    assert bench.view(0).limits & LIMITS.EXPIRED
 
 
-@pytest.mark.parametrize(("mode", "name", "value"), [(SPEED, "speed", speed(50.0)), (TORQUE, "i_q", amps(0.5))])
+@pytest.mark.parametrize(
+    ("mode", "name", "value"), [(MODE.SPEED, "speed", speed(50.0)), (MODE.TORQUE, "i_q", amps(0.5))]
+)
 def test_set_point_that_is_written_again_goes_on(expiring: Bench, mode: int, name: str, value: int) -> None:
     bench = expiring
     bench.write(0, mode=mode)
     for _ in range(20):
         bench.write(0, **{name: value})
         bench.follow(150)
-        assert not bench.view(0).limits & LIMIT_EXPIRED
-    assert bench.view(0).i_q_ref == value if mode == TORQUE else speed_of(bench) == pytest.approx(50.0, rel=1e-3)
+        assert not bench.view(0).limits & LIMITS.EXPIRED
+    assert bench.view(0).i_q_ref == value if mode == MODE.TORQUE else speed_of(bench) == pytest.approx(50.0, rel=1e-3)
 
 
-@pytest.mark.parametrize("other", [{"position": 5}, {"i_q": 100}, {"mode": SPEED}, {"enable": 1}, {"clear_faults": 1}])
+@pytest.mark.parametrize(
+    "other", [{"position": 5}, {"i_q": 100}, {"mode": MODE.SPEED}, {"enable": 1}, {"clear_faults": 1}]
+)
 def test_other_commands_do_not_renew_a_speed(expiring: Bench, other: dict[str, int]) -> None:
     bench = expiring
-    bench.write(0, mode=SPEED, speed=speed(50.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(50.0))
     for _ in range(30):
         bench.write(0, **other)
         bench.follow(10)
@@ -204,19 +193,19 @@ def test_other_commands_do_not_renew_a_speed(expiring: Bench, other: dict[str, i
 def test_set_point_of_one_axis_does_not_renew_that_of_the_other(expiring: Bench) -> None:
     bench = expiring
     bench.write(1, enable=1)
-    bench.to_substate(1, SPIN)
-    bench.write(0, mode=SPEED, speed=speed(50.0))
-    bench.write(1, mode=SPEED)
+    bench.to_substate(1, SUBSTATE.SPIN)
+    bench.write(0, mode=MODE.SPEED, speed=speed(50.0))
+    bench.write(1, mode=MODE.SPEED)
     for _ in range(30):
         bench.write(1, speed=speed(10.0))
         bench.follow(10)
-    assert bench.view(0).limits & LIMIT_EXPIRED
-    assert not bench.view(1).limits & LIMIT_EXPIRED
+    assert bench.view(0).limits & LIMITS.EXPIRED
+    assert not bench.view(1).limits & LIMITS.EXPIRED
 
 
 def test_longer_time_out_does_not_bring_an_expired_set_point_back(expiring: Bench) -> None:
     bench = expiring
-    bench.write(0, mode=SPEED, speed=speed(50.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(50.0))
     bench.follow(400)
     for seconds in (30.0, 0.0):
         bench.set_parameter("command_timeout", seconds)
@@ -226,23 +215,23 @@ def test_longer_time_out_does_not_bring_an_expired_set_point_back(expiring: Benc
 
 def test_positions_and_standing_axes_do_not_expire(expiring: Bench) -> None:
     bench = expiring
-    bench.write(0, mode=POSITION, position=4000)
+    bench.write(0, mode=MODE.POSITION, position=4000)
     bench.follow(2000)
     assert abs(bench.view(0).position - 4000) <= 1
-    assert not bench.view(0).limits & LIMIT_EXPIRED
-    bench.write(0, mode=SPEED, speed=0)
+    assert not bench.view(0).limits & LIMITS.EXPIRED
+    bench.write(0, mode=MODE.SPEED, speed=0)
     bench.follow(2000)
-    assert not bench.view(0).limits & LIMIT_EXPIRED, "nothing was lost"
+    assert not bench.view(0).limits & LIMITS.EXPIRED, "nothing was lost"
 
 
 def test_shaft_that_was_free_is_held_and_says_so(expiring: Bench) -> None:
     bench = expiring
-    bench.write(0, mode=TORQUE, i_q=0)
+    bench.write(0, mode=MODE.TORQUE, i_q=0)
     bench.slow(300)
-    assert bench.view(0).limits & LIMIT_EXPIRED
+    assert bench.view(0).limits & LIMITS.EXPIRED
 
 
 def test_time_out_of_zero_keeps_a_set_point_for_ever(bench: Bench) -> None:
-    bench.write(0, mode=SPEED, speed=speed(50.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(50.0))
     bench.follow(70_000)  # more than 16 bits of slow ticks
     assert speed_of(bench) == pytest.approx(50.0, rel=1e-3)

@@ -6,11 +6,11 @@ import pytest
 from core_library import Core
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from servo_bench import COUNT, POSITION, RUN, SPEED, SPIN, STOP, Bench, amps, rad_s, speed
+from servo_bench import COUNT, MODE, STATE, SUBSTATE, Bench, amps, rad_s, speed
 from servo_msgs_py.catalogue import Catalogue
 
 CATALOGUE = Catalogue.load()
-STATE, METHOD, RESULT = (CATALOGUE.enums[f"home_{name}_t"] for name in ("state", "method", "result"))
+HOME_STATE, METHOD, RESULT = (CATALOGUE.enums[f"home_{name}_t"] for name in ("state", "method", "result"))
 HOMING_FAULT = CATALOGUE.flag("faults", "HOMING").mask
 NOT_HOMED = CATALOGUE.flag("limits", "NOT_HOMED").mask
 HOMING = CATALOGUE.flag("features", "HOMING").mask
@@ -27,7 +27,7 @@ def result(bench: Bench, axis: int = 0) -> str:
 
 
 def state(bench: Bench, axis: int = 0) -> str:
-    return next(name for name, number in STATE.items() if number == bench.view(axis).home_state)
+    return next(name for name, number in HOME_STATE.items() if number == bench.view(axis).home_state)
 
 
 def reach(bench: Bench) -> int:
@@ -72,7 +72,7 @@ def test_zero_moves_nothing_and_is_kept(
             assert bench.view(0).speed_ref == 0
             assert bench.axis(0).motion.speed_pi.integral == before
         assert bench.axis(1).feedback.position == 0
-        assert bench.view(1).home_state == STATE["UNKNOWN"]
+        assert bench.view(1).home_state == HOME_STATE["UNKNOWN"]
     bench.let_turn(0, turns)
     bench.slow(200)
     bench.turn(0, 0.0)
@@ -81,9 +81,9 @@ def test_zero_moves_nothing_and_is_kept(
     start = bench.view(0).position - values[-1]
     assert abs(start - turns * 200 * 0.5e-3 / COUNT) <= 2
     bench.write(0, enable=0)
-    bench.until(lambda: bench.view(0).state == STOP, 4000)
-    bench.write(0, mode=POSITION, enable=1)
-    bench.to_substate(0, SPIN)
+    bench.until(lambda: bench.view(0).state == STATE.STOP, 4000)
+    bench.write(0, mode=MODE.POSITION, enable=1)
+    bench.to_substate(0, SUBSTATE.SPIN)
     searched = bench.shaft[0].shaft - moved
     assert bench.view(0).position == values[-1] + start + searched
     assert bench.view(0).faults == 0
@@ -175,7 +175,7 @@ def test_speed_ends_within_reach(core: Core, way: int) -> None:
     bench.write_raw("param.position_min", [-10, 0])
     bench.write_raw("param.position_max", [10, 0])
     bench.to_spin(0)
-    bench.write(0, mode=SPEED, speed=speed(way * 60.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(way * 60.0))
     log = bench.follow(1500)
     assert max(abs(position) for _, position in log) <= reach(bench) + 1
     assert way * log[-1][1] >= reach(bench) - 12
@@ -333,7 +333,7 @@ def test_missing_switch_is_a_fault(bench: Bench) -> None:
 
 @pytest.mark.parametrize(
     "command",
-    [{"position": 50}, {"mode": SPEED, "speed": 0}, {"quick_stop": 1}, {"enable": 0}, {"home": 0}, {"mode": 1}],
+    [{"position": 50}, {"mode": MODE.SPEED, "speed": 0}, {"quick_stop": 1}, {"enable": 0}, {"home": 0}, {"mode": 1}],
     ids=str,
 )
 def test_every_command_ends_a_homing(bench: Bench, command: dict[str, int]) -> None:
@@ -369,7 +369,7 @@ def test_homing_needs_a_drive_that_holds(core: Core) -> None:
     ask(bench, "STOP_POSITIVE")
     bench.slow(3)
     assert result(bench) == "MOTION"
-    assert bench.view(0).state == STOP
+    assert bench.view(0).state == STATE.STOP
 
 
 def test_silent_host_ends_a_homing(bench: Bench) -> None:
@@ -378,4 +378,4 @@ def test_silent_host_ends_a_homing(bench: Bench) -> None:
     bench.follow(1200)
     assert (state(bench), result(bench)) == ("UNKNOWN", "ABORTED")
     assert bench.view(0).faults == 1 << 6
-    assert bench.view(0).state != RUN or abs(rad_s(bench.view(0).speed_ref)) < 5.0
+    assert bench.view(0).state != STATE.RUN or abs(rad_s(bench.view(0).speed_ref)) < 5.0

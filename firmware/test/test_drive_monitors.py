@@ -6,24 +6,7 @@ import math
 
 import pytest
 from core_library import Core
-from servo_bench import (
-    ALL_FAULTS,
-    CURRENT_SENSE,
-    ENCODER_LOST,
-    FAULT,
-    INIT,
-    LATE_LOOP,
-    OVER_CURRENT,
-    OVER_TEMPERATURE,
-    PHASE_LOST,
-    RUN,
-    SPEED,
-    SPIN,
-    STOP,
-    WATCHDOG,
-    Bench,
-    speed,
-)
+from servo_bench import ALL_FAULTS, FAULTS, MODE, STATE, SUBSTATE, Bench, speed
 
 HOT, COOL = 2321, 1911  # codes of 85 and 70 degrees with the packaged sensor
 
@@ -46,7 +29,7 @@ def test_heat_stops_its_axis_and_no_other(bench: Bench) -> None:
     bench.to_spin(0)
     bench.hal.axis[0].temperature_code = HOT
     bench.slow(18)
-    assert place(bench) == (FAULT, OVER_TEMPERATURE)
+    assert place(bench) == (STATE.FAULT, FAULTS.OVER_TEMPERATURE)
     assert not bench.hal.axis[0].outputs_on
     assert place(bench, 1)[1] == 0
 
@@ -57,12 +40,12 @@ def test_heat_can_be_cleared_below_the_hysteresis_only(bench: Bench) -> None:
     bench.slow(20)
     bench.hal.axis[0].temperature_code = COOL
     bench.clear(0)
-    assert place(bench) == (FAULT, OVER_TEMPERATURE)
-    assert bench.servo.record[0].pending == OVER_TEMPERATURE
+    assert place(bench) == (STATE.FAULT, FAULTS.OVER_TEMPERATURE)
+    assert bench.servo.record[0].pending == FAULTS.OVER_TEMPERATURE
     bench.hal.axis[0].temperature_code = COOL - 1
     bench.slow()
     bench.clear(0)
-    assert place(bench) == (INIT, 0)
+    assert place(bench) == (STATE.INIT, 0)
 
 
 def test_a_spike_of_the_temperature_is_no_heat(bench: Bench) -> None:
@@ -72,7 +55,7 @@ def test_a_spike_of_the_temperature_is_no_heat(bench: Bench) -> None:
         bench.slow(15)
         bench.hal.axis[0].temperature_code = COOL - 1
         bench.slow()
-    assert place(bench) == (STOP, 0)
+    assert place(bench) == (STATE.STOP, 0)
 
 
 # ---- converters
@@ -89,8 +72,8 @@ def test_a_converter_that_repeats_itself_among_noisy_ones(bench: Bench, phase: s
     for k in range(400):
         noise(bench, k, "abc".replace(phase, ""))
         bench.slow()
-    assert place(bench) == (FAULT, CURRENT_SENSE)
-    assert place(bench, 1) == (STOP, 0)
+    assert place(bench) == (STATE.FAULT, FAULTS.CURRENT_SENSE)
+    assert place(bench, 1) == (STATE.STOP, 0)
 
 
 def test_noise_and_silence_are_no_broken_converters(bench: Bench) -> None:
@@ -100,14 +83,14 @@ def test_noise_and_silence_are_no_broken_converters(bench: Bench) -> None:
         bench.slow()
     bench.hal.axis[0].offset_code = [2048] * 3  # a board without noise
     bench.slow(400)
-    assert place(bench) == (STOP, 0)
+    assert place(bench) == (STATE.STOP, 0)
 
 
 def test_current_where_there_is_none(bench: Bench) -> None:
     bench.to_spin(0)
     bench.hal.axis[0].offset_code = [2100, 2100, 2100]
     bench.slow(8)
-    assert place(bench) == (FAULT, CURRENT_SENSE)
+    assert place(bench) == (STATE.FAULT, FAULTS.CURRENT_SENSE)
 
 
 def test_a_converter_is_named_instead_of_the_over_current_that_it_caused(bench: Bench) -> None:
@@ -116,8 +99,8 @@ def test_a_converter_is_named_instead_of_the_over_current_that_it_caused(bench: 
         noise(bench, k, "bc")
         bench.hal.axis[0].over_current = k == 60
         bench.slow()
-    assert place(bench) == (FAULT, OVER_CURRENT | CURRENT_SENSE)
-    assert bench.view(0).first_fault == code_of(CURRENT_SENSE)
+    assert place(bench) == (STATE.FAULT, FAULTS.OVER_CURRENT | FAULTS.CURRENT_SENSE)
+    assert bench.view(0).first_fault == code_of(FAULTS.CURRENT_SENSE)
 
 
 # ---- phases and encoder: this board has no currents and no back-EMF
@@ -157,19 +140,23 @@ def test_a_phase_that_is_silent_in_every_direction_by_chance_is_not(bench: Bench
 
 def without_current(bench: Bench) -> None:
     bench.to_spin(0)
-    bench.servo.parameter.faults_enabled[0] = ALL_FAULTS & ~ENCODER_LOST
-    bench.write(0, mode=SPEED, speed=speed(100.0))
+    bench.servo.parameter.faults_enabled[0] = ALL_FAULTS & ~FAULTS.ENCODER_LOST
+    bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
 
 
 def test_voltage_without_current_is_a_lost_phase(bench: Bench) -> None:
     without_current(bench)
-    bench.until(lambda: bench.view(0).state == FAULT, 400)
-    assert place(bench)[1] == PHASE_LOST
+    bench.until(lambda: bench.view(0).state == STATE.FAULT, 400)
+    assert place(bench)[1] == FAULTS.PHASE_LOST
 
 
 @pytest.mark.parametrize(
     ("codes", "enabled", "fault"),
-    [(1, ALL_FAULTS, PHASE_LOST), (3, ALL_FAULTS, CURRENT_SENSE), (3, ALL_FAULTS & ~CURRENT_SENSE, PHASE_LOST)],
+    [
+        (1, ALL_FAULTS, FAULTS.PHASE_LOST),
+        (3, ALL_FAULTS, FAULTS.CURRENT_SENSE),
+        (3, ALL_FAULTS & ~FAULTS.CURRENT_SENSE, FAULTS.PHASE_LOST),
+    ],
 )
 def test_a_converter_is_doubtful_after_more_than_one_code(core: Core, codes: int, enabled: int, fault: int) -> None:
     """The last ones before the phase is named are off their offset; each is one of two phases of the three. A
@@ -177,12 +164,12 @@ def test_a_converter_is_doubtful_after_more_than_one_code(core: Core, codes: int
     sound, bench = Bench(core), Bench(core)
     without_current(sound)
     ticks = 0
-    while sound.view(0).state != FAULT:
+    while sound.view(0).state != STATE.FAULT:
         sound.slow()
         ticks += 1
         assert ticks < 400
     without_current(bench)
-    bench.servo.parameter.faults_enabled[0] = enabled & ~ENCODER_LOST
+    bench.servo.parameter.faults_enabled[0] = enabled & ~FAULTS.ENCODER_LOST
     bench.slow(ticks - codes)
     bench.hal.axis[0].offset_code = [2100, 2100, 2100]
     bench.slow(codes)
@@ -194,7 +181,7 @@ def test_a_count_that_goes_back_and_forth_is_a_dead_line(bench: Bench) -> None:
     for k in range(80):
         bench.turn(0, (1.0 if k % 2 else -1.0) * 0.0015707963 / 0.5e-3)
         bench.slow()
-    assert place(bench) == (FAULT, ENCODER_LOST)
+    assert place(bench) == (STATE.FAULT, FAULTS.ENCODER_LOST)
 
 
 def test_a_shaft_that_dithers_is_not(bench: Bench) -> None:
@@ -203,7 +190,7 @@ def test_a_shaft_that_dithers_is_not(bench: Bench) -> None:
         step = {0: 2.0, 8: -2.0}.get(k % 16, 0.0)
         bench.turn(0, step * 0.0015707963 / 0.5e-3)
         bench.slow()
-    assert place(bench) == (STOP, 0)
+    assert place(bench) == (STATE.STOP, 0)
 
 
 # ---- loops and watchdog
@@ -217,7 +204,7 @@ def test_a_lost_loop_is_made_up_for_and_more_are_a_fault_of_both_axes(bench: Ben
         lib.servo_m1_isr(servo)
     bench.slow(2)
     for axis in range(2):
-        assert place(bench, axis) == (FAULT, LATE_LOOP)
+        assert place(bench, axis) == (STATE.FAULT, FAULTS.LATE_LOOP)
 
 
 def test_late_loops_are_forgotten(bench: Bench) -> None:
@@ -228,7 +215,7 @@ def test_late_loops_are_forgotten(bench: Bench) -> None:
     assert place(bench)[1] == 0
     bench.hal.late_loops += 3
     bench.slow(2)
-    assert place(bench) == (FAULT, LATE_LOOP)
+    assert place(bench) == (STATE.FAULT, FAULTS.LATE_LOOP)
 
 
 def test_a_reset_by_the_watchdog_keeps_the_board_off(core: Core) -> None:
@@ -239,11 +226,11 @@ def test_a_reset_by_the_watchdog_keeps_the_board_off(core: Core) -> None:
     bench.write(0, enable=1)
     bench.slow(50)
     for axis in range(2):
-        assert place(bench, axis) == (FAULT, WATCHDOG)
+        assert place(bench, axis) == (STATE.FAULT, FAULTS.WATCHDOG)
     bench.clear(0)
     bench.slow(50)
-    assert place(bench) == (STOP, 0)
-    assert place(bench, 1) == (FAULT, WATCHDOG)
+    assert place(bench) == (STATE.STOP, 0)
+    assert place(bench, 1) == (STATE.FAULT, FAULTS.WATCHDOG)
 
 
 def test_an_edge_from_before_a_reset_says_nothing_about_the_speed(bench: Bench) -> None:
@@ -287,16 +274,16 @@ def test_hardware_faults_cannot_be_switched_off(bench: Bench) -> None:
     bench.slow()
     bench.hal.axis[0].temperature_code = 4095
     bench.slow(20)
-    assert place(bench) == (FAULT, OVER_TEMPERATURE)
+    assert place(bench) == (STATE.FAULT, FAULTS.OVER_TEMPERATURE)
 
 
 def test_a_fault_that_is_switched_off_stops_nothing(bench: Bench) -> None:
     bench.to_spin(0)
-    bench.servo.parameter.faults_enabled[0] = ALL_FAULTS & ~(CURRENT_SENSE | PHASE_LOST)
+    bench.servo.parameter.faults_enabled[0] = ALL_FAULTS & ~(FAULTS.CURRENT_SENSE | FAULTS.PHASE_LOST)
     bench.slow()
     bench.hal.axis[0].offset_code = [2100, 2100, 2100]
     bench.slow(8)
-    assert (bench.view(0).state, bench.view(0).substate) == (RUN, SPIN)
+    assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, SUBSTATE.SPIN)
 
 
 # ---- the record
@@ -310,7 +297,7 @@ def test_the_record_ends_with_the_fault_and_stands_until_it_is_cleared(bench: Be
     tick = bench.servo.tick
     bench.slow()
     record = bench.servo.record[0]
-    assert (record.code, record.state, record.substate) == (code_of(OVER_CURRENT), RUN, SPIN)
+    assert (record.code, record.state, record.substate) == (code_of(FAULTS.OVER_CURRENT), STATE.RUN, SUBSTATE.SPIN)
     assert 0 <= record.tick - tick <= 2
     rings = [list(record.u_dc), list(record.i_q)]
     order = [(record.next + k) % 64 for k in range(64)]
@@ -331,5 +318,5 @@ def test_the_first_fault_stays_the_first(bench: Bench) -> None:
     bench.slow()
     bench.hal.axis[0].temperature_code = 4095
     bench.slow(20)
-    assert place(bench)[1] == OVER_CURRENT | OVER_TEMPERATURE
-    assert bench.view(0).first_fault == code_of(OVER_CURRENT)
+    assert place(bench)[1] == FAULTS.OVER_CURRENT | FAULTS.OVER_TEMPERATURE
+    assert bench.view(0).first_fault == code_of(FAULTS.OVER_CURRENT)

@@ -7,24 +7,7 @@ import math
 
 import pytest
 from core_library import Core
-from servo_bench import (
-    ALIGN,
-    COUNT,
-    FOLLOWING_ERROR,
-    LIMIT_CURRENT,
-    LIMIT_SPEED,
-    LIMIT_VOLTAGE,
-    POSITION,
-    SPEED,
-    SPEED_FORWARD,
-    SPIN,
-    TICK,
-    TORQUE,
-    Bench,
-    amps,
-    rad_s,
-    speed,
-)
+from servo_bench import COUNT, FEATURES, LIMITS, MODE, SUBSTATE, TICK, Bench, amps, rad_s, speed
 
 # ---- fresh writes ---------------------------------------------------------------------------------------------------
 
@@ -33,13 +16,13 @@ from servo_bench import (
 def test_set_point_from_before_spin_does_not_move_the_axis(core: Core, name: str) -> None:
     bench = Bench(core)
     bench.to_stop()
-    mode = {"position": POSITION, "speed": SPEED, "i_q": TORQUE}[name]
+    mode = {"position": MODE.POSITION, "speed": MODE.SPEED, "i_q": MODE.TORQUE}[name]
     value = {"position": 5000, "speed": speed(100.0), "i_q": amps(1.0)}[name]
     bench.write(0, mode=mode, **{name: value})
     bench.write(0, enable=1)
-    bench.to_substate(0, ALIGN)
+    bench.to_substate(0, SUBSTATE.ALIGN)
     bench.write(0, mode=mode, **{name: value})
-    bench.to_substate(0, SPIN)
+    bench.to_substate(0, SUBSTATE.SPIN)
     for _ in range(100):
         bench.slow()
         view = bench.view(0)
@@ -53,7 +36,7 @@ def test_set_point_from_before_spin_does_not_move_the_axis(core: Core, name: str
 
 def test_nothing_of_the_motion_before_a_fault_is_left(bench: Bench) -> None:
     """Neither the ramp nor the integral part of the speed controller."""
-    bench.write(0, mode=SPEED, speed=speed(100.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
     bench.slow(200)  # the shaft does not obey: the integral fills
     assert bench.view(0).i_q_ref > amps(3.0)
     bench.hal.axis[0].over_current = True
@@ -155,7 +138,7 @@ def test_moves_ask_for_half_of_the_current_limit(bench: Bench, amperes: float, l
 @pytest.mark.parametrize("sign", [1, -1])
 def test_lowered_speed_limit_is_ramped_down_to(bench: Bench, sign: int, acceleration: float, quick_stop: int) -> None:
     """At the acceleration limit of the set-point."""
-    bench.write(0, mode=SPEED, speed=speed(sign * 300.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(sign * 300.0))
     bench.follow(400)
     assert rad_s(bench.view(0).speed_ref) == pytest.approx(sign * 300.0, rel=1e-3)
     bench.set_parameter("acceleration_limit", acceleration)
@@ -173,7 +156,7 @@ def test_lowered_speed_limit_is_ramped_down_to(bench: Bench, sign: int, accelera
     assert min(steps) >= -0.2
     assert references[-1] == pytest.approx(0.0 if quick_stop else 10.0, abs=0.2)
     if not quick_stop:
-        assert bench.view(0).limits & LIMIT_SPEED
+        assert bench.view(0).limits & LIMITS.SPEED
 
 
 @pytest.mark.parametrize("acceleration", [20.0, 4000.0])
@@ -230,7 +213,7 @@ def test_path_is_retuned_whatever_the_axis_does(core: Core) -> None:
     assert bench.axis(0).path_limits.omega_n_ts == pytest.approx(omega / 4.0, rel=1e-3)
 
 
-@pytest.mark.parametrize("features", [0, SPEED_FORWARD | FOLLOWING_ERROR])
+@pytest.mark.parametrize("features", [0, FEATURES.SPEED_FORWARD | FEATURES.FOLLOWING_ERROR])
 def test_lowered_speed_limit_slows_a_move_as_gently_as_its_path(bench: Bench, features: int) -> None:
     bench.switch_on(0, features)
     bench.write(0, position=1_000_000)
@@ -294,7 +277,7 @@ def test_current_that_pushes_off_the_target_is_taken_back(bench: Bench, off: int
 
 def test_speed_is_ramped_at_the_acceleration_limit(bench: Bench) -> None:
     bench.set_parameter("acceleration_limit", 1000.0)
-    bench.write(0, mode=SPEED, speed=speed(100.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
     references = []
     for _ in range(260):
         bench.slow()
@@ -307,34 +290,34 @@ def test_speed_is_ramped_at_the_acceleration_limit(bench: Bench) -> None:
 
 def test_speed_set_point_is_limited_and_says_so(bench: Bench) -> None:
     bench.set_parameter("speed_limit", 100.0)
-    bench.write(0, mode=SPEED, speed=speed(200.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(200.0))
     bench.slow(200)
     assert rad_s(bench.view(0).speed_ref) == pytest.approx(100.0, rel=1e-6)
-    assert bench.view(0).limits & LIMIT_SPEED
+    assert bench.view(0).limits & LIMITS.SPEED
     bench.write(0, speed=speed(50.0))
     bench.slow(200)
-    assert not bench.view(0).limits & LIMIT_SPEED
+    assert not bench.view(0).limits & LIMITS.SPEED
 
 
 def test_current_limit(bench: Bench) -> None:
     bench.set_parameter("i_q_limit", 1.0)
-    bench.write(0, mode=SPEED, speed=speed(200.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(200.0))
     bench.slow(100)  # the shaft does not obey
     assert bench.view(0).i_q_ref == pytest.approx(amps(1.0), abs=1)
-    assert bench.view(0).limits & LIMIT_CURRENT
+    assert bench.view(0).limits & LIMITS.CURRENT
 
 
 def test_voltage_limit_says_so(bench: Bench) -> None:
-    bench.write(0, mode=TORQUE, i_q=amps(3.0))
+    bench.write(0, mode=MODE.TORQUE, i_q=amps(3.0))
     bench.slow(50)  # no current flows on this bench: the loop asks for all the voltage
-    assert bench.view(0).limits & LIMIT_VOLTAGE
+    assert bench.view(0).limits & LIMITS.VOLTAGE
     assert bench.view(0).faults == 0, "a limit is not a fault"
 
 
 @pytest.mark.parametrize("counts", [3, 20, -20])
 def test_integral_part_sums_the_way_not_an_old_speed(bench: Bench, counts: int) -> None:
     """The M/T method goes on after the shaft has stopped; what the integral part holds in the end is the way alone."""
-    bench.write(0, mode=SPEED, speed=0)
+    bench.write(0, mode=MODE.SPEED, speed=0)
     bench.slow(2)
     bench.turn(0, math.copysign(COUNT / TICK, counts))
     bench.slow(abs(counts))
@@ -352,7 +335,7 @@ def test_integral_part_sums_the_way_not_an_old_speed(bench: Bench, counts: int) 
 @pytest.mark.parametrize("counts", [1, -1, 300, -300, 666, -666, 667, -667, 1900, -1900])
 def test_counted_speed_saturates(bench: Bench, counts: int) -> None:
     """Counts of one slow tick over those at full speed, 666.67; more than that is full speed."""
-    bench.write(0, mode=TORQUE, i_q=0)
+    bench.write(0, mode=MODE.TORQUE, i_q=0)
     bench.slow()
     bench.shaft[0].move(counts)
     bench.slow()
@@ -364,55 +347,55 @@ def test_counted_speed_saturates(bench: Bench, counts: int) -> None:
 
 
 def test_torque_mode_passes_the_current_on(bench: Bench) -> None:
-    bench.write(0, mode=TORQUE, i_q=amps(-1.5))
+    bench.write(0, mode=MODE.TORQUE, i_q=amps(-1.5))
     bench.slow(2)
     assert bench.view(0).i_q_ref == amps(-1.5)
 
 
 def test_torque_mode_limits_the_current_and_says_so(bench: Bench) -> None:
     bench.set_parameter("i_q_limit", 2.0)
-    bench.write(0, mode=TORQUE, i_q=amps(3.0))
+    bench.write(0, mode=MODE.TORQUE, i_q=amps(3.0))
     bench.slow(2)
     assert bench.view(0).i_q_ref == pytest.approx(amps(2.0), abs=1)
-    assert bench.view(0).limits & LIMIT_CURRENT
+    assert bench.view(0).limits & LIMITS.CURRENT
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_torque_mode_keeps_the_speed_limit(bench: Bench, sign: int) -> None:
     bench.set_parameter("speed_limit", 100.0)
-    bench.write(0, mode=TORQUE, i_q=amps(sign * 2.0))
+    bench.write(0, mode=MODE.TORQUE, i_q=amps(sign * 2.0))
     bench.turn(0, sign * 120.0)
     bench.slow(50)
     assert bench.view(0).i_q_ref * sign < 0, "above the limit it brakes"
-    assert bench.view(0).limits & LIMIT_SPEED
+    assert bench.view(0).limits & LIMITS.SPEED
     bench.turn(0, sign * 50.0)
     bench.slow(50)
     assert bench.view(0).i_q_ref == amps(sign * 2.0)
-    assert not bench.view(0).limits & LIMIT_SPEED
+    assert not bench.view(0).limits & LIMITS.SPEED
 
 
 # ---- changing over --------------------------------------------------------------------------------------------------
 
 
 def test_mode_alone_brings_the_axis_to_rest(bench: Bench) -> None:
-    bench.write(0, mode=SPEED, speed=speed(80.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(80.0))
     bench.follow(100)
-    bench.write(0, mode=POSITION)
+    bench.write(0, mode=MODE.POSITION)
     log = bench.follow(400)
     assert rad_s(bench.view(0).speed_ref) == pytest.approx(0.0, abs=0.5)
     assert abs(log[-1][0] - log[-1][1]) <= 1
-    bench.write(0, mode=TORQUE)
+    bench.write(0, mode=MODE.TORQUE)
     bench.slow(3)
     assert bench.view(0).i_q_ref == 0
-    bench.write(0, mode=SPEED)
+    bench.write(0, mode=MODE.SPEED)
     bench.slow(100)
     assert rad_s(bench.view(0).speed_ref) == pytest.approx(0.0, abs=0.5)
 
 
 def test_position_takes_over_a_turning_shaft_without_a_jump(bench: Bench) -> None:
-    bench.write(0, mode=SPEED, speed=speed(100.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
     bench.follow(200)
-    bench.write(0, mode=POSITION, position=bench.view(0).position + 20_000)
+    bench.write(0, mode=MODE.POSITION, position=bench.view(0).position + 20_000)
     references = []
     for _ in range(40):
         bench.turn(0, rad_s(bench.view(0).speed_ref))
@@ -425,15 +408,15 @@ def test_position_takes_over_a_turning_shaft_without_a_jump(bench: Bench) -> Non
 
 def test_speed_takes_over_from_torque_without_a_jump(bench: Bench) -> None:
     bench.turn(0, 60.0)
-    bench.write(0, mode=TORQUE, i_q=amps(1.0))
+    bench.write(0, mode=MODE.TORQUE, i_q=amps(1.0))
     bench.slow(20)
-    bench.write(0, mode=SPEED, speed=speed(60.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(60.0))
     bench.slow()
     assert bench.view(0).i_q_ref == pytest.approx(amps(1.0), abs=amps(0.15))
 
 
 def test_set_point_of_another_mode_is_ignored(bench: Bench) -> None:
-    bench.write(0, mode=SPEED, speed=speed(30.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(30.0))
     bench.slow(50)
     bench.write(0, position=9999, i_q=amps(2.0))
     bench.slow(50)
@@ -443,7 +426,7 @@ def test_set_point_of_another_mode_is_ignored(bench: Bench) -> None:
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_stop_is_over_when_the_shaft_has_turned_round_between_two_ticks(bench: Bench, sign: int) -> None:
-    bench.write(0, mode=SPEED, speed=speed(sign * 60.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(sign * 60.0))
     bench.follow(100)
     bench.write(0, quick_stop=1)
     bench.turn(0, sign * 8.0)
@@ -462,7 +445,7 @@ def test_a_stop_is_over_when_the_shaft_has_turned_round_between_two_ticks(bench:
 
 def move_counters(bench: Bench, counts: int) -> None:
     """Let axis 1, in speed mode, have come a long way."""
-    bench.write(0, mode=SPEED, speed=0)
+    bench.write(0, mode=MODE.SPEED, speed=0)
     bench.slow(2)
     axis = bench.axis(0)
     encoder = axis.encoder.position
@@ -476,7 +459,7 @@ def move_counters(bench: Bench, counts: int) -> None:
     axis.feedback.position = encoder.position
 
 
-@pytest.mark.parametrize("features", [0, SPEED_FORWARD | FOLLOWING_ERROR])
+@pytest.mark.parametrize("features", [0, FEATURES.SPEED_FORWARD | FEATURES.FOLLOWING_ERROR])
 @pytest.mark.parametrize("direction", [1, -1])
 def test_hold_at_the_wrap_is_a_hold(bench: Bench, features: int, direction: int) -> None:
     bench.switch_on(0, features)
@@ -499,7 +482,7 @@ def test_position_mode_begins_smoothly_before_the_wrap(bench: Bench, direction: 
     move_counters(bench, direction * (2**31 - 2000) - bench.view(0).position)
     bench.write(0, speed=speed(direction * 100.0))
     bench.follow(80)
-    bench.write(0, mode=POSITION, position=direction * (2**29 - 2**31))
+    bench.write(0, mode=MODE.POSITION, position=direction * (2**29 - 2**31))
     references = []
     for _ in range(10):
         bench.turn(0, rad_s(bench.view(0).speed_ref))

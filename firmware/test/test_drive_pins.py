@@ -5,21 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
+from core_library import Core
 from servo_bench import (
-    ALIGN,
-    ENABLE_INPUT,
-    FAULT,
-    LIMIT_INPUT,
-    LIMIT_POSITION,
-    LIMIT_SWITCH,
-    POSITION,
-    RUN,
-    SPEED,
-    SPIN,
-    STOP,
-    TORQUE,
+    FAULTS,
+    INPUTS,
+    LIMITS,
+    MODE,
+    STATE,
+    STOP_CATEGORY,
+    SUBSTATE,
     Bench,
     amps,
     bus_code,
@@ -27,14 +21,7 @@ from servo_bench import (
     speed,
 )
 
-HOME, LIMIT_MIN, LIMIT_MAX, ENABLE, BRAKE = (1 << bit for bit in range(5))
 OPEN, CLOSE = 12, 9  # slow ticks
-COAST, SHORT, RAMP, HOLD = range(4)
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 @pytest.fixture
@@ -52,13 +39,13 @@ def spin(bench: Bench) -> None:
     bench.to_stop()
     bench.axis(0).aligned = True
     bench.write(0, enable=1)
-    bench.to_substate(0, SPIN)
+    bench.to_substate(0, SUBSTATE.SPIN)
     bench.slow(OPEN + 3)
 
 
 def begin_opening(bench: Bench) -> None:
     """Enable axis 1, whose angle is known, until the coil of its brake has current."""
-    fit(bench, BRAKE)
+    fit(bench, INPUTS.BRAKE_OPEN)
     bench.to_stop()
     bench.axis(0).aligned = True
     bench.write(0, enable=1)
@@ -67,162 +54,162 @@ def begin_opening(bench: Bench) -> None:
 
 class TestSwitches:
     def test_what_is_not_fitted_is_not_read(self, bench: Bench) -> None:
-        bench.hal.axis[0].inputs = HOME | LIMIT_MIN | LIMIT_MAX
+        bench.hal.axis[0].inputs = INPUTS.HOME | INPUTS.LIMIT_MIN | INPUTS.LIMIT_MAX
         bench.to_spin(0)
         assert (bench.view(0).inputs, bench.view(0).limits, bench.view(0).faults) == (0, 0, 0)
         assert not bench.hal.axis[0].enable_used
 
     def test_a_level_counts_from_its_second_tick(self, bench: Bench) -> None:
-        fit(bench, HOME)
-        bench.hal.axis[0].inputs = HOME
+        fit(bench, INPUTS.HOME)
+        bench.hal.axis[0].inputs = INPUTS.HOME
         bench.slow()
         bench.hal.axis[0].inputs = 0
         bench.slow(3)
         assert bench.view(0).inputs == 0
-        bench.hal.axis[0].inputs = HOME
+        bench.hal.axis[0].inputs = INPUTS.HOME
         bench.slow(3)
-        assert bench.view(0).inputs == HOME
+        assert bench.view(0).inputs == INPUTS.HOME
         assert bench.view(1).inputs == 0
 
-    @pytest.mark.parametrize(("switch", "way"), [(LIMIT_MAX, 1), (LIMIT_MIN, -1)])
+    @pytest.mark.parametrize(("switch", "way"), [(INPUTS.LIMIT_MAX, 1), (INPUTS.LIMIT_MIN, -1)])
     def test_a_switch_in_the_way_stops_the_motion_with_a_ramp(self, bench: Bench, switch: int, way: int) -> None:
-        fit(bench, LIMIT_MIN, LIMIT_MAX)
+        fit(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
         spin(bench)
-        bench.write(0, mode=SPEED, speed=speed(100.0 * way))
+        bench.write(0, mode=MODE.SPEED, speed=speed(100.0 * way))
         bench.follow(200)
         bench.hal.axis[0].inputs = switch
         log = bench.follow(3)
-        assert bench.view(0).faults == LIMIT_SWITCH
-        assert (bench.view(0).state, bench.view(0).substate) == (RUN, SPIN)
+        assert bench.view(0).faults == FAULTS.LIMIT_SWITCH
+        assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, SUBSTATE.SPIN)
         ramp = 100.0 / 4000.0 / 0.5e-3
         bench.follow(round(ramp) + 10)
-        assert bench.view(0).state == FAULT
+        assert bench.view(0).state == STATE.FAULT
         assert not bench.hal.axis[0].outputs_on
         assert len(log) == 3
 
-    @pytest.mark.parametrize("mode", [POSITION, SPEED, TORQUE])
+    @pytest.mark.parametrize("mode", [MODE.POSITION, MODE.SPEED, MODE.TORQUE])
     def test_only_the_way_off_a_switch_is_free(self, bench: Bench, mode: int) -> None:
-        fit(bench, LIMIT_MIN, LIMIT_MAX)
-        bench.hal.axis[0].inputs = LIMIT_MAX
+        fit(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
+        bench.hal.axis[0].inputs = INPUTS.LIMIT_MAX
         spin(bench)
-        assert (bench.view(0).faults, bench.view(0).limits) == (0, LIMIT_INPUT)
+        assert (bench.view(0).faults, bench.view(0).limits) == (0, LIMITS.INPUT)
         start = bench.view(0).position
 
         def push(way: int) -> Any:
-            if mode == POSITION:
+            if mode == MODE.POSITION:
                 bench.write(0, mode=mode, position=start + way * 400)
-            elif mode == SPEED:
+            elif mode == MODE.SPEED:
                 bench.write(0, mode=mode, speed=speed(20.0 * way))
             else:
                 bench.write(0, mode=mode, i_q=amps(0.5 * way))
             bench.slow(40)
-            return bench.view(0).i_q_ref if mode == TORQUE else bench.view(0).speed_ref
+            return bench.view(0).i_q_ref if mode == MODE.TORQUE else bench.view(0).speed_ref
 
-        assert abs(push(1)) <= (0 if mode == TORQUE else speed(1.0))
-        assert bench.view(0).limits & (LIMIT_INPUT | LIMIT_POSITION) == LIMIT_INPUT | LIMIT_POSITION
+        assert abs(push(1)) <= (0 if mode == MODE.TORQUE else speed(1.0))
+        assert bench.view(0).limits & (LIMITS.INPUT | LIMITS.POSITION) == LIMITS.INPUT | LIMITS.POSITION
         assert push(-1) < 0
 
     def test_a_switch_behind_the_shaft_is_a_fault_unless_it_bounces(self, bench: Bench) -> None:
-        fit(bench, LIMIT_MIN, LIMIT_MAX)
-        bench.hal.axis[0].inputs = LIMIT_MAX
+        fit(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
+        bench.hal.axis[0].inputs = INPUTS.LIMIT_MAX
         spin(bench)
-        bench.write(0, mode=SPEED, speed=speed(-30.0))
+        bench.write(0, mode=MODE.SPEED, speed=speed(-30.0))
         bench.follow(50)
-        for inputs in (0, LIMIT_MAX, 0):  # on the way off it
+        for inputs in (0, INPUTS.LIMIT_MAX, 0):  # on the way off it
             bench.hal.axis[0].inputs = inputs
             bench.follow(5)
         assert bench.view(0).faults == 0
         bench.follow(150)
-        bench.hal.axis[0].inputs = LIMIT_MAX  # which cannot be reached this way
+        bench.hal.axis[0].inputs = INPUTS.LIMIT_MAX  # which cannot be reached this way
         bench.follow(4)
-        assert bench.view(0).faults == LIMIT_SWITCH
+        assert bench.view(0).faults == FAULTS.LIMIT_SWITCH
 
     def test_both_at_once_are_no_way_to_go(self, bench: Bench) -> None:
-        fit(bench, LIMIT_MIN, LIMIT_MAX)
-        bench.hal.axis[0].inputs = LIMIT_MIN | LIMIT_MAX
+        fit(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
+        bench.hal.axis[0].inputs = INPUTS.LIMIT_MIN | INPUTS.LIMIT_MAX
         bench.slow(3)
         bench.to_stop()
         bench.write(0, enable=1)
         bench.slow(20)
-        assert (bench.view(0).state, bench.view(0).limits) == (STOP, LIMIT_INPUT)
+        assert (bench.view(0).state, bench.view(0).limits) == (STATE.STOP, LIMITS.INPUT)
 
     def test_both_at_once_stop_a_shaft_that_rests(self, bench: Bench) -> None:
-        fit(bench, LIMIT_MIN, LIMIT_MAX)
+        fit(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
         spin(bench)
-        bench.hal.axis[0].inputs = LIMIT_MIN | LIMIT_MAX
+        bench.hal.axis[0].inputs = INPUTS.LIMIT_MIN | INPUTS.LIMIT_MAX
         bench.slow(4)
-        assert bench.view(0).faults == LIMIT_SWITCH
+        assert bench.view(0).faults == FAULTS.LIMIT_SWITCH
 
     def test_a_fault_that_is_switched_off_still_is_a_limit(self, bench: Bench) -> None:
-        fit(bench, LIMIT_MIN, LIMIT_MAX)
-        bench.servo.parameter.faults_enabled[0] &= ~LIMIT_SWITCH
+        fit(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
+        bench.servo.parameter.faults_enabled[0] &= ~FAULTS.LIMIT_SWITCH
         spin(bench)
-        bench.write(0, mode=SPEED, speed=speed(50.0))
+        bench.write(0, mode=MODE.SPEED, speed=speed(50.0))
         bench.follow(100)
-        bench.hal.axis[0].inputs = LIMIT_MAX
+        bench.hal.axis[0].inputs = INPUTS.LIMIT_MAX
         bench.follow(60)
-        assert (bench.view(0).faults, bench.view(0).state) == (0, RUN)
+        assert (bench.view(0).faults, bench.view(0).state) == (0, STATE.RUN)
         assert abs(rad_s(bench.view(0).speed_ref)) < 1.0
 
 
 class TestEnableInput:
     def test_open_at_rest_it_refuses_without_a_fault(self, bench: Bench) -> None:
         bench.hal.axis[0].inputs = 0
-        fit(bench, ENABLE)
+        fit(bench, INPUTS.ENABLE)
         bench.to_stop()
         bench.write(0, enable=1)
         bench.slow(20)
-        assert bench.states()[0][:1] == (STOP,)
-        assert (bench.view(0).faults, bench.view(0).limits) == (0, LIMIT_INPUT)
+        assert bench.states()[0][:1] == (STATE.STOP,)
+        assert (bench.view(0).faults, bench.view(0).limits) == (0, LIMITS.INPUT)
         assert bench.hal.axis[0].enable_used  # armed anew, so that a closed input counts
 
-        bench.hal.axis[0].inputs = ENABLE
+        bench.hal.axis[0].inputs = INPUTS.ENABLE
         bench.slow(4)
-        assert (bench.view(0).state, bench.view(0).limits) == (STOP, 0)  # and nothing enables itself
+        assert (bench.view(0).state, bench.view(0).limits) == (STATE.STOP, 0)  # and nothing enables itself
         bench.write(0, enable=1)
         bench.slow(2)
-        assert bench.view(0).state == RUN
+        assert bench.view(0).state == STATE.RUN
 
     def test_opened_in_run_it_is_a_fault_within_a_tick(self, bench: Bench) -> None:
-        fit(bench, ENABLE)
+        fit(bench, INPUTS.ENABLE)
         spin(bench)
-        bench.write(0, mode=SPEED, speed=speed(100.0))
+        bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
         bench.follow(100)
         bench.hal.axis[0].inputs = 0
         bench.slow()
-        assert bench.view(0).state == FAULT or bench.axis(0).sm.state == FAULT
+        assert bench.view(0).state == STATE.FAULT or bench.axis(0).sm.state == STATE.FAULT
         assert not bench.hal.axis[0].outputs_on
         bench.slow()
-        assert bench.view(0).faults == ENABLE_INPUT
+        assert bench.view(0).faults == FAULTS.ENABLE_INPUT
         bench.turn(0, 0.0)
         bench.clear(0)
         bench.to_stop()
         assert bench.view(0).faults == 0  # at rest an open input is none
 
     def test_this_fault_cannot_be_switched_off(self, bench: Bench) -> None:
-        fit(bench, ENABLE)
+        fit(bench, INPUTS.ENABLE)
         bench.servo.parameter.faults_enabled[0] = 0
         spin(bench)
         bench.hal.axis[0].inputs = 0
         bench.slow(2)
-        assert bench.view(0).faults == ENABLE_INPUT
+        assert bench.view(0).faults == FAULTS.ENABLE_INPUT
 
 
 class TestHoldingBrake:
     def test_closed_until_the_position_is_controlled(self, bench: Bench) -> None:
         begin_opening(bench)
-        assert (bench.axis(0).sm.state, bench.axis(0).substate) == (RUN, SPIN)
+        assert (bench.axis(0).sm.state, bench.axis(0).substate) == (STATE.RUN, SUBSTATE.SPIN)
         assert bench.hal.axis[0].outputs_on
         assert bench.view(0).inputs == 0
         assert not bench.hal.axis[1].holding_released
         bench.slow(OPEN + 2)
-        assert bench.view(0).inputs == BRAKE
+        assert bench.view(0).inputs == INPUTS.BRAKE_OPEN
 
     def test_set_points_wait_for_it(self, bench: Bench) -> None:
         begin_opening(bench)
         start = bench.view(0).position
-        bench.write(0, mode=POSITION, position=start + 4000)
-        while bench.view(0).inputs != BRAKE:
+        bench.write(0, mode=MODE.POSITION, position=start + 4000)
+        while bench.view(0).inputs != INPUTS.BRAKE_OPEN:
             bench.slow()
             assert bench.view(0).position_ref == start
         bench.slow(30)
@@ -232,10 +219,10 @@ class TestHoldingBrake:
     def test_set_points_wait_whatever_is_repeated_meanwhile(self, bench: Bench, again: dict[str, int]) -> None:
         begin_opening(bench)
         start = bench.view(0).position
-        bench.write(0, mode=POSITION, position=start + 4000)
+        bench.write(0, mode=MODE.POSITION, position=start + 4000)
         bench.slow(2)
         bench.write(0, **again)
-        while bench.view(0).inputs != BRAKE:
+        while bench.view(0).inputs != INPUTS.BRAKE_OPEN:
             bench.slow()
             assert bench.view(0).position_ref == start
         bench.slow(30)
@@ -245,7 +232,7 @@ class TestHoldingBrake:
     def test_a_set_point_that_waits_does_not_outlive_a_stop(self, bench: Bench, stop: str) -> None:
         begin_opening(bench)
         start = bench.view(0).position
-        bench.write(0, mode=POSITION, position=start + 4000)
+        bench.write(0, mode=MODE.POSITION, position=start + 4000)
         bench.slow(2)
         if stop == "fault":
             bench.hal.bus_code = bus_code(36.0)
@@ -257,19 +244,19 @@ class TestHoldingBrake:
             bench.write(0, **{stop: int(stop == "quick_stop")})
             bench.slow(OPEN + CLOSE + 30)
         bench.axis(0).aligned = True
-        bench.until(lambda: stop == "quick_stop" or bench.view(0).state == STOP, 200)
+        bench.until(lambda: stop == "quick_stop" or bench.view(0).state == STATE.STOP, 200)
         bench.write(0, enable=1)
-        bench.to_substate(0, SPIN)
+        bench.to_substate(0, SUBSTATE.SPIN)
         bench.slow(OPEN + 60)
-        assert (bench.view(0).inputs, bench.view(0).position_ref) == (BRAKE, start)
+        assert (bench.view(0).inputs, bench.view(0).position_ref) == (INPUTS.BRAKE_OPEN, start)
 
-    @pytest.mark.parametrize("category", [RAMP, HOLD])
+    @pytest.mark.parametrize("category", [STOP_CATEGORY.RAMP, STOP_CATEGORY.HOLD])
     def test_a_stop_ends_in_holding_until_it_is_closed(self, bench: Bench, category: int) -> None:
-        config = fit(bench, BRAKE)
+        config = fit(bench, INPUTS.BRAKE_OPEN)
         config.stop.hold_ticks = 50
         bench.servo.parameter.on_disable[0] = category
         spin(bench)
-        bench.write(0, mode=SPEED, speed=speed(50.0))
+        bench.write(0, mode=MODE.SPEED, speed=speed(50.0))
         bench.follow(100)
         bench.write(0, enable=0)
         ticks = 0
@@ -278,8 +265,8 @@ class TestHoldingBrake:
             ticks += 1
             assert ticks < 300
         assert abs(rad_s(bench.view(0).speed)) < 3.0
-        assert (bench.axis(0).substate, bench.hal.axis[0].outputs_on) == (SPIN, True)
-        assert ticks >= (50 if category == HOLD else 0)
+        assert (bench.axis(0).substate, bench.hal.axis[0].outputs_on) == (SUBSTATE.SPIN, True)
+        assert ticks >= (50 if category == STOP_CATEGORY.HOLD else 0)
         held = 0
         while bench.hal.axis[0].outputs_on:
             bench.follow(1)
@@ -288,25 +275,25 @@ class TestHoldingBrake:
         assert CLOSE <= held <= CLOSE + 2
 
     def test_wanted_again_it_opens_again(self, bench: Bench) -> None:
-        fit(bench, BRAKE)
+        fit(bench, INPUTS.BRAKE_OPEN)
         spin(bench)
         bench.write(0, enable=0)
         bench.until(lambda: not bench.hal.axis[0].holding_released, 100)
         bench.write(0, enable=1)
         bench.slow(OPEN + 5)
-        assert (bench.view(0).substate, bench.view(0).inputs) == (SPIN, BRAKE)
+        assert (bench.view(0).substate, bench.view(0).inputs) == (SUBSTATE.SPIN, INPUTS.BRAKE_OPEN)
 
     def test_outputs_that_go_off_at_once_close_it_at_once(self, bench: Bench) -> None:
-        fit(bench, BRAKE)
+        fit(bench, INPUTS.BRAKE_OPEN)
         spin(bench)
         bench.hal.bus_code = bus_code(36.0)
         bench.slow(20)
-        assert bench.view(0).state == FAULT
+        assert bench.view(0).state == STATE.FAULT
         assert not bench.hal.axis[0].holding_released
         assert bench.view(0).inputs == 0
 
     def test_what_the_encoder_cannot_vouch_for_is_searched_anew(self, bench: Bench) -> None:
-        fit(bench, BRAKE)
+        fit(bench, INPUTS.BRAKE_OPEN)
         spin(bench)
         bench.hal.axis[0].over_current = True
         bench.slow(2)
@@ -314,7 +301,7 @@ class TestHoldingBrake:
         bench.clear(0)
         bench.to_stop()
         bench.write(0, enable=1)
-        bench.to_substate(0, ALIGN)
+        bench.to_substate(0, SUBSTATE.ALIGN)
         assert not bench.hal.axis[0].holding_released  # the current comes first
         search, limit = bench.axis(0).search, bench.axis(0).config.rotor_search.current_limit << 16
         bench.motor_plugged[0] = False
@@ -324,7 +311,7 @@ class TestHoldingBrake:
             assert search.current == limit or not bench.hal.axis[0].holding_released
 
     def test_the_load_is_taken_over_without_a_jump(self, bench: Bench) -> None:
-        fit(bench, BRAKE)
+        fit(bench, INPUTS.BRAKE_OPEN)
         bench.to_stop()
         bench.axis(0).aligned, bench.axis(0).brake.load = True, amps(0.8)
         bench.write(0, enable=1)
@@ -335,6 +322,6 @@ class TestHoldingBrake:
     def test_none_is_always_open(self, bench: Bench) -> None:
         bench.to_spin(0)
         assert not bench.hal.axis[0].holding_released
-        bench.write(0, mode=POSITION, position=bench.view(0).position + 4000)
+        bench.write(0, mode=MODE.POSITION, position=bench.view(0).position + 4000)
         bench.slow(20)
         assert bench.view(0).position_ref > 0

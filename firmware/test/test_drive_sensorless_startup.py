@@ -5,33 +5,11 @@ from __future__ import annotations
 import math
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
-from servo_bench import FAULT as FAULT_STATE
-from servo_bench import (
-    FREEWHEEL,
-    LIMIT_SENSORLESS,
-    POSITION,
-    READY,
-    RUN,
-    SPEED,
-    SPIN,
-    STARTUP,
-    STOP,
-    TORQUE,
-    Bench,
-    amps,
-    speed,
-)
+from core_library import Core
+from servo_bench import FAULTS, LIMITS, MODE, STATE, SUBSTATE, Bench, amps, speed
 
 OBSERVER, ENCODER = 1, 0
-START_UP, SPEED_FEEDBACK = 1 << 14, 1 << 15
 CATCH, TRACK, PROVE, RAMP = range(4)
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 @pytest.fixture
@@ -45,8 +23,8 @@ def bench(core: Core) -> Bench:
 
 
 def to_ready(b: Bench) -> None:
-    b.write(0, mode=SPEED, enable=1)
-    b.to_substate(0, READY)
+    b.write(0, mode=MODE.SPEED, enable=1)
+    b.to_substate(0, SUBSTATE.READY)
 
 
 def substate(b: Bench) -> tuple[int, int]:
@@ -61,7 +39,7 @@ def test_source_changes_only_outside_run(bench: Bench) -> None:
     bench.slow(50)
     assert bench.axis(0).sensorless
     bench.write(0, enable=0)
-    bench.until(lambda: bench.view(0).state == STOP, 20)
+    bench.until(lambda: bench.view(0).state == STATE.STOP, 20)
     bench.slow(2)
     assert not bench.axis(0).sensorless
 
@@ -81,19 +59,19 @@ def test_waits_with_its_outputs_off(bench: Bench) -> None:
     """READY of an encoder axis shorts the windings; a shaft without an encoder may turn."""
     to_ready(bench)
     bench.slow(200)
-    assert substate(bench) == (RUN, READY)
+    assert substate(bench) == (STATE.RUN, SUBSTATE.READY)
     assert not bench.hal.axis[0].outputs_on
-    assert bench.view(0).limits & LIMIT_SENSORLESS == 0
+    assert bench.view(0).limits & LIMITS.SENSORLESS == 0
 
 
-@pytest.mark.parametrize("mode", [POSITION, TORQUE])
+@pytest.mark.parametrize("mode", [MODE.POSITION, MODE.TORQUE])
 def test_what_it_cannot_do_moves_nothing(bench: Bench, mode: int) -> None:
     bench.write(0, mode=mode, enable=1)
-    bench.to_substate(0, READY)
+    bench.to_substate(0, SUBSTATE.READY)
     bench.write(0, position=1000, i_q=amps(1.0), speed=speed(100.0))
     bench.slow(50)
-    assert substate(bench) == (RUN, READY)
-    assert bench.view(0).limits & LIMIT_SENSORLESS
+    assert substate(bench) == (STATE.RUN, SUBSTATE.READY)
+    assert bench.view(0).limits & LIMITS.SENSORLESS
     assert not bench.hal.axis[0].outputs_on
 
 
@@ -101,19 +79,19 @@ def test_set_point_below_the_minimum_is_flagged(bench: Bench) -> None:
     to_ready(bench)
     bench.write(0, speed=speed(5.0))
     bench.slow(20)
-    assert substate(bench) == (RUN, READY)
-    assert bench.view(0).limits & LIMIT_SENSORLESS
+    assert substate(bench) == (STATE.RUN, SUBSTATE.READY)
+    assert bench.view(0).limits & LIMITS.SENSORLESS
     bench.write(0, speed=0)
     bench.slow(2)
-    assert bench.view(0).limits & LIMIT_SENSORLESS == 0
+    assert bench.view(0).limits & LIMITS.SENSORLESS == 0
 
 
 def test_set_point_from_before_the_enable_does_not_count(bench: Bench) -> None:
-    bench.write(0, mode=SPEED, speed=speed(100.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
     bench.slow(5)
     to_ready(bench)
     bench.slow(20)
-    assert substate(bench) == (RUN, READY)
+    assert substate(bench) == (STATE.RUN, SUBSTATE.READY)
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -122,7 +100,7 @@ def test_ramps_of_the_slide(bench: Bench, direction: int) -> None:
     config = bench.axis(0).config.startup
     to_ready(bench)
     bench.write(0, speed=speed(direction * 100.0))
-    bench.to_substate(0, STARTUP, 3)
+    bench.to_substate(0, SUBSTATE.STARTUP, 3)
     startup = bench.axis(0).startup
     assert startup.phase == CATCH
     assert bench.hal.axis[0].outputs_on
@@ -144,30 +122,30 @@ def test_failure_has_a_name(bench: Bench) -> None:
     """Nothing answers: after START_UP_DURATION the outputs go off, and the drive is not asked for any more."""
     to_ready(bench)
     bench.write(0, speed=speed(100.0))
-    bench.to_substate(0, STARTUP, 3)
+    bench.to_substate(0, SUBSTATE.STARTUP, 3)
     most = bench.axis(0).config.startup.duration_ticks + bench.axis(0).config.startup.catch_ticks
-    ticks = bench.until(lambda: bench.view(0).state == FAULT_STATE, most + 20)
-    assert bench.view(0).faults == START_UP
+    ticks = bench.until(lambda: bench.view(0).state == STATE.FAULT, most + 20)
+    assert bench.view(0).faults == FAULTS.START_UP
     assert ticks == pytest.approx(most, abs=4)
     assert not bench.hal.axis[0].outputs_on
     bench.slow(2)
     bench.clear(0)
     bench.slow(100)
-    assert bench.view(0).state == STOP
+    assert bench.view(0).state == STATE.STOP
 
 
-@pytest.mark.parametrize("command", [{"enable": 0}, {"speed": 0}, {"mode": POSITION}, {"quick_stop": 1}])
+@pytest.mark.parametrize("command", [{"enable": 0}, {"speed": 0}, {"mode": MODE.POSITION}, {"quick_stop": 1}])
 def test_start_up_is_given_up_when_it_is_not_wanted(bench: Bench, command: dict[str, int]) -> None:
     to_ready(bench)
     bench.write(0, speed=speed(100.0))
-    bench.to_substate(0, STARTUP, 3)
+    bench.to_substate(0, SUBSTATE.STARTUP, 3)
     bench.slow(100)
     bench.write(0, **command)
-    bench.until(lambda: substate(bench) != (RUN, STARTUP), 3)
+    bench.until(lambda: substate(bench) != (STATE.RUN, SUBSTATE.STARTUP), 3)
     assert not bench.hal.axis[0].outputs_on
     bench.slow(5)
-    assert substate(bench) in ((STOP, READY), (RUN, READY))
-    assert FREEWHEEL != READY
+    assert substate(bench) in ((STATE.STOP, SUBSTATE.READY), (STATE.RUN, SUBSTATE.READY))
+    assert SUBSTATE.FREEWHEEL != SUBSTATE.READY
 
 
 def test_soft_limit_forbids_the_start(bench: Bench) -> None:
@@ -176,9 +154,9 @@ def test_soft_limit_forbids_the_start(bench: Bench) -> None:
     to_ready(bench)
     bench.write(0, speed=speed(100.0))
     bench.slow(50)
-    assert substate(bench) == (RUN, READY)
+    assert substate(bench) == (STATE.RUN, SUBSTATE.READY)
     bench.write(0, speed=speed(-100.0))
-    bench.to_substate(0, STARTUP, 3)
+    bench.to_substate(0, SUBSTATE.STARTUP, 3)
 
 
 def test_both_axes_at_once(core: Core) -> None:
@@ -186,13 +164,13 @@ def test_both_axes_at_once(core: Core) -> None:
     b.write_raw("param.feedback", [OBSERVER, OBSERVER])
     b.to_stop()
     for axis in (0, 1):
-        b.write(axis, mode=SPEED, enable=1)
-    b.to_substate(0, READY)
-    b.to_substate(1, READY)
+        b.write(axis, mode=MODE.SPEED, enable=1)
+    b.to_substate(0, SUBSTATE.READY)
+    b.to_substate(1, SUBSTATE.READY)
     b.write(0, speed=speed(100.0))
     b.write(1, speed=speed(-100.0))
     b.slow(60)
-    assert [b.view(i).substate for i in (0, 1)] == [STARTUP, STARTUP]
+    assert [b.view(i).substate for i in (0, 1)] == [SUBSTATE.STARTUP, SUBSTATE.STARTUP]
     assert b.axis(0).startup.step > 0 > b.axis(1).startup.step
 
 
@@ -200,13 +178,13 @@ def test_spinning_axis_without_back_emf_is_found_out(bench: Bench) -> None:
     """Put into SPIN by hand: no back-EMF answers, and the speed is not accepted."""
     to_ready(bench)
     bench.write(0, speed=speed(100.0))
-    bench.to_substate(0, STARTUP, 3)
+    bench.to_substate(0, SUBSTATE.STARTUP, 3)
     bench.slow(100)
     axis = bench.axis(0)
     axis.estimate.pll.integral = axis.config.pll.step_per_speed // 5
     axis.estimate.speed = speed(100.0)
     axis.estimate.locked = True
     bench.core.lib.startup_hand_over(bench.core.ffi.addressof(axis))
-    axis.substate, axis.fast = SPIN, 2
-    bench.until(lambda: bench.view(0).state == FAULT_STATE, 400)
-    assert bench.view(0).faults == SPEED_FEEDBACK
+    axis.substate, axis.fast = SUBSTATE.SPIN, 2
+    bench.until(lambda: bench.view(0).state == STATE.FAULT, 400)
+    assert bench.view(0).faults == FAULTS.SPEED_FEEDBACK

@@ -9,20 +9,7 @@ import pytest
 from core_library import Core
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from servo_bench import (
-    COUNT,
-    LIMIT_POSITION,
-    LIMIT_SPEED,
-    POSITION,
-    POSITION_LIMITS,
-    SPEED,
-    TICK,
-    TORQUE,
-    Bench,
-    amps,
-    rad_s,
-    speed,
-)
+from servo_bench import COUNT, FEATURES, LIMITS, MODE, TICK, Bench, amps, rad_s, speed
 from test_drive_motion import move_counters
 
 
@@ -30,7 +17,7 @@ def confine(bench: Bench, low: int, high: int) -> None:
     """Set the limits of axis 1 [counts] and switch them on."""
     bench.write_raw("param.position_min", [low, 0])
     bench.write_raw("param.position_max", [high, 0])
-    bench.switch_on(0, POSITION_LIMITS)
+    bench.switch_on(0, FEATURES.POSITION_LIMITS)
     bench.slow()
 
 
@@ -41,7 +28,7 @@ def test_move_ends_at_the_limit(bench: Bench, target: int, limit: int) -> None:
     log = bench.follow(900)
     assert max(abs(position) for _, position in log) <= abs(limit) + 1
     assert abs(log[-1][1] - limit) <= 1
-    assert bench.view(0).limits & LIMIT_POSITION
+    assert bench.view(0).limits & LIMITS.POSITION
 
 
 def test_move_inside_does_not_know_of_the_limits(core: Core) -> None:
@@ -57,7 +44,7 @@ def test_move_inside_does_not_know_of_the_limits(core: Core) -> None:
             bench.slow()
         bench.write(0, position=8000)
         logs.append(bench.follow(600))
-        assert not bench.view(0).limits & LIMIT_POSITION
+        assert not bench.view(0).limits & LIMITS.POSITION
     assert logs[0] == logs[1]
 
 
@@ -67,7 +54,7 @@ def test_speed_falls_towards_the_limit(bench: Bench, rad_per_s: float, accelerat
     bench.set_parameter("acceleration_limit", acceleration)
     confine(bench, -60_000, 60_000)
     bench.servo.parameter.faults_enabled = [0, 0]  # voltage without current is one
-    bench.write(0, mode=SPEED, speed=speed(rad_per_s))
+    bench.write(0, mode=MODE.SPEED, speed=speed(rad_per_s))
     positions, speeds = [], []
     for _ in range(3500):
         bench.turn(0, rad_s(bench.view(0).speed_ref))
@@ -80,23 +67,23 @@ def test_speed_falls_towards_the_limit(bench: Bench, rad_per_s: float, accelerat
     braking = max((abs(a) - abs(b)) / TICK for a, b in itertools.pairwise(speeds))
     assert braking <= 0.55 * 0.0462 * 4.0 / 0.8e-5, "no faster than half the current can brake"
     assert braking <= acceleration * 1.001
-    assert bench.view(0).limits & LIMIT_POSITION
+    assert bench.view(0).limits & LIMITS.POSITION
 
 
 def test_way_back_is_free(bench: Bench) -> None:
     confine(bench, -2000, 2000)
-    bench.write(0, mode=SPEED, speed=speed(20.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(20.0))
     bench.follow(1000)
     bench.write(0, speed=speed(-20.0))
     bench.follow(100)
     assert rad_s(bench.view(0).speed_ref) == pytest.approx(-20.0, rel=1e-3)
-    assert not bench.view(0).limits & LIMIT_POSITION
+    assert not bench.view(0).limits & LIMITS.POSITION
 
 
 def test_torque_ends_at_the_limit(bench: Bench) -> None:
     """At the limit the current pushes back against the speed that is left, and does not press."""
     confine(bench, -2000, 2000)
-    bench.write(0, mode=TORQUE, i_q=amps(1.0))
+    bench.write(0, mode=MODE.TORQUE, i_q=amps(1.0))
     bench.slow(3)
     assert bench.view(0).i_q_ref == amps(1.0), "free inside"
     bench.turn(0, 50.0)
@@ -104,8 +91,8 @@ def test_torque_ends_at_the_limit(bench: Bench) -> None:
     bench.turn(0, 5.0)
     bench.slow(20)
     assert bench.view(0).i_q_ref < 0
-    assert bench.view(0).limits & LIMIT_POSITION
-    assert not bench.view(0).limits & LIMIT_SPEED
+    assert bench.view(0).limits & LIMITS.POSITION
+    assert not bench.view(0).limits & LIMITS.SPEED
     bench.turn(0, 0.0)
     bench.slow(2000)
     assert bench.view(0).i_q_ref < 0, "what pushed it out may still be there"
@@ -120,7 +107,7 @@ def test_torque_ends_at_the_limit(bench: Bench) -> None:
 def test_torque_holds_against_a_load_at_the_limit(bench: Bench, sign: int) -> None:
     """As the integral part of the speed controller: ki per count past the limit, given back on the way in."""
     confine(bench, -2000, 2000)
-    bench.write(0, mode=TORQUE, i_q=0)
+    bench.write(0, mode=MODE.TORQUE, i_q=0)
     bench.turn(0, sign * 50.0)
     bench.until(lambda: sign * bench.view(0).position >= 1950, 200)
     bench.turn(0, sign * 0.5)
@@ -146,7 +133,7 @@ def test_torque_against_a_load_stays_within_the_current_limit(bench: Bench, sign
     """However long it pushes; and it is not wound up farther than that."""
     bench.set_parameter("i_q_limit", 1.0)
     confine(bench, -2000, 2000)
-    bench.write(0, mode=TORQUE, i_q=0)
+    bench.write(0, mode=MODE.TORQUE, i_q=0)
     bench.turn(0, sign * 30.0)
     bench.slow(1500)
     assert bench.view(0).i_q_ref == pytest.approx(-sign * amps(1.0), abs=1)
@@ -157,15 +144,15 @@ def test_torque_against_a_load_stays_within_the_current_limit(bench: Bench, sign
 
 def test_torque_mode_begins_without_what_an_earlier_load_has_left(bench: Bench) -> None:
     confine(bench, -2000, 2000)
-    bench.write(0, mode=TORQUE, i_q=0)
+    bench.write(0, mode=MODE.TORQUE, i_q=0)
     bench.turn(0, 30.0)
     bench.slow(400)
     assert bench.view(0).i_q_ref < 0
     bench.turn(0, 0.0)
     bench.slow(300)
-    bench.write(0, mode=SPEED, speed=0)
+    bench.write(0, mode=MODE.SPEED, speed=0)
     bench.slow(2)
-    bench.write(0, mode=TORQUE, i_q=0)
+    bench.write(0, mode=MODE.TORQUE, i_q=0)
     bench.slow(2)
     assert bench.axis(0).motion.limit_hold_current == 0
 
@@ -179,14 +166,14 @@ def test_limits_behind_the_shaft_do_not_move_it(bench: Bench, low: int, high: in
         assert (bench.view(0).position_ref, bench.view(0).speed_ref) == (0, 0)
 
 
-@pytest.mark.parametrize("mode", [POSITION, SPEED])
+@pytest.mark.parametrize("mode", [MODE.POSITION, MODE.SPEED])
 def test_outside_only_the_way_in_is_open(bench: Bench, mode: int) -> None:
     confine(bench, 1000, 5000)
-    outwards = {"position": -3000} if mode == POSITION else {"speed": speed(-20.0)}
+    outwards = {"position": -3000} if mode == MODE.POSITION else {"speed": speed(-20.0)}
     bench.write(0, mode=mode, **outwards)
     bench.follow(300)
     assert abs(bench.view(0).position) <= 1
-    inwards = {"position": 3000} if mode == POSITION else {"speed": speed(20.0)}
+    inwards = {"position": 3000} if mode == MODE.POSITION else {"speed": speed(20.0)}
     bench.write(0, mode=mode, **inwards)
     bench.follow(900)
     assert bench.view(0).position >= 2900
@@ -199,7 +186,7 @@ def test_outside_no_target_beyond_the_wrap_opens_the_way_out(bench: Bench, sign:
     confine(bench, -900_000_000, 900_000_000)
     bench.slow(2)
     before = bench.view(0).position
-    bench.write(0, mode=POSITION)
+    bench.write(0, mode=MODE.POSITION)
     bench.follow(20)
     bench.write(0, position=-sign * 2_100_000_000)
     bench.follow(300)
@@ -231,14 +218,14 @@ def test_passed_limit_stops_where_the_shaft_can(bench: Bench, sign: int, ahead: 
     stopping = 314.0**2 / (2.0 * 4000.0) / COUNT
     assert references == sorted(references)
     assert references[-1] - sign * reference == pytest.approx(lead + stopping, rel=0.05)
-    assert bench.view(0).limits & LIMIT_POSITION
+    assert bench.view(0).limits & LIMITS.POSITION
 
 
 def test_stop_before_the_limit_is_a_stop_before_the_limit(bench: Bench) -> None:
     """A gentle ramp does not carry a stopping shaft over its limit."""
     bench.set_parameter("acceleration_limit", 1000.0)
     confine(bench, -1_000_000, 60_000)
-    bench.write(0, mode=SPEED, speed=speed(314.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(314.0))
     while bench.view(0).position < 55_000:
         bench.follow(1)
     bench.write(0, quick_stop=1)
@@ -254,11 +241,11 @@ def test_position_mode_takes_over_before_the_limit(bench: Bench, before: int, si
     That far its lag v / Kv reaches beyond the way that the linear part of the approach has left.
     """
     confine(bench, -100_000, 100_000)
-    bench.write(0, mode=SPEED, speed=speed(sign * 314.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(sign * 314.0))
     while abs(bench.view(0).position) < 100_000 - before:
         bench.follow(1)
     speeds, furthest = [], 0
-    bench.write(0, mode=POSITION, position=sign * (100_000 + beyond))
+    bench.write(0, mode=MODE.POSITION, position=sign * (100_000 + beyond))
     for _ in range(900):
         bench.follow(1)
         furthest = max(furthest, abs(bench.view(0).position))
@@ -273,7 +260,7 @@ def test_position_mode_takes_over_before_the_limit(bench: Bench, before: int, si
 @pytest.mark.parametrize("sign", [1, -1])
 def test_limit_moved_onto_a_turning_shaft_is_ramped_down_to(bench: Bench, sign: int, quick_stop: int) -> None:
     """It passes the limit: the speed set-point has no step."""
-    bench.write(0, mode=SPEED, speed=speed(sign * 200.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(sign * 200.0))
     bench.follow(300)
     here = bench.view(0).position
     if quick_stop:
@@ -308,7 +295,7 @@ def test_allowed_speeds_over_every_limit(
     """
     bench = Bench(core)
     axis = bench.axis(0)
-    axis.features = POSITION_LIMITS
+    axis.features = FEATURES.POSITION_LIMITS
     here = high - round(math.exp(near)) if here is None else here
     axis.limits.position_min, axis.limits.position_max = low, high
     axis.limits.speed = speed(most)

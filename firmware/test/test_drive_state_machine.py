@@ -11,7 +11,7 @@ from core_library import Core
 from firmware_compiler import FIRMWARE
 from hypothesis import given
 from hypothesis import strategies as st
-from servo_bench import FAULT, INIT, RUN, STOP
+from servo_bench import STATE
 
 FLAGS = {
     "NONE": 0x0,
@@ -87,14 +87,14 @@ def test_numbers_are_those_of_the_seed(core: Core) -> None:
     assert [f for f, _ in core.ffi.typeof("sm_transitions_t").fields] == list(TRANSITIONS)
 
 
-@pytest.mark.parametrize("state", [FAULT, INIT, STOP, RUN])
+@pytest.mark.parametrize("state", [STATE.FAULT, STATE.INIT, STATE.STOP, STATE.RUN])
 def test_without_flags_only_the_state_function_runs(core: Core, state: int) -> None:
     machine = Machine(core, state)
     for _ in range(3):
         assert machine.step() == ([STATES[state]], state)
 
 
-@pytest.mark.parametrize("state", [FAULT, INIT, STOP, RUN])
+@pytest.mark.parametrize("state", [STATE.FAULT, STATE.INIT, STATE.STOP, STATE.RUN])
 def test_the_state_function_gets_the_loop_that_calls(core: Core, state: int) -> None:
     machine = Machine(core, state)
     for loop in range(6):
@@ -103,58 +103,62 @@ def test_the_state_function_gets_the_loop_that_calls(core: Core, state: int) -> 
 
 
 def test_init_done_leads_to_stop(core: Core) -> None:
-    machine = Machine(core, INIT)
+    machine = Machine(core, STATE.INIT)
     machine.does["init"] = lambda: machine.set("INIT_DONE")
-    assert machine.step() == (["init", "init_stop"], STOP)
+    assert machine.step() == (["init", "init_stop"], STATE.STOP)
     assert machine.sm.ctrl == 0
 
 
 def test_start_waits_for_its_acknowledge(core: Core) -> None:
-    machine = Machine(core, STOP, "START")
+    machine = Machine(core, STATE.STOP, "START")
     for _ in range(2):
-        assert machine.step() == (["stop", "stop_run"], STOP)
+        assert machine.step() == (["stop", "stop_run"], STATE.STOP)
     machine.does["stop_run"] = lambda: machine.set("RUN_ACK")
-    assert machine.step() == (["stop", "stop_run"], RUN)
+    assert machine.step() == (["stop", "stop_run"], STATE.RUN)
     assert machine.sm.ctrl == 0
 
 
 def test_stop_waits_for_its_acknowledge(core: Core) -> None:
-    machine = Machine(core, RUN, "STOP")
+    machine = Machine(core, STATE.RUN, "STOP")
     for _ in range(2):
-        assert machine.step() == (["run", "run_stop"], RUN)
+        assert machine.step() == (["run", "run_stop"], STATE.RUN)
     machine.does["run_stop"] = lambda: machine.set("STOP_ACK")
-    assert machine.step() == (["run", "run_stop"], STOP)
+    assert machine.step() == (["run", "run_stop"], STATE.STOP)
     assert machine.sm.ctrl == 0
 
 
-@pytest.mark.parametrize(("state", "transition"), [(INIT, "init_fault"), (STOP, "stop_fault"), (RUN, "run_fault")])
+@pytest.mark.parametrize(
+    ("state", "transition"), [(STATE.INIT, "init_fault"), (STATE.STOP, "stop_fault"), (STATE.RUN, "run_fault")]
+)
 def test_fault_from_every_state(core: Core, state: int, transition: str) -> None:
     """A fault from before: the state's function does not run any more, it could switch something on."""
     machine = Machine(core, state, "FAULT")
-    assert machine.step() == ([transition], FAULT)
-    assert machine.step() == (["fault"], FAULT)
+    assert machine.step() == ([transition], STATE.FAULT)
+    assert machine.step() == (["fault"], STATE.FAULT)
 
 
-@pytest.mark.parametrize(("state", "transition"), [(INIT, "init_fault"), (STOP, "stop_fault"), (RUN, "run_fault")])
+@pytest.mark.parametrize(
+    ("state", "transition"), [(STATE.INIT, "init_fault"), (STATE.STOP, "stop_fault"), (STATE.RUN, "run_fault")]
+)
 def test_fault_from_within_a_state_function(core: Core, state: int, transition: str) -> None:
     machine = Machine(core, state)
     machine.does[STATES[state]] = lambda: machine.set("FAULT")
-    assert machine.step() == ([STATES[state], transition], FAULT)
+    assert machine.step() == ([STATES[state], transition], STATE.FAULT)
 
 
-@pytest.mark.parametrize("state", [INIT, STOP, RUN])
+@pytest.mark.parametrize("state", [STATE.INIT, STATE.STOP, STATE.RUN])
 def test_fault_goes_before_everything_and_forgets_requests(core: Core, state: int) -> None:
     machine = Machine(core, state, *(set(FLAGS) - {"NONE"}))
-    assert machine.step()[1] == FAULT
+    assert machine.step()[1] == STATE.FAULT
     assert machine.sm.ctrl == 0
-    assert machine.step() == (["fault"], FAULT)
+    assert machine.step() == (["fault"], STATE.FAULT)
 
 
 def test_clear_leads_through_init(core: Core) -> None:
-    machine = Machine(core, FAULT, "FAULT_CLEAR", "START", "INIT_DONE")
-    assert machine.step() == (["fault", "fault_init"], INIT)
+    machine = Machine(core, STATE.FAULT, "FAULT_CLEAR", "START", "INIT_DONE")
+    assert machine.step() == (["fault", "fault_init"], STATE.INIT)
     assert machine.sm.ctrl == 0, "nothing that was asked for before a fault may come after it"
-    assert machine.step() == (["init"], INIT)
+    assert machine.step() == (["init"], STATE.INIT)
 
 
 @given(state=st.integers(0, 3), ctrl=st.integers(0, 0x7F))
@@ -167,4 +171,4 @@ def test_any_flags_make_at_most_one_transition(core: Core, state: int, ctrl: int
     if after != state:
         assert transitions == [f"{STATES[state]}_{STATES[after]}"]
     if ctrl & 1:
-        assert after == FAULT or (state == FAULT and ctrl & 2)
+        assert after == STATE.FAULT or (state == STATE.FAULT and ctrl & 2)

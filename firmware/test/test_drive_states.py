@@ -6,24 +6,7 @@ import itertools
 
 import pytest
 from core_library import Core
-from servo_bench import (
-    ALIGN,
-    BRAKE,
-    CALIB,
-    CODE_24V,
-    FREEWHEEL,
-    INIT,
-    PULL,
-    READY,
-    REST,
-    RUN,
-    SPEED,
-    SPIN,
-    STOP,
-    TORQUE,
-    VERIFY,
-    Bench,
-)
+from servo_bench import BRAKE, CODE_24V, MODE, PULL, REST, STATE, SUBSTATE, VERIFY, Bench
 
 HALF = 16384
 
@@ -42,12 +25,12 @@ def at_rest(bench: Bench, axis: int) -> bool:
 
 
 def test_reset_leads_through_init_to_stop_with_the_outputs_off(bench: Bench) -> None:
-    assert bench.axis(0).sm.state == INIT
+    assert bench.axis(0).sm.state == STATE.INIT
     bench.slow()
-    assert bench.view(0).state == INIT
+    assert bench.view(0).state == STATE.INIT
     bench.to_stop()
     bench.slow(200)
-    assert [s[0] for s in bench.states()] == [STOP, STOP]
+    assert [s[0] for s in bench.states()] == [STATE.STOP, STATE.STOP]
     for axis in range(2):
         assert bench.hal.axis[axis].times_on == 0
         assert at_rest(bench, axis)
@@ -55,7 +38,7 @@ def test_reset_leads_through_init_to_stop_with_the_outputs_off(bench: Bench) -> 
 
 def test_init_lasts_until_the_bus_filter_has_settled(bench: Bench) -> None:
     """Else the rising filter would be taken for under-voltage."""
-    ticks = bench.until(lambda: bench.view(0).state == STOP, 100)
+    ticks = bench.until(lambda: bench.view(0).state == STATE.STOP, 100)
     assert ticks == bench.core.lib.probe_config().axis[0].settle_ticks
     assert bench.axis(0).u_dc == pytest.approx(CODE_24V << 3, rel=1e-3)
 
@@ -70,9 +53,14 @@ def test_enable_leads_one_axis_to_spin(bench: Bench, axis: int) -> None:
         now = (bench.view(axis).state, bench.view(axis).substate)
         if not seen or seen[-1] != now:
             seen.append(now)
-        assert bench.view(1 - axis).state == STOP
+        assert bench.view(1 - axis).state == STATE.STOP
         assert not bench.hal.axis[1 - axis].outputs_on
-    assert seen == [(RUN, CALIB), (RUN, READY), (RUN, ALIGN), (RUN, SPIN)]
+    assert seen == [
+        (STATE.RUN, SUBSTATE.CALIB),
+        (STATE.RUN, SUBSTATE.READY),
+        (STATE.RUN, SUBSTATE.ALIGN),
+        (STATE.RUN, SUBSTATE.SPIN),
+    ]
 
 
 def test_calib_measures_offsets_with_the_outputs_off(bench: Bench) -> None:
@@ -81,8 +69,8 @@ def test_calib_measures_offsets_with_the_outputs_off(bench: Bench) -> None:
     hal.current_code[0], hal.current_code[1], hal.current_code[2] = 2040, 2051, 2060
     bench.write(0, enable=1)
     bench.slow()
-    assert bench.view(0).substate == CALIB
-    while bench.view(0).substate == CALIB:
+    assert bench.view(0).substate == SUBSTATE.CALIB
+    while bench.view(0).substate == SUBSTATE.CALIB:
         assert not hal.outputs_on
         assert at_rest(bench, 0)
         bench.slow()
@@ -96,7 +84,7 @@ def test_calib_uses_only_samples_of_the_pair_it_asked_for(bench: Bench) -> None:
     for phase, code in enumerate((2000, 2050, 2100)):
         bench.hal.axis[1].current_code[phase] = code
     bench.write(1, enable=1)
-    bench.to_substate(1, READY)
+    bench.to_substate(1, SUBSTATE.READY)
     assert [o / 65536 for o in bench.axis(1).sense.offset] == pytest.approx([2000, 2050, 2100], abs=0.02)
 
 
@@ -104,7 +92,7 @@ def test_ready_shorts_the_windings(bench: Bench) -> None:
     """50 % on every phase, outputs on; currents are sampled."""
     bench.to_stop()
     bench.write(0, enable=1)
-    bench.to_substate(0, READY)
+    bench.to_substate(0, SUBSTATE.READY)
     assert bench.hal.axis[0].outputs_on
     assert list(bench.hal.axis[0].duty) == [HALF] * 3
 
@@ -114,12 +102,12 @@ def test_align_pulls_brakes_and_rests(bench: Bench) -> None:
     vector that the shaft follows."""
     bench.to_stop()
     bench.write(0, enable=1)
-    bench.to_substate(0, ALIGN)
+    bench.to_substate(0, SUBSTATE.ALIGN)
     phases = set()
     for _ in range(600):
         bench.slow()
         axis = bench.axis(0)
-        if axis.substate != ALIGN:
+        if axis.substate != SUBSTATE.ALIGN:
             break
         phases.add(axis.search.phase)
         assert bench.hal.axis[0].outputs_on
@@ -130,13 +118,13 @@ def test_align_pulls_brakes_and_rests(bench: Bench) -> None:
             assert axis.current_ref.q == 0
             assert (axis.search.current < 0) == (axis.search.phase == BRAKE)
     assert phases == {PULL, BRAKE, REST, VERIFY}
-    assert bench.axis(0).substate == SPIN
+    assert bench.axis(0).substate == SUBSTATE.SPIN
 
 
 def test_align_presets_the_counter_to_the_angle_found(bench: Bench) -> None:
     bench.to_stop()
     bench.write(0, enable=1)
-    bench.to_substate(0, SPIN)
+    bench.to_substate(0, SUBSTATE.SPIN)
     bench.slow()
     rotor = (bench._rotor[0] + bench.shaft[0].shaft * 2 / 4000) * 65536
     error = (bench.view(0).theta_e - rotor + 32768) % 65536 - 32768
@@ -148,10 +136,10 @@ def test_preset_of_the_counter_is_no_movement(bench: Bench) -> None:
     """A capture from before the preset and one from after it have no difference in common."""
     bench.to_stop()
     bench.write(0, enable=1)
-    bench.to_substate(0, ALIGN)
+    bench.to_substate(0, SUBSTATE.ALIGN)
     hal = bench.hal.axis[0]
     for _ in range(2000):
-        if bench.view(0).substate == SPIN:
+        if bench.view(0).substate == SUBSTATE.SPIN:
             break
         hal.edge.count, hal.edge.time, hal.edge_waits = hal.count, (hal.edge.time + 391) & 0xFFFF, True
         bench.slow()
@@ -170,14 +158,14 @@ def test_spin_begins_by_holding_where_the_shaft_is(bench: Bench) -> None:
     assert (view.speed_ref, view.i_q_ref, view.position, view.position_ref) == (0, 0, 0, 0)
 
 
-@pytest.mark.parametrize("substate", [CALIB, READY, ALIGN])
+@pytest.mark.parametrize("substate", [SUBSTATE.CALIB, SUBSTATE.READY, SUBSTATE.ALIGN])
 def test_disable_before_spin_stops_at_once(bench: Bench, substate: int) -> None:
     bench.to_stop()
     bench.write(0, enable=1)
     bench.to_substate(0, substate)
     bench.write(0, enable=0)
     bench.slow(2)
-    assert bench.view(0).state == STOP
+    assert bench.view(0).state == STATE.STOP
     assert not bench.hal.axis[0].outputs_on
     assert at_rest(bench, 0)
 
@@ -188,36 +176,36 @@ def test_stop_from_spin_goes_through_freewheel_and_ready(bench: Bench) -> None:
     bench.turn(0, 60.0)  # something keeps the shaft going
     bench.slow(10)
     bench.write(0, enable=0)
-    bench.to_substate(0, FREEWHEEL)
+    bench.to_substate(0, SUBSTATE.FREEWHEEL)
     bench.slow(400)
-    assert (bench.view(0).state, bench.view(0).substate) == (RUN, FREEWHEEL), "the rotor still turns"
+    assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, SUBSTATE.FREEWHEEL), "the rotor still turns"
     assert not bench.hal.axis[0].outputs_on
     assert at_rest(bench, 0)
     bench.turn(0, 0.0)
-    ticks = bench.until(lambda: bench.view(0).state == STOP, 300)
+    ticks = bench.until(lambda: bench.view(0).state == STATE.STOP, 300)
     assert ticks * 0.5 >= 80  # ms without an edge
-    assert bench.view(0).substate == READY
+    assert bench.view(0).substate == SUBSTATE.READY
     assert not bench.hal.axis[0].outputs_on
 
 
 def test_stop_ramps_down_first(bench: Bench) -> None:
     bench.to_spin(0)
     bench.turn(0, 100.0)
-    bench.write(0, mode=SPEED, speed=int(100 / 523.6 * 2**31))
+    bench.write(0, mode=MODE.SPEED, speed=int(100 / 523.6 * 2**31))
     bench.slow(100)
     bench.write(0, enable=0)
     bench.slow()
     start = bench.view(0).speed_ref
     assert start == pytest.approx(100 / 523.6 * 2**31, rel=0.05)
     references = [start]
-    while bench.view(0).substate == SPIN:
+    while bench.view(0).substate == SUBSTATE.SPIN:
         assert bench.hal.axis[0].outputs_on
         bench.turn(0, bench.view(0).speed_ref / 2**31 * 523.6)
         bench.slow()
         references.append(bench.view(0).speed_ref)
     steps = [(a - b) / 2**31 * 523.6 / 0.5e-3 for a, b in itertools.pairwise(references)]
     assert max(steps) <= 4000.0 * 1.01  # servo.toml: limits.acceleration
-    assert bench.view(0).substate == FREEWHEEL
+    assert bench.view(0).substate == SUBSTATE.FREEWHEEL
     assert len(references) == pytest.approx(100.0 / 4000.0 / 0.5e-3, abs=15)
 
 
@@ -226,22 +214,22 @@ def test_stop_of_a_shaft_that_will_not_slow_down_ends_all_the_same(bench: Bench)
     bench.let_turn(0, 100.0)
     bench.slow(50)
     bench.write(0, enable=0)
-    bench.to_substate(0, FREEWHEEL, 1100)
+    bench.to_substate(0, SUBSTATE.FREEWHEEL, 1100)
 
 
 def test_enable_during_freewheel_searches_the_rotor_again_once_it_is_still(bench: Bench) -> None:
     bench.to_spin(0)
     bench.turn(0, 30.0)
     bench.write(0, enable=0)
-    bench.to_substate(0, FREEWHEEL)
+    bench.to_substate(0, SUBSTATE.FREEWHEEL)
     bench.write(0, enable=1)
     bench.slow(50)
-    assert bench.view(0).substate == FREEWHEEL
+    assert bench.view(0).substate == SUBSTATE.FREEWHEEL
     bench.turn(0, 0.0)
-    bench.to_substate(0, ALIGN)
-    bench.to_substate(0, SPIN)
+    bench.to_substate(0, SUBSTATE.ALIGN)
+    bench.to_substate(0, SUBSTATE.SPIN)
     bench.slow(100)
-    assert bench.view(0).state == RUN
+    assert bench.view(0).state == STATE.RUN
 
 
 def test_enable_during_the_ramp_down_keeps_spinning(bench: Bench) -> None:
@@ -253,7 +241,7 @@ def test_enable_during_the_ramp_down_keeps_spinning(bench: Bench) -> None:
     bench.write(0, enable=1)
     bench.turn(0, 0.0)
     bench.slow(400)
-    assert (bench.view(0).state, bench.view(0).substate) == (RUN, SPIN)
+    assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, SUBSTATE.SPIN)
 
 
 def test_position_survives_a_new_alignment(bench: Bench) -> None:
@@ -266,10 +254,10 @@ def test_position_survives_a_new_alignment(bench: Bench) -> None:
     travelled = bench.view(0).position
     assert travelled == pytest.approx(200 * 0.15 / 6.2832 * 4000, rel=0.02)
     bench.write(0, enable=0)
-    bench.until(lambda: bench.view(0).state == STOP, 1500)
+    bench.until(lambda: bench.view(0).state == STATE.STOP, 1500)
     before = bench.shaft[0].shaft
     bench.write(0, enable=1)
-    bench.to_substate(0, SPIN)
+    bench.to_substate(0, SUBSTATE.SPIN)
     assert bench.view(0).position == travelled + bench.shaft[0].shaft - before
     assert bench.view(0).faults == 0
 
@@ -277,30 +265,36 @@ def test_position_survives_a_new_alignment(bench: Bench) -> None:
 def test_axes_run_independently(bench: Bench) -> None:
     bench.to_spin(0, 1)
     bench.write(0, enable=0)
-    bench.until(lambda: bench.view(0).state == STOP, 500)
-    assert (bench.view(1).state, bench.view(1).substate) == (RUN, SPIN)
+    bench.until(lambda: bench.view(0).state == STATE.STOP, 500)
+    assert (bench.view(1).state, bench.view(1).substate) == (STATE.RUN, SUBSTATE.SPIN)
     bench.write(0, enable=1)
-    bench.to_substate(0, SPIN)
-    assert (bench.view(1).state, bench.view(1).substate) == (RUN, SPIN)
+    bench.to_substate(0, SUBSTATE.SPIN)
+    assert (bench.view(1).state, bench.view(1).substate) == (STATE.RUN, SUBSTATE.SPIN)
 
 
 @pytest.mark.parametrize(
     ("substate", "sampled", "tracked"),
-    [(CALIB, True, False), (READY, True, True), (ALIGN, True, True), (SPIN, True, True), (FREEWHEEL, True, True)],
+    [
+        (SUBSTATE.CALIB, True, False),
+        (SUBSTATE.READY, True, True),
+        (SUBSTATE.ALIGN, True, True),
+        (SUBSTATE.SPIN, True, True),
+        (SUBSTATE.FREEWHEEL, True, True),
+    ],
 )
 def test_what_every_sub_state_samples(bench: Bench, substate: int, sampled: bool, tracked: bool) -> None:
     """DRM 4.5: currents in all sub-states, the bus always, offsets in READY (before it ends) and later."""
     bench.to_stop()
     bench.write(0, enable=1)
-    if substate == FREEWHEEL:
-        bench.to_substate(0, SPIN)
+    if substate == SUBSTATE.FREEWHEEL:
+        bench.to_substate(0, SUBSTATE.SPIN)
         bench.turn(0, 20.0)
         bench.slow(5)
         bench.write(0, enable=0)
-    if substate == READY:
-        bench.to_substate(0, CALIB)
+    if substate == SUBSTATE.READY:
+        bench.to_substate(0, SUBSTATE.CALIB)
         bench.until(lambda: bool(bench.axis(0).calibrated), 100)
-        bench.axis(0).substate = READY
+        bench.axis(0).substate = SUBSTATE.READY
     else:
         bench.to_substate(0, substate)
     offsets = list(bench.axis(0).sense.offset)
@@ -317,7 +311,7 @@ def test_what_every_sub_state_samples(bench: Bench, substate: int, sampled: bool
 def test_offsets_are_followed_only_while_the_high_side_is_long_enough(bench: Bench) -> None:
     """At full modulation the phase with the shortest high side keeps the offset it has."""
     bench.to_spin(0)
-    bench.write(0, mode=TORQUE, i_q=3000)
+    bench.write(0, mode=MODE.TORQUE, i_q=3000)
     bench.slow(30)  # no current flows on this bench: the loop asks for all the voltage
     duty = list(bench.hal.axis[0].duty)
     sense = bench.axis(0).sense

@@ -6,33 +6,11 @@ import math
 from typing import Any
 
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
-from servo_bench import (
-    FAULT,
-    FAULT_FOLLOWING_ERROR,
-    FREEWHEEL,
-    OVER_CURRENT,
-    OVER_VOLTAGE,
-    READY,
-    RUN,
-    SPEED,
-    SPIN,
-    STOP,
-    Bench,
-    amps,
-    bus_code,
-    speed,
-)
+from core_library import Core
+from servo_bench import FAULTS, MODE, STATE, STOP_CATEGORY, SUBSTATE, Bench, amps, bus_code, speed
 
-COAST, SHORT, RAMP, HOLD = range(4)
 HALF = 16384
 REFUSED = 1451 * math.pi / 30  # of axis 1 [rad/s]
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 @pytest.fixture
@@ -45,7 +23,7 @@ def turning(bench: Bench) -> Bench:
     """Both axes follow a speed of 100 rad/s."""
     bench.to_spin(0, 1)
     for axis in range(2):
-        bench.write(axis, mode=SPEED, speed=speed(100.0))
+        bench.write(axis, mode=MODE.SPEED, speed=speed(100.0))
         bench.turn(axis, 100.0)
     bench.slow(100)
     return bench
@@ -80,33 +58,33 @@ def withdraw(bench: Bench, category: int, command: str = "disable") -> None:
 
 @pytest.mark.parametrize("command", ["disable", "quick_stop"])
 def test_coast(turning: Bench, command: str) -> None:
-    withdraw(turning, COAST, command)
-    assert place(turning) == (RUN, FREEWHEEL)
+    withdraw(turning, STOP_CATEGORY.COAST, command)
+    assert place(turning) == (STATE.RUN, SUBSTATE.FREEWHEEL)
     assert not turning.hal.axis[0].outputs_on
-    assert place(turning, 1) == (RUN, SPIN)
+    assert place(turning, 1) == (STATE.RUN, SUBSTATE.SPIN)
 
 
 @pytest.mark.parametrize("command", ["disable", "quick_stop"])
 def test_ramp(turning: Bench, command: str) -> None:
-    withdraw(turning, RAMP, command)
-    assert place(turning) == (RUN, SPIN)
+    withdraw(turning, STOP_CATEGORY.RAMP, command)
+    assert place(turning) == (STATE.RUN, SUBSTATE.SPIN)
     turning.follow(60)
     turning.turn(0, 0.0)
-    turning.until(lambda: place(turning)[1] == FREEWHEEL, 200)
+    turning.until(lambda: place(turning)[1] == SUBSTATE.FREEWHEEL, 200)
     assert not turning.hal.axis[0].outputs_on
 
 
 @pytest.mark.parametrize("command", ["disable", "quick_stop"])
 def test_short(turning: Bench, command: str) -> None:
     """All low sides on, until the shaft rests."""
-    withdraw(turning, SHORT, command)
-    assert place(turning) == (RUN, FREEWHEEL)
+    withdraw(turning, STOP_CATEGORY.SHORT, command)
+    assert place(turning) == (STATE.RUN, SUBSTATE.FREEWHEEL)
     assert outputs(turning) == (True, [0, 0, 0])
     turning.slow(50)
     assert outputs(turning)[0]
     turning.turn(0, 0.0)
     turning.until(lambda: not turning.hal.axis[0].outputs_on, 500)
-    turning.until(lambda: place(turning) == (STOP, READY), 200)
+    turning.until(lambda: place(turning) == (STATE.STOP, SUBSTATE.READY), 200)
 
 
 @pytest.mark.parametrize(("part", "shorted"), [(0.97, True), (1.03, False), (-0.97, True), (-1.03, False)])
@@ -115,53 +93,53 @@ def test_a_short_is_refused_where_its_current_would_be_too_large(bench: Bench, p
     bench.to_spin(0)
     bench.let_turn(0, part * REFUSED)
     bench.slow(100)
-    withdraw(bench, SHORT)
-    assert place(bench) == (RUN, FREEWHEEL)
+    withdraw(bench, STOP_CATEGORY.SHORT)
+    assert place(bench) == (STATE.RUN, SUBSTATE.FREEWHEEL)
     assert outputs(bench)[0] == shorted
 
 
 def test_too_much_current_ends_the_short(turning: Bench) -> None:
-    withdraw(turning, SHORT)
+    withdraw(turning, STOP_CATEGORY.SHORT)
     turning.hal.axis[0].current_code[0] = 4095
     turning.hal.axis[0].current_code[1] = 0
     turning.slow()
     assert outputs(turning) == (False, [HALF] * 3)
-    assert place(turning) == (RUN, FREEWHEEL)
+    assert place(turning) == (STATE.RUN, SUBSTATE.FREEWHEEL)
 
 
 def test_hold_without_a_drive_ends_after_its_time(turning: Bench) -> None:
-    withdraw(turning, HOLD)
+    withdraw(turning, STOP_CATEGORY.HOLD)
     turning.follow(60)
     turning.turn(0, 0.0)
-    assert place(turning) == (RUN, SPIN)
-    held = turning.until(lambda: place(turning)[1] == FREEWHEEL, 2500)
+    assert place(turning) == (STATE.RUN, SUBSTATE.SPIN)
+    held = turning.until(lambda: place(turning)[1] == SUBSTATE.FREEWHEEL, 2500)
     assert held == pytest.approx(2000, abs=60)
 
 
 def test_quick_stop_holds_as_long_as_the_drive_is_wanted(turning: Bench) -> None:
-    withdraw(turning, HOLD, "quick_stop")
+    withdraw(turning, STOP_CATEGORY.HOLD, "quick_stop")
     turning.follow(60)
     turning.turn(0, 0.0)
     turning.slow(4000)
-    assert place(turning) == (RUN, SPIN)
+    assert place(turning) == (STATE.RUN, SUBSTATE.SPIN)
     assert turning.hal.axis[0].outputs_on
 
 
 def test_a_stop_that_does_not_come_to_rest_ends_all_the_same(turning: Bench) -> None:
     """Whatever keeps it turning: 5 s, also where the bus holds the braking back."""
     turning.hal.bus_code = bus_code(32.5)
-    withdraw(turning, RAMP)
-    ticks = turning.until(lambda: place(turning)[1] == FREEWHEEL, 11_000)
+    withdraw(turning, STOP_CATEGORY.RAMP)
+    ticks = turning.until(lambda: place(turning)[1] == SUBSTATE.FREEWHEEL, 11_000)
     assert ticks == pytest.approx(10_000, abs=3)
 
 
 def test_switched_on_again_while_the_windings_are_shorted(turning: Bench) -> None:
-    withdraw(turning, SHORT)
+    withdraw(turning, STOP_CATEGORY.SHORT)
     turning.write(0, enable=1)
     turning.slow(10)
     assert outputs(turning) == (True, [0, 0, 0])
     turning.turn(0, 0.0)
-    turning.to_substate(0, SPIN)
+    turning.to_substate(0, SUBSTATE.SPIN)
 
 
 # ---- faults ---------------------------------------------------------------------------------------------------------
@@ -177,65 +155,65 @@ def fail(bench: Bench, *findings: str) -> None:
 
 def test_faults_coast_at_once_by_default(turning: Bench) -> None:
     fail(turning)
-    assert turning.view(0).state == FAULT
+    assert turning.view(0).state == STATE.FAULT
     assert not turning.hal.axis[0].outputs_on
-    assert place(turning, 1) == (RUN, SPIN)
+    assert place(turning, 1) == (STATE.RUN, SUBSTATE.SPIN)
 
 
 @pytest.mark.parametrize("category", ["ramp", "hold", "shorted"])
 def test_a_fault_is_shown_at_once_and_ends_in_fault_after_the_stop(turning: Bench, category: str) -> None:
-    config = configure(turning, **{category: FAULT_FOLLOWING_ERROR})
+    config = configure(turning, **{category: FAULTS.FOLLOWING_ERROR})
     fail(turning)
-    assert turning.view(0).faults == FAULT_FOLLOWING_ERROR
-    assert place(turning) == (RUN, FREEWHEEL if category == "shorted" else SPIN)
+    assert turning.view(0).faults == FAULTS.FOLLOWING_ERROR
+    assert place(turning) == (STATE.RUN, SUBSTATE.FREEWHEEL if category == "shorted" else SUBSTATE.SPIN)
     assert turning.hal.axis[0].outputs_on
     turning.write(0, enable=1, clear_faults=1)
     turning.slow(5)
-    assert turning.view(0).faults == FAULT_FOLLOWING_ERROR, "nothing clears a fault before the stop is over"
+    assert turning.view(0).faults == FAULTS.FOLLOWING_ERROR, "nothing clears a fault before the stop is over"
     if category != "shorted":
         turning.follow(60)
     turning.turn(0, 0.0)
-    ticks = turning.until(lambda: turning.view(0).state == FAULT, 2500)
+    ticks = turning.until(lambda: turning.view(0).state == STATE.FAULT, 2500)
     assert not turning.hal.axis[0].outputs_on
-    assert turning.view(0).faults == FAULT_FOLLOWING_ERROR
+    assert turning.view(0).faults == FAULTS.FOLLOWING_ERROR
     assert (ticks + 60 > config.stop.hold_ticks) == (category == "hold")
-    assert place(turning, 1) == (RUN, SPIN)
+    assert place(turning, 1) == (STATE.RUN, SUBSTATE.SPIN)
     turning.clear(0)
     turning.slow(30)
-    assert turning.view(0).state == STOP
+    assert turning.view(0).state == STATE.STOP
 
 
 def test_a_worse_fault_does_not_wait(turning: Bench) -> None:
-    configure(turning, ramp=FAULT_FOLLOWING_ERROR)
+    configure(turning, ramp=FAULTS.FOLLOWING_ERROR)
     fail(turning)
-    assert place(turning) == (RUN, SPIN)
+    assert place(turning) == (STATE.RUN, SUBSTATE.SPIN)
     turning.hal.axis[0].break_latched = True
     turning.slow()
-    assert turning.view(0).state == FAULT
-    assert turning.view(0).faults == FAULT_FOLLOWING_ERROR | OVER_CURRENT
+    assert turning.view(0).state == STATE.FAULT
+    assert turning.view(0).faults == FAULTS.FOLLOWING_ERROR | FAULTS.OVER_CURRENT
     assert not turning.hal.axis[0].outputs_on
 
 
 def test_two_faults_at_once_take_the_harsher_way(turning: Bench) -> None:
-    configure(turning, ramp=FAULT_FOLLOWING_ERROR)
+    configure(turning, ramp=FAULTS.FOLLOWING_ERROR)
     fail(turning, "OFF_PATH", "OVER_VOLTAGE")
-    assert turning.view(0).state == FAULT
+    assert turning.view(0).state == STATE.FAULT
 
 
 def test_a_fault_before_the_shaft_is_under_control_does_not_ramp(bench: Bench) -> None:
-    configure(bench, ramp=FAULT_FOLLOWING_ERROR)
+    configure(bench, ramp=FAULTS.FOLLOWING_ERROR)
     bench.to_stop()
     fail(bench)
-    assert bench.view(0).state == FAULT
+    assert bench.view(0).state == STATE.FAULT
 
 
 def test_a_fault_during_a_stop_makes_it_harsher(turning: Bench) -> None:
-    configure(turning, shorted=FAULT_FOLLOWING_ERROR)
-    withdraw(turning, RAMP)
+    configure(turning, shorted=FAULTS.FOLLOWING_ERROR)
+    withdraw(turning, STOP_CATEGORY.RAMP)
     fail(turning)
     assert outputs(turning) == (True, [0, 0, 0])
     turning.turn(0, 0.0)
-    turning.until(lambda: turning.view(0).state == FAULT, 500)
+    turning.until(lambda: turning.view(0).state == STATE.FAULT, 500)
 
 
 # ---- the bus --------------------------------------------------------------------------------------------------------
@@ -289,16 +267,16 @@ def test_the_resistor_is_switched_and_raises_the_limit(turning: Bench) -> None:
     assert all(turning.view(axis).limits & 0x40 for axis in range(2))
     turning.hal.bus_code = bus_code(34.5)
     turning.slow(100)
-    assert place(turning) == (RUN, SPIN), "no over-voltage while the resistor is able"
+    assert place(turning) == (STATE.RUN, SUBSTATE.SPIN), "no over-voltage while the resistor is able"
     turning.hal.bus_code = bus_code(36.0)
     turning.slow(20)
-    assert turning.view(0).faults == OVER_VOLTAGE, "but at the end of the converter's range"
+    assert turning.view(0).faults == FAULTS.OVER_VOLTAGE, "but at the end of the converter's range"
 
 
 def test_a_spent_resistor_arms_the_fault_again(turning: Bench) -> None:
     turning.write_raw("param.brake", [1])
     turning.hal.bus_code = bus_code(34.0)
-    ticks = turning.until(lambda: turning.view(0).state == FAULT, 2000)
+    ticks = turning.until(lambda: turning.view(0).state == STATE.FAULT, 2000)
     assert ticks * 0.5e-3 == pytest.approx(60.0 / (34.0**2 / 4.7 - 10.0), rel=0.03)
-    assert turning.view(0).faults == OVER_VOLTAGE
+    assert turning.view(0).faults == FAULTS.OVER_VOLTAGE
     assert not turning.hal.brake

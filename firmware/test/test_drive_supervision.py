@@ -8,26 +8,14 @@ import math
 import pytest
 from core_library import Core
 from servo_bench import (
-    CALIB,
     COUNT,
-    FAULT,
-    FAULT_FOLLOWING_ERROR,
-    FAULT_OVER_SPEED,
-    FOLLOWING_ERROR,
-    FREEWHEEL,
-    OVER_SPEED,
+    FAULTS,
+    FEATURES,
+    MODE,
     PERIODS,
-    POSITION,
-    READY,
-    RUN,
-    RUNAWAY,
-    SPEED,
-    SPEED_FORWARD,
-    SPIN,
-    STALLED,
-    STOP,
+    STATE,
+    SUBSTATE,
     TICK,
-    TORQUE,
     Bench,
     amps,
     bus_code,
@@ -35,50 +23,50 @@ from servo_bench import (
     speed,
 )
 
-ANTI_WINDUP, ENHANCED_MT, BUS_COMPENSATION, DEAD_TIME = (1 << bit for bit in range(4))
-
 
 def running(bench: Bench, mode: int, rad_per_s: float) -> None:
     """A shaft that obeys, well on its way in one of the modes."""
-    if mode == POSITION:
-        bench.write(0, mode=POSITION, position=2_000_000)
+    if mode == MODE.POSITION:
+        bench.write(0, mode=MODE.POSITION, position=2_000_000)
     else:
-        bench.write(0, mode=SPEED, speed=speed(rad_per_s))
+        bench.write(0, mode=MODE.SPEED, speed=speed(rad_per_s))
     bench.follow(400)
-    if mode == TORQUE:
-        bench.write(0, mode=TORQUE, i_q=amps(0.5))
+    if mode == MODE.TORQUE:
+        bench.write(0, mode=MODE.TORQUE, i_q=amps(0.5))
         bench.slow(5)
 
 
 # ---- stall ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("target", [{"mode": SPEED, "speed": speed(50.0)}, {"mode": POSITION, "position": 4000}])
+@pytest.mark.parametrize(
+    "target", [{"mode": MODE.SPEED, "speed": speed(50.0)}, {"mode": MODE.POSITION, "position": 4000}]
+)
 def test_full_current_without_movement_is_a_stall(bench: Bench, target: dict[str, int]) -> None:
     """Shaft held fast or encoder dead: the current does not stay on for ever."""
     bench.write(0, **target)
-    ticks = bench.until(lambda: bench.view(0).state == FAULT, 2000)
-    assert bench.view(0).faults == STALLED
+    ticks = bench.until(lambda: bench.view(0).state == STATE.FAULT, 2000)
+    assert bench.view(0).faults == FAULTS.STALLED
     # servo.toml: timing.stall_max, rotor_search.turn_time there and back, and the way to the limit
     assert 0.7 <= ticks * 0.5e-3 <= 0.95
     assert not bench.hal.axis[0].outputs_on
 
 
 def test_short_stall_is_forgiven(bench: Bench) -> None:
-    bench.write(0, mode=SPEED, speed=speed(50.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(50.0))
     for _ in range(5):
         bench.slow(700)
         bench.turn(0, 10.0)
         bench.slow(2)
         bench.turn(0, 0.0)
-    assert (bench.view(0).state, bench.view(0).substate) == (RUN, SPIN)
+    assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, SUBSTATE.SPIN)
 
 
 def test_torque_against_a_wall_is_no_stall(bench: Bench) -> None:
     """Pressing is what torque mode is for."""
-    bench.write(0, mode=TORQUE, i_q=amps(4.0))
+    bench.write(0, mode=MODE.TORQUE, i_q=amps(4.0))
     bench.slow(3000)
-    assert (bench.view(0).state, bench.view(0).faults) == (RUN, 0)
+    assert (bench.view(0).state, bench.view(0).faults) == (STATE.RUN, 0)
 
 
 # ---- runaway --------------------------------------------------------------------------------------------------------
@@ -87,11 +75,11 @@ def test_torque_against_a_wall_is_no_stall(bench: Bench) -> None:
 def test_gaining_speed_against_the_full_current_is_a_runaway(bench: Bench) -> None:
     """What an encoder slip of half an electrical turn does: the torque has the wrong sign."""
     for k in range(200):
-        if bench.view(0).state == FAULT:
+        if bench.view(0).state == STATE.FAULT:
             break
         bench.turn(0, 2.0 * k)
         bench.slow()
-    assert bench.view(0).faults == RUNAWAY
+    assert bench.view(0).faults == FAULTS.RUNAWAY
     assert k < 100
     assert not bench.hal.axis[0].outputs_on
 
@@ -100,17 +88,17 @@ def test_gaining_speed_against_the_full_current_is_a_runaway(bench: Bench) -> No
 def test_far_beyond_the_speed_limit_is_a_runaway_in_every_mode(bench: Bench, sign: int) -> None:
     bench.let_turn(0, sign * 300.0)
     bench.slow(100)
-    assert bench.view(0).state == RUN
+    assert bench.view(0).state == STATE.RUN
     bench.turn(0, sign * 380.0)
-    ticks = bench.until(lambda: bench.view(0).state == FAULT, 100)
-    assert bench.view(0).faults == RUNAWAY
+    ticks = bench.until(lambda: bench.view(0).state == STATE.FAULT, 100)
+    assert bench.view(0).faults == FAULTS.RUNAWAY
     assert ticks * 0.5e-3 <= 0.03
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_reversal_at_full_current_is_no_runaway(bench: Bench, sign: int) -> None:
     """Braking with all there is, as long as the shaft loses speed."""
-    bench.write(0, mode=SPEED, speed=speed(sign * 300.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(sign * 300.0))
     bench.follow(250)
     bench.write(0, speed=speed(-sign * 300.0))
     shaft = sign * 300.0
@@ -118,7 +106,7 @@ def test_reversal_at_full_current_is_no_runaway(bench: Bench, sign: int) -> None
         shaft = max(min(shaft - sign * 1.0, 300.0), -300.0)  # slower than the ramp: the current is at its limit
         bench.turn(0, shaft)
         bench.slow()
-    assert (bench.view(0).state, bench.view(0).faults) == (RUN, 0)
+    assert (bench.view(0).state, bench.view(0).faults) == (STATE.RUN, 0)
 
 
 def test_shaft_that_is_being_braked_is_no_runaway(bench: Bench) -> None:
@@ -129,17 +117,20 @@ def test_shaft_that_is_being_braked_is_no_runaway(bench: Bench) -> None:
         bench.turn(0, 300.0 - k)
         bench.slow()
         assert bench.view(0).faults == 0
-    assert (bench.view(0).state, bench.view(0).substate) in ((RUN, SPIN), (RUN, FREEWHEEL))
+    assert (bench.view(0).state, bench.view(0).substate) in (
+        (STATE.RUN, SUBSTATE.SPIN),
+        (STATE.RUN, SUBSTATE.FREEWHEEL),
+    )
 
 
-@pytest.mark.parametrize("mode", [POSITION, SPEED, TORQUE])
+@pytest.mark.parametrize("mode", [MODE.POSITION, MODE.SPEED, MODE.TORQUE])
 def test_lower_speed_limit_brakes_and_is_no_runaway(bench: Bench, mode: int) -> None:
     """The host lowers the limit under way: the shaft is brought below it, the axis stays in RUN."""
     running(bench, mode, 280.0)
     bench.set_parameter("speed_limit", 100.0)
     shaft = rad_s(bench.view(0).speed)
     for _ in range(600):
-        wanted = rad_s(bench.view(0).speed_ref) if mode != TORQUE else 100.0
+        wanted = rad_s(bench.view(0).speed_ref) if mode != MODE.TORQUE else 100.0
         shaft = max(wanted, shaft - 3.0)  # 6000 rad/s2: what some ampere can do
         bench.turn(0, shaft)
         bench.slow()
@@ -152,7 +143,7 @@ def test_lower_speed_limit_brakes_and_is_no_runaway(bench: Bench, mode: int) -> 
 
 @pytest.mark.parametrize("stop", [{"quick_stop": 1}, {"enable": 0}])
 def test_stops_obey_the_acceleration_limit(bench: Bench, stop: dict[str, int]) -> None:
-    bench.write(0, mode=SPEED, speed=speed(200.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(200.0))
     bench.follow(300)
     bench.set_parameter("acceleration_limit", 100.0)
     bench.write(0, **stop)
@@ -168,7 +159,7 @@ def test_stops_obey_the_acceleration_limit(bench: Bench, stop: dict[str, int]) -
 
 def test_stop_of_a_withdrawn_drive_ends_in_time_however_gentle_it_is(bench: Bench) -> None:
     """At 1 rad/s2 it would take minutes: after stop.time_max, 5 s, the outputs go off."""
-    bench.write(0, mode=SPEED, speed=speed(200.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(200.0))
     bench.follow(300)
     bench.set_parameter("acceleration_limit", 1.0)
     bench.write(0, enable=0)
@@ -179,7 +170,7 @@ def test_stop_of_a_withdrawn_drive_ends_in_time_however_gentle_it_is(bench: Benc
 
 
 def test_steep_ramps_hold_for_stops(bench: Bench) -> None:
-    bench.write(0, mode=SPEED, speed=speed(200.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(200.0))
     bench.follow(300)
     bench.write(0, quick_stop=1)
     bench.follow(int(200.0 / 4000.0 / 0.5e-3) + 10)
@@ -201,16 +192,16 @@ def test_calib_waits_for_a_coasting_shaft(bench: Bench) -> None:
     bench.write(0, enable=1)
     times_on = bench.hal.axis[0].times_on
     bench.slow(1000)
-    assert (bench.view(0).state, bench.view(0).substate) == (RUN, CALIB)
+    assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, SUBSTATE.CALIB)
     assert bench.axis(0).sense.samples == 0, "a turning shaft may push current through the diodes"
     bench.axis(0).calibrated = True  # it began to turn after the last sample
     bench.slow(10)
-    assert (bench.view(0).state, bench.view(0).substate) == (RUN, CALIB)
+    assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, SUBSTATE.CALIB)
     assert bench.hal.axis[0].times_on == times_on
     bench.axis(0).calibrated = False
     bench.turn(0, 0.0)
-    bench.to_substate(0, READY)
-    bench.to_substate(0, SPIN)
+    bench.to_substate(0, SUBSTATE.READY)
+    bench.to_substate(0, SUBSTATE.SPIN)
 
 
 def test_waiting_in_calib_can_be_given_up(bench: Bench) -> None:
@@ -225,18 +216,18 @@ def test_waiting_in_calib_can_be_given_up(bench: Bench) -> None:
     bench.to_stop()
     bench.write(0, enable=1)
     bench.slow(500)
-    assert bench.view(0).substate == CALIB
+    assert bench.view(0).substate == SUBSTATE.CALIB
     bench.write(0, enable=0)
     bench.slow(2)
-    assert bench.view(0).state == STOP
+    assert bench.view(0).state == STATE.STOP
 
 
-@pytest.mark.parametrize("wait", [CALIB, FREEWHEEL])
+@pytest.mark.parametrize("wait", [SUBSTATE.CALIB, SUBSTATE.FREEWHEEL])
 def test_enable_does_not_wait_for_ever(bench: Bench, wait: int) -> None:
     """A shaft that something keeps turning must not start by itself, minutes later, when it comes to rest."""
     bench.let_turn(0, 100.0)
     bench.slow(20)
-    if wait == CALIB:
+    if wait == SUBSTATE.CALIB:
         bench.hal.axis[0].over_current = True
         bench.slow(2)
         bench.hal.axis[0].over_current = False
@@ -244,19 +235,19 @@ def test_enable_does_not_wait_for_ever(bench: Bench, wait: int) -> None:
         bench.to_stop()
     else:
         bench.write(0, enable=0)
-        bench.to_substate(0, FREEWHEEL)
+        bench.to_substate(0, SUBSTATE.FREEWHEEL)
     bench.write(0, enable=1)
     bench.slow(5)
-    assert (bench.view(0).state, bench.view(0).substate) == (RUN, wait)
+    assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, wait)
     assert bench.axis(0).requested
     times_on = bench.hal.axis[0].times_on
     bench.core.lib.probe_run(bench.servo, 26 * 16000)  # servo.toml: timing.rest_max; the edges stay young
     assert not bench.axis(0).requested
     bench.turn(0, 0.0)
-    bench.until(lambda: bench.view(0).state == STOP, 300)
+    bench.until(lambda: bench.view(0).state == STATE.STOP, 300)
     bench.slow(500)
-    assert bench.view(0).state == STOP
-    if wait == CALIB:
+    assert bench.view(0).state == STATE.STOP
+    if wait == SUBSTATE.CALIB:
         assert bench.hal.axis[0].times_on == times_on
 
 
@@ -275,9 +266,9 @@ def test_everything_is_on_after_reset(bench: Bench) -> None:
 def test_anti_windup_can_be_switched_off(bench: Bench) -> None:
     bench.servo.parameter.faults_enabled = [0, 0]  # voltage without current is one
     integrals = []
-    for feature in (0, ANTI_WINDUP):
+    for feature in (0, FEATURES.ANTI_WINDUP):
         switch_off(bench, feature)
-        bench.write(0, mode=SPEED, speed=speed(300.0))
+        bench.write(0, mode=MODE.SPEED, speed=speed(300.0))
         bench.slow(200)
         integrals.append(bench.axis(0).motion.speed_pi.integral)
         bench.write(0, quick_stop=1)
@@ -289,7 +280,7 @@ def test_anti_windup_can_be_switched_off(bench: Bench) -> None:
 def test_enhanced_m_t_can_be_switched_off(core: Core) -> None:
     """Plain M/T holds the last speed until the timer overflows (F18)."""
     stopped = []
-    for feature in (0, ENHANCED_MT):
+    for feature in (0, FEATURES.ENHANCED_MT):
         bench = Bench(core)
         bench.to_spin(0)
         switch_off(bench, feature)
@@ -304,7 +295,7 @@ def test_enhanced_m_t_can_be_switched_off(core: Core) -> None:
     assert stopped[1] == pytest.approx(60.0, rel=0.1)
 
 
-@pytest.mark.parametrize("off", [0, ENHANCED_MT])
+@pytest.mark.parametrize("off", [0, FEATURES.ENHANCED_MT])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_an_edge_just_after_the_timer_wrapped_is_no_fast_one(core: Core, off: int, sign: int) -> None:
     """An edge every 168 slow ticks, 65625 of the timer: their difference in 16 bits is 89, which is 14 rad/s."""
@@ -322,11 +313,11 @@ def test_an_edge_just_after_the_timer_wrapped_is_no_fast_one(core: Core, off: in
 def test_bus_compensation_can_be_switched_off(core: Core) -> None:
     """Without it the duties do not answer to a bus that sags."""
     swings = []
-    for feature in (0, BUS_COMPENSATION):
+    for feature in (0, FEATURES.BUS_COMPENSATION):
         bench = Bench(core)
         bench.to_spin(0)
         switch_off(bench, feature)
-        bench.write(0, mode=TORQUE, i_q=amps(0.02))
+        bench.write(0, mode=MODE.TORQUE, i_q=amps(0.02))
         bench.slow(4)
         bench.axis(0).current_loop.q.integral = 2**52  # a steady voltage
         bench.axis(0).current_loop.d.integral = 0
@@ -343,11 +334,11 @@ def test_bus_compensation_can_be_switched_off(core: Core) -> None:
 def test_dead_time_compensation_can_be_switched_off(core: Core) -> None:
     """With 2 A in phase a the duties differ by twice the loss of dead time and drops."""
     spans = []
-    for feature in (0, DEAD_TIME):
+    for feature in (0, FEATURES.DEAD_TIME):
         bench = Bench(core)
         bench.to_spin(0)
         switch_off(bench, feature)
-        bench.write(0, mode=TORQUE, i_q=0)
+        bench.write(0, mode=MODE.TORQUE, i_q=0)
         for phase, current in enumerate((2.0, -1.0, -1.0)):
             bench.hal.axis[0].current_code[phase] = 2048 + round(current / 8.25 * 2048)
         bench.slow(1)
@@ -364,11 +355,11 @@ def test_dead_time_compensation_can_be_switched_off(core: Core) -> None:
 
 def test_shaft_held_in_a_move_is_a_following_error(bench: Bench) -> None:
     """1 rad for 10 ms (servo.toml): long before the stall of half a second is noticed."""
-    bench.switch_on(0, FOLLOWING_ERROR)
+    bench.switch_on(0, FEATURES.FOLLOWING_ERROR)
     bench.slow()
     bench.write(0, position=20_000)
-    ticks = bench.until(lambda: bench.view(0).state == FAULT, 400)
-    assert bench.view(0).faults == FAULT_FOLLOWING_ERROR
+    ticks = bench.until(lambda: bench.view(0).state == STATE.FAULT, 400)
+    assert bench.view(0).faults == FAULTS.FOLLOWING_ERROR
     assert not bench.hal.axis[0].outputs_on
     assert ticks * 0.5e-3 < 0.1
 
@@ -379,22 +370,22 @@ def test_without_the_feature_there_is_no_following_error(bench: Bench) -> None:
     assert bench.view(0).faults == 0
 
 
-@pytest.mark.parametrize("features", [0, SPEED_FORWARD])
+@pytest.mark.parametrize("features", [0, FEATURES.SPEED_FORWARD])
 @pytest.mark.parametrize("bound", [0.5, 1.0])
 def test_lag_that_belongs_to_the_speed_is_none(bench: Bench, features: int, bound: float) -> None:
     """3332 counts behind at 314 rad/s without feed-forward (E44): that is no error of following."""
     bench.set_parameter("following_error", bound)
-    bench.switch_on(0, FOLLOWING_ERROR | features)
+    bench.switch_on(0, FEATURES.FOLLOWING_ERROR | features)
     bench.slow()
     for target in (100_000, -100_000, 40):
         bench.write(0, position=target)
         bench.follow(700)
-    assert (bench.view(0).state, bench.view(0).faults) == (RUN, 0)
+    assert (bench.view(0).state, bench.view(0).faults) == (STATE.RUN, 0)
 
 
 def test_pushed_out_of_its_place(bench: Bench) -> None:
     """The bound is a distance and a time: 1 rad is 637 counts, 10 ms are 20 ticks."""
-    bench.switch_on(0, FOLLOWING_ERROR)
+    bench.switch_on(0, FEATURES.FOLLOWING_ERROR)
     bench.slow()
     for counts in (636, -636):
         bench.shaft[0].move(counts)
@@ -405,21 +396,21 @@ def test_pushed_out_of_its_place(bench: Bench) -> None:
         bench.slow(19)
         bench.shaft[0].move(-counts - 20 * (counts // abs(counts)))
         bench.slow(5)
-        assert bench.view(0).state == RUN
+        assert bench.view(0).state == STATE.RUN
     bench.shaft[0].move(638)
     bench.slow(25)
-    assert bench.view(0).faults == FAULT_FOLLOWING_ERROR
+    assert bench.view(0).faults == FAULTS.FOLLOWING_ERROR
 
 
-@pytest.mark.parametrize("mode", [SPEED, TORQUE])
+@pytest.mark.parametrize("mode", [MODE.SPEED, MODE.TORQUE])
 def test_only_a_position_can_be_followed(bench: Bench, mode: int) -> None:
-    bench.switch_on(0, FOLLOWING_ERROR)
+    bench.switch_on(0, FEATURES.FOLLOWING_ERROR)
     bench.slow()
     bench.write(0, mode=mode, speed=0, i_q=0)
     bench.slow(5)
     bench.shaft[0].move(1500)
     bench.slow(100)
-    assert bench.view(0).state == RUN
+    assert bench.view(0).state == STATE.RUN
 
 
 # ---- over-speed ------------------------------------------------------------------------------------------------------
@@ -428,13 +419,13 @@ def test_only_a_position_can_be_followed(bench: Bench, mode: int) -> None:
 @pytest.mark.parametrize("direction", [1, -1])
 def test_over_speed_is_a_fault_within_milliseconds(bench: Bench, direction: int) -> None:
     bench.set_parameter("over_speed", 200.0)
-    bench.switch_on(0, OVER_SPEED)
+    bench.switch_on(0, FEATURES.OVER_SPEED)
     bench.let_turn(0, direction * 195.0)
     bench.slow(100)
-    assert bench.view(0).state == RUN
+    assert bench.view(0).state == STATE.RUN
     bench.turn(0, direction * 205.0)
-    ticks = bench.until(lambda: bench.view(0).state == FAULT, 20)
-    assert bench.view(0).faults == FAULT_OVER_SPEED
+    ticks = bench.until(lambda: bench.view(0).state == STATE.FAULT, 20)
+    assert bench.view(0).faults == FAULTS.OVER_SPEED
     assert not bench.hal.axis[0].outputs_on
     assert 4 <= ticks <= 8  # servo.toml: timing.over_speed_max, 2 ms
 
@@ -448,14 +439,14 @@ def test_without_the_feature_there_is_no_over_speed(bench: Bench) -> None:
 
 def test_single_wrong_sample_is_no_over_speed(bench: Bench) -> None:
     bench.set_parameter("over_speed", 200.0)
-    bench.switch_on(0, OVER_SPEED)
+    bench.switch_on(0, FEATURES.OVER_SPEED)
     bench.let_turn(0, 150.0)
     for _ in range(10):
         bench.slow(20)
         bench.turn(0, 250.0)
         bench.slow(2)
         bench.turn(0, 150.0)
-    assert bench.view(0).state == RUN
+    assert bench.view(0).state == STATE.RUN
 
 
 # ---- currents that the drive asks for by itself ----------------------------------------------------------------------
@@ -468,7 +459,7 @@ def test_a_current_that_tests_the_encoder_stays_within_the_limit_of_the_motor(
 ) -> None:
     """On top of the set-point: 0.64 A of either sign, or across it."""
     bench.let_turn(0, 0.0)
-    bench.write(0, mode=TORQUE, i_q=amps(i_q))
+    bench.write(0, mode=MODE.TORQUE, i_q=amps(i_q))
     bench.slow(2)
     axis = bench.axis(0)
     monitor, before = axis.diagnosis.encoder, axis.current_ref.q

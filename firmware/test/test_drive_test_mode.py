@@ -5,22 +5,14 @@ from __future__ import annotations
 import pytest
 from core_library import Core
 from servo_bench import (
-    BRAKE_OPEN_INPUT,
-    FAULT,
-    FAULT_OVER_SPEED,
-    FREEWHEEL,
-    LIMIT_CURRENT,
-    LIMIT_EXPIRED,
-    LIMIT_POSITION,
-    LIMIT_SPEED,
-    POSITION,
-    POSITION_LIMITS,
-    READY,
-    SPEED,
-    SPIN,
-    STOP,
-    TEST,
-    TORQUE,
+    FAULTS,
+    FEATURES,
+    INPUTS,
+    LIMITS,
+    MODE,
+    STATE,
+    SUBSTATE,
+    TEST_POINT,
     Bench,
     amps,
     bus_code,
@@ -28,9 +20,6 @@ from servo_bench import (
     speed,
 )
 
-NONE, I_D, I_Q, AT_TORQUE, AT_SPEED = range(5)
-FEATURE_OVER_SPEED = 1 << 9
-LIMIT_MIN_INPUT = 1 << 1
 TURN = 2**32
 
 
@@ -55,7 +44,7 @@ def testing(core: Core) -> Bench:
     bench = Bench(core)
     bench.to_stop()
     bench.write(0, mode=4, enable=1)
-    bench.to_substate(0, TEST)
+    bench.to_substate(0, SUBSTATE.TEST)
     return bench
 
 
@@ -68,7 +57,7 @@ def test_it_begins_without_current_whatever_stands_in_memory(core: Core) -> None
     bench.write(0, i_q=amps(2.0), speed=speed(20.0))
     bench.slow(2)
     bench.write(0, mode=4, enable=1)
-    bench.to_substate(0, TEST)
+    bench.to_substate(0, SUBSTATE.TEST)
     bench.slow(100)
     assert current(bench) == 0.0
     assert bench.axis(0).startup.step == 0
@@ -95,7 +84,7 @@ def test_limits_hold(testing: Bench) -> None:
     testing.slow(300)
     assert current(testing) == pytest.approx(1.0, abs=0.001)
     assert testing.axis(0).startup.speed == pytest.approx(speed(10.0), rel=1e-6)
-    assert testing.view(0).limits & (LIMIT_CURRENT | LIMIT_SPEED) == LIMIT_CURRENT | LIMIT_SPEED
+    assert testing.view(0).limits & (LIMITS.CURRENT | LIMITS.SPEED) == LIMITS.CURRENT | LIMITS.SPEED
 
 
 def test_a_vector_whose_set_points_expire_stops_turning_and_holds(testing: Bench) -> None:
@@ -106,28 +95,28 @@ def test_a_vector_whose_set_points_expire_stops_turning_and_holds(testing: Bench
     testing.slow(200)
     assert current(testing) == pytest.approx(1.0, abs=0.001)
     assert testing.axis(0).startup.step == 0
-    assert testing.view(0).limits & LIMIT_EXPIRED
-    assert testing.view(0).substate == TEST
+    assert testing.view(0).limits & LIMITS.EXPIRED
+    assert testing.view(0).substate == SUBSTATE.TEST
 
 
 def test_a_shaft_that_is_too_fast_is_a_fault(testing: Bench) -> None:
     testing.set_parameter("over_speed", 50.0)
-    testing.switch_on(0, FEATURE_OVER_SPEED)
+    testing.switch_on(0, FEATURES.OVER_SPEED)
     testing.slow(2)
     testing.turn(0, 60.0)
-    testing.until(lambda: testing.view(0).state == FAULT, 60)
-    assert testing.view(0).faults == FAULT_OVER_SPEED
+    testing.until(lambda: testing.view(0).state == STATE.FAULT, 60)
+    assert testing.view(0).faults == FAULTS.OVER_SPEED
 
 
-@pytest.mark.parametrize("command", [{"enable": 0}, {"quick_stop": 1}, {"mode": POSITION}, {"mode": SPEED}])
+@pytest.mark.parametrize("command", [{"enable": 0}, {"quick_stop": 1}, {"mode": MODE.POSITION}, {"mode": MODE.SPEED}])
 def test_it_ends_without_current_and_waits_for_an_enable(testing: Bench, command: dict[str, int]) -> None:
     testing.write(0, i_q=amps(1.0))
     testing.slow(100)
     testing.write(0, **command)
-    testing.until(lambda: testing.view(0).substate == READY or testing.view(0).state == STOP, 5)
-    testing.until(lambda: testing.view(0).state == STOP, 5)
+    testing.until(lambda: testing.view(0).substate == SUBSTATE.READY or testing.view(0).state == STATE.STOP, 5)
+    testing.until(lambda: testing.view(0).state == STATE.STOP, 5)
     testing.slow(500)
-    assert testing.view(0).state == STOP
+    assert testing.view(0).state == STATE.STOP
     assert not testing.hal.axis[0].outputs_on
 
 
@@ -135,17 +124,17 @@ def test_a_fast_shaft_coasts_out(testing: Bench) -> None:
     testing.turn(0, 300.0)
     testing.slow(20)
     testing.write(0, enable=0)
-    testing.to_substate(0, FREEWHEEL, 5)
+    testing.to_substate(0, SUBSTATE.FREEWHEEL, 5)
     assert not testing.hal.axis[0].outputs_on
 
 
 def test_the_mode_alone_starts_nothing(bench: Bench) -> None:
     """A spinning axis comes to rest and holds; what stands in memory as a position is not followed."""
-    bench.write(0, mode=SPEED, speed=speed(20.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(20.0))
     bench.follow(100)
     bench.write(0, mode=4, position=100_000)
     log = bench.follow(400)
-    assert bench.view(0).substate == SPIN
+    assert bench.view(0).substate == SUBSTATE.SPIN
     assert log[-1][1] == log[-100][1]
     bench.write(0, i_q=amps(1.0))
     assert bench.follow(50)[-1][1] == log[-1][1]
@@ -157,25 +146,25 @@ def test_an_axis_without_an_encoder_does_not_test(core: Core) -> None:
     bench.to_stop()
     bench.write(0, mode=4, enable=1)
     bench.slow(300)
-    assert bench.view(0).substate == READY
+    assert bench.view(0).substate == SUBSTATE.READY
 
 
 def test_an_axis_with_a_holding_brake_does_not_test(core: Core) -> None:
     """A vector at a wrong angle would not hold what the brake has held."""
     bench = Bench(core)
-    bench.fit(BRAKE_OPEN_INPUT, open_ticks=50, close_ticks=20)
+    bench.fit(INPUTS.BRAKE_OPEN, open_ticks=50, close_ticks=20)
     bench.to_stop()
     bench.write(0, mode=4, enable=1)
     bench.slow(100)
-    assert bench.view(0).state == STOP
-    assert not bench.view(0).inputs & BRAKE_OPEN_INPUT
+    assert bench.view(0).state == STATE.STOP
+    assert not bench.view(0).inputs & INPUTS.BRAKE_OPEN
     assert not bench.axis(0).requested
 
 
 # ---- test signals -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("at", [I_D, I_Q])
+@pytest.mark.parametrize("at", [TEST_POINT.I_D, TEST_POINT.I_Q])
 def test_a_fast_signal_lasts_its_periods_and_leaves_the_set_point(testing: Bench, at: int) -> None:
     testing.write(0, i_q=amps(1.0))
     testing.slow(100)
@@ -190,40 +179,40 @@ def test_a_fast_signal_lasts_its_periods_and_leaves_the_set_point(testing: Bench
         assert testing.axis(0).current_ref.q == 0
     assert len(seen) > 8
     testing.slow(3)
-    assert point(testing) == NONE
+    assert point(testing) == TEST_POINT.NONE
     assert testing.axis(0).excitation.value == 0
     assert testing.axis(0).fast == testing.core.lib.LOOP_FAST
 
 
 def test_a_signal_on_the_torque_shows_in_the_set_point(bench: Bench) -> None:
-    bench.write(0, mode=TORQUE, i_q=0)
+    bench.write(0, mode=MODE.TORQUE, i_q=0)
     bench.slow(4)
-    start_signal(bench, AT_TORQUE, calls=50)
+    start_signal(bench, TEST_POINT.TORQUE, calls=50)
     bench.slow(2)
     for _ in range(40):
         bench.slow()
         assert bench.view(0).i_q_ref == bench.axis(0).excitation.value
     bench.slow(20)
-    assert (point(bench), bench.view(0).i_q_ref) == (NONE, 0)
+    assert (point(bench), bench.view(0).i_q_ref) == (TEST_POINT.NONE, 0)
 
 
 def test_a_signal_on_the_speed_shows_in_the_set_point(bench: Bench) -> None:
-    bench.write(0, mode=SPEED, speed=0)
+    bench.write(0, mode=MODE.SPEED, speed=0)
     bench.slow(4)
-    start_signal(bench, AT_SPEED, amplitude=0.01, calls=50)
+    start_signal(bench, TEST_POINT.SPEED, amplitude=0.01, calls=50)
     bench.slow(2)
     for _ in range(40):
         bench.slow()
         assert bench.view(0).speed_ref == bench.axis(0).excitation.value * 65536
     bench.slow(20)
-    assert (point(bench), bench.view(0).speed_ref) == (NONE, 0)
+    assert (point(bench), bench.view(0).speed_ref) == (TEST_POINT.NONE, 0)
 
 
 def test_a_signal_on_the_speed_keeps_speed_and_soft_limits(bench: Bench) -> None:
     bench.set_parameter("speed_limit", 20.0)
-    bench.write(0, mode=SPEED, speed=0)
+    bench.write(0, mode=MODE.SPEED, speed=0)
     bench.slow(4)
-    start_signal(bench, AT_SPEED, amplitude=0.2, step=0.002, calls=5000)
+    start_signal(bench, TEST_POINT.SPEED, amplitude=0.2, step=0.002, calls=5000)
     bench.slow(2)
     peaks = []
     for _ in range(400):
@@ -232,72 +221,72 @@ def test_a_signal_on_the_speed_keeps_speed_and_soft_limits(bench: Bench) -> None
     assert max(peaks) == pytest.approx(20.0, abs=0.01)
     assert min(peaks) == pytest.approx(-20.0, abs=0.01)
     bench.set_parameter("position_max", -0.5)  # behind the shaft: not one step farther
-    bench.switch_on(0, POSITION_LIMITS)
+    bench.switch_on(0, FEATURES.POSITION_LIMITS)
     bench.slow(4)
     peaks.clear()
     for _ in range(600):
         bench.slow()
         peaks.append(rad_s(bench.view(0).speed_ref))
     assert max(peaks) <= 0.0
-    assert bench.view(0).limits & LIMIT_POSITION or rad_s(bench.view(0).speed_ref) < 0.0
+    assert bench.view(0).limits & LIMITS.POSITION or rad_s(bench.view(0).speed_ref) < 0.0
 
 
 def test_a_signal_ends_with_its_set_point(bench: Bench) -> None:
     bench.set_parameter("command_timeout", 0.05)
-    bench.write(0, mode=SPEED, speed=speed(5.0))
+    bench.write(0, mode=MODE.SPEED, speed=speed(5.0))
     bench.follow(10)
-    start_signal(bench, AT_TORQUE, calls=100_000)
+    start_signal(bench, TEST_POINT.TORQUE, calls=100_000)
     bench.follow(20)
-    assert point(bench) == AT_TORQUE
+    assert point(bench) == TEST_POINT.TORQUE
     bench.follow(100)
-    assert bench.view(0).limits & LIMIT_EXPIRED
-    assert point(bench) == NONE
+    assert bench.view(0).limits & LIMITS.EXPIRED
+    assert point(bench) == TEST_POINT.NONE
 
 
 def test_at_a_limit_switch_no_signal_begins(bench: Bench) -> None:
-    bench.fit(LIMIT_MIN_INPUT)
-    bench.hal.axis[0].inputs = LIMIT_MIN_INPUT
+    bench.fit(INPUTS.LIMIT_MIN)
+    bench.hal.axis[0].inputs = INPUTS.LIMIT_MIN
     bench.slow(5)
-    bench.write(0, mode=TORQUE, i_q=0)
-    start_signal(bench, AT_TORQUE)
+    bench.write(0, mode=MODE.TORQUE, i_q=0)
+    start_signal(bench, TEST_POINT.TORQUE)
     bench.slow(3)
-    assert point(bench) == NONE
+    assert point(bench) == TEST_POINT.NONE
 
 
 def test_slow_points_need_a_controlled_speed(testing: Bench) -> None:
-    for at in (AT_TORQUE, AT_SPEED):
+    for at in (TEST_POINT.TORQUE, TEST_POINT.SPEED):
         start_signal(testing, at)
         testing.slow(3)
-        assert point(testing) == NONE
+        assert point(testing) == TEST_POINT.NONE
 
 
-@pytest.mark.parametrize("end", [{"enable": 0}, {"quick_stop": 1}, {"test_point": NONE}])
+@pytest.mark.parametrize("end", [{"enable": 0}, {"quick_stop": 1}, {"test_point": TEST_POINT.NONE}])
 def test_what_ends_a_signal(bench: Bench, end: dict[str, int]) -> None:
-    bench.write(0, mode=SPEED, speed=0)
-    start_signal(bench, AT_SPEED, amplitude=0.001, calls=100_000)
+    bench.write(0, mode=MODE.SPEED, speed=0)
+    start_signal(bench, TEST_POINT.SPEED, amplitude=0.001, calls=100_000)
     bench.slow(20)
-    assert point(bench) == AT_SPEED
+    assert point(bench) == TEST_POINT.SPEED
     bench.write(0, **end)
     bench.slow(2)
-    assert point(bench) == NONE
+    assert point(bench) == TEST_POINT.NONE
     assert bench.axis(0).motion.speed_excitation == 0
 
 
 def test_a_fault_ends_a_signal(bench: Bench) -> None:
-    start_signal(bench, I_Q, calls=100_000)
+    start_signal(bench, TEST_POINT.I_Q, calls=100_000)
     bench.slow(5)
-    assert point(bench) == I_Q
+    assert point(bench) == TEST_POINT.I_Q
     bench.hal.bus_code = bus_code(34.0)
-    bench.until(lambda: bench.view(0).state == FAULT, 20)
+    bench.until(lambda: bench.view(0).state == STATE.FAULT, 20)
     bench.slow()
-    assert point(bench) == NONE
+    assert point(bench) == TEST_POINT.NONE
 
 
 def test_at_rest_a_signal_is_not_remembered(core: Core) -> None:
     bench = Bench(core)
     bench.to_stop()
-    start_signal(bench, I_Q, calls=100_000)
+    start_signal(bench, TEST_POINT.I_Q, calls=100_000)
     bench.slow(5)
     bench.to_spin(0)
     bench.slow(5)
-    assert point(bench) == NONE
+    assert point(bench) == TEST_POINT.NONE

@@ -8,18 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from core_library import Core, load_core
-from firmware_compiler import CompileC
+from core_library import Core
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from observer_rig import FULL_SPEED, PAIRS, PSI, SLOW, U_FS, Rig, frac16
 
 SIZE = 64
-
-
-@pytest.fixture(scope="module")
-def core(compile_c: CompileC) -> Core:
-    return load_core(compile_c)
 
 
 class Reliability:

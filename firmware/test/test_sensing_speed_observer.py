@@ -11,7 +11,7 @@ import pytest
 from core_library import Core
 from hypothesis import given
 from hypothesis import strategies as st
-from servo_bench import SPEED_OBSERVER, Bench, rad_s, speed
+from servo_bench import FEATURES, Bench, rad_s, speed
 
 ONE = 2**22  # a count
 FULL = 523.5987755982989
@@ -169,7 +169,7 @@ def test_observer_takes_over_without_a_jump(core: Core) -> None:
     bench = spinning(core)
     bench.let_turn(0, 100.0)
     bench.slow(100)
-    bench.switch_on(0, SPEED_OBSERVER)
+    bench.switch_on(0, FEATURES.SPEED_OBSERVER)
     for _ in range(50):
         bench.slow()
         assert rad_s(bench.view(0).speed) == pytest.approx(100.0, abs=3.0)
@@ -189,7 +189,7 @@ def test_off_there_is_no_trace_of_it(core: Core) -> None:
 def test_still_and_turns_remain_the_encoders(core: Core) -> None:
     """Standstill is what the edges say; a stop and the rotor search rely on it."""
     bench = spinning(core)
-    bench.switch_on(0, SPEED_OBSERVER)
+    bench.switch_on(0, FEATURES.SPEED_OBSERVER)
     bench.let_turn(0, 20.0)
     bench.slow(50)
     assert not bench.axis(0).feedback.still

@@ -369,8 +369,10 @@ class Rig:
         return result.successful, result.reason
 
     def diagnosis(self, part: str) -> Any:
-        """Newest status of one part that was published after this call."""
+        """Status of one part at the end of a second that ends now."""
+        assert self.bridge.supervisor is not None
         seen = len(self.messages[topics.DIAGNOSTICS])
+        self.bridge.supervisor._every_second()
         self.until(lambda: len(self.messages[topics.DIAGNOSTICS]) > seen)
         statuses = self.messages[topics.DIAGNOSTICS][-1].status
         return next(s for s in statuses if s.name == f"servo/servo_bridge: {part}")

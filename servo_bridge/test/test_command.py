@@ -1,12 +1,11 @@
-"""``servo-command`` as a process beside a bridge whose board the test drives."""
+"""``servo-command`` beside a bridge whose board the test drives."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
+import signal
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 
 import pytest
@@ -14,12 +13,13 @@ from bridge_rig import DOMAIN, FAULT, SPIN, STOP, Rig
 from sensor_msgs.msg import JointState
 from servo_bridge.command import main
 from servo_bridge.wire.link_state import LinkState
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
 from servo_msgs_py.runtime.qos import command_qos
 
 from servo_msgs_py import topics
 
 pytestmark = pytest.mark.realtime
+
+Command = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture(scope="module")
@@ -28,61 +28,71 @@ def rig() -> Iterator[Rig]:
         yield result
 
 
-def command(rig: Rig, *arguments: str) -> tuple[int, str, str]:
-    """Run a command while the board lives; exit status and what it printed."""
-    process = subprocess.Popen(
-        bound_to_us([sys.executable, "-m", "servo_bridge.command", "--wait", "8", *arguments]),
-        env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+@pytest.fixture
+def command(rig: Rig, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Iterator[Command]:
+    """Runs a command while the board lives; exit status and what it printed. It waits so long for an answer [s]."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    handlers = [signal.getsignal(number) for number in numbers]  # the command has its own
 
-    def ended() -> bool:
-        if rig.link.connected:
-            rig.link.sample()
-        return process.poll() is not None
+    def run(*arguments: str, wait: float = 8.0) -> tuple[int, str, str]:
+        ended = threading.Event()
 
-    try:
-        rig.until(ended, 30.0)
-    finally:
-        process.kill()
-    out, err = process.communicate()
-    return process.returncode, out, err
+        def live() -> None:
+            due = 0.0
+            while not ended.is_set():
+                if rig.link.connected and time.monotonic() >= due:
+                    rig.link.sample()
+                    due = time.monotonic() + 0.005
+                rig.executor.spin_once(timeout_sec=0.005)
+
+        board = threading.Thread(target=live)
+        capfd.readouterr()
+        board.start()
+        try:
+            status = main(["--wait", str(wait), *arguments])
+        finally:
+            ended.set()
+            board.join()
+        out, err = capfd.readouterr()
+        return status, out, "".join(line for line in err.splitlines(True) if not line.startswith("["))  # the log
+
+    yield run
+    for number, handler in zip(numbers, handlers, strict=True):
+        signal.signal(number, handler)
 
 
-def test_parameters_are_set_and_read_back(rig: Rig) -> None:
+def test_parameters_are_set_and_read_back(rig: Rig, command: Command) -> None:
     rig.up()
     rig.until(rig.parameters)
-    status, out, err = command(rig, "set", "param.features[0]=DEAD_TIME+FRICTION", "param.i_q_limit=1,1.5")
+    status, out, err = command("set", "param.features[0]=DEAD_TIME+FRICTION", "param.i_q_limit=1,1.5")
     assert (status, err) == (0, "")
     assert "param.features[0] = 24 (DEAD_TIME+FRICTION)" in out
-    status, out, _ = command(rig, "set", "param.features[1]=none")
+    status, out, _ = command("set", "param.features[1]=none")
     assert (status, out) == (0, "param.features[1] = 0 (none)\n")
     assert rig.parameters()["param.features"] == [24, 0]
     wanted = rig.bridge.get_parameter("board_parameters").value
     assert wanted == ["param.features[0]=DEAD_TIME+FRICTION", "param.i_q_limit=1,1.5", "param.features[1]=none"]
-    status, out, _ = command(rig, "get")
+    status, out, _ = command("get")
     assert status == 0
     assert len(out.splitlines()) == len(rig.parameters())
     assert "param.features = 24, 0 (DEAD_TIME+FRICTION, none)" in out
 
 
-def test_what_the_bridge_refuses_is_said(rig: Rig) -> None:
+def test_what_the_bridge_refuses_is_said(rig: Rig, command: Command) -> None:
     one = [rig.link.catalogue["param.position_max"].to_raw(1.0)] * 2
     rig.link.parameters["param.position_max"] = one
     rig.up()
     rig.until(lambda: rig.parameters()["param.position_max"] == one)
-    status, out, err = command(rig, "set", "param.position_min[0]=2")
+    status, out, err = command("set", "param.position_min[0]=2")
     assert (status, out) == (1, "")
     assert err.startswith("servo-command: set was refused: param.position_min[0] 1.99962 rad would be above")
 
 
-def test_state_names_faults_and_limits(rig: Rig) -> None:
+def test_state_names_faults_and_limits(rig: Rig, command: Command) -> None:
     rig.up(FAULT, SPIN)
     rig.link.values |= {"axis1.faults": 1 << 6, "axis2.limits": 1 << 4}
-    status, out, _ = command(rig, "state")
+    status, out, _ = command("state")
     rig.link.values |= {"axis1.faults": 0, "axis2.limits": 0}
     assert status == 0
     lines = out.splitlines()
@@ -91,52 +101,52 @@ def test_state_names_faults_and_limits(rig: Rig) -> None:
     assert lines[4].startswith("    at limit POSITION: a soft limit of the position holds the shaft back")
 
 
-def test_state_tells_what_a_hot_winding_leaves(rig: Rig) -> None:
+def test_state_tells_what_a_hot_winding_leaves(rig: Rig, command: Command) -> None:
     rig.up(SPIN, SPIN)
-    assert command(rig, "set", "param.i_q_limit=4,4")[0] == 0
+    assert command("set", "param.i_q_limit=4,4")[0] == 0
     rig.link.values |= {"axis2.winding_temperature": 118, "axis2.winding_current": 3}
-    rig.until(lambda: "hot winding" in rig.diagnosis("axis2").message)
-    status, out, _ = command(rig, "state")
+    rig.until(lambda: "hot winding: 75 %" in rig.diagnosis("axis2").message)
+    status, out, _ = command("state")
     rig.link.values |= {"axis2.winding_current": 9}
     rig.until(lambda: rig.diagnosis("axis2").level == b"\x00")
     assert status == 0
     assert "    winding at 118 deg C: 75 % of the current limit left" in out.splitlines()
 
 
-def test_state_names_parameters_that_the_board_does_not_take(rig: Rig) -> None:
+def test_state_names_parameters_that_the_board_does_not_take(rig: Rig, command: Command) -> None:
     rig.up(STOP, STOP)
     rig.link.stubborn = "param.over_speed"
     assert rig.set_parameter("board_parameters", ["param.over_speed[0]=300"])[0]
     rig.until(lambda: any("param.over_speed is" in text for text in rig.logs()))
-    status, out, _ = command(rig, "state")
+    status, out, _ = command("state")
     rig.link.stubborn = ""
     assert status == 0
     assert out.splitlines()[-1].startswith("  parameters: param.over_speed is 1.0")
 
 
-def test_a_parameter_that_the_board_refuses_is_named(rig: Rig) -> None:
+def test_a_parameter_that_the_board_refuses_is_named(rig: Rig, command: Command) -> None:
     """The bridge checks the ranges itself, so this takes a board with other ones."""
     rig.up(STOP, STOP)
     rig.link.stubborn = "param.over_speed"
-    status, _, err = command(rig, "set", "param.over_speed=310,310")
+    status, _, err = command("set", "param.over_speed=310,310", wait=2.0)
     rig.link.stubborn = ""
     assert status == 1
     assert err.startswith("servo-command: set failed: param.over_speed is ")
     assert "and not 310, 310 rad/s" in err
 
 
-def test_without_a_board(rig: Rig) -> None:
+def test_without_a_board(rig: Rig, command: Command) -> None:
     rig.up(STOP, STOP)
     rig.link.lose(LinkState.DISCONNECTED, "gone")
     rig.until(lambda: rig.state().startswith("DISCONNECTED"))
-    status, _, err = command(rig, "disable")
+    status, _, err = command("disable")
     assert status == 1
     assert err.startswith("servo-command: disable was refused: not connected: gone")
-    status, _, err = command(rig, "get")
+    status, _, err = command("get")
     assert (status, "the board is not connected" in err) == (1, True)
-    status, out, _ = command(rig, "set", "param.host_timeout=0.5")
+    status, out, _ = command("set", "param.host_timeout=0.5")
     assert (status, out) == (0, "the board is not connected; it gets them when it is\n")
-    status, out, _ = command(rig, "state")
+    status, out, _ = command("state")
     assert (status, out.startswith("DISCONNECTED")) == (0, True)
 
 
@@ -162,7 +172,9 @@ def longest(times: list[float]) -> float:
     return max(later - sooner for sooner, later in pairwise(times))
 
 
-def test_a_velocity_is_renewed_in_time_for_as_long_as_was_asked(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_velocity_is_renewed_in_time_for_as_long_as_was_asked(
+    rig: Rig, command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rig.ready()
     times: list[float] = []
     rounds: list[float] = []  # of this process, which a busy machine may hold up
@@ -180,7 +192,7 @@ def test_a_velocity_is_renewed_in_time_for_as_long_as_was_asked(rig: Rig, monkey
 
     rig.user.create_subscription(JointState, topics.JOINT_COMMANDS, taken, command_qos())
     begin = time.monotonic()
-    status, out, err = command(rig, "velocity", "axis1=50", "--for", "1")
+    status, out, err = command("velocity", "axis1=50", "--for", "1")
     assert (status, out.strip()) == (0, "took effect"), err
     assert time.monotonic() - begin >= 1.0
     # The command waits for the bridge, not for this subscriber, which may miss the first messages.

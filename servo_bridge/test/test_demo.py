@@ -25,16 +25,15 @@ from servo_msgs_py.convert import AppliedCommand
 
 from servo_bridge import demo as demo_module
 
-pytestmark = pytest.mark.realtime
-
 TURN = 2.0 * math.pi
 COUNT = TURN / 4000
-STEP = 16  # PWM periods per sample: 1 ms
-SPEED = 0.25  # rad per sample
+STEP = 96  # PWM periods per sample, as at 115200 baud
+SAMPLE = STEP / 16000  # s
+SPEED = 250.0  # rad/s
 
 
 class FakeClient:
-    """A servo in simulated time: position follows its set-point at constant speed; every sample is one millisecond."""
+    """A servo in simulated time: position follows its set-point at constant speed."""
 
     def __init__(self, position: Sequence[float] = (0.3 * COUNT, -2.2 * COUNT), twin_gap: float = 0.0) -> None:
         self.joints = ["axis1", "axis2"]
@@ -70,7 +69,7 @@ class FakeClient:
         for axis in range(2):
             aim = self.target[axis] + self.error[axis]
             aim += self.path_error if on_path else 0.0
-            self.position[axis] += max(-SPEED, min(SPEED, aim - self.position[axis]))
+            self.position[axis] += max(-SPEED * SAMPLE, min(SPEED * SAMPLE, aim - self.position[axis]))
             row[f"axis{axis + 1}.position"] = self.position[axis]
             row[f"axis{axis + 1}.position_ref"] = self.target[axis]
             row[f"axis{axis + 1}.faults"] = float(self.faults)
@@ -165,12 +164,12 @@ def test_every_kind_of_move_is_made_and_measured() -> None:
     assert passed(demo.rows, demo.paths, twin=demo.twin)
     (path,) = demo.paths
     assert path.figures.ticks_apart == 0
-    assert path.figures.start == pytest.approx(0.499, abs=1e-4)  # after the tick at which the points took effect
+    assert path.figures.start == pytest.approx(0.5 - SAMPLE, abs=1e-4)  # after the tick at which the points took effect
     assert max(path.figures.error_max) < 1e-3
     assert path.residuals[1].max == pytest.approx(3 * COUNT)
     first = demo.rows[0]
     assert first.figures.commanded == pytest.approx(5 * TURN)
-    assert first.figures.settling_time == pytest.approx(5 * TURN / SPEED * 1e-3, abs=0.003)
+    assert first.figures.settling_time == pytest.approx(5 * TURN / SPEED, abs=2 * SAMPLE)
     assert first.residual is not None
     assert first.residual.rms == pytest.approx(3 * COUNT)
     stops = [row.figures for row in demo.rows if row.move == "stop"]
@@ -238,7 +237,7 @@ def test_a_twin_that_lags_is_waited_for() -> None:
     demo = run(client)
     for row in demo.rows:
         assert row.residual is not None
-        assert row.residual.samples >= 250  # all of the hold at the end as well
+        assert row.residual.samples >= 0.25 / SAMPLE  # all of the hold at the end as well
 
 
 def test_a_fault_ends_it_with_cause_and_remedy() -> None:
@@ -300,6 +299,7 @@ def test_report_is_json() -> None:
 
 
 # ---- command line
+@pytest.mark.realtime
 def test_no_servo_is_one_sentence_and_status_2(tmp_path: Path) -> None:
     result = subprocess.run(
         [sys.executable, "-m", "servo_bridge.demo", "--wait", "0.5", "--json", str(tmp_path / "x.json")],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -111,11 +110,6 @@ def test_snapshot_prints_fault_remedy_and_samples(
     assert second == "axis2: no fault"
 
 
-def test_snapshot_as_json(faulted: FakeServo, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("snapshot", "--json") == 0
-    assert json.loads(capsys.readouterr().out) == [decoded(LOST).plain()]
-
-
 def test_snapshot_as_a_picture(faulted: FakeServo, run: Run, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     picture = tmp_path / "fault.png"
@@ -182,15 +176,6 @@ def test_a_fault_is_told_with_its_record(rig: Rig) -> None:
     values = {pair.key: pair.value for pair in rig.diagnosis("axis1").values}
     assert values["first fault tick"] == "8003"
     assert values["first fault"] == record.summary().removeprefix("first fault ")
-
-
-def test_who_comes_later_gets_it_too(rig: Rig) -> None:
-    fail(rig, PHASE_LOST)
-    rig.until(lambda: rig.messages[TOPIC])
-    earlier = rig.messages[TOPIC]
-    rig.listen(TOPIC, Float64MultiArray, latched_qos())
-    rig.until(lambda: rig.messages[TOPIC])
-    assert rig.messages[TOPIC] == earlier
 
 
 def test_a_second_fault_is_no_news_and_the_next_one_after_clearing_is(rig: Rig) -> None:

@@ -1,27 +1,18 @@
-"""The node's signs of life: how often, never two at once, and none from a node whose executor hangs."""
+"""Signs of life of the node: how often, and never two at once. None from one that hangs: test_failures_bridge.py."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 
 import pytest
-import rclpy
-from bridge_rig import DOMAIN, Rig
-from fake_port import FakePort
-from fake_servo import CATALOGUE, FakeServo
-from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.parameter import Parameter
+from bridge_rig import Rig
+from fake_servo import CATALOGUE
 from servo_bridge.keep_alive import KeepAlive
-from servo_bridge.node import ServoBridge
 
 pytestmark = pytest.mark.realtime
 
 CODE = CATALOGUE.bits["command"]["KEEP_ALIVE"]
-READ_SCOPE = 0x27
-
-Turn = Callable[[float], None]
 
 
 class Sent:
@@ -84,45 +75,3 @@ def test_a_short_time_out_that_is_wanted_counts_before_the_board_has_it() -> Non
         rig.link.parameters["param.host_timeout"] = [CATALOGUE["param.host_timeout"].to_raw(0.5)]
         rig.up()
         assert keep_alives(rig, 0.5) >= 13
-
-
-@pytest.fixture
-def bridge(fake_port: FakePort) -> Iterator[Turn]:
-    """A bridge on a real link; yields what turns its executor for so long [s]."""
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=DOMAIN)
-    executor = EventsExecutor(context=context)
-    node = ServoBridge(
-        executor.create_task, context=context, parameter_overrides=[Parameter("port", value=fake_port.path)]
-    )
-    executor.add_node(node)
-
-    def turn(duration: float) -> None:
-        end = time.monotonic() + duration
-        while time.monotonic() < end:
-            executor.spin_once(timeout_sec=0.01)
-
-    yield turn
-    executor.remove_node(node)
-    node.shutdown()
-    executor.shutdown()
-    rclpy.shutdown(context=context)
-
-
-def test_a_node_whose_executor_hangs_is_not_taken_for_alive(bridge: Turn, fake_board: FakeServo) -> None:
-    def counts() -> tuple[int, int]:
-        return len(fake_board.signs), [command for command, _ in fake_board.requests].count(READ_SCOPE)
-
-    bridge(1.0)
-    signs, samples = counts()
-    bridge(0.5)
-    assert counts()[0] >= signs + 3
-    signs, samples = counts()
-    time.sleep(0.7)  # the executor hangs
-    assert counts()[1] > samples + 20, "the link's thread goes on"
-    assert counts()[0] <= signs + 1
-    assert fake_board.silence_ns > 500_000_000
-    deadline = time.monotonic() + 10.0  # what has come meanwhile is dealt with first
-    while counts()[0] <= signs + 1 and time.monotonic() < deadline:
-        bridge(0.1)
-    assert counts()[0] > signs + 1

@@ -104,9 +104,8 @@ def test_raw_write_read_and_command(connected: Watcher, fake_board: FakeServo) -
     assert connected.link.run_command(1).result(TIMEOUT) == 0x42
 
 
-@pytest.mark.parametrize(
-    ("name", "values", "first"),
-    [
+def test_nonsense_is_refused_before_anything_is_sent(connected: Watcher, fake_board: FakeServo) -> None:
+    for name, values, first in (
         ("cmd.speed", [1e6], 0),
         ("cmd.speed", [float("nan")], 0),
         ("cmd.speed", [0.0, 0.0, 0.0], 0),
@@ -114,13 +113,9 @@ def test_raw_write_read_and_command(connected: Watcher, fake_board: FakeServo) -
         ("cmd.speed", [], 0),
         ("axis1.speed", [0.0], 0),
         ("no.such", [0.0], 0),
-    ],
-)
-def test_nonsense_is_refused_before_anything_is_sent(
-    connected: Watcher, fake_board: FakeServo, name: str, values: list[float], first: int
-) -> None:
-    with pytest.raises(ValueError, match=r"\S"):
-        connected.link.write(name, values, first=first)
+    ):
+        with pytest.raises(ValueError, match=r"\S"):
+            connected.link.write(name, values, first=first)
     connected.wait_samples(3)
     assert fake_board.written == []
 
@@ -139,20 +134,15 @@ def test_a_refusal_of_the_board_does_not_break_the_link(connected: Watcher, fake
     assert connected.states[-1].state is LinkState.CONNECTED
 
 
-@pytest.mark.parametrize(
-    ("name", "raw", "first", "text"),
-    [
+def test_a_value_that_the_board_refuses_is_named_with_its_range(connected: Watcher, fake_board: FakeServo) -> None:
+    for name, raw, first, text in (
         ("cmd.mode", [0, 9], 0, r"cmd.mode\[1\]: 9 is outside 0 .. 4"),
         ("param.host_timeout", [60001], 0, "param.host_timeout: 30.0005 is outside 0.05 .. 30 s"),
         ("param.i_q_limit", [0], 1, r"param.i_q_limit\[1\]: 0 is outside 0.1 .. 4 A"),
         ("cmd.position", [2**30 + 1], 1, r"cmd.position\[1\]: 1.68663e\+06 rad is more than"),
-    ],
-)
-def test_a_value_that_the_board_refuses_is_named_with_its_range(
-    connected: Watcher, fake_board: FakeServo, name: str, raw: list[int], first: int, text: str
-) -> None:
-    with pytest.raises(OutOfRangeError, match=text):
-        connected.link.write_raw(name, raw, first=first).result(TIMEOUT)
+    ):
+        with pytest.raises(OutOfRangeError, match=text):
+            connected.link.write_raw(name, raw, first=first).result(TIMEOUT)
     connected.wait_samples(3)
     assert connected.states[-1].state is LinkState.CONNECTED
     assert fake_board.written == []

@@ -11,8 +11,6 @@ from servo_bridge.telemetry import Snapshot
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import DEFAULT_JOINTS, joint_names
 
-pytestmark = pytest.mark.realtime
-
 CATALOGUE = Catalogue.load()
 JOINTS = joint_names(DEFAULT_JOINTS)
 SPINNING = AxisStatus("RUN/SPIN", spinning=True)

@@ -223,15 +223,9 @@ def test_a_set_point_that_expires_is_told_once_with_the_time_of_the_board(rig: R
     assert "EXPIRED" in rig.diagnosis("axis2").message
 
 
-WRONG = [
+WRONG = [  # what its form can be: test_setpoints.py
     (JointState(name=["elbow"], position=[1.0]), "joint 'elbow' does not exist; the joints are axis1, axis2"),
-    (JointState(name=["axis1", "axis2"], position=[1.0]), "position has 1 values for 2 names"),
     (JointState(name=["axis1"], effort=[1.0], velocity=[1.0]), "a velocity and an effort, but no position"),
-    (JointState(name=["axis1"]), "position, velocity and effort are empty"),
-    (JointState(position=[1.0, 2.0]), "name is empty"),
-    (JointState(name=["axis1", "axis1"], position=[1.0, 2.0]), "named twice"),
-    (JointState(name=["axis1"], position=[math.inf]), "position of axis1 is inf"),
-    (JointState(name=["axis2"], velocity=[math.inf]), "velocity of axis2 is inf"),
     (JointState(name=["axis1"], position=[1e9]), "outside -1.68663e+06 .. 1.68663e+06 rad"),
     (JointState(name=["axis1"], velocity=[-1000.0]), "outside -419 .. 419 rad/s"),
     (JointState(name=["axis1"], effort=[9.0]), "effort of axis1 is 9 N m, outside"),
@@ -250,12 +244,13 @@ def test_every_wrong_joint_command_is_named_and_moves_nothing(rig: Rig) -> None:
     assert rig.link.written == []
 
 
-@pytest.mark.parametrize("data", [[], [1.0], [1.0, 2.0, 3.0], [math.nan, 0.0], [1e9, 0.0]])
-def test_wrong_arrays_move_nothing(rig: Rig, data: list[float]) -> None:
+def test_wrong_arrays_move_nothing(rig: Rig) -> None:
     rig.ready()
-    rig.commands.publish(Float64MultiArray(data=data))
-    rig.until(rig.rejections)
-    assert "commands: " in rig.rejections()[0]
+    for data in ([], [1.0], [math.nan, 0.0], [1e9, 0.0]):
+        seen = len(rig.rejections())
+        rig.commands.publish(Float64MultiArray(data=data))
+        rig.until_rejected(seen)
+        assert "commands: " in rig.rejections()[-1]
     rig.settle()
     assert rig.link.written == []
 
@@ -274,10 +269,11 @@ def test_a_stream_of_wrong_commands_does_not_flood_the_log(rig: Rig) -> None:
     for k in range(60):
         rig.joint_commands.publish(JointState(name=[f"joint{k}"], position=[0.0]))
         rig.executor.spin_once(timeout_sec=0.0)
+    rig.until(lambda: len(rig.rejections()) >= 15)
     status = rig.diagnosis("commands")
     assert status.level == b"\x01"
     assert "rejected: joint_commands: joint 'joint" in status.message
-    assert 15 <= len(rig.rejections()) <= 30
+    assert len(rig.rejections()) <= 30
 
 
 # ---- services
@@ -383,6 +379,7 @@ def test_every_change_of_the_link_is_one_line_and_an_error_in_diagnostics(rig: R
     rig.link.figures = LinkStatistics(sample_rate=128.0, crc_errors=3)
     assert rig.diagnosis("link").message == "in the last second: 3 crc errors"
     rig.link.lose(LinkState.FAILED, "another table of variables", "flash the firmware of this release")
+    rig.until(lambda: rig.state().startswith("DISCONNECTED"))
     link = rig.diagnosis("link")
     assert (link.level, link.message) == (b"\x02", "another table of variables; flash the firmware of this release")
     assert link.hardware_id == f"fake table {CATALOGUE.hash:08X}", "the board, wherever it is plugged in"
@@ -427,6 +424,7 @@ def test_faults_are_logged_once_and_shown(rig: Rig) -> None:
     rig.link.values["axis1.faults"] = 0b101
     for _ in range(5):
         rig.link.sample()
+    rig.until(lambda: "FAULT" in rig.state())
     axis = rig.diagnosis("axis1")
     assert axis.level == b"\x02"
     assert axis.message.startswith("OVER_VOLTAGE: ")

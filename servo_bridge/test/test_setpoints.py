@@ -17,8 +17,6 @@ from servo_bridge.setpoints import (
     requests_of,
 )
 
-pytestmark = pytest.mark.realtime
-
 JOINTS = ("axis1", "axis2")
 
 

@@ -9,8 +9,6 @@ from servo_bridge.telemetry import Telemetry, required_variables, telemetry_vari
 from servo_bridge.wire.scope import Sample, ScopeLayout
 from servo_msgs_py.catalogue import Catalogue
 
-pytestmark = pytest.mark.realtime
-
 CATALOGUE = Catalogue.load()
 NAMES = telemetry_variables(CATALOGUE, ["axis1.position_ref"])
 LAYOUT = ScopeLayout([CATALOGUE[name] for name in NAMES])

@@ -69,19 +69,11 @@ def test_points_of_both_axes_follow_the_mode(rig: Rig) -> None:
     assert next(p for p in points if p.axis == 0).position == 0.0
 
 
-@pytest.mark.parametrize(
-    ("message", "text"),
-    [
-        (trajectory((0.5, [1.0]), joints=("elbow",)), "elbow"),
-        (trajectory((0.5, [1.0])), "positions"),
-        (trajectory((0.5, [1.0, float("nan")])), "nan"),
-        (trajectory((0.5, [1.0, 0.0]), (0.5, [0.0, 0.0])), "increas"),
-    ],
-)
-def test_what_is_wrong_by_itself_is_said_at_once(rig: Rig, message: JointTrajectory, text: str) -> None:
-    publish(rig, message)
+def test_what_is_wrong_by_itself_is_said_at_once(rig: Rig) -> None:
+    """What can be: test_trajectory_message.py."""
+    publish(rig, trajectory((0.5, [1.0]), joints=("elbow",)))
     rig.until(rig.rejections)
-    assert text in rig.rejections()[-1]
+    assert "elbow" in rig.rejections()[-1]
     assert rig.link.written == []
 
 

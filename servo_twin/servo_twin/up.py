@@ -251,7 +251,7 @@ def _bring_up(stack: Stack, args: argparse.Namespace, folder: Path, record: Path
     port = args.port or _virtual_board(stack, args, folder)
     wanted = json.dumps(args.set or [""])
     bridge = stack.start("servo_bridge", *_ros(port=port, baud=args.baud, board_parameters=wanted))
-    # The twin knows the model of the virtual board, but not its luck: start angles and noise are others.
+    # The twin has the model of the virtual board, but other random numbers: start angles and noise differ.
     files = {"plant": args.twin_plant or args.plant, "thresholds": args.thresholds}
     given = {name: path.absolute() for name, path in files.items() if path}
     twin = stack.start("servo_twin", *_ros(seed=args.seed + 1, **given))

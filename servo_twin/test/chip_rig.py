@@ -7,43 +7,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from native_library import NATIVE, Native, compile_c
-from servo_twin._build_native import declarations
 
 NEVER = (1 << 64) - 1
 PERIOD, HALF = 6250, 3125
 """Of the PWM, in bus clocks of 10 ns."""
 
-HEADERS = [NATIVE / "chip" / name for name in ("trace.h", "environment.h", "bus.h")]
-SHARED = "".join(declarations(header.read_text(encoding="utf-8")) for header in HEADERS)
-"""What the chip shares with its environment and its peripherals with each other, for `cffi.FFI.cdef`."""
-
 CDEF = """
-typedef struct { uint8_t gate[2][3][2]; uint8_t txd, rxd; } chip_wiring_t;
-typedef struct { double cycles_per_instruction; unsigned entry_clocks; } core_speed_t;
-typedef struct { chip_wiring_t wiring; double baud; unsigned crossbar_clocks; core_speed_t core;
-                 const uint8_t *flash; uint64_t seed; } chip_config_t;
-typedef struct { trace_entry_t *entry; size_t size, left; } trace_t;
-typedef struct { uint64_t now; trace_t trace; bool failed; char error[200]; ...; } bus_t;
-typedef struct { uint32_t overruns, lost; ...; } sci_line_t;
-typedef struct { sci_line_t line; ...; } sci_t;
-typedef struct { uint32_t services; ...; } cop_t;
-typedef struct { uint32_t locked_writes; ...; } pwm_module_t;
-typedef struct { pwm_module_t module[2]; ...; } pwm_t;
-typedef struct { bus_t bus; bool stop; ...; } core_t;
-typedef struct { sci_t sci; cop_t cop; pwm_t pwm; core_t core; ...; } chip_t;
-void chip_init(chip_t *chip, const chip_config_t *config, const chip_environment_t *environment, void *board);
-bool chip_run(chip_t *chip, uint64_t until);
-uint16_t chip_read(chip_t *chip, uint32_t address);
-void chip_write(chip_t *chip, uint32_t address, uint16_t value);
-void chip_interrupts(chip_t *chip, bool on);
-void chip_pin(chip_t *chip, unsigned pin, bool level);
-unsigned chip_deferrable_edges(const chip_t *chip, unsigned pin);
-void chip_pin_late(chip_t *chip, unsigned pin, bool level, uint64_t clock);
-bool chip_pin_level(const chip_t *chip, unsigned pin);
-size_t sci_line_write(sci_t *sci, const uint8_t *data, size_t size);
-size_t sci_line_read(sci_t *sci, uint8_t *data, size_t room);
-uint64_t sci_line_next(const sci_t *sci);
-void chip_register_name(uint32_t address, char *name, size_t size);
 /* A call that may end in an error: 0, or -1. */
 int try_read(chip_t *chip, uint32_t address);
 int try_write(chip_t *chip, uint32_t address, uint16_t value);
@@ -54,7 +23,6 @@ void try_spend(int units);
 PREAMBLE = """
 #include <setjmp.h>
 #include <string.h>
-#include "chip/chip.h"
 #include "chip/core_time.h"
 
 static void try_spend(int units) { core_spend(units); }
@@ -110,7 +78,7 @@ class Event(NamedTuple):
 
 def build(folder: Path) -> Native:
     sources = [NATIVE / "flash.c", *sorted((NATIVE / "chip").glob("*.c"))]
-    return compile_c(folder, "_chip_under_test", SHARED + CDEF, PREAMBLE, sources)
+    return compile_c(folder, "_chip_under_test", ["chip/chip.h"], sources, cdef=CDEF, preamble=PREAMBLE)
 
 
 def pin(name: str) -> int:

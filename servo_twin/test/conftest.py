@@ -12,15 +12,14 @@ import pytest
 # A shell in the background may have Ctrl-C ignored, and the processes that the tests start would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# The helper modules of this folder can be imported under every import mode of pytest.
-TEST = str(Path(__file__).resolve().parent)
-if TEST not in sys.path:
-    sys.path.insert(0, TEST)
+# The helper modules of this folder, and one of the firmware's, can be imported under every import mode of pytest.
+TEST = Path(__file__).resolve().parent
+FIRMWARE = TEST.parents[1] / "firmware"
+sys.path[:0] = [folder for folder in (str(TEST), str(FIRMWARE / "test")) if folder not in sys.path]
 
 import chip_rig  # noqa: E402
-from native_library import CHIP_CDEF, NATIVE, PLANT_CDEF, Native, build  # noqa: E402
+from native_library import NATIVE, PLANT, Native, compile_c  # noqa: E402
 from servo_twin.level import LEVEL_VARIABLE  # noqa: E402
-from switching_rig import SWITCHING_CDEF  # noqa: E402
 
 
 @pytest.fixture(params=[os.environ[LEVEL_VARIABLE]] if LEVEL_VARIABLE in os.environ else ["ideal", "registers"])
@@ -33,40 +32,37 @@ def level(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> st
 @pytest.fixture(scope="session")
 def plant_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
     """The C of the plant (``ffi``, ``lib``)."""
-    return build(
-        tmp_path_factory.mktemp("plant"), "plant_under_test", PLANT_CDEF, '#include "plant/plant.h"', [NATIVE], []
-    )
+    return compile_c(tmp_path_factory.mktemp("plant"), "plant_under_test", ["plant/plant.h"], PLANT)
 
 
 @pytest.fixture(scope="session")
 def chip_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
     """The ideal chip with a firmware that only writes down when it is called (``ffi``, ``lib``)."""
-    fake = Path(TEST) / "fake_firmware"
-    return build(
-        tmp_path_factory.mktemp("chip"),
-        "chip_under_test",
-        PLANT_CDEF + CHIP_CDEF,
-        '#include "ideal_chip.h"\n',
-        [fake, NATIVE, NATIVE.parents[1] / "firmware"],
-        [NATIVE / "ideal_chip.c", NATIVE / "uart.c", NATIVE / "flash.c", fake / "servo.c"],
-    )
+    fake = TEST / "fake_firmware"
+    sources = [*PLANT, *(NATIVE / name for name in ("ideal_chip.c", "uart.c", "flash.c")), fake / "servo.c"]
+    folder = tmp_path_factory.mktemp("chip")
+    return compile_c(folder, "chip_under_test", ["ideal_chip.h"], sources, (fake, NATIVE, FIRMWARE))
 
 
 def build_switching(folder: Path, name: str, *defines: str) -> Native:
-    preamble = """
-#include "plant/plant.h"
-#include "plant/switching.h"
+    straight_roots = (
+        "unsigned straight_roots(const double f0[4], const double f1[4], const double d0[4], double h, double root[4])"
+    )
+    preamble = f"""
 #include "plant/segment_trajectory.h"
 
-static unsigned straight_roots(const double f0[4], const double f1[4], const double d0[4], double h, double root[4])
-{
+static {straight_roots}
+{{
     lanes_t roots;
     const unsigned good = chord_roots(load_lanes(f0), load_lanes(f1), load_lanes(d0), h, &roots);
     store_lanes(root, roots);
     return good;
-}
+}}
 """
-    return build(folder, name, PLANT_CDEF + SWITCHING_CDEF, preamble, [NATIVE], [], defines)
+    cdef = f"double root_of(double f0, double d0, double f1, double h); {straight_roots};"
+    return compile_c(
+        folder, name, ["plant/plant.h", "plant/switching.h"], PLANT, defines=defines, cdef=cdef, preamble=preamble
+    )
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
-from chip_rig import ADDRESS, NEVER, SHARED
+from chip_rig import ADDRESS, NEVER
 from native_library import NATIVE, Native, compile_c
 
 CHIP: Final = NATIVE / "chip"
@@ -32,16 +32,8 @@ EVENTS: Final = {
 }
 """First source of events, their number and what handles them, of the peripherals that a test runs."""
 
-TIMER: Final = "void qtmr_input(qtmr_t *, unsigned, unsigned, bool, uint64_t);"
-
 CDEF: Final = """
-typedef struct {{ uint16_t pce[4], pcr, gps[11], ips0; }} sim_control_t;
-typedef struct {{
-    uint64_t now; unsigned crossbar_clocks; const chip_environment_t *environment; const chip_signals_t *signals;
-    sim_control_t sim; uint64_t request[2]; bool failed; char error[200]; ...;
-}} bus_t;
-{types}typedef struct {{ {members} ...; }} {name}_t;
-typedef struct {{ bus_t bus; {name}_t peripheral; ...; }} rig_t;
+typedef struct {{ bus_t bus; {name}_t peripheral; }} rig_t;
 void rig_reset(rig_t *rig);
 int rig_read(rig_t *rig, uint32_t address);
 int rig_write(rig_t *rig, uint32_t address, uint16_t value);
@@ -50,8 +42,6 @@ void rig_run(rig_t *rig, uint64_t until);
 """
 
 PREAMBLE: Final = """
-#include "chip/{name}.h"
-
 typedef struct {{ bus_t bus; {name}_t peripheral; }} rig_t;
 
 static void rig_reset(rig_t *rig)
@@ -148,10 +138,10 @@ class Alone:
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Alone]:
-    """Build one peripheral; `cdef` declares functions, `members` and their `types` what a test writes to."""
+    """Build one peripheral."""
 
     @cache
-    def build(name: str, cdef: str, members: str, types: str) -> Native:
+    def build(name: str) -> Native:
         handlers = "".join(
             f"for (unsigned n = 0; n < {count}u; n++) {{ rig->bus.events.handler[{source} + n] ="
             f" (event_handler_t){{{handle}, &rig->peripheral}}; }}"
@@ -160,15 +150,13 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Alone]:
         return compile_c(
             tmp_path_factory.mktemp(name),
             f"_{name}_alone",
-            SHARED + CDEF.format(name=name, members=members, types=types) + cdef,
-            PREAMBLE.format(name=name, handlers=handlers),
+            [f"chip/{name}.h"],
             [NATIVE / path for path in PARTS[name]] + BASE,
+            cdef=CDEF.format(name=name),
+            preamble=PREAMBLE.format(name=name, handlers=handlers),
         )
 
-    def make(name: str, cdef: str = "", members: str = "", types: str = "") -> Alone:
-        return Alone(build(name, cdef, members, types))
-
-    return make
+    return lambda name: Alone(build(name))
 
 
 @pytest.mark.parametrize("name", PARTS)
@@ -186,7 +174,7 @@ def test_a_peripheral_needs_no_other_one(name: str, tmp_path: Path) -> None:
 
 
 def test_the_watchdog_resets_the_chip_unless_it_is_served(alone: Callable[..., Alone]) -> None:
-    cop = alone("cop", "void cop_event(void *cop, unsigned n);")
+    cop = alone("cop")
     cop.write({"COP_CTRL": 0x0140, "COP_TOUT": 99})
     cop.write({"COP_CTRL": 0x0142})  # bus clock / 16
     cop.run(1000)
@@ -200,7 +188,7 @@ def test_the_watchdog_resets_the_chip_unless_it_is_served(alone: Callable[..., A
 
 
 def test_converters_sample_in_pairs_after_a_sync_pulse(alone: Callable[..., Alone]) -> None:
-    adc = alone("adc", "void adc_sync(adc_t *adc, unsigned converter);", "uint16_t connected;")
+    adc = alone("adc")
     adc.peripheral.connected = 0xFFFF
     adc.write({"ADC_PWR": 0x01A0, "ADC_CTRL2": 0x0044, "ADC_SDIS": 0xFCFC, "ADC_PWR2": 0x040F})
     adc.run(200)
@@ -213,7 +201,7 @@ def test_converters_sample_in_pairs_after_a_sync_pulse(alone: Callable[..., Alon
 
 
 def test_a_timer_counts_the_edges_of_an_encoder(alone: Callable[..., Alone]) -> None:
-    timer = alone("qtmr", TIMER)
+    timer = alone("qtmr")
     timer.write({"TMRA0_CTRL": 0x8080})  # quadrature, A at input 0, B at input 1
     inputs = [(0, True), (1, True), (0, False), (1, False), (0, True)]
     for clock, (pin, level) in enumerate(inputs, 1):
@@ -224,14 +212,14 @@ def test_a_timer_counts_the_edges_of_an_encoder(alone: Callable[..., Alone]) -> 
 
 
 def test_a_timer_on_the_bus_clock_drives_its_output(alone: Callable[..., Alone]) -> None:
-    timer = alone("qtmr", TIMER)
+    timer = alone("qtmr")
     timer.write({"TMRA2_COMP1": 9, "TMRA2_CTRL": 0x3023})  # bus clock, LENGTH, toggle
     timer.run(30)
     assert timer.called("crossbar") == [(9, 38, 18, 1), (19, 38, 18, 0), (29, 38, 18, 1)]
 
 
 def test_the_crossbar_passes_a_trigger_to_the_converter(alone: Callable[..., Alone]) -> None:
-    xbar = alone("xbar", "void xbar_signal(xbar_t *, int, int, xbar_edge_t);")
+    xbar = alone("xbar")
     xbar.write({"XBARA_SEL6": 20})  # PWMA0_TRG0 to ADC_SYNC0
     for source in (20, 21):
         xbar.lib.xbar_signal(xbar.ffi.addressof(xbar.peripheral), source, -1, xbar.lib.XBAR_PULSE)
@@ -239,9 +227,7 @@ def test_the_crossbar_passes_a_trigger_to_the_converter(alone: Callable[..., Alo
 
 
 def test_a_pwm_inserts_dead_time_at_both_edges(alone: Callable[..., Alone]) -> None:
-    types = """typedef struct { uint8_t pin[2]; ...; } pwm_submodule_t;
-               typedef struct { pwm_submodule_t sub[4]; ...; } pwm_module_t;"""
-    pwm = alone("pwm", types=types, members="pwm_module_t module[2];")
+    pwm = alone("pwm")
     pwm.peripheral.module[0].sub[0].pin = [pwm.lib.GATE_PWM] * 2
     pwm.write({"PWMA0_INIT": 0, "PWMA0_VAL1": 999, "PWMA0_VAL2": 200, "PWMA0_VAL3": 600, "PWMA0_DTCNT0": 50,
                "PWMA0_DTCNT1": 50, "PWMA0_DISMAP0": 0, "PWMA_OUTEN": 0x0110})  # fmt: skip

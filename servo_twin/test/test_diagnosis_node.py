@@ -115,4 +115,4 @@ def test_telemetry_without_voltages_is_said_to_lack_them() -> None:
         rig._rows.clear()
         samples = rig.samples
         rig.samples = lambda columns, table: samples([columns[k] for k in keep], table[:, keep])  # type: ignore[method-assign]
-        assert rig.moves(rig.found("axis1", "no diagnosis: the telemetry has no axis1.u_d, axis1.u_q"), 5)
+        assert rig.moves(rig.found("axis1", "no diagnosis: the telemetry has no axis1.u_d, axis1.u_q"))

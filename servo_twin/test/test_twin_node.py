@@ -458,20 +458,6 @@ def test_main_says_it_in_one_line(capfd: pytest.CaptureFixture[str]) -> None:
     assert "Traceback" not in error
 
 
-def test_the_yaml_lists_every_parameter_with_its_default() -> None:
-    text = CONFIG.read_text()
-    for name, parameter in PARAMETERS.items():
-        (line,) = [line.strip() for line in text.splitlines() if line.strip().startswith(f"{name}:")]
-        value = line.split(":", 1)[1].strip()
-        default = parameter.default
-        if isinstance(default, list):
-            assert value == f"[{', '.join(default)}]"
-        elif isinstance(default, bool):
-            assert value == str(default).lower(), name
-        else:
-            assert type(default)(value.strip('"')) == default, name
-
-
 def test_the_yaml_can_be_loaded() -> None:
     with Rig(cli_args=["--ros-args", "--params-file", str(CONFIG)]) as rig:
         for name, parameter in PARAMETERS.items():

@@ -21,7 +21,6 @@ import pytest
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 import rclpy
-import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -34,7 +33,7 @@ from servo_msgs_py.units import PERIOD_NS
 from servo_twin.view import scene
 from servo_twin.view.recording import RecordingError, read_scalars, read_texts
 from servo_twin.view.web_page import free_port
-from servo_twin.viewer_node import PARAMETERS
+from servo_twin.viewer_node import main
 from std_msgs.msg import Bool, Float64MultiArray, String
 from viewer_rig import CATALOGUE, COLUMNS, EVERY, FAULT, move, stamp, verify
 
@@ -48,7 +47,6 @@ pytestmark = [
 
 DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 20 + os.getpid() % 80
 TIMEOUT = 30.0  # [s]
-YAML = Path(__file__).resolve().parents[1] / "config" / "servo_viewer.yaml"
 MAIN = "import sys; from servo_twin.viewer_node import main; sys.exit(main())"
 
 
@@ -283,21 +281,16 @@ def test_the_page_is_served_beside_ports_in_use_and_ends_with_the_node(start: St
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
-        ({"web": "false"}, "nothing to do: set parameter record"),
-        ({"web": "false", "record": "/dev/null/run.rrd"}, "/dev/null/run.rrd cannot be written"),
-        ({"web_port": 80}, "parameter web_port"),
-        ({"web": "perhaps"}, "parameter web"),
+        (["web:=false"], "nothing to do: set parameter record"),
+        (["web:=false", "record:=/dev/null/run.rrd"], "/dev/null/run.rrd cannot be written"),
+        (["web_port:=80"], "parameter web_port"),
+        (["web:=perhaps"], "parameter web"),
     ],
 )
 def test_parameters_that_make_no_sense_end_it_with_one_sentence(
-    start: Start, parameters: dict[str, object], message: str
+    parameters: list[str], message: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    viewer = start(**parameters)
-    assert viewer.process.wait(TIMEOUT) == 2
-    assert message in viewer.text()
-    assert "Traceback" not in viewer.text()
-
-
-def test_the_yaml_lists_every_parameter_with_its_default() -> None:
-    listed = yaml.safe_load(YAML.read_text(encoding="utf-8"))["/**"]["ros__parameters"]
-    assert listed == {name: parameter.default for name, parameter in PARAMETERS.items()}
+    assert main(["--ros-args", *(word for parameter in parameters for word in ("-p", parameter))]) == 2
+    (line,) = (line for line in capfd.readouterr().err.splitlines() if not line.startswith("["))
+    assert line.startswith("servo_viewer: ")
+    assert message in line

@@ -151,7 +151,7 @@ class BoardPair:
 
 
 @dataclass
-class _Course:
+class _Segment:
     """What one axis is doing until some time [s]."""
 
     until: float
@@ -175,7 +175,7 @@ class Motion:
         self._random = random.Random(f"motion {seed}")
         modes = pair.board.catalogue.enums["control_mode_t"]
         self._position, self._speed = modes["POSITION"], modes["SPEED"]
-        self._courses = [_Course(pair.time) for _ in range(AXES)]
+        self._segments = [_Segment(pair.time) for _ in range(AXES)]
         self._repeat = pair.time
 
     def run(self, seconds: float) -> Iterator[Pair]:
@@ -196,25 +196,25 @@ class Motion:
 
     def _command(self) -> None:
         now = self._pair.time
-        for axis, course in enumerate(self._courses):
-            if now >= course.until:
-                self._next(axis, course, now)
+        for axis, segment in enumerate(self._segments):
+            if now >= segment.until:
+                self._next(axis, segment, now)
         if now >= self._repeat:  # a velocity set-point holds for half a second only
             self._repeat = now + 0.2
-            mask = sum(1 << axis for axis, course in enumerate(self._courses) if course.mode == self._speed)
+            mask = sum(1 << axis for axis, segment in enumerate(self._segments) if segment.mode == self._speed)
             if mask:
-                self._pair.write("cmd.speed", [course.speed for course in self._courses], mask)
+                self._pair.write("cmd.speed", [segment.speed for segment in self._segments], mask)
 
-    def _next(self, axis: int, course: _Course, now: float) -> None:
+    def _next(self, axis: int, segment: _Segment, now: float) -> None:
         draw, mask = self._random, 1 << axis
-        course.mode = draw.choice((self._position, self._speed))
-        course.until = now + draw.uniform(0.3, 1.2)
-        self._pair.write("cmd.mode", [float(course.mode)] * AXES, mask)
-        if course.mode == self._position:
+        segment.mode = draw.choice((self._position, self._speed))
+        segment.until = now + draw.uniform(0.3, 1.2)
+        self._pair.write("cmd.mode", [float(segment.mode)] * AXES, mask)
+        if segment.mode == self._position:
             name = f"{axis_name(axis)}.position_ref"
             here = self._pair.real.raw[name] * self._pair.board.catalogue[name].lsb
             distance = math.exp(draw.uniform(math.log(1.0), math.log(80.0)))
             self._pair.write("cmd.position", [here + draw.choice((-1.0, 1.0)) * distance] * AXES, mask)
         else:
-            course.speed = draw.choice((-1.0, 1.0)) * draw.uniform(10.0, 250.0)
-            self._pair.write("cmd.speed", [course.speed] * AXES, mask)
+            segment.speed = draw.choice((-1.0, 1.0)) * draw.uniform(10.0, 250.0)
+            self._pair.write("cmd.speed", [segment.speed] * AXES, mask)

@@ -33,8 +33,6 @@ from servo_twin.fault_injection import (
 )
 from servo_twin.plant import PlantConfig
 
-__all__ = ["DAMAGES", "NO_DAMAGE", "Damage", "Seen", "Where", "no_damage"]
-
 NO_DAMAGE: Final = "no damage"
 """Kind of the trials that look for false alarms."""
 

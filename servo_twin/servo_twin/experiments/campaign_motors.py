@@ -24,8 +24,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["MOTORS", "OTHERS", "OWN", "Motor", "deviating"]
-
 OWN: Final = ("axis1", "axis2")
 """The motors of the plant, as the experiment names them."""
 

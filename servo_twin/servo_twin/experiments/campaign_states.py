@@ -9,20 +9,9 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from servo_twin.board import Board
-from servo_twin.experiments import named_faults
-from servo_twin.experiments.rig import (
-    SETTLED,
-    TICK,
-    choose_mode,
-    command_position,
-    command_speed,
-    position_of,
-    set_axis,
-)
+from servo_twin.experiments import named_faults, rig
 from servo_twin.plant import AxisPlant
 from servo_twin.simulation import SimulationError
-
-__all__ = ["MANOEUVRES", "STATES", "Bench", "Event", "Script", "State"]
 
 BOOT: Final = 0.03  # reset to STOP [s]
 REACHED: Final = 5.0  # for any state [s]
@@ -90,7 +79,7 @@ class Bench:
 
     def word(self, name: str, axis: int | None = None) -> int:
         """A variable of an axis as it stands in memory."""
-        return named_faults.word(self.board, self._which(axis), name)
+        return rig.word(self.board, self._which(axis), name)
 
     def place(self, axis: int | None = None) -> str:
         """Sub-state of an axis in RUN, or its state."""
@@ -106,39 +95,39 @@ class Bench:
 
     def until(self, what: str, holds: Callable[[], bool]) -> None:
         """Run until something holds, which nothing but a fault prevents."""
-        for _ in range(round(REACHED / TICK)):
+        for _ in range(round(REACHED / rig.TICK)):
             if holds():
                 return
             if self.word("faults") or self.word("faults", self.other):
                 break
-            self.board.run(TICK)
+            self.board.run(rig.TICK)
         faults = self.faults() | self.faults(self.other)
         raise SimulationError(f"{what} was not reached but {self.place()}; faults: {', '.join(sorted(faults)) or '-'}")
 
     # ---- what it is told
     def enable(self, on: bool = True) -> None:
-        set_axis(self.board, "cmd.enable", self.axis, float(on))
+        rig.set_axis(self.board, "cmd.enable", self.axis, float(on))
 
     def speed(self, speed: float) -> None:
         """Speed set-point [rad/s] in speed mode."""
         self.wanted = max(self.wanted, abs(speed))
-        choose_mode(self.board, self.axis, "SPEED")
-        command_speed(self.board, self.axis, speed)
+        rig.choose_mode(self.board, self.axis, "SPEED")
+        rig.command_speed(self.board, self.axis, speed)
 
     def turn(self, turns: float) -> None:
         """Move by so many turns, in position mode."""
         self.wanted = self.speed_limit
-        choose_mode(self.board, self.axis, "POSITION")
-        command_position(self.board, self.axis, position_of(self.board, self.axis) + round(4000.0 * turns))
+        rig.choose_mode(self.board, self.axis, "POSITION")
+        rig.command_position(self.board, self.axis, rig.position_of(self.board, self.axis) + round(4000.0 * turns))
 
     def torque(self, current: float) -> None:
         """Current set-point [A] in torque mode."""
         self.wanted = self.speed_limit
-        choose_mode(self.board, self.axis, "TORQUE")
-        set_axis(self.board, "cmd.i_q", self.axis, current)
+        rig.choose_mode(self.board, self.axis, "TORQUE")
+        rig.set_axis(self.board, "cmd.i_q", self.axis, current)
 
     def quick_stop(self) -> None:
-        set_axis(self.board, "cmd.quick_stop", self.axis, 1.0)
+        rig.set_axis(self.board, "cmd.quick_stop", self.axis, 1.0)
 
     def load(self, part: float) -> None:
         """Set the load torque, as a part of the torque at the current limit."""
@@ -153,7 +142,7 @@ class Bench:
     def provoke(self, sign: float) -> None:
         """Ask the axis to move, whatever it was told before."""
         self.load(0.0)
-        set_axis(self.board, "cmd.quick_stop", self.axis, 0.0)
+        rig.set_axis(self.board, "cmd.quick_stop", self.axis, 0.0)
         self.enable()
         self.speed(sign * (OBSERVED_PART if self.sensorless else PROVOKED_PART) * self.speed_limit)
 
@@ -164,18 +153,18 @@ class Bench:
         self.board.run(BOOT)
         if self.sensorless:
             observer = self.board.catalogue.enums["feedback_kind_t"]["OBSERVER"]
-            set_axis(self.board, "param.feedback", self.axis, observer)
+            rig.set_axis(self.board, "param.feedback", self.axis, observer)
         if other:
-            set_axis(self.board, "cmd.enable", self.other, 1.0)
+            rig.set_axis(self.board, "cmd.enable", self.other, 1.0)
             self.until("SPIN of the other axis", lambda: self.place(self.other) == "SPIN")
-            choose_mode(self.board, self.other, "SPEED")
-            command_speed(self.board, self.other, self.other_speed)
+            rig.choose_mode(self.board, self.other, "SPEED")
+            rig.command_speed(self.board, self.other, self.other_speed)
             self.board.run(0.2)
 
     def hold(self) -> None:
         self.enable()
         self.until("SPIN", lambda: self.place() == "SPIN")
-        self.board.run(SETTLED)
+        self.board.run(rig.SETTLED)
 
     def turning(self, speed: float) -> None:
         """Turn at a constant speed [rad/s], with the encoder or without."""
@@ -330,7 +319,7 @@ def _coasting(bench: Bench, rng: random.Random) -> Script:
     bench.boot()
     bench.turning(_part(bench, rng, 0.1, 1.0))
     coast = bench.board.catalogue.enums["stop_category_t"]["COAST"]
-    set_axis(bench.board, "param.on_disable", bench.axis, coast)
+    rig.set_axis(bench.board, "param.on_disable", bench.axis, coast)
     bench.enable(False)
     return Script(0.3)
 
@@ -357,7 +346,7 @@ def _rest(bench: Bench, rng: random.Random) -> Script:
 def _start_up(bench: Bench, rng: random.Random) -> Script:
     bench.boot()
     bench.enable()
-    choose_mode(bench.board, bench.axis, "SPEED")
+    rig.choose_mode(bench.board, bench.axis, "SPEED")
     bench.board.run(0.1)
     speed = _part(bench, rng, 0.1, 0.5)
     return Script(0.8, [(0.0, lambda: bench.speed(speed))])
@@ -449,7 +438,7 @@ def _manoeuvres(bench: Bench, rng: random.Random) -> Script:
     while moment < LENGTH:
         events.append((moment, _order(bench, rng)))
         events.append((moment + 1e-3, bench.enable))  # the one that has withdrawn the drive, too
-        events.append((moment + 1e-3, lambda: set_axis(bench.board, "cmd.quick_stop", bench.axis, 0.0)))
+        events.append((moment + 1e-3, lambda: rig.set_axis(bench.board, "cmd.quick_stop", bench.axis, 0.0)))
         blow, length = rng.uniform(-0.4, 0.4), rng.uniform(0.005, 0.1)
         events.append((moment + 0.01, lambda blow=blow: bench.blow(blow)))  # type: ignore[misc]
         events.append((moment + 0.01 + length, lambda: bench.load(0.0)))

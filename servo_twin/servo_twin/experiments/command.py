@@ -19,8 +19,6 @@ from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 
-__all__ = ["add_parser", "run_experiments"]
-
 _OUT: Final = Path("out/experiments")
 
 

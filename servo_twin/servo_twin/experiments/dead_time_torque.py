@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from servo_twin.experiments.rig import COUNT, TICK, Recording
 from servo_twin.plant import AxisPlant
 
-__all__ = ["KEPT_BACK", "answer", "pushed", "swerve", "swerve_at", "whole_counts"]
-
 KEPT_BACK: Final = 0.06
 """Current around zero that dead time and drops keep back where every edge of the gates counts [A]."""
 

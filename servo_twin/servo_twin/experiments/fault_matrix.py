@@ -20,10 +20,9 @@ from servo_twin.experiments.named_faults import (
     first_fault,
     gain_max,
     place,
-    word,
 )
 from servo_twin.experiments.outcome import Curve, Item, Judge, Outcome, Panel, Row, experiment
-from servo_twin.experiments.rig import TICK, fresh_board, until
+from servo_twin.experiments.rig import TICK, fresh_board, until, word
 from servo_twin.fault_injection import (
     CurrentNoise,
     EncoderGlitches,

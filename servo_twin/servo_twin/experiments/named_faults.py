@@ -11,20 +11,6 @@ from servo_twin.board import Board
 from servo_twin.experiments.rig import flags_of, word
 from servo_twin.plant import AxisPlant
 
-__all__ = [
-    "EVERYTHING",
-    "NAMED",
-    "NOTHING",
-    "PROVOKED",
-    "fault_record",
-    "fault_time",
-    "faults",
-    "first_fault",
-    "gain_max",
-    "place",
-    "word",
-]
-
 NOTHING: Final = ""
 """Name of no fault."""
 

@@ -16,8 +16,6 @@ from typing import Any, Final, ParamSpec
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BEYOND", "NOT_SHOWN", "Bound", "Curve", "Item", "Judge", "Outcome", "Panel", "Row", "experiment"]
-
 BEYOND: Final = "beyond the reference design"
 """`Row.seed` of what it does not have."""
 

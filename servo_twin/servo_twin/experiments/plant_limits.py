@@ -19,23 +19,6 @@ from servo_twin.experiments.rig import COUNT, TICK
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
 
-__all__ = [
-    "OVER_VOLTAGE",
-    "Demand",
-    "NominalShaft",
-    "current_limits",
-    "differences",
-    "inertia_ratio",
-    "move_speeds",
-    "nominal_shafts",
-    "path_demands",
-    "path_ends",
-    "path_settles",
-    "ripple",
-    "speed_limits",
-    "top_speed",
-]
-
 OVER_VOLTAGE: Final = 33.0
 """Of the drive [V]."""
 

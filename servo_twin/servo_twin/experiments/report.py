@@ -12,8 +12,6 @@ from typing import Any, Final
 from servo_twin.experiments.outcome import Outcome, Panel
 from servo_twin.figure import new_figure
 
-__all__ = ["SUMMARY", "columns", "draw", "summary", "table", "update_summary"]
-
 SUMMARY: Final = "summary.json"
 _HEAD: Final = ("figure", "measured", "unit", "bound", "agrees", "the reference design")
 _WIDTH: Final = 44

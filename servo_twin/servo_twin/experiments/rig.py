@@ -20,39 +20,6 @@ from servo_twin.level import FAST_LEVEL, Level, chosen_level
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError, enable, keep_set_points
 
-__all__ = [
-    "COUNT",
-    "RPM",
-    "SETTLED",
-    "TICK",
-    "TICK_NS",
-    "Recording",
-    "arrives",
-    "at",
-    "at_level",
-    "choose_mode",
-    "command_position",
-    "command_speed",
-    "edge_shift",
-    "features",
-    "flags_of",
-    "fresh_board",
-    "get_axis",
-    "largest",
-    "level",
-    "overshoot",
-    "position_of",
-    "positive",
-    "prepared",
-    "set_axis",
-    "set_up",
-    "spinning",
-    "stays_from",
-    "until",
-    "watch",
-    "word",
-]
-
 TICK_NS: Final = PERIOD_NS * SLOW_PERIODS
 """One slow tick [ns]."""
 

@@ -16,23 +16,6 @@ from servo_twin.experiments.rig import TICK, TICK_NS, choose_mode, command_speed
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
 
-__all__ = [
-    "Trace",
-    "back_emf",
-    "dead_voltage",
-    "degrees",
-    "ended",
-    "fault_names",
-    "follow",
-    "let_go",
-    "limits_of",
-    "observing",
-    "started",
-    "substate",
-    "without_fault",
-    "wrapped",
-]
-
 BOOT: Final = 0.03  # reset to STOP [s]
 START_MAX: Final = 3.0  # of a start-up [s]
 LOOK: Final = 0.01  # between two looks at the state [s]

@@ -6,7 +6,7 @@ command write is repeated, with the same raw integers, so that it takes effect a
 that differ in nothing give the same numbers, bit for bit.
 
 The shift is chosen when the twin begins: 0 if everything since the reset of the board is known, otherwise when the
-shafts are at rest. A rotor search ends with luck, some ticks earlier on one board than on the other. When the real axis
+shafts are at rest. A rotor search may end some ticks earlier on one board than on the other. When the real axis
 has found its rotor and the twin has not, the twin is run ahead until it has, which changes the shift; afterwards
 positions differ by whole counts, which are added to what the twin says and taken off what it is told. They are chosen
 anew after a stop, which ends on each board where its own ramp does.

@@ -275,7 +275,7 @@ def broken_phases(rig: Rig) -> None:
     rig.inject(StuckConverter(0, "c", 2100))
     rig.inject(StuckConverter(1, "b", 2150))
     rig.until("converter", lambda: "CURRENT_SENSE" in rig.faults(1))
-    rig.until("second thoughts", lambda: rig.faults(0) == ["CURRENT_SENSE"])
+    rig.until("root cause revised", lambda: rig.faults(0) == ["CURRENT_SENSE"])
     rig.clear_fault(OpenPhase(0, "a"))
     rig.clear_fault(StuckConverter(0, "c", 2100))
     rig.clear_fault(StuckConverter(1, "b", 2150))
