@@ -136,12 +136,12 @@ class TestNormalWork:
         me.spinning()
         go(me, 0.0, 0.0)
 
-    def test_telemetry_is_fast_enough_and_stamped_with_board_time(self, me: User) -> None:
+    def test_telemetry_is_stamped_with_board_time(self, me: User) -> None:
+        """How fast it comes: tests/bench/telemetry.py."""
         start = len(me.messages["/servo/joint_states"])
-        me.seconds(2.0)
+        me.seconds(1.0)
         stamps = [from_stamp(m.header.stamp) for m in me.messages["/servo/joint_states"][start:]]
         assert all(later > earlier for earlier, later in itertools.pairwise(stamps))
-        assert quickest(stamps, 10) <= 100_000_000
         rows = {(int(r["stamp.sec"]), int(r["stamp.nanosec"])): r for r in me.rows()}
         # A stamp is board time, so it grows with the tick and not with the arrival.
         ticks = [rows[divmod(s, 1_000_000_000)]["tick"] for s in stamps[:100]]
@@ -279,7 +279,7 @@ def square() -> JointTrajectory:
 
 def follow_square(me: User, trajectories: Publisher) -> None:
     """Publish the square, again if a busy machine held up the bridge until its points were in the past of the board."""
-    for _ in range(3):
+    for _ in range(10):
         said = len(me.messages["/rosout"])
         trajectories.publish(square())
 

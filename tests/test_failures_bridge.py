@@ -391,7 +391,7 @@ class TestRows:
         done, reason = rig.me.set_board_parameters("param.host_timeout=20", "param.command_timeout=0")
         assert done, reason
         rig.me.until(lambda: any("param.command_timeout: " in m.msg for m in rig.me.messages["/rosout"][said:]), 15.0)
-        rig.turn()
+        rig.turning()
         before = rig.last
         bridge.kill()
         rig.start_bridge()

@@ -88,15 +88,6 @@ void probe_svm_many(const ab_t *modulation, svm_t *result, uint32_t count)
     }
 }
 
-void probe_encoder_angles(const encoder_config_t *config, int16_t *mechanical, int16_t *electrical)
-{
-    const int32_t last = (int32_t)config->counts - 1;
-    for (int32_t count = -last; count <= last; count++) {
-        mechanical[count + last] = encoder_theta_m(config, (uint16_t)count);
-        electrical[count + last] = encoder_theta_e(config, (uint16_t)count);
-    }
-}
-
 void probe_run(servo_t *servo, uint32_t periods)
 {
     for (uint32_t i = 0; i < periods; i++) {

@@ -55,7 +55,6 @@ void probe_clarke_many(const abc_t *x, ab_t *result, uint32_t count);
 void probe_park_many(const ab_t *x, const frac16_t *angle, dq_t *result, uint32_t count);
 void probe_park_inverse_many(const dq_t *x, const frac16_t *angle, ab_t *result, uint32_t count);
 void probe_svm_many(const ab_t *modulation, svm_t *result, uint32_t count);
-void probe_encoder_angles(const encoder_config_t *config, int16_t *mechanical, int16_t *electrical);
 
 /* Whole PWM periods of a board: M1, M2, background. */
 void probe_run(servo_t *servo, uint32_t periods);

@@ -12,10 +12,7 @@ from firmware_compiler import FIRMWARE, CompileC
 
 PORT = FIRMWARE / "port" / "mc56f84789"
 
-SOURCES = [
-    "test/fake_chip.c",
-    *(f"port/mc56f84789/{name}" for name in sorted(path.name for path in PORT.glob("*.c"))),
-]
+SOURCES = ["test/fake_chip.c", *(f"port/mc56f84789/{name}" for name in sorted(path.name for path in PORT.glob("*.c")))]
 
 READ, WRITE, INTERRUPTS, SERVO = range(4)
 INIT, M1, M2, EDGE, BREAK = range(5)

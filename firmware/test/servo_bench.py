@@ -160,14 +160,20 @@ class Bench:
         """Turn a shaft from now on [rad/s], whatever the firmware does."""
         self._speed[axis] = speed * 0.5e-3 * COUNTS / 6.283185307179586
 
+    def trace(self, ticks: int, value: Callable[[], Any], axis: int = 0, *, follow: bool = True) -> list[Any]:
+        """A value after each tick, in which an ideal shaft obeys the speed set-point, unless it is not to `follow`."""
+        values = []
+        for _ in range(ticks):
+            if follow:
+                self.turn(axis, rad_s(self.view(axis).speed_ref))
+            self.slow()
+            values.append(value())
+        return values
+
     def follow(self, ticks: int, axis: int = 0) -> list[tuple[int, int]]:
         """Let an ideal shaft obey the speed set-point; returns position_ref and position of every tick."""
-        log = []
-        for _ in range(ticks):
-            self.turn(axis, rad_s(self.view(axis).speed_ref))
-            self.slow()
-            log.append((self.view(axis).position_ref, self.view(axis).position))
-        return log
+        view = self.view(axis)
+        return self.trace(ticks, lambda: (view.position_ref, view.position), axis)
 
     def let_turn(self, axis: int, speed: float) -> None:
         """Turn a spinning axis from outside [rad/s] without its controllers against it."""

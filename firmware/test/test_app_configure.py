@@ -248,10 +248,7 @@ def test_the_gain_of_the_position_controller_comes_slowly(bench: BlockBench) -> 
     old, new = block["position_gain"], 2 * block["position_gain"]
     send_block(bench, 0, {**block, "position_gain": new})
     take(bench, 0)
-    seen = []
-    for _ in range(4000):
-        bench.slow()
-        seen.append(bench.axis(0).motion.position_gain)
+    seen = bench.trace(4000, lambda: bench.axis(0).motion.position_gain, follow=False)
     assert old < seen[0] < old * 1.1
     assert seen == sorted(seen)
     assert seen[-1] == new

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from freemaster_board import Board
-from freemaster_model import ENTRIES, LIVE_SIZE, MEMORY_SIZE, SERVO, Answer, examples, uleb
+from freemaster_model import ENTRIES, LIVE_SIZE, SERVO, Answer, examples, uleb
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -56,45 +56,12 @@ def test_string_length_inside_and_outside_of_the_strings(servo: Board) -> None:
         assert servo.ask(STRING_LENGTH, uleb(address)) == DENIED
 
 
-@pytest.mark.parametrize(
-    ("offset", "size", "status"),
-    [
-        (0x20, 2, 0x00),
-        (0x21, 1, 0x00),  # a part of a variable
-        (0x20, 3, 0x89),  # one byte too many
-        (0x1F, 2, 0x89),
-        (0x42, 2, 0x89),  # two neighbours without an entry that covers both
-        (0x42, 1, 0x00),
-        (0x54, 16, 0x00),  # a covering entry
-        (0x56, 6, 0x00),  # across variables inside of it
-        (0x54, 17, 0x89),
-        (0x62, 4, 0x89),  # begins in one entry, ends behind it
-        (0xC0, 4, 0x00),  # flash
-        (0xD8, 8, 0x89),  # directory
-        (0xE0, 2, 0x89),  # no variable
-        (0x22E, 2, 0x00),  # the last bytes of the memory
-        (0x22E, 4, 0x89),  # the table is wrong: these lie beyond
-        (MEMORY_SIZE, 1, 0x89),
-    ],
-)
-def test_reading(servo: Board, offset: int, size: int, status: int) -> None:
-    data = servo.memory()[offset : offset + size] if status == 0 else b""
-    assert servo.ask(READ, at(offset) + uleb(size)) == Answer(status, data)
-    assert servo.ask(READ_BA, bytes([offset & 0x7F | 0x80, offset >> 7]) + uleb(size)) == Answer(status, data)
-
-
 @pytest.mark.parametrize("size", [0, 2**32 - 1, 2**31, 0xFFFF_F000, 2**16, 2**16 + 2])
 def test_sizes_that_would_wrap(servo: Board, size: int) -> None:
     expected = Answer(0) if size == 0 else DENIED
     assert servo.ask(READ, at(0x20) + uleb(size)) == expected
     assert servo.ask(WRITE, b"\x00" + at(0x20) + uleb(size) + bytes(16)) == expected
     assert servo.events().count(("written", 0x20, 0)) == 0
-
-
-@pytest.mark.parametrize("address", [0, 0x20, 0x0FFF, 2**32 - 1, SERVO.strings - 1, SERVO.table - 1])
-def test_addresses_outside_of_all_regions(servo: Board, address: int) -> None:
-    assert servo.ask(READ, uleb(address) + b"\x01") == DENIED
-    assert servo.ask(WRITE, b"\x00" + uleb(address) + b"\x01\x00") == DENIED
 
 
 def test_padded_addresses_and_dropped_bits(servo: Board) -> None:
@@ -126,11 +93,6 @@ def test_writing(servo: Board, offset: int, size: int, allowed: bool) -> None:
     assert servo.memory() == expected
     events = [("hold", 0, 0), ("written", offset, size), ("release", 0, 0)] if allowed else []
     assert servo.events() == events
-
-
-def test_strings_and_table_cannot_be_written(servo: Board) -> None:
-    for address in (SERVO.strings, SERVO.table):
-        assert servo.ask(WRITE, b"\x00" + uleb(address) + b"\x01\x00") == DENIED
 
 
 @pytest.mark.parametrize(

@@ -33,8 +33,7 @@ class Tsa:
         self._sources = ffi.new("tsa_source_t[]", list(sources))
         self._live = ffi.new("uint8_t[16]")
         self.table = ffi.new(
-            "tsa_table_t *",
-            (self._entries, len(entries), self._strings, len(strings), self._sources, len(sources)),
+            "tsa_table_t *", (self._entries, len(entries), self._strings, len(strings), self._sources, len(sources))
         )
         self._space = ffi.new("tsa_space_t *", (self.table, self._memory, 16, self._live, 16))
 

@@ -16,7 +16,7 @@ from servo_msgs_py.tuning.reading import parse
 from servo_msgs_py.tuning.schema import AXIS_GROUPS, BOARD, BOARD_GROUPS, Entry
 from servo_msgs_py.tuning.source import c_source
 from servo_msgs_py.tuning.tuned import tuned
-from tuning_tool import CATALOGUE, configuration, table
+from tuning_tool import CATALOGUE, case, configuration, table
 
 
 def compute(**changes: object) -> str:
@@ -157,202 +157,140 @@ HEAVY: dict[str, object] = {
     "axis1__control__position_gain": 10.0,
 }
 
-# What is wrong, the change, the entry and value that the message begins with, what else it has to say.
 FITTED: dict[str, object] = {"board__brake__fitted": True}
 
-TOGETHER: list[tuple[str, dict[str, object], str, str]] = [
+TOGETHER = [
     # limits beyond the contract and its full scales
-    ("current over the full scale", {"axis1__limits__current": 9.0}, "axis1.limits.current = 9", "0.1 .. 4 A"),
-    ("current over the contract", {"axis1__limits__current": 4.5}, "axis1.limits.current = 4.5", "param.i_q_limit"),
-    ("search current", {"axis1__rotor_search__current": 4.5}, "axis1.rotor_search.current = 4.5", "write 4 A or less"),
-    (
-        "search current of another motor",
-        {"axis1__limits__current": 1.0},
+    case("axis1.limits.current = 9", "0.1 .. 4 A"),
+    case("axis1.limits.current = 4.5", "param.i_q_limit"),
+    case("axis1.rotor_search.current = 4.5", "write 4 A or less"),
+    case(
         "axis1.rotor_search.current (in [defaults.rotor_search]) = 4",
         "more than the motor may carry, 1 A (limits.current); write 1 A or less",
+        axis1__limits__current=1.0,
     ),
-    (
-        "start-up current",
-        {"axis1__start_up__current_final": 0.9},
+    case(
         "axis1.start_up.swing_current (in [defaults.start_up]) = 0.5",
         "4.02 A, more than limits.current",
+        axis1__start_up__current_final=0.9,
     ),
-    ("speed over the full scale", {"axis1__limits__speed": 600.0}, "axis1.limits.speed = 600", "0.1 .. 419 rad/s"),
-    ("acceleration", {"axis1__limits__acceleration": 6e4}, "axis1.limits.acceleration = 60000", "50000"),
-    ("position", {"axis1__limits__position": 2e6}, "axis1.limits.position = 2e+06", "param.position_max"),
-    ("following error", {"axis1__limits__following_error": 2e3}, "axis1.limits.following_error = 2000", "1000 rad"),
-    ("over-speed", {"axis1__limits__over_speed": 520.0}, "axis1.limits.over_speed = 520", "500 rad/s"),
+    case("axis1.limits.speed = 600", "0.1 .. 419 rad/s"),
+    case("axis1.limits.acceleration = 60000", "50000"),
+    case("axis1.limits.position = 2e+06", "param.position_max"),
+    case("axis1.limits.following_error = 2000", "1000 rad"),
+    case("axis1.limits.over_speed = 520", "500 rad/s"),
     # what the supply and the shaft cannot do
-    (
-        "speed that the voltage does not reach",
-        {"axis1__limits__speed": 400.0, "axis1__limits__over_speed": 450.0, "board__nominal_voltage": 20.0},
+    case(
         "axis1.limits.speed = 400",
         "20 V reach 352.4 rad/s without load",
+        axis1__limits__over_speed=450.0,
+        board__nominal_voltage=20.0,
     ),
-    ("flux", {"axis1__motor__psi_m": 0.1}, "axis1.limits.speed (in [defaults.limits]) = 314", "65.13 rad/s"),
-    ("friction", {"axis1__friction__coulomb": 0.2}, "axis1.friction.coulomb = 0.2", "gives 0.185 N m"),
-    ("rotor", {"axis1__motor__rotor_inertia": 2e-5}, "axis1.motor.rotor_inertia = 2e-05", "8e-06 kg m^2"),
+    case("axis1.limits.speed (in [defaults.limits]) = 314", "65.13 rad/s", axis1__motor__psi_m=0.1),
+    case("axis1.friction.coulomb = 0.2", "gives 0.185 N m"),
+    case("axis1.motor.rotor_inertia = 2e-05", "8e-06 kg m^2"),
     # limits among themselves
-    ("over-speed below the limit", {"axis1__limits__over_speed": 314.0}, "axis1.limits.over_speed = 314", "314 rad/s"),
-    ("stop speed", {"axis1__timing__stop_speed": 314.0}, "axis1.timing.stop_speed = 314", "speed limit"),
-    ("under-voltage", {"board__under_voltage": 25.0}, "board.under_voltage = 25", "nominal_voltage = 24 V"),
-    ("nominal voltage", {"board__nominal_voltage": 33.0}, "board.nominal_voltage = 33", "over_voltage = 33 V"),
-    ("over-voltage", {"board__over_voltage": 36.3}, "board.over_voltage = 36.3", "36.3 V"),
-    ("dead time", {"board__dead_time": 4e-5}, "board.dead_time = 4e-05", "period"),
+    case("axis1.limits.over_speed = 314", "314 rad/s"),
+    case("axis1.timing.stop_speed = 314", "speed limit"),
+    case("board.under_voltage = 25", "nominal_voltage = 24 V"),
+    case("board.nominal_voltage = 33", "over_voltage = 33 V"),
+    case("board.over_voltage = 36.3", "36.3 V"),
+    case("board.dead_time = 4e-05", "period"),
     # what the contract fixes
-    ("encoder", {"defaults__encoder__lines": 2500}, "axis1.encoder.lines (in [defaults.encoder]) = 2500", "4000"),
-    ("slow loop", {"board__slow_divider": 16}, "board.slow_divider = 16", "write 8"),
-    ("frequency", {"board__pwm_frequency": 20e3}, "board.pwm_frequency = 20000", "write 16000"),
-    ("anti-windup", {"axis1__control__anti_windup": 1.0}, "axis1.control.anti_windup = 1", "E35"),
+    case("axis1.encoder.lines (in [defaults.encoder]) = 2500", "4000", defaults__encoder__lines=2500),
+    case("board.slow_divider = 16", "write 8"),
+    case("board.pwm_frequency = 20000", "write 16000"),
+    case("axis1.control.anti_windup = 1", "E35"),
     # order of the loops
-    (
-        "position faster than speed",
-        {"axis1__control__position_gain": 600.0},
-        "axis1.control.position_gain = 600",
-        "speed loop",
-    ),
-    (
-        "speed faster than current",
-        {"axis1__control__speed_bandwidth": 1000.0},
-        "axis1.control.speed_bandwidth = 1000",
-        "current_bandwidth = 1000 Hz",
-    ),
-    (
-        "current faster than its samples",
-        {"axis1__control__current_bandwidth": 8000.0},
-        "axis1.control.current_bandwidth = 8000",
-        "16000 Hz",
-    ),
-    (
-        "observer slower than the position",
-        {"axis1__control__observer_bandwidth": 19.0},
-        "axis1.control.observer_bandwidth = 19",
-        "not within 19.1 .. 1000 Hz",
-    ),
-    (
-        "observer faster than its samples",
-        {"axis1__control__observer_bandwidth": 1000.0},
-        "axis1.control.observer_bandwidth = 1000",
-        "not within",
-    ),
+    case("axis1.control.position_gain = 600", "speed loop"),
+    case("axis1.control.speed_bandwidth = 1000", "current_bandwidth = 1000 Hz"),
+    case("axis1.control.current_bandwidth = 8000", "16000 Hz"),
+    case("axis1.control.observer_bandwidth = 19", "not within 19.1 .. 1000 Hz"),
+    case("axis1.control.observer_bandwidth = 1000", "not within"),
     # rotor search
-    ("coarse search", {"axis1__rotor_search__interval": 60.0}, "axis1.rotor_search.interval = 60", "torque"),
-    ("search finer than a count", {"axis1__rotor_search__interval": 0.1}, "axis1.rotor_search.interval = 0.1", "0.18"),
-    ("large twitch", {"axis1__rotor_search__move_counts": 250}, "axis1.rotor_search.move_counts = 250", "no twitch"),
-    ("dithering twitch", {"axis1__rotor_search__move_counts": 2}, "axis1.rotor_search.move_counts = 2", "dithers"),
-    ("hasty search", {"axis1__rotor_search__time_max": 0.5}, "axis1.rotor_search.time_max = 0.5", "8 vectors"),
+    case("axis1.rotor_search.interval = 60", "torque"),
+    case("axis1.rotor_search.interval = 0.1", "0.18"),
+    case("axis1.rotor_search.move_counts = 250", "no twitch"),
+    case("axis1.rotor_search.move_counts = 2", "dithers"),
+    case("axis1.rotor_search.time_max = 0.5", "8 vectors"),
     # without an encoder: K1, K2 and the poles
-    ("K1 of the wrong sign", K | {"axis1__observer__k_1": 100.0}, "axis1.observer.k_1 = 100", "not below 0"),
-    ("no K1", K | {"axis1__observer__k_1": 0.0}, "axis1.observer.k_1 = 0", "too small"),
-    ("K2 of the wrong sign", K | {"axis1__observer__k_2": -5000.0}, "axis1.observer.k_2 = -5000", "not above 0"),
-    ("K1 beyond a sample", K | {"axis1__observer__k_1": -17e3}, "axis1.observer.k_1 = -17000", "jumps past"),
-    ("poles outside", K | {"axis1__observer__k_2": 9e5}, "axis1.observer.k_2 = 900000", "outside the unit circle"),
-    ("poles next to 1", K | {"axis1__observer__k_2": 50.0}, "axis1.observer.k_2 = 50", "too near to the unit circle"),
-    ("K1 alone", {"axis1__observer__k_1": -5e3}, "axis1.observer.k_1 = -5000", "nothing without k_2"),
-    ("both ways", K | {"axis1__observer__bandwidth": 400.0}, "axis1.observer.k_1 = -5200", "400 Hz specifies the same"),
-    (
-        "poles faster than the samples",
-        {"axis1__observer__bandwidth": 2000.0},
-        "axis1.observer.bandwidth = 2000",
-        "16000 Hz sample",
-    ),
-    ("slow poles", {"axis1__observer__bandwidth": 100.0}, "axis1.observer.bandwidth = 100", "105 Hz at limits.speed"),
-    (
-        "slow damping",
-        {"axis1__observer__damping": 10.0, "axis1__motor__r_s": 0.1},
-        "axis1.observer.damping = 10",
-        "too near to the unit circle",
-    ),
-    ("fast PLL", {"axis1__observer__pll_i": 9e8}, "axis1.observer.bandwidth (in", "phase-locked"),
-    (
-        "PLL faster than its samples",
-        {"axis1__observer__pll_i": 1.4e7, "axis1__observer__pll_damping": 9.0},
-        "axis1.observer.pll_i = 1.4e+07",
-        "its samples",
-    ),
-    ("slow PLL", {"axis1__observer__pll_i": 1e4}, "axis1.observer.pll_i = 10000", "trail the start-up"),
-    ("load of the PLL", {"axis1__observer__pll_load": 1.0}, "axis1.observer.pll_load = 1", "oscillates"),
-    ("threshold", {"axis1__reliability__variance_threshold": 0.5}, "axis1.reliability.variance_threshold", "twice its"),
+    case("axis1.observer.k_1 = 100", "not below 0", **K),
+    case("axis1.observer.k_1 = 0", "too small", **K),
+    case("axis1.observer.k_2 = -5000", "not above 0", **K),
+    case("axis1.observer.k_1 = -17000", "jumps past", **K),
+    case("axis1.observer.k_2 = 900000", "outside the unit circle", **K),
+    case("axis1.observer.k_2 = 50", "too near to the unit circle", **K),
+    case("axis1.observer.k_1 = -5000", "nothing without k_2"),
+    case("axis1.observer.k_1 = -5200", "400 Hz specifies the same", **K, axis1__observer__bandwidth=400.0),
+    case("axis1.observer.bandwidth = 2000", "16000 Hz sample"),
+    case("axis1.observer.bandwidth = 100", "105 Hz at limits.speed"),
+    case("axis1.observer.damping = 10", "too near to the unit circle", axis1__motor__r_s=0.1),
+    case("axis1.observer.bandwidth (in", "phase-locked", axis1__observer__pll_i=9e8),
+    case("axis1.observer.pll_i = 1.4e+07", "its samples", axis1__observer__pll_damping=9.0),
+    case("axis1.observer.pll_i = 10000", "trail the start-up"),
+    case("axis1.observer.pll_load = 1", "oscillates"),
+    case("axis1.reliability.variance_threshold", "twice its", axis1__reliability__variance_threshold=0.5),
     # start-up
-    ("hasty start-up", {"axis1__start_up__speed_time": 0.008}, "axis1.start_up.speed_time = 0.008", "9812 rad/s^2"),
-    ("few swings", {"axis1__start_up__swings": 0.2}, "axis1.start_up.swings = 0.2", "of the start-up current"),
-    ("heavy shaft", HEAVY, "axis1.start_up.speed_time = 0.25", "correct motor.inertia"),
-    ("start-up friction", {"axis1__friction__coulomb": 0.08}, "axis1.start_up.current_first (in", "0.0693 N m"),
-    ("minimum speed", {"axis1__start_up__minimum_speed": 0.3}, "axis1.start_up.minimum_speed = 0.3", "94.2 rad/s"),
-    ("upper bound of the mean", {"axis1__start_up__mean_max": 1.0}, "axis1.start_up.mean_max = 1", "chance"),
-    ("lower bound of the mean", {"axis1__start_up__mean_min": 1.0}, "axis1.start_up.mean_min = 1", "perfectly"),
-    ("no time", {"axis1__reliability__period": 60}, "axis1.start_up.wait_max (in [defaults.start_up])", "64 speeds"),
+    case("axis1.start_up.speed_time = 0.008", "9812 rad/s^2"),
+    case("axis1.start_up.swings = 0.2", "of the start-up current"),
+    case("axis1.start_up.speed_time = 0.25", "correct motor.inertia", **HEAVY),
+    case("axis1.start_up.current_first (in", "0.0693 N m", axis1__friction__coulomb=0.08),
+    case("axis1.start_up.minimum_speed = 0.3", "94.2 rad/s"),
+    case("axis1.start_up.mean_max = 1", "chance"),
+    case("axis1.start_up.mean_min = 1", "perfectly"),
+    case("axis1.start_up.wait_max (in [defaults.start_up])", "64 speeds", axis1__reliability__period=60),
     # gains and scales that do not fit
-    ("speed gain", {"axis1__motor__inertia": 4e-4}, "axis1: speed controller Kp = 2", "does not fit gain_t"),
-    ("current gain", {"axis1__motor__l_q": 0.1}, "axis1: current controller q Kp = 214.", "does not fit gain_t"),
-    (
-        "gains of one sum",
-        {
-            "axis1__motor__l_d": 0.055,
-            "axis1__motor__l_q": 0.055,
-            "axis1__motor__pole_pairs": 20,
-            "axis1__motor__psi_m": 0.00154,
-            "axis1__rotor_search__interval": 4.0,
-            "axis1__observer__bandwidth": 1500.0,
-        },
+    case("axis1: speed controller Kp = 2", "does not fit gain_t", axis1__motor__inertia=4e-4),
+    case("axis1: current controller q Kp = 214.", "does not fit gain_t", axis1__motor__l_q=0.1),
+    case(
         "axis1: gains added in u_d = 314.",
         "one sum of a PI",
+        axis1__motor__l_d=0.055,
+        axis1__motor__l_q=0.055,
+        axis1__motor__pole_pairs=20,
+        axis1__motor__psi_m=0.00154,
+        axis1__rotor_search__interval=4.0,
+        axis1__observer__bandwidth=1500.0,
     ),
-    ("integral gain", {"axis1__motor__r_s": 1000.0}, "axis1: current controller d Kp Ki Ts = 133.", "gain_t"),
-    ("vanishing gain", {"axis1__control__position_gain": 1e-5}, "axis1.control.position_gain = 1e-05", "vanish"),
-    ("sign of the current", {"axis1__sensing__sign_current": 0.06}, "axis1: slope of sensing.sign_current", "raise"),
-    ("path", {"axis1__motor__inertia": 1.6e-6, "axis1__control__path_current_use": 1.0}, "axis1: omega_n Ts", "E40"),
-    ("M/T scale", {"board__timer_clock": 1.1e7}, "board.timer_clock: speed per count and clock", "32 bits"),
-    ("search ramp", {"axis1__rotor_search__ramp_time": 1e-4}, "axis1.rotor_search.ramp_time: current", "frac32_t"),
-    ("friction slope", {"axis1__friction__smooth": 0.01}, "axis1.friction.smooth", "raise it"),
+    case("axis1: current controller d Kp Ki Ts = 133.", "gain_t", axis1__motor__r_s=1000.0),
+    case("axis1.control.position_gain = 1e-05", "vanish"),
+    case("axis1: slope of sensing.sign_current", "raise", axis1__sensing__sign_current=0.06),
+    case("axis1: omega_n Ts", "E40", axis1__motor__inertia=1.6e-6, axis1__control__path_current_use=1.0),
+    case("board.timer_clock: speed per count and clock", "32 bits", board__timer_clock=1.1e7),
+    case("axis1.rotor_search.ramp_time: current", "frac32_t", axis1__rotor_search__ramp_time=1e-4),
+    case("axis1.friction.smooth", "raise it", axis1__friction__smooth=0.01),
     # times
-    ("longest time", {"axis1__timing__stall_max": 32.7675}, "axis1.timing.stall_max = 32.7675", "65534"),
-    ("long time", {"axis1__timing__stall_max": 40.0}, "axis1.timing.stall_max = 40", "0.0005 .. 32.767"),
-    ("no time", {"axis1__timing__settle": 1e-4}, "axis1.timing.settle = 0.0001", "vanish"),
-    ("host time-out", {"board__host_timeout": 60.0}, "board.host_timeout = 60", "0.05 .. 30 s"),
-    ("command time-out", {"board__command_timeout": 60.0}, "board.command_timeout = 60", "0 .. 30 s"),
+    case("axis1.timing.stall_max = 32.7675", "65534"),
+    case("axis1.timing.stall_max = 40", "0.0005 .. 32.767"),
+    case("axis1.timing.settle = 0.0001", "vanish"),
+    case("board.host_timeout = 60", "0.05 .. 30 s"),
+    case("board.command_timeout = 60", "0 .. 30 s"),
     # the bus, its resistor, ways to stop
-    ("early folding", {"board__regeneration__start_voltage": 23.0}, "board.regeneration.start_voltage = 23", "24"),
-    ("folding upside down", {"board__regeneration__full_voltage": 28.0}, "board.regeneration.full_voltage = 28", "29"),
-    ("folding too late", {"board__regeneration__full_voltage": 33.0}, "board.over_voltage = 33", "not above"),
-    ("no hysteresis", FITTED | {"board__brake__off_voltage": 28.0}, "board.brake.on_voltage = 28", "not above"),
-    ("resistor always on", FITTED | {"board__brake__off_voltage": 24.0}, "board.brake.off_voltage = 24", "nominal"),
-    ("resistor late", FITTED | {"board__brake__on_voltage": 29.5}, "board.regeneration.start_voltage = 29", "29.5"),
-    ("weak resistor", FITTED | {"board__brake__resistance": 10.0}, "board.brake.resistance = 10", "9.11 ohm or less"),
-    ("small resistor", FITTED | {"board__brake__energy": 0.9}, "board.brake.energy = 0.9", "0.986 J"),
-    ("mighty resistor", FITTED | {"board__brake__power": 200.0}, "board.brake.power = 200", "167 W"),
-    ("blind short", {"axis1__stop__short_current": 9.0}, "axis1.stop.short_current = 9", "8.25 A"),
-    ("hasty stop", {"axis1__stop__time_max": 0.5}, "axis1.stop.time_max = 0.5", "0.579 s"),
+    case("board.regeneration.start_voltage = 23", "24"),
+    case("board.regeneration.full_voltage = 28", "29"),
+    case("board.over_voltage = 33", "not above", board__regeneration__full_voltage=33.0),
+    case("board.brake.on_voltage = 28", "not above", **FITTED, board__brake__off_voltage=28.0),
+    case("board.brake.off_voltage = 24", "nominal", **FITTED),
+    case("board.regeneration.start_voltage = 29", "29.5", **FITTED, board__brake__on_voltage=29.5),
+    case("board.brake.resistance = 10", "9.11 ohm or less", **FITTED),
+    case("board.brake.energy = 0.9", "0.986 J", **FITTED),
+    case("board.brake.power = 200", "167 W", **FITTED),
+    case("axis1.stop.short_current = 9", "8.25 A"),
+    case("axis1.stop.time_max = 0.5", "0.579 s"),
     # loops that sampling makes unstable
-    (
-        "unstable current loop",
-        {"axis1__control__current_bandwidth": 6000.0},
-        "axis1.control.current_bandwidth = 6000",
-        "unstable",
-    ),
-    (
-        "unstable speed loop",
-        {"axis1__control__speed_bandwidth": 250.0},
-        "axis1.control.speed_bandwidth = 250",
-        "unstable",
-    ),
-    (
-        "unstable position loop",
-        {
-            "axis1__control__speed_bandwidth": 180.0,
-            "axis1__control__position_gain": 700.0,
-            "axis1__control__observer_bandwidth": 300.0,
-        },
+    case("axis1.control.current_bandwidth = 6000", "unstable"),
+    case("axis1.control.speed_bandwidth = 250", "unstable"),
+    case(
         "axis1.control.position_gain = 700",
         "unstable",
+        axis1__control__speed_bandwidth=180.0,
+        axis1__control__observer_bandwidth=300.0,
     ),
-]  # fmt: skip
+]
 
 
-@pytest.mark.parametrize(
-    ("changes", "beginning", "reason"), [row[1:] for row in TOGETHER], ids=[row[0] for row in TOGETHER]
-)
-def test_numbers_that_do_not_go_together(changes: dict[str, object], beginning: str, reason: str) -> None:
+@pytest.mark.parametrize(("beginning", "reason", "changes"), TOGETHER)
+def test_numbers_that_do_not_go_together(beginning: str, reason: str, changes: dict[str, object]) -> None:
     with pytest.raises(ConfigError) as refusal:
         compute(**changes)
     message = str(refusal.value)
@@ -361,10 +299,7 @@ def test_numbers_that_do_not_go_together(changes: dict[str, object], beginning: 
     assert message.count("; ") >= 1, f"no way out: {message}"
 
 
-OF_AXIS_1 = [row for row in TOGETHER if all(path.startswith("axis1") for path in row[1])]
-
-
-@pytest.mark.parametrize("changes", [row[1] for row in OF_AXIS_1], ids=[row[0] for row in OF_AXIS_1])
+@pytest.mark.parametrize("changes", [row[2] for row in TOGETHER if all(path.startswith("axis1") for path in row[2])])
 def test_axis_2_is_checked_like_axis_1(changes: dict[str, object]) -> None:
     with pytest.raises(ConfigError, match=r"^axis2"):
         compute(**{path.replace("axis1", "axis2"): value for path, value in changes.items()})

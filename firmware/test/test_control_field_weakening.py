@@ -94,13 +94,7 @@ class Weakening:
         return i_d, root, clip16(root - (self.q >> 16))
 
 
-CONFIGS = st.builds(
-    Config,
-    margin=FRACTION16,
-    gain=FRACTION16,
-    i_d_max=FRACTION16,
-    q_share=edges(1, ONE - 1),
-)
+CONFIGS = st.builds(Config, margin=FRACTION16, gain=FRACTION16, i_d_max=FRACTION16, q_share=edges(1, ONE - 1))
 INPUTS = st.builds(Input, d=I16, q=I16, u_max=FRACTION16, emf=I16, current=FRACTION16, wanted=st.booleans())
 
 
@@ -200,12 +194,7 @@ def test_a_small_circle_leaves_half_of_it_to_brake_with(core: Core, current: int
     assert i_q_max >= 0.47 * current
 
 
-@given(
-    psi=st.floats(0.9, 1.1),
-    inductance=st.floats(0.9, 1.1),
-    i_q=st.floats(-1.0, 1.0),
-    volts=st.floats(12.4, 13.0),
-)
+@given(psi=st.floats(0.9, 1.1), inductance=st.floats(0.9, 1.1), i_q=st.floats(-1.0, 1.0), volts=st.floats(12.4, 13.0))
 def test_settles_at_the_margin(core: Core, psi: float, inductance: float, i_q: float, volts: float) -> None:
     """On the steady voltage equations of axis 1 at 4000 rpm in floating point, a tick late, for motors 10 % off."""
     omega, weakening, config = 837.8, Weakening(core, Config()), Config()

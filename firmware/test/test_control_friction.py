@@ -47,13 +47,7 @@ def in_integers(coulomb: int, viscous: int, smooth: int, slope: int, speed: int)
     return clip32(times_gain(speed, viscous) + (-part if speed < 0 else part))
 
 
-@given(
-    coulomb=FRACTION32,
-    viscous=I32,
-    smooth=edges(2**17, FULL - 1),
-    speed=I32,
-    part=st.floats(-1.1, 1.1),
-)
+@given(coulomb=FRACTION32, viscous=I32, smooth=edges(2**17, FULL - 1), speed=I32, part=st.floats(-1.1, 1.1))
 @settings(max_examples=300)
 def test_every_bit(core: Core, coulomb: int, viscous: int, smooth: int, speed: int, part: float) -> None:
     """Over the whole range, on both sides of `smooth`, saturation included."""

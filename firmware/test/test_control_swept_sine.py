@@ -35,8 +35,7 @@ def test_the_frequency_grows_exponentially(core: Core) -> None:
     calls = 1280
     growth = 80.0 ** (1.0 / calls) - 1.0
     sine = core.ffi.new(
-        "swept_sine_t *",
-        {"amplitude": 8192, "step": round(TURN / 320), "growth": round(TURN * growth), "calls": calls},
+        "swept_sine_t *", {"amplitude": 8192, "step": round(TURN / 320), "growth": round(TURN * growth), "calls": calls}
     )
     for _ in range(calls):
         core.lib.swept_sine_step(sine)

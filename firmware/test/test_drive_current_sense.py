@@ -147,12 +147,7 @@ def test_drift_is_followed_slowly(core: Core, sense: Any) -> None:
 )
 @settings(max_examples=300)
 def test_every_bit_of_tracking(
-    core: Core,
-    offsets: tuple[int, int, int],
-    codes: tuple[int, int],
-    pair: int,
-    duty: tuple[int, int, int],
-    least: int,
+    core: Core, offsets: tuple[int, int, int], codes: tuple[int, int], pair: int, duty: tuple[int, int, int], least: int
 ) -> None:
     """A 256th of the error, towards minus infinity, and only for the phases of this pair with a long high side."""
     sense = core.ffi.new("current_sense_t *", {"offset": offsets, "pair": pair, "duty": duty})

@@ -139,10 +139,7 @@ def test_friction_current_follows_the_set_point_not_the_shaft(bench: Bench) -> N
     bench.write(0, mode=MODE.SPEED, speed=0)
     bench.slow(5)
     bench.turn(0, 0.5)
-    plain = []
-    for _ in range(60):
-        bench.slow()
-        plain.append(bench.view(0).i_q_ref)
+    plain = bench.trace(60, lambda: bench.view(0).i_q_ref, follow=False)
     other = Bench(bench.core)
     other.to_spin(0)
     other.slow(2)

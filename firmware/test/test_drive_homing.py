@@ -280,10 +280,7 @@ def test_a_limit_switch_ends_the_way(bench: Bench, method: str) -> None:
     bench.hal.axis[0].inputs = INPUT_LIMIT_MAX if positive else INPUT_LIMIT_MIN
     bench.slow(3)
     ask(bench, method)
-    pushed = []
-    for _ in range(400):
-        bench.slow()
-        pushed.append(bench.view(0).i_q_ref if positive else -bench.view(0).i_q_ref)
+    pushed = bench.trace(400, lambda: bench.view(0).i_q_ref if positive else -bench.view(0).i_q_ref, follow=False)
     assert (state(bench), result(bench)) == ("UNKNOWN", "BLOCKED")
     assert max(pushed) < amps(0.2)
 

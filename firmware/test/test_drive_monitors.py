@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from core_library import Core
 from servo_bench import ALL_FAULTS, FAULTS, MODE, STATE, SUBSTATE, Bench, speed
@@ -48,16 +46,6 @@ def test_heat_can_be_cleared_below_the_hysteresis_only(bench: Bench) -> None:
     assert place(bench) == (STATE.INIT, 0)
 
 
-def test_a_spike_of_the_temperature_is_no_heat(bench: Bench) -> None:
-    bench.to_stop()
-    for _ in range(10):
-        bench.hal.axis[0].temperature_code = 4095
-        bench.slow(15)
-        bench.hal.axis[0].temperature_code = COOL - 1
-        bench.slow()
-    assert place(bench) == (STATE.STOP, 0)
-
-
 # ---- converters
 def noise(bench: Bench, k: int, phases: str = "abc") -> None:
     for axis in range(2):
@@ -74,16 +62,6 @@ def test_a_converter_that_repeats_itself_among_noisy_ones(bench: Bench, phase: s
         bench.slow()
     assert place(bench) == (STATE.FAULT, FAULTS.CURRENT_SENSE)
     assert place(bench, 1) == (STATE.STOP, 0)
-
-
-def test_noise_and_silence_are_no_broken_converters(bench: Bench) -> None:
-    bench.to_stop()
-    for k in range(400):
-        noise(bench, k)
-        bench.slow()
-    bench.hal.axis[0].offset_code = [2048] * 3  # a board without noise
-    bench.slow(400)
-    assert place(bench) == (STATE.STOP, 0)
 
 
 def test_current_where_there_is_none(bench: Bench) -> None:
@@ -104,38 +82,6 @@ def test_a_converter_is_named_instead_of_the_over_current_that_it_caused(bench: 
 
 
 # ---- phases and encoder: this board has no currents and no back-EMF
-
-
-def turning(bench: Bench, ticks: int, i_beta: float, i_alpha: float = 0.0) -> list[int]:
-    """Findings about a small current in the stator's frame [full scale]; the rotor turns by an eighth each tick."""
-    ffi, lib, axis = bench.core.ffi, bench.core.lib, bench.axis(0)
-    seen, evidence = ffi.new("observation_t *", {"controlled": True}), ffi.new("evidence_t *")
-    findings: list[int] = []
-    for tick in range(ticks):
-        angle = (tick + 0.5) * math.pi / 4
-        c, s = math.cos(angle), math.sin(angle)
-        seen.current = {"d": round((i_alpha * c + i_beta * s) * 32768), "q": round((i_beta * c - i_alpha * s) * 32768)}
-        seen.d_axis_angle = (round(angle / math.pi * 32768) + 32768) % 65536 - 32768
-        evidence.confirmed = 0
-        monitor, config = ffi.addressof(axis.diagnosis, "phase"), ffi.addressof(axis.config, "winding")
-        lib.phase_monitor_step(monitor, config, seen, evidence)
-        findings.append(evidence.confirmed)
-    return findings
-
-
-SMALL = 0.015  # of full scale, 0.12 A: enough to tell a silent phase by, too little to be certain
-
-
-def test_a_phase_that_is_silent_in_every_direction_is_lost(bench: Bench) -> None:
-    faults = turning(bench, 48, SMALL)  # a has none
-    assert faults.index(1 << bench.core.lib.FINDING_PHASE_SILENT) == 32
-
-
-def test_a_phase_that_is_silent_in_every_direction_by_chance_is_not(bench: Bench) -> None:
-    """Twice around nothing is heard of it, then it is there for once."""
-    for _ in range(50):
-        assert not any(turning(bench, 16, SMALL))
-        assert not any(turning(bench, 1, SMALL, 0.5 * SMALL))
 
 
 def without_current(bench: Bench) -> None:
@@ -182,15 +128,6 @@ def test_a_count_that_goes_back_and_forth_is_a_dead_line(bench: Bench) -> None:
         bench.turn(0, (1.0 if k % 2 else -1.0) * 0.0015707963 / 0.5e-3)
         bench.slow()
     assert place(bench) == (STATE.FAULT, FAULTS.ENCODER_LOST)
-
-
-def test_a_shaft_that_dithers_is_not(bench: Bench) -> None:
-    bench.to_stop()
-    for k in range(400):
-        step = {0: 2.0, 8: -2.0}.get(k % 16, 0.0)
-        bench.turn(0, step * 0.0015707963 / 0.5e-3)
-        bench.slow()
-    assert place(bench) == (STATE.STOP, 0)
 
 
 # ---- loops and watchdog

@@ -121,11 +121,7 @@ def test_moves_ask_for_half_of_the_current_limit(bench: Bench, amperes: float, l
     bench.set_parameter("i_q_limit", amperes)
     bench.set_parameter("speed_limit", limit)
     bench.write(0, position=1_000_000)
-    outputs = []
-    for _ in range(1500):
-        bench.turn(0, rad_s(bench.view(0).speed_ref))
-        bench.slow()
-        outputs.append(bench.axis(0).motion.path.output / 2**24 * 2 * 3.14159265 / 4000)
+    outputs = bench.trace(1500, lambda: bench.axis(0).motion.path.output / 2**24 * 2 * 3.14159265 / 4000)
     speeds = [(b - a) / 0.5e-3 for a, b in itertools.pairwise(outputs)]
     accelerations = [(b - a) / 0.5e-3 for a, b in itertools.pairwise(speeds)]
     available = 0.0462 * amperes / 0.8e-5  # k_t i / J of axis 1
@@ -147,10 +143,10 @@ def test_lowered_speed_limit_is_ramped_down_to(bench: Bench, sign: int, accelera
     bench.set_parameter("speed_limit", 10.0)
     bench.write(0, quick_stop=quick_stop)
     bench.follow(1)  # a stop begins at the speed that was measured
-    references = [sign * rad_s(bench.view(0).speed_ref)]
-    for _ in range(round(310.0 / acceleration / TICK)):
-        bench.follow(1)
-        references.append(sign * rad_s(bench.view(0).speed_ref))
+    references = [
+        sign * rad_s(bench.view(0).speed_ref),
+        *bench.trace(round(310.0 / acceleration / TICK), lambda: sign * rad_s(bench.view(0).speed_ref)),
+    ]
     steps = [a - b for a, b in itertools.pairwise(references)]
     assert max(steps) == pytest.approx(acceleration * TICK, rel=1e-3)
     assert min(steps) >= -0.2
@@ -219,10 +215,7 @@ def test_lowered_speed_limit_slows_a_move_as_gently_as_its_path(bench: Bench, fe
     bench.write(0, position=1_000_000)
     bench.follow(400)
     bench.set_parameter("speed_limit", 50.0)
-    references = [rad_s(bench.view(0).speed_ref)]
-    for _ in range(400):
-        bench.follow(1)
-        references.append(rad_s(bench.view(0).speed_ref))
+    references = [rad_s(bench.view(0).speed_ref), *bench.trace(400, lambda: rad_s(bench.view(0).speed_ref))]
     steps = [a - b for a, b in itertools.pairwise(references)]
     available = 0.0462 * 4.0 / 0.8e-5  # k_t i / J of axis 1
     assert max(steps) <= 0.55 * available * TICK
@@ -278,10 +271,7 @@ def test_current_that_pushes_off_the_target_is_taken_back(bench: Bench, off: int
 def test_speed_is_ramped_at_the_acceleration_limit(bench: Bench) -> None:
     bench.set_parameter("acceleration_limit", 1000.0)
     bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
-    references = []
-    for _ in range(260):
-        bench.slow()
-        references.append(rad_s(bench.view(0).speed_ref))
+    references = bench.trace(260, lambda: rad_s(bench.view(0).speed_ref), follow=False)
     steps = [b - a for a, b in itertools.pairwise(references)]
     assert max(steps) == pytest.approx(1000.0 * 0.5e-3, rel=1e-3)
     assert references[-1] == pytest.approx(100.0, rel=1e-6)
@@ -396,11 +386,7 @@ def test_position_takes_over_a_turning_shaft_without_a_jump(bench: Bench) -> Non
     bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
     bench.follow(200)
     bench.write(0, mode=MODE.POSITION, position=bench.view(0).position + 20_000)
-    references = []
-    for _ in range(40):
-        bench.turn(0, rad_s(bench.view(0).speed_ref))
-        bench.slow()
-        references.append(rad_s(bench.view(0).speed_ref))
+    references = bench.trace(40, lambda: rad_s(bench.view(0).speed_ref))
     assert references[0] == pytest.approx(100.0, abs=3.0)
     assert min(references) > 95.0
     assert max(abs(b - a) for a, b in itertools.pairwise(references)) < 8.0
@@ -483,9 +469,5 @@ def test_position_mode_begins_smoothly_before_the_wrap(bench: Bench, direction: 
     bench.write(0, speed=speed(direction * 100.0))
     bench.follow(80)
     bench.write(0, mode=MODE.POSITION, position=direction * (2**29 - 2**31))
-    references = []
-    for _ in range(10):
-        bench.turn(0, rad_s(bench.view(0).speed_ref))
-        bench.slow()
-        references.append(direction * rad_s(bench.view(0).speed_ref))
+    references = bench.trace(10, lambda: direction * rad_s(bench.view(0).speed_ref))
     assert min(references) > 60.0, references

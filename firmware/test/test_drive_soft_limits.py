@@ -266,10 +266,7 @@ def test_limit_moved_onto_a_turning_shaft_is_ramped_down_to(bench: Bench, sign: 
     if quick_stop:
         bench.write(0, quick_stop=1)
     confine(bench, *sorted([-sign * 10_000, here]))
-    speeds = [200.0]
-    for _ in range(300):
-        bench.follow(1)
-        speeds.append(sign * rad_s(bench.view(0).speed_ref))
+    speeds = [200.0, *bench.trace(300, lambda: sign * rad_s(bench.view(0).speed_ref))]
     steps = [a - b for a, b in itertools.pairwise(speeds)]
     assert max(steps[1:]) <= 4000.0 * 0.5e-3 * 1.001
     assert speeds[-1] == pytest.approx(0.0, abs=0.2)

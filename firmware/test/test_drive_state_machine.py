@@ -24,16 +24,7 @@ FLAGS = {
     "RUN_ACK": 0x40,
 }
 STATES = ("fault", "init", "stop", "run")
-TRANSITIONS = (
-    "fault_init",
-    "init_fault",
-    "init_stop",
-    "stop_fault",
-    "stop_init",
-    "stop_run",
-    "run_fault",
-    "run_stop",
-)
+TRANSITIONS = ("fault_init", "init_fault", "init_stop", "stop_fault", "stop_init", "stop_run", "run_fault", "run_stop")
 
 
 class Machine:

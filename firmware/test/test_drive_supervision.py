@@ -52,16 +52,6 @@ def test_full_current_without_movement_is_a_stall(bench: Bench, target: dict[str
     assert not bench.hal.axis[0].outputs_on
 
 
-def test_short_stall_is_forgiven(bench: Bench) -> None:
-    bench.write(0, mode=MODE.SPEED, speed=speed(50.0))
-    for _ in range(5):
-        bench.slow(700)
-        bench.turn(0, 10.0)
-        bench.slow(2)
-        bench.turn(0, 0.0)
-    assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, SUBSTATE.SPIN)
-
-
 def test_torque_against_a_wall_is_no_stall(bench: Bench) -> None:
     """Pressing is what torque mode is for."""
     bench.write(0, mode=MODE.TORQUE, i_q=amps(4.0))
@@ -148,10 +138,7 @@ def test_stops_obey_the_acceleration_limit(bench: Bench, stop: dict[str, int]) -
     bench.set_parameter("acceleration_limit", 100.0)
     bench.write(0, **stop)
     bench.follow(1)
-    references = []
-    for _ in range(1000):
-        bench.follow(1)
-        references.append(rad_s(bench.view(0).speed_ref))
+    references = bench.trace(1000, lambda: rad_s(bench.view(0).speed_ref))
     steps = [a - b for a, b in itertools.pairwise(references)]
     assert max(steps) == pytest.approx(100.0 * 0.5e-3, rel=1e-3)
     assert references[0] - references[-1] == pytest.approx(50.0, abs=0.5)
@@ -364,12 +351,6 @@ def test_shaft_held_in_a_move_is_a_following_error(bench: Bench) -> None:
     assert ticks * 0.5e-3 < 0.1
 
 
-def test_without_the_feature_there_is_no_following_error(bench: Bench) -> None:
-    bench.write(0, position=20_000)
-    bench.slow(400)
-    assert bench.view(0).faults == 0
-
-
 @pytest.mark.parametrize("features", [0, FEATURES.SPEED_FORWARD])
 @pytest.mark.parametrize("bound", [0.5, 1.0])
 def test_lag_that_belongs_to_the_speed_is_none(bench: Bench, features: int, bound: float) -> None:
@@ -428,25 +409,6 @@ def test_over_speed_is_a_fault_within_milliseconds(bench: Bench, direction: int)
     assert bench.view(0).faults == FAULTS.OVER_SPEED
     assert not bench.hal.axis[0].outputs_on
     assert 4 <= ticks <= 8  # servo.toml: timing.over_speed_max, 2 ms
-
-
-def test_without_the_feature_there_is_no_over_speed(bench: Bench) -> None:
-    bench.set_parameter("over_speed", 100.0)
-    bench.let_turn(0, 150.0)
-    bench.slow(200)
-    assert bench.view(0).faults == 0
-
-
-def test_single_wrong_sample_is_no_over_speed(bench: Bench) -> None:
-    bench.set_parameter("over_speed", 200.0)
-    bench.switch_on(0, FEATURES.OVER_SPEED)
-    bench.let_turn(0, 150.0)
-    for _ in range(10):
-        bench.slow(20)
-        bench.turn(0, 250.0)
-        bench.slow(2)
-        bench.turn(0, 150.0)
-    assert bench.view(0).state == STATE.RUN
 
 
 # ---- currents that the drive asks for by itself ----------------------------------------------------------------------

@@ -214,10 +214,7 @@ def test_a_signal_on_the_speed_keeps_speed_and_soft_limits(bench: Bench) -> None
     bench.slow(4)
     start_signal(bench, TEST_POINT.SPEED, amplitude=0.2, step=0.002, calls=5000)
     bench.slow(2)
-    peaks = []
-    for _ in range(400):
-        bench.slow()
-        peaks.append(rad_s(bench.view(0).speed_ref))
+    peaks = bench.trace(400, lambda: rad_s(bench.view(0).speed_ref), follow=False)
     assert max(peaks) == pytest.approx(20.0, abs=0.01)
     assert min(peaks) == pytest.approx(-20.0, abs=0.01)
     bench.set_parameter("position_max", -0.5)  # behind the shaft: not one step farther

@@ -40,21 +40,6 @@ def test_every_bit(waves: Waves) -> None:
     assert np.array_equal(waves[1], np.roll(sines, -16384))
 
 
-def test_symmetries_are_exact(waves: Waves) -> None:
-    sines, cosines = waves
-    angle = np.arange(65536)
-    assert np.array_equal(sines, -sines[-angle])  # odd
-    assert np.array_equal(cosines, cosines[-angle])  # even
-    assert np.array_equal(cosines, np.roll(sines, -16384))
-    assert np.array_equal(sines, -np.roll(sines, 32768))
-
-
-def test_ends_and_quarters(core: Core) -> None:
-    for angle, expected in ((0, (0, 32767)), (16384, (32767, 0)), (-16384, (-32767, 0)), (-32768, (0, -32767))):
-        value = core.lib.sin_cos(angle)
-        assert (value.sin, value.cos) == expected
-
-
 def test_length_never_exceeds_what_a_rotation_can_take(waves: Waves) -> None:
     """transforms.h adds two products in 32 bits: |sin| + |cos| must stay below 2 x 32767."""
     sines, cosines = waves

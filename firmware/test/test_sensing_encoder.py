@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import pytest
 from core_library import Core
 from exact import I16, I32, U16, edges, nearest, towards_zero, wrap
@@ -55,20 +54,6 @@ class Encoder:
 # ---- angles ---------------------------------------------------------------------------------------------------------
 
 
-def test_angles_of_f12_over_both_directions(core: Core, config: Any) -> None:
-    """count x 65536 / 4000, wrapped to 16 bits, for every counter value; electrical: twice that."""
-    size = 2 * COUNTS - 1
-    mechanical, electrical = np.zeros(size, dtype=np.int16), np.zeros(size, dtype=np.int16)
-    core.lib.probe_encoder_angles(
-        config, core.ffi.from_buffer("int16_t[]", mechanical), core.ffi.from_buffer("int16_t[]", electrical)
-    )
-    counts = np.arange(-COUNTS + 1, COUNTS)
-    for angles, pole_pairs in ((mechanical, 1), (electrical, 2)):
-        exact = counts * pole_pairs * 65536 / COUNTS
-        error = (angles - exact + 32768) % 65536 - 32768
-        assert np.max(np.abs(error)) <= 0.5 + pole_pairs * 0.0108  # of the constant 2^32 / 4000
-
-
 @given(lines=LINES, pole_pairs=POLE_PAIRS, count=I16)
 @settings(max_examples=300)
 def test_angles_of_any_encoder(core: Core, lines: int, pole_pairs: int, count: int) -> None:
@@ -84,31 +69,6 @@ def test_angles_of_any_encoder(core: Core, lines: int, pole_pairs: int, count: i
     assert core.lib.encoder_theta_e(config, count & 0xFFFF) == wrap(nearest(whole * pole_pairs, 65536), 16)
 
 
-@pytest.mark.parametrize(
-    ("count", "angle"), [(0, 0), (1000, 16384), (2000, -32768), (3000, -16384), (-1000, -16384), (-2000, -32768)]
-)
-def test_quarters_of_a_turn(core: Core, config: Any, count: int, angle: int) -> None:
-    assert core.lib.encoder_theta_m(config, count & 0xFFFF) == angle
-
-
-def test_directions_meet_at_the_wrap(core: Core, config: Any) -> None:
-    """c upwards and c - 4000 downwards are the same place."""
-    for count in range(1, COUNTS):
-        up, down = count, (count - COUNTS) & 0xFFFF
-        mechanical = core.lib.encoder_theta_m(config, up) - core.lib.encoder_theta_m(config, down)
-        assert (mechanical + 1) % 65536 <= 2  # one LSB
-        electrical = core.lib.encoder_theta_e(config, up) - core.lib.encoder_theta_e(config, down)
-        assert (electrical + 1) % 65536 <= 2
-
-
-def test_count_at_an_angle_reads_back(core: Core, config: Any) -> None:
-    for theta in range(-32768, 32768, 13):
-        count = core.lib.encoder_count_at(config, theta)
-        assert -COUNTS // 4 <= count <= COUNTS // 4
-        error = (core.lib.encoder_theta_e(config, count & 0xFFFF) - theta + 32768) % 65536 - 32768
-        assert abs(error) <= 65536 * 2 / COUNTS / 2 + 1  # half a count
-
-
 @given(lines=LINES, pole_pairs=POLE_PAIRS, theta=I16)
 @settings(max_examples=300)
 def test_count_at_any_angle(core: Core, lines: int, pole_pairs: int, theta: int) -> None:
@@ -120,14 +80,6 @@ def test_count_at_any_angle(core: Core, lines: int, pole_pairs: int, theta: int)
 
 
 # ---- wraps ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("previous", "count", "moved"),
-    [(3990, 10, 20), (-3990, -10, -20), (10, -10, -20), (-10, 10, 20), (0, 3999, -1), (1500, -2400, 100), (5, 5, 0)],
-)
-def test_differences_are_wrapped(core: Core, config: Any, previous: int, count: int, moved: int) -> None:
-    assert core.lib.encoder_difference(config, count & 0xFFFF, previous & 0xFFFF) == moved
 
 
 @given(data=st.data(), lines=LINES)
@@ -142,26 +94,6 @@ def test_difference_is_the_short_way(core: Core, data: st.DataObject, lines: int
     assert abs(moved) <= counts // 2
     if abs(moved) == counts // 2 and abs(count - previous) < counts:
         assert moved == count - previous
-
-
-@pytest.mark.parametrize("direction", [1, -1])
-@pytest.mark.parametrize("stride", [1, 7, 166, 1999])
-def test_turns_in_both_directions(core: Core, config: Any, direction: int, stride: int) -> None:
-    encoder = Encoder(core, config)
-    for _ in range(3 * COUNTS // stride):
-        assert encoder.update(direction * stride)
-        assert encoder.c.position == encoder.timer.shaft
-    assert encoder.c.turns == int(encoder.timer.shaft / COUNTS)
-
-
-def test_wrap_in_one_sample(core: Core, config: Any) -> None:
-    """ENC(k) - ENC(k-1) = -3980 has the wrong sign; the shaft has moved by +20 and into its next turn."""
-    encoder = Encoder(core, config)
-    encoder.update(1995)
-    encoder.update(1995)
-    assert encoder.update(20)
-    assert encoder.timer.count == 10
-    assert (encoder.c.turns, encoder.c.position) == (1, 4010)
 
 
 def test_touch_and_turn_back(core: Core, config: Any) -> None:
@@ -256,19 +188,6 @@ def test_worked_examples_of_f27(core: Core, config: Any, turns: int, count: int,
     encoder.count = count & 0xFFFF
     core.lib.encoder_update(encoder, config, count & 0xFFFF, 0)
     assert encoder.position / COUNTS == position
-
-
-def test_f27_by_turning_the_shaft(core: Core, config: Any) -> None:
-    """The same places reached by motion: 1000 -> 2000 in the next turn, on to 2.. and back through zero."""
-    encoder = Encoder(core, config, QuadTimer(count=1000))
-    for _ in range(5):
-        encoder.update(1000)
-    assert (encoder.c.turns, encoder.timer.count) == (1, 2000)
-    assert encoder.c.position / COUNTS == 1.25
-    for _ in range(4):
-        encoder.update(-1000)
-    assert (encoder.c.turns, encoder.timer.count) == (1, -2000)
-    assert encoder.c.position / COUNTS == 0.25
 
 
 @given(
@@ -403,13 +322,3 @@ def test_f14(core: Core, config: Any, counts: tuple[int, int], revs: tuple[int, 
     core.lib.encoder_reset(c, counts[0] & 0xFFFF, revs[0])
     assert core.lib.encoder_update(c, config, counts[1] & 0xFFFF, revs[1])
     assert c.turns == turns
-
-
-def test_index_counter_wraps(core: Core, config: Any) -> None:
-    timer = QuadTimer()
-    timer.index = 0xFFFF
-    encoder = Encoder(core, config, timer)
-    for _ in range(10):
-        assert encoder.update(1000)
-    assert timer.index == 1
-    assert encoder.c.position == 10000

@@ -83,6 +83,51 @@ def search(
     return Result(s.phase, error, s.searches, len(currents) * SLOW, currents, vectors, travel, max(twitches))
 
 
+class Stepped:
+    """A search by itself, with the configuration of the first axis."""
+
+    def __init__(self, core: Core, origin: int = 0) -> None:
+        self.lib = core.lib
+        self.config: Any = core.ffi.new("rotor_search_config_t *", core.lib.probe_config().axis[0].rotor_search)
+        self.state: Any = core.ffi.new("rotor_search_t *")
+        self.lib.rotor_search_start(self.state, origin)
+
+    def step(self, *positions: int) -> None:
+        for position in positions:
+            self.lib.rotor_search_step(self.state, self.config, position)
+
+    def until(self, phase: int, position: int = 0) -> None:
+        """Slow ticks at one position."""
+        for _ in range(2000):
+            if self.state.phase == phase:
+                return
+            self.step(position)
+        pytest.fail(f"no phase {phase}")
+
+    def to_verification(self) -> None:
+        """Assume the rotor at theta_M, 0, with the shaft at 0."""
+        self.state.reach = 128
+        self.until(VERIFY)
+
+    def to_full_current(self, position: int = 0) -> None:
+        while self.state.current < self.config.current_limit << 16:
+            self.step(position)
+
+    def ticks(self, positions: Callable[[int], int]) -> int:
+        """Slow ticks that the phase lasts."""
+        phase = self.state.phase
+        for tick in range(100_000):
+            if self.state.phase != phase:
+                return tick
+            self.step(positions(tick))
+        return -1
+
+
+@pytest.fixture
+def stepped(core: Core) -> Stepped:
+    return Stepped(core)
+
+
 @pytest.mark.parametrize("degrees", range(-180, 180, 15))
 @pytest.mark.parametrize("axis", [0, 1])
 def test_from_every_15_degrees(core: Core, degrees: int, axis: int) -> None:
@@ -285,30 +330,26 @@ def test_encoder_that_counts_backwards(core: Core, axis: int, inertia: float, fr
         assert result.seconds < 1.5
 
 
-def test_no_current_no_verdict(core: Core) -> None:
+def test_no_current_no_verdict(stepped: Stepped) -> None:
     """An unplugged motor: STARVED once the current stays away, long before the search could think of the encoder."""
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s: Any = core.ffi.new("rotor_search_t *")
-    core.lib.rotor_search_start(s, 0)
+    s, config = stepped.state, stepped.config
     ticks = 0
     while s.phase == PULL:
         for _ in range(PERIODS):
-            core.lib.rotor_search_watch(s, config, s.current >> 19, 0)  # an eighth of what is asked for
-        core.lib.rotor_search_step(s, config, 0)
+            stepped.lib.rotor_search_watch(s, config, s.current >> 19, 0)  # an eighth of what is asked for
+        stepped.step(0)
         ticks += 1
     assert (s.phase, s.current) == (STARVED, 0)
     assert ticks * SLOW == pytest.approx(0.025 + 0.004, abs=0.002)
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_a_quarter_of_the_current_is_enough(core: Core, sign: int) -> None:
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s: Any = core.ffi.new("rotor_search_t *")
-    core.lib.rotor_search_start(s, 0)
+def test_a_quarter_of_the_current_is_enough(stepped: Stepped, sign: int) -> None:
+    s, config = stepped.state, stepped.config
     for _ in range(180):
         for period in range(PERIODS):
-            core.lib.rotor_search_watch(s, config, sign * ((s.current >> 18) + 1) if period else 0, 0)
-        core.lib.rotor_search_step(s, config, 0)
+            stepped.lib.rotor_search_watch(s, config, sign * ((s.current >> 18) + 1) if period else 0, 0)
+        stepped.step(0)
     assert s.phase == PULL
 
 
@@ -334,85 +375,53 @@ def test_current_starts_from_zero_at_every_vector(core: Core) -> None:
     assert max(rises) <= 4.0 * 4.0 / 200.0 + 1e-3  # 0.1 s to 4 A; four times as fast within narrow bounds
 
 
-def until(core: Core, s: Any, config: Any, position: int, phase: int, most: int = 500) -> None:
-    """Slow ticks at one position until a phase is reached."""
-    for _ in range(most):
-        if s.phase == phase:
-            return
-        core.lib.rotor_search_step(s, config, position)
-    assert s.phase == phase
-
-
 @pytest.mark.parametrize("origin", [0, 123456, 2**31 - 2, -(2**31)])
 def test_position_may_start_anywhere(core: Core, origin: int) -> None:
     """Only differences count, over the wrap of 32 bits too."""
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s = core.ffi.new("rotor_search_t *")
-    core.lib.rotor_search_start(s, origin)
-    core.lib.rotor_search_step(s, config, origin)
-    moved = (origin + 3 + 2**31) % 2**32 - 2**31
-    core.lib.rotor_search_step(s, config, moved)
+    stepped, moved = Stepped(core, origin), (origin + 3 + 2**31) % 2**32 - 2**31
+    s = stepped.state
+    stepped.step(origin, moved)
     assert (s.phase, s.direction) == (BRAKE, 1)
-    until(core, s, config, moved, PULL)
+    stepped.until(PULL, moved)
     # the rotor was below the vector, so it is a quarter turn below now; and it has moved by 3
     assert s.theta_m == pytest.approx(-16384 + 3 * 65536 * 2 / 4000, abs=1)
     assert s.reach == 16384
 
 
-def test_one_count_is_no_twitch(core: Core) -> None:
+def test_one_count_is_no_twitch(stepped: Stepped) -> None:
     """An edge that the shaft stands on dithers by one count; so does an encoder with one dead line."""
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s = core.ffi.new("rotor_search_t *")
-    core.lib.rotor_search_start(s, 0)
+    s = stepped.state
     for k in range(150):
-        core.lib.rotor_search_step(s, config, k & 1)
+        stepped.step(k & 1)
         assert s.phase == PULL
 
 
-def test_dither_of_one_count_does_not_pull_for_ever(core: Core) -> None:
+def test_dither_of_one_count_does_not_pull_for_ever(stepped: Stepped) -> None:
     """Held fast on an edge that dithers, the shaft is called held, four times the usual wait later."""
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s = core.ffi.new("rotor_search_t *")
-    core.lib.rotor_search_start(s, 0)
+    s, config = stepped.state, stepped.config
     ticks = 0
     while s.phase < FOUND and ticks < 10000:
-        core.lib.rotor_search_step(s, config, ticks & 1)
+        stepped.step(ticks & 1)
         ticks += 1
     assert s.phase == HELD
     assert ticks < 3 * (200 + 4 * config.hold_ticks + 10 * config.rest_ticks) + 2 * config.follow.ticks + 10
 
 
 @pytest.mark.parametrize("factor", [1, 350])
-def test_long_times_do_not_wrap(core: Core, factor: int) -> None:
+def test_long_times_do_not_wrap(stepped: Stepped, factor: int) -> None:
     """Ten times the longest rest is more than 16 bits."""
-    config = core.ffi.new("rotor_search_config_t *", core.lib.probe_config().axis[0].rotor_search)
-    config.rest_ticks = 20 * factor
-    s = core.ffi.new("rotor_search_t *")
-    core.lib.rotor_search_start(s, 0)
-    core.lib.rotor_search_step(s, config, 3)
-    until(core, s, config, 3, REST)
-    ticks = 0
-    while s.phase == REST and ticks < 100000:
-        core.lib.rotor_search_step(s, config, 3 + (ticks & 1))
-        ticks += 1
-    assert ticks == 10 * config.rest_ticks
-
-
-def verifying(core: Core, config: Any) -> Any:
-    """A search that assumes the rotor at theta_M, 0, with the shaft at 0."""
-    s = core.ffi.new("rotor_search_t *")
-    core.lib.rotor_search_start(s, 0)
-    s.reach = 128
-    until(core, s, config, 0, VERIFY)
-    return s
+    stepped.config.rest_ticks = 20 * factor
+    stepped.step(3)
+    stepped.until(REST, 3)
+    assert stepped.ticks(lambda tick: 3 + (tick & 1)) == 10 * stepped.config.rest_ticks
 
 
 @pytest.mark.parametrize("error", [-400, 0, 400])
 @pytest.mark.parametrize("friction", [0, 500, 1500])
-def test_verification_measures_the_angle(core: Core, error: int, friction: int) -> None:
+def test_verification_measures_the_angle(stepped: Stepped, error: int, friction: int) -> None:
     """A shaft that lags behind the vector by its friction, both ways, from where the rotor really is."""
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s = verifying(core, config)
+    s = stepped.state
+    stepped.to_verification()
     position, count = 0, 65536 * 2 / 4000
     for _ in range(2000):
         vector = wrapped(s.vector)
@@ -420,124 +429,113 @@ def test_verification_measures_the_angle(core: Core, error: int, friction: int) 
             position += 1
         while vector - (error + (position - 0.5) * count) < -friction:
             position -= 1
-        core.lib.rotor_search_step(s, config, position)
+        stepped.step(position)
         if s.verified:
             break
     assert s.phase == REST, "the shaft has just been moved"
-    until(core, s, config, position, FOUND, 100)
+    stepped.until(FOUND, position)
     assert wrapped(s.vector) == pytest.approx(error + position * count, abs=count)
 
 
-def test_verification_turns_to_both_sides(core: Core) -> None:
+def test_verification_turns_to_both_sides(stepped: Stepped) -> None:
     """Up to its largest angle, down to it, and not beyond; the shaft does not follow: a vector from the side."""
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s = verifying(core, config)
+    s, config = stepped.state, stepped.config
+    stepped.to_verification()
     angles = []
     while s.phase == VERIFY:
         angles.append(wrapped(s.vector))
-        core.lib.rotor_search_step(s, config, 0)
+        stepped.step(0)
     most = config.verify_angle + config.verify_step
     assert config.verify_angle <= max(angles) < most
     assert config.verify_angle <= -min(angles) < most
     assert (s.phase, s.side, s.refusals) == (REST, 1, 1)
 
 
-def test_a_shaft_that_follows_and_stays_is_not_found(core: Core) -> None:
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s = verifying(core, config)
+def test_a_shaft_that_follows_and_stays_is_not_found(stepped: Stepped) -> None:
+    s = stepped.state
+    stepped.to_verification()
     while not s.follows:
-        core.lib.rotor_search_step(s, config, 4 if wrapped(s.vector) > 300 else 0)
-    until(core, s, config, 4, REST, 1000)
+        stepped.step(4 if wrapped(s.vector) > 300 else 0)
+    stepped.until(REST, 4)
     assert s.refusals == 1
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_a_shaft_that_leaves_its_vector(core: Core, sign: int) -> None:
+def test_a_shaft_that_leaves_its_vector(stepped: Stepped, sign: int) -> None:
     """By a quarter of the largest turn: once it may be the search that has gone astray, twice it is the encoder."""
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s = verifying(core, config)
+    s, config = stepped.state, stepped.config
+    stepped.to_verification()
     far = config.verify_angle // 4 * 4000 // (65536 * 2)
-    core.lib.rotor_search_step(s, config, sign * far)
+    stepped.step(sign * far)
     assert s.phase == VERIFY
-    core.lib.rotor_search_step(s, config, sign * (far + 1))
+    stepped.step(sign * (far + 1))
     assert (s.phase, s.escapes) == (REST, 1)
     s.phase, s.origin = VERIFY, 0
-    core.lib.rotor_search_step(s, config, sign * (far + 1))
+    stepped.step(sign * (far + 1))
     assert (s.phase, s.current) == (REVERSED, 0)
 
 
 @pytest.mark.parametrize("back", [False, True])
-def test_brake_ends_when_the_shaft_turns_back(core: Core, back: bool) -> None:
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s = core.ffi.new("rotor_search_t *")
-    core.lib.rotor_search_start(s, 0)
+def test_brake_ends_when_the_shaft_turns_back(stepped: Stepped, back: bool) -> None:
+    s = stepped.state
     for position in [0] * 100 + [-1] * 20 + [-3, -4, -5]:
-        core.lib.rotor_search_step(s, config, position)
+        stepped.step(position)
     assert s.phase == BRAKE
-    core.lib.rotor_search_step(s, config, -4 if back else -5)
+    stepped.step(-4 if back else -5)
     assert s.phase == (REST if back else BRAKE)
 
 
-def test_rest_lasts_until_the_shaft_has_stood_still(core: Core) -> None:
+def test_rest_lasts_until_the_shaft_has_stood_still(stepped: Stepped) -> None:
     """Every movement starts the wait anew; only then does the whole movement shift the bounds."""
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s = core.ffi.new("rotor_search_t *")
-    core.lib.rotor_search_start(s, 0)
-    core.lib.rotor_search_step(s, config, 3)
-    until(core, s, config, 3, REST)
+    s, config = stepped.state, stepped.config
+    stepped.step(3)
+    stepped.until(REST, 3)
     for position in range(4, 4 + 5 * config.rest_ticks):
-        core.lib.rotor_search_step(s, config, position)
+        stepped.step(position)
         assert s.phase == REST
     for _ in range(config.rest_ticks - 1):
-        core.lib.rotor_search_step(s, config, position)
+        stepped.step(position)
         assert s.phase == REST
-    core.lib.rotor_search_step(s, config, position)
+    stepped.step(position)
     assert s.phase == PULL
     assert s.theta_m == pytest.approx(-16384 + position * 65536 * 2 / 4000, abs=1)
 
 
 def test_dither_of_one_count_is_rest_in_the_end(core: Core) -> None:
     """An edge, or the one live line of an encoder whose other line is dead; movement that goes on is no rest."""
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
     for step, rests in ((0, True), (1, False)):
-        s = core.ffi.new("rotor_search_t *")
-        core.lib.rotor_search_start(s, 0)
-        core.lib.rotor_search_step(s, config, 3)
-        until(core, s, config, 3, REST)
-        for k in range(10 * config.rest_ticks - 1):
-            core.lib.rotor_search_step(s, config, 3 + (k & 1) + step * (k // 15))
-            assert s.phase == REST
-        core.lib.rotor_search_step(s, config, 3 + step * 14)
-        core.lib.rotor_search_step(s, config, 4 + step * 14)
-        assert (s.phase == PULL) == rests
+        stepped = Stepped(core)
+        stepped.step(3)
+        stepped.until(REST, 3)
+        for k in range(10 * stepped.config.rest_ticks - 1):
+            stepped.step(3 + (k & 1) + step * (k // 15))
+            assert stepped.state.phase == REST
+        stepped.step(3 + step * 14, 4 + step * 14)
+        assert (stepped.state.phase == PULL) == rests
 
 
-def test_bounds_follow_the_shaft(core: Core) -> None:
+def test_bounds_follow_the_shaft(stepped: Stepped) -> None:
     """Coordinate correction of F15: both bounds and the next vector shift by the movement."""
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s = core.ffi.new("rotor_search_t *")
-    core.lib.rotor_search_start(s, 0)
-    core.lib.rotor_search_step(s, config, -50)  # pulled down from 0: the rotor was above
-    until(core, s, config, -100, REST)
-    until(core, s, config, -100, PULL)
+    s = stepped.state
+    stepped.step(-50)  # pulled down from 0: the rotor was above
+    stepped.until(REST, -100)
+    stepped.until(PULL, -100)
     shift = -100 * 65536 * 2 // 4000
     assert s.theta_m == pytest.approx(16384 + shift, abs=1)
     assert s.reach == 16384
 
 
 @pytest.mark.parametrize("moving", [1, 2, 5])
-def test_brake_lasts_four_times_as_long_as_the_shaft_has_moved(core: Core, moving: int) -> None:
+def test_brake_lasts_four_times_as_long_as_the_shaft_has_moved(stepped: Stepped, moving: int) -> None:
     """From the first count on; a shaft that goes on all the while is let go then."""
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s = core.ffi.new("rotor_search_t *")
-    core.lib.rotor_search_start(s, 0)
+    s = stepped.state
     for position in [0] * 100 + [-1] * (moving - 1) + [-3]:
-        core.lib.rotor_search_step(s, config, position)
+        stepped.step(position)
     assert (s.phase, s.moving) == (BRAKE, moving)
     ticks = 0
     while s.phase == BRAKE:
         ticks += 1
-        core.lib.rotor_search_step(s, config, -3 - ticks)
+        stepped.step(-3 - ticks)
     assert ticks == 4 * moving
 
 
@@ -546,26 +544,21 @@ def wrapped(angle: int) -> int:
     return (angle + 32768) % 65536 - 32768
 
 
-def twitch(core: Core, s: Any, config: Any, position: int) -> None:
+def twitch(stepped: Stepped, position: int) -> None:
     """The shaft jumps to a position as soon as the next vector pulls, and stays there until the one after."""
-    until(core, s, config, s.origin, PULL)
-    core.lib.rotor_search_step(s, config, position)
-    assert s.phase == BRAKE
-    for _ in range(100):
-        core.lib.rotor_search_step(s, config, position)
-        if s.phase in (PULL, VERIFY):
-            return
-    pytest.fail("the shaft rests, and the search does not go on")
+    stepped.until(PULL, stepped.state.origin)
+    stepped.step(position)
+    assert stepped.state.phase == BRAKE
+    while stepped.state.phase not in (PULL, VERIFY):
+        stepped.step(position)
 
 
-def test_interval_halves_exactly(core: Core) -> None:
+def test_interval_halves_exactly(stepped: Stepped) -> None:
     """Eight halvings of a turn: no rounding piles up in the bounds."""
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s = core.ffi.new("rotor_search_t *")
-    core.lib.rotor_search_start(s, 0)
+    s, config = stepped.state, stepped.config
     reaches = [s.reach]
     for k in range(8):
-        twitch(core, s, config, 3 * (1 - (k & 1)))
+        twitch(stepped, 3 * (1 - (k & 1)))
         reaches.append(s.reach)
     assert s.phase == VERIFY
     assert reaches == [32768 >> k for k in range(9)]
@@ -590,47 +583,6 @@ def test_push_from_outside_leads_to_no_wrong_angle(core: Core, degrees: float, a
     result = search(core, shaft, each_tick=knock)
     assert result.phase == FOUND
     assert abs(result.error) < 0.5
-
-
-# ---- each limit, to the tick and to the count
-class Stepped:
-    """A search by itself, with the configuration of the first axis."""
-
-    def __init__(self, core: Core) -> None:
-        self.lib = core.lib
-        self.config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-        self.state: Any = core.ffi.new("rotor_search_t *")
-        self.lib.rotor_search_start(self.state, 0)
-
-    def step(self, *positions: int) -> None:
-        for position in positions:
-            self.lib.rotor_search_step(self.state, self.config, position)
-
-    def until(self, phase: int, position: int = 0) -> None:
-        """Slow ticks at one position."""
-        for _ in range(2000):
-            if self.state.phase == phase:
-                return
-            self.step(position)
-        pytest.fail(f"no phase {phase}")
-
-    def to_full_current(self, position: int = 0) -> None:
-        while self.state.current < self.config.current_limit << 16:
-            self.step(position)
-
-    def ticks(self, positions: Callable[[int], int]) -> int:
-        """Slow ticks that the phase lasts."""
-        phase = self.state.phase
-        for tick in range(2000):
-            if self.state.phase != phase:
-                return tick
-            self.step(positions(tick))
-        return -1
-
-
-@pytest.fixture
-def stepped(core: Core) -> Stepped:
-    return Stepped(core)
 
 
 def test_the_full_current_pulls_for_its_ticks(stepped: Stepped) -> None:
@@ -721,20 +673,20 @@ def test_verification_turns_when_the_full_current_has_flown_for_its_ticks(steppe
 
 
 @pytest.mark.parametrize(("counts", "follows"), [(2, False), (3, True)])
-def test_a_shaft_follows_the_vector_by_three_counts(core: Core, counts: int, follows: bool) -> None:
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s = verifying(core, config)
-    core.lib.rotor_search_step(s, config, counts)
+def test_a_shaft_follows_the_vector_by_three_counts(stepped: Stepped, counts: int, follows: bool) -> None:
+    s = stepped.state
+    stepped.to_verification()
+    stepped.step(counts)
     assert (s.phase, s.follows) == (VERIFY, follows)
 
 
 @pytest.mark.parametrize(("before", "phase"), [(1, REST), (2, HELD)])
-def test_a_shaft_that_does_not_follow_three_times_is_held(core: Core, before: int, phase: int) -> None:
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s = verifying(core, config)
+def test_a_shaft_that_does_not_follow_three_times_is_held(stepped: Stepped, before: int, phase: int) -> None:
+    s = stepped.state
+    stepped.to_verification()
     s.refusals = before
     while s.phase == VERIFY:
-        core.lib.rotor_search_step(s, config, 0)
+        stepped.step(0)
     assert (s.phase, s.refusals) == (phase, before + 1)
 
 
@@ -750,15 +702,14 @@ def test_a_shaft_comes_free_by_three_counts(stepped: Stepped) -> None:
 def test_any_positions_keep_the_search_in_range(core: Core, seed: int, ticks: int) -> None:
     """Whatever the counter does, jumps by half its range among it: defined, within the current limit, a known phase."""
     draw = random.Random(seed)
-    config = core.ffi.addressof(core.lib.probe_config().axis[0].rotor_search)
-    s = core.ffi.new("rotor_search_t *")
     position = draw.randint(-(2**31), 2**31 - 1)
-    core.lib.rotor_search_start(s, position)
+    stepped = Stepped(core, position)
+    s, config = stepped.state, stepped.config
     for _ in range(ticks):
         if draw.random() < 0.1:
             position = draw.randint(-(2**31), 2**31 - 1)
         core.lib.rotor_search_watch(s, config, draw.randint(-32768, 32767), draw.randint(-32768, 32767))
-        core.lib.rotor_search_step(s, config, position)
+        stepped.step(position)
         assert abs(s.current) <= config.current_limit << 16
         assert s.phase in range(9)
         assert 128 <= s.reach <= 32768

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 import sys
 from typing import Any, Final
 
@@ -46,6 +47,14 @@ def axis(number: int = 1, /, **changes: object) -> Tuned:
     """One axis of the changed configuration."""
     whole = configuration(**changes)
     return tuned(whole.axes[number - 1], whole)
+
+
+def case(beginning: str, reason: str, **changes: object) -> tuple[str, str, dict[str, object]]:
+    """What a message begins with, what else it says, and the changes that bring it: the entry at the beginning, if
+    there is one, as in ``axis1.motor.r_s = 1``, and others."""
+    named = re.fullmatch(r"(\w+(?:\.\w+)+) = (\S+)", beginning)
+    entry = {named[1].replace(".", "__"): float(named[2])} if named else {}
+    return beginning, reason, {**changes, **entry}
 
 
 def logarithmic(low: float, high: float) -> st.SearchStrategy[float]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
+import signal
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
@@ -275,6 +278,32 @@ class Rig:
         while not condition():
             assert time.monotonic() < deadline, f"not within {timeout} s"
             self.executor.spin_once(timeout_sec=0.01)
+
+    @contextlib.contextmanager
+    def alive(self, look: Callable[[], None] = lambda: None) -> Iterator[None]:
+        """Give samples from a thread meanwhile, and look at each, so that a program of ROS can run in this one."""
+        numbers = (signal.SIGINT, signal.SIGTERM)
+        handlers = [signal.getsignal(number) for number in numbers]  # the program has its own
+        ended = threading.Event()
+
+        def live() -> None:
+            due = 0.0
+            while not ended.is_set():
+                if self.link.connected and time.monotonic() >= due:
+                    look()
+                    self.link.sample()
+                    due = time.monotonic() + 0.005
+                self.executor.spin_once(timeout_sec=0.005)
+
+        board = threading.Thread(target=live)
+        board.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            board.join()
+            for number, handler in zip(numbers, handlers, strict=True):
+                signal.signal(number, handler)
 
     def settle(self) -> None:
         """Let everything that is under way arrive: a set-point that is known to be refused comes out at the end."""

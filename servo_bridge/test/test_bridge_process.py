@@ -1,4 +1,4 @@
-"""The bridge as a process of its own, on a real pty with a fake board: commands, trouble with the port, signals."""
+"""The bridge as a process of its own, on a real pty with a fake board: trouble with the port, and the end."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +24,11 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from sensor_msgs.msg import JointState
 from servo_bridge.node import main
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.convert import AppliedCommand, applied_from_message
 from servo_msgs_py.runtime.end_with_parent import bound_to_us
-from servo_msgs_py.runtime.qos import command_qos, latched_qos, telemetry_qos
-from std_msgs.msg import Bool, Float64, Float64MultiArray, String
+from servo_msgs_py.runtime.qos import latched_qos
+from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool
 
 from servo_msgs_py import topics
@@ -89,9 +87,6 @@ class Bridge:
         self.seen: dict[str, list[Any]] = {}
         self._listen(topics.STATE, String, latched_qos())
         self._listen(topics.ARMED, Bool, latched_qos())
-        self._listen(topics.JOINT_STATES, JointState, telemetry_qos())
-        self._listen(topics.COMMANDS_APPLIED, Float64MultiArray, telemetry_qos())
-        self.position = self.user.create_publisher(Float64, "axis1/position", command_qos())
         self.enable_client = self.user.create_client(SetBool, topics.ENABLE)
 
     def __enter__(self) -> Bridge:
@@ -129,11 +124,6 @@ class Bridge:
     def armed(self) -> bool:
         return bool(self.seen[topics.ARMED]) and self.seen[topics.ARMED][-1].data
 
-    def applied(self) -> list[AppliedCommand]:
-        """What the user commanded. The stop with which the bridge takes over may come before this node listens."""
-        applied = [applied_from_message(message) for message in self.seen[topics.COMMANDS_APPLIED]]
-        return [each for each in applied if each.variable != "cmd.quick_stop"]
-
     def enable(self) -> None:
         self.until(self.enable_client.service_is_ready)
         future = self.enable_client.call_async(SetBool.Request(data=True))
@@ -149,50 +139,17 @@ class Bridge:
         self.until(future.done)
         assert future.result().success
 
-    def end(self, number: int = signal.SIGINT) -> int:
-        self.process.send_signal(number)
-        return self.process.wait(15)
-
 
 def port_arguments(port: FakePort) -> list[str]:
     return ["--ros-args", "-p", f"port:={port.path}"]
 
 
-@pytest.fixture
-def board(tmp_path: Path) -> Iterator[tuple[Spinning, FakePort]]:
+def test_the_transition_shutdown_ends_the_program_in_order(tmp_path: Path) -> None:
     servo = Spinning()
-    with FakePort(tmp_path / "tty", servo) as port:
-        yield servo, port
-
-
-def test_from_topic_to_board_and_off_at_the_end(board: tuple[Spinning, FakePort], tmp_path: Path) -> None:
-    """With the committed parameter file."""
-    servo, port = board
-    file = Path(__file__).resolve().parents[1] / "config" / "servo_bridge.yaml"
-    with Bridge(tmp_path, "--ros-args", "--params-file", str(file), "-p", f"port:={port.path}") as bridge:
-        bridge.until(lambda: bridge.state() == "axis1=STOP axis2=STOP")
-        bridge.enable()
-        bridge.until(bridge.position.get_subscription_count)
-        bridge.position.publish(Float64(data=CATALOGUE["cmd.position"].lsb * 1234))
-        bridge.until(lambda: len(bridge.applied()) >= 3)
-        assert servo.command_writes() == [
-            ("cmd.enable", 0, b"\x01\0\x01\0"),
-            ("cmd.mode", 0, b"\0\0"),
-            ("cmd.position", 0, (1234).to_bytes(4, "little")),
-        ]
-        applied = bridge.applied()
-        assert [(a.variable, a.mask) for a in applied] == [("cmd.enable", 3), ("cmd.mode", 1), ("cmd.position", 1)]
-        assert applied[0].tick < applied[1].tick < applied[2].tick
-        bridge.until(lambda: bridge.seen[topics.JOINT_STATES])
-        assert len(bridge.seen[topics.JOINT_STATES][-1].position) == 2
-        assert bridge.end(signal.SIGTERM) == 0
-        assert servo.command_writes()[-1] == ("cmd.enable", 0, b"\0\0\0\0")
-        assert "Traceback" not in bridge.log()
-
-
-def test_the_transition_shutdown_ends_the_program_in_order(board: tuple[Spinning, FakePort], tmp_path: Path) -> None:
-    servo, port = board
-    with Bridge(tmp_path, *port_arguments(port), "-p", "autostart:=false") as bridge:
+    with (
+        FakePort(tmp_path / "tty", servo) as port,
+        Bridge(tmp_path, *port_arguments(port), "-p", "autostart:=false") as bridge,
+    ):
         bridge.change("configure")
         bridge.change("activate")
         bridge.until(lambda: bridge.state() == "axis1=STOP axis2=STOP")
@@ -210,62 +167,27 @@ def stops(servo: FakeServo) -> int:
     return [command for command, _ in servo.requests].count(0x30)
 
 
-def test_the_wrong_board_is_named_once_and_the_node_lives_on(tmp_path: Path) -> None:
-    """Others: test_link_trouble.py."""
-    servo = FakeServo()
+def test_an_absent_port_and_a_wrong_board_are_named_once_each_and_the_node_lives_on(tmp_path: Path) -> None:
+    """Other boards: test_link_trouble.py."""
+    servo = Spinning()
     servo.put("catalogue_hash", CATALOGUE.hash ^ 1)
-    with FakePort(tmp_path / "tty", servo) as port, Bridge(tmp_path, *port_arguments(port)) as bridge:
-        bridge.until(bridge.errors)
-        bridge.until(lambda: "another table of variables" in bridge.state())
-        assert "flash the firmware" in bridge.state()
-        tried = stops(servo)
-        bridge.until(lambda: stops(servo) >= tried + 3)  # two with each attempt
-        assert len(bridge.errors()) == 1, bridge.log()
-        assert bridge.state().startswith("DISCONNECTED ")
-        assert not bridge.armed()
-        assert bridge.end() == 0
-        assert "Traceback" not in bridge.log()
-
-
-def test_a_port_that_does_not_exist_is_waited_for(tmp_path: Path) -> None:
-    port = FakePort(tmp_path / "later", Spinning())
-    try:
-        with Bridge(tmp_path, *port_arguments(port)) as bridge:
-            bridge.until(lambda: str(port.path) in bridge.state() and bridge.errors())
-            port.plug()
-            bridge.until(lambda: bridge.state() == "axis1=STOP axis2=STOP")
-            assert len(bridge.errors()) == 1, bridge.log()
-            assert bridge.end() == 0
-    finally:
-        port.__exit__(None, None, None)
-
-
-def test_an_interrupted_demonstration_disables_the_axes(board: tuple[Spinning, FakePort], tmp_path: Path) -> None:
-    servo, port = board
+    port = FakePort(tmp_path / "later", servo)
     with Bridge(tmp_path, *port_arguments(port)) as bridge:
-        bridge.until(lambda: bridge.state() == "axis1=STOP axis2=STOP")
-        for number in (signal.SIGINT, signal.SIGTERM):
-            servo.written.clear()
-            with subprocess.Popen(
-                bound_to_us([sys.executable, "-m", "servo_bridge.demo"]),
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                env=dict(os.environ, ROS_DOMAIN_ID=str(DOMAIN)),
-            ) as demo:
-                try:
-                    # The shafts of this board never move, so the first move lasts until it is ended.
-                    bridge.until(lambda: any(name == "cmd.position" for name, _, _ in servo.command_writes()))
-                    demo.send_signal(number)
-                    output, _ = demo.communicate(timeout=20)
-                finally:
-                    demo.kill()  # or the end of `with` would wait for ever
-            assert demo.returncode == 130, output
-            assert "disabled: axis1=STOP axis2=STOP" in output
-            assert "servo-demo: interrupted" in output
-            assert "Traceback" not in output
-            assert servo.command_writes()[-1] == ("cmd.enable", 0, b"\0\0\0\0")
-        assert bridge.end() == 0
+        bridge.until(lambda: str(port.path) in bridge.state() and bridge.errors())
+        with port:
+            bridge.until(lambda: "another table of variables" in bridge.state())
+            assert "flash the firmware" in bridge.state()
+            tried = stops(servo)
+            bridge.until(lambda: stops(servo) >= tried + 3)  # two with each attempt
+            assert len(bridge.errors()) == 2, bridge.log()
+            assert bridge.state().startswith("DISCONNECTED ")
+            assert not bridge.armed()
+            servo.put("catalogue_hash", CATALOGUE.hash)
+            bridge.until(lambda: bridge.state() == "axis1=STOP axis2=STOP")
+            assert len(bridge.errors()) == 2, bridge.log()
+            bridge.process.send_signal(signal.SIGTERM)
+            assert bridge.process.wait(15) == 0
+            assert "Traceback" not in bridge.log()
 
 
 @pytest.mark.parametrize(

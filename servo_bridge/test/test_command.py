@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterator
 from itertools import pairwise
@@ -29,37 +27,18 @@ def rig() -> Iterator[Rig]:
 
 
 @pytest.fixture
-def command(rig: Rig, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Iterator[Command]:
+def command(rig: Rig, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Command:
     """Runs a command while the board lives; exit status and what it printed. It waits so long for an answer [s]."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    handlers = [signal.getsignal(number) for number in numbers]  # the command has its own
 
     def run(*arguments: str, wait: float = 8.0) -> tuple[int, str, str]:
-        ended = threading.Event()
-
-        def live() -> None:
-            due = 0.0
-            while not ended.is_set():
-                if rig.link.connected and time.monotonic() >= due:
-                    rig.link.sample()
-                    due = time.monotonic() + 0.005
-                rig.executor.spin_once(timeout_sec=0.005)
-
-        board = threading.Thread(target=live)
         capfd.readouterr()
-        board.start()
-        try:
+        with rig.alive():
             status = main(["--wait", str(wait), *arguments])
-        finally:
-            ended.set()
-            board.join()
         out, err = capfd.readouterr()
         return status, out, "".join(line for line in err.splitlines(True) if not line.startswith("["))  # the log
 
-    yield run
-    for number, handler in zip(numbers, handlers, strict=True):
-        signal.signal(number, handler)
+    return run
 
 
 def test_parameters_are_set_and_read_back(rig: Rig, command: Command) -> None:
@@ -128,7 +107,7 @@ def test_a_parameter_that_the_board_refuses_is_named(rig: Rig, command: Command)
     """The bridge checks the ranges itself, so this takes a board with other ones."""
     rig.up(STOP, STOP)
     rig.link.stubborn = "param.over_speed"
-    status, _, err = command("set", "param.over_speed=310,310", wait=2.0)
+    status, _, err = command("set", "param.over_speed=310,310", wait=5.0)
     rig.link.stubborn = ""
     assert status == 1
     assert err.startswith("servo-command: set failed: param.over_speed is ")

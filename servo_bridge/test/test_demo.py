@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bridge_rig import DOMAIN
+from bridge_rig import DOMAIN, SPIN, STOP, Rig
 from numpy.typing import NDArray
 from servo_bridge.demo import Demo
 from servo_bridge.demo_client import DemoError, ServoClient
@@ -313,6 +314,33 @@ def test_no_servo_is_one_sentence_and_status_2(tmp_path: Path) -> None:
     assert "Start the servo first" in result.stderr
     assert "Traceback" not in result.stderr
     assert not (tmp_path / "x.json").exists()
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_demonstration_disables_the_axes(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    with Rig() as rig:
+        rig.up(STOP, STOP)
+        interrupts = iter([number])
+
+        def look() -> None:
+            """The shafts of this board never move, so the first move lasts until it is ended."""
+            enables = [raw for name, _, raw in rig.link.written if name == "cmd.enable"]
+            rig.link.axes(*[SPIN if enables and any(enables[-1]) else STOP] * 2)
+            if any(name == "cmd.position" for name, *_ in rig.link.written):
+                for each in interrupts:
+                    os.kill(os.getpid(), each)
+
+        with rig.alive(look):
+            assert demo_module.main([]) == 130
+        assert rig.link.written[-1] == ("cmd.enable", 0, (0, 0))
+    said = capfd.readouterr()
+    assert "disabled: axis1=STOP axis2=STOP" in said.out
+    assert "servo-demo: interrupted" in said.err
+    assert "Traceback" not in said.err
 
 
 @pytest.mark.parametrize("arguments", [["--tolerance", "0"], ["--timeout", "-1"], ["--colour"]])

@@ -97,10 +97,7 @@ def joint_state(
 
 
 def joint_state_from_values(
-    joints: Sequence[Joint],
-    stamp_ns: int,
-    values: Mapping[str, Value],
-    torque_constants: Sequence[float] | None = None,
+    joints: Sequence[Joint], stamp_ns: int, values: Mapping[str, Value], torque_constants: Sequence[float] | None = None
 ) -> JointState:
     """Joint states of one sample, in joint units: position [rad], velocity [rad/s], effort [N m].
 

@@ -12,12 +12,7 @@ from servo_msgs_py.measurement.access import MeasurementError, step_of
 from servo_msgs_py.measurement.bode_plan import bands_of
 
 
-@given(
-    slow=st.booleans(),
-    capacity=st.integers(400, 4000),
-    low=st.floats(1e-4, 0.3),
-    width=st.floats(1.1, 3000.0),
-)
+@given(slow=st.booleans(), capacity=st.integers(400, 4000), low=st.floats(1e-4, 0.3), width=st.floats(1.1, 3000.0))
 def test_bands_cover_what_was_asked_for(slow: bool, capacity: int, low: float, width: float) -> None:
     nyquist = 0.5 / step_of(1, slow)
     f_min = low * nyquist

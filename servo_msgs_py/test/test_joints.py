@@ -106,10 +106,7 @@ def test_the_hardware_of_ros2_control_has_a_state_for_every_command() -> None:
     control = ET.fromstring(described(Joint("pan"), LIFT)).find("ros2_control")
     assert control is not None
     parameters = {param.get("name"): param.text for param in control.iterfind("hardware/param")}
-    assert parameters == {
-        "joint_commands_topic": "/servo/joint_commands",
-        "joint_states_topic": "/servo/joint_states",
-    }
+    assert parameters == {"joint_commands_topic": "/servo/joint_commands", "joint_states_topic": "/servo/joint_states"}
     for joint in control.iterfind("joint"):
         commands, states = (
             {part.get("name") for part in joint.iterfind(f"{kind}_interface")} for kind in ("command", "state")

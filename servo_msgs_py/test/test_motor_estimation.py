@@ -103,11 +103,7 @@ def test_inertia_from_momentum() -> None:
     time = step * np.arange(600)
     speed = 50.0 * np.sin(2.0 * math.pi * 2.0 * time)
     torque = inertia * np.gradient(speed, step) + coulomb * np.sign(speed)
-    columns = {
-        "a.position": np.cumsum(speed) * step,
-        "a.i_q": torque / (1.5 * pairs * psi),
-        "a.i_d": np.zeros(600),
-    }
+    columns = {"a.position": np.cumsum(speed) * step, "a.i_q": torque / (1.5 * pairs * psi), "a.i_d": np.zeros(600)}
     found, dry = balance([Recording(step, columns)], "a", (pairs, psi, 1e-3, 1e-3), None)
     assert found.value == pytest.approx(inertia, rel=0.01)
     assert dry.value == pytest.approx(coulomb, rel=0.05)

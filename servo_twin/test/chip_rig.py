@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from native_library import NATIVE, Native, compile_c
 
@@ -320,6 +320,17 @@ class ChipRig:
 
     def interrupts(self) -> None:
         self.lib.chip_interrupts(self.chip, True)
+
+    def on(self, vector: int, values: dict[str, int], read: str = "") -> list[Any]:
+        """The handler of a vector writes these values; the clocks at which it runs, each with what it reads first."""
+        calls: list[Any] = []
+
+        def handler() -> None:
+            calls.append((self.now, self.read(read)) if read else self.now)
+            self.write_all(values)
+
+        self.handlers[vector] = handler
+        return calls
 
     def clear(self) -> None:
         """Forget what has been recorded."""

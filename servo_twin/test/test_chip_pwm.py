@@ -305,13 +305,7 @@ class TestLoading:
             assert [c - start for c in rig.clocks("match", a=n, b=3)] == [PERIOD + HALF - 400]
 
     def test_reload_interrupt_and_flag(self, rig: ChipRig) -> None:
-        calls: list[int] = []
-
-        def reloaded() -> None:
-            calls.append(rig.now)
-            rig.write("PWMA0_STS", 0x1000)
-
-        rig.handlers[86] = reloaded
+        calls = rig.on(86, {"PWMA0_STS": 0x1000})
         start = prepare(rig, 1000, PWMA0_INTEN=0x1000)
         rig.write("INTC_IPR9", 1 << 10)
         rig.interrupts()
@@ -482,13 +476,7 @@ class TestFaults:
         assert gates(rig, start)[-1] == (HALF + 125, OPEN)
 
     def test_interrupt(self, rig: ChipRig) -> None:
-        calls = []
-
-        def handler() -> None:
-            calls.append(rig.now)
-            rig.write("PWMA_FCTRL0", 0xF0F0)  # FIE off
-
-        rig.handlers[77] = handler
+        calls = rig.on(77, {"PWMA_FCTRL0": 0xF0F0})
         rig.write("INTC_IPR8", 3 << 8)
         start = self.trip(rig, fctrl=0xF0F1)
         rig.interrupts()
@@ -590,13 +578,7 @@ def test_a_compare_that_is_watched_too_late_comes_with_the_next_cycle(rig: ChipR
 
 
 def test_compare_interrupt(rig: ChipRig) -> None:
-    calls = []
-
-    def handler() -> None:
-        calls.append(rig.now)
-        rig.write("PWMA1_STS", 0x0020)
-
-    rig.handlers[85] = handler
+    calls = rig.on(85, {"PWMA1_STS": 0x0020})
     rig.write("INTC_IPR9", 2 << 8)
     rig.interrupts()
     start = prepare(rig, 1000, PWMA1_INTEN=0x0020)

@@ -428,12 +428,7 @@ class TestSerial:
         assert serial.chip.sci.line.overruns == 2
 
     def test_interrupts_by_received_bytes(self, serial: ChipRig) -> None:
-        got = []
-
-        def handler() -> None:
-            got.append((serial.now, serial.read("SCI0_DATA")))
-
-        serial.handlers[52] = handler
+        got = serial.on(52, {}, read="SCI0_DATA")
         serial.write("INTC_IPR5", 1 << 6)
         serial.write("SCI0_CTRL1", 0x002C)
         serial.interrupts()

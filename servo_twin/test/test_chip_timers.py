@@ -311,13 +311,7 @@ class TestTime:
         assert (age >= 100, 500 <= rig.read("TMRA3_HOLD") < 520) == (True, True)
 
     def test_edge_interrupt(self, rig: ChipRig, encoder: Encoder) -> None:
-        calls = []
-
-        def handler() -> None:
-            calls.append((rig.now, rig.read("TMRA0_CAPT")))
-            rig.write("TMRA0_SCTRL", 0x00C0)  # IEF and IEFIE off
-
-        rig.handlers[28] = handler
+        calls = rig.on(28, {"TMRA0_SCTRL": 0x00C0}, read="TMRA0_CAPT")
         rig.write("INTC_IPR2", 1 << 6)
         rig.write("TMRA0_SCTRL", 0x04C0)
         rig.interrupts()
@@ -327,13 +321,7 @@ class TestTime:
         assert calls == [(begin + 777, 2)]
 
     def test_compare_interrupt_of_a_bus_channel(self, rig: ChipRig) -> None:
-        calls = []
-
-        def handler() -> None:
-            calls.append(rig.now)
-            rig.write("TMRB1_SCTRL", 0x4000)
-
-        rig.handlers[23] = handler
+        calls = rig.on(23, {"TMRB1_SCTRL": 0x4000})
         rig.write("INTC_IPR1", 1 << 12)
         rig.write_all({"TMRB1_COMP1": 99, "TMRB1_SCTRL": 0x4000, "TMRB1_CTRL": 0x3020})  # bus clock, LENGTH
         rig.interrupts()

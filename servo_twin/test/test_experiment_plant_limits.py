@@ -15,15 +15,7 @@ from servo_twin.experiments.plant_limits import (
     path_demands,
     top_speed,
 )
-from servo_twin.experiments.rig import (
-    COUNT,
-    TICK,
-    Recording,
-    choose_mode,
-    command_speed,
-    spinning,
-    watch,
-)
+from servo_twin.experiments.rig import COUNT, TICK, Recording, choose_mode, command_speed, spinning, watch
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 

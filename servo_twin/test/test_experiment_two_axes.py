@@ -43,10 +43,7 @@ def test_an_axis_at_rest_does_not_disturb(monkeypatch: pytest.MonkeyPatch) -> No
         return genuine(plant, seed, watched, None, compensated)
 
     monkeypatch.setattr(two_axes, "turn", turn)
-    assert {
-        "axis1, the other reverses: bus swing",
-        "axis2, the other reverses: bus swing",
-    } <= wrong(PlantConfig.load())
+    assert {"axis1, the other reverses: bus swing", "axis2, the other reverses: bus swing"} <= wrong(PlantConfig.load())
 
 
 def test_influence_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -129,14 +129,6 @@ def test_energy_balance(plant_c: Native, iron: float) -> None:
     assert heat + rubbed + kinetic + magnetic == pytest.approx(supplied, rel=1e-3)
 
 
-def test_torque_contains_the_reluctance_part(plant_c: Native) -> None:
-    axis = plain().axes[0]
-    motor = make(plant_c, axis)
-    motor.i_d, motor.i_q = -1.5, 2.0
-    expected = 1.5 * 2 * (axis.psi_m * 2.0 + (axis.l_d - axis.l_q) * -1.5 * 2.0)
-    assert plant_c.lib.plant_motor_torque(motor) == pytest.approx(expected, rel=1e-12)
-
-
 def test_phases_and_rotor_frame_are_the_same_current(plant_c: Native) -> None:
     """Amplitude-invariant transforms (k = 2/3): a current vector of 3 A along phase a is 3 A in phase a."""
     motor = make(plant_c, plain(theta_start=0.6).axes[0])
@@ -207,14 +199,3 @@ class TestFriction:
             step(plant_c, motor, 0.0, 6.0)
         assert (motor.omega, motor.theta) == (0.0, 0.0)
         assert motor.i_q > 5.0
-
-
-def test_current_of_a_standing_motor_rises_with_its_time_constant(plant_c: Native) -> None:
-    axis = plain().axes[0]
-    motor = make(plant_c, axis)
-    plant_c.lib.plant_motor_lock(motor, True)
-    for _ in range(64):
-        step(plant_c, motor, 1.0, 2.0)
-    time = 64 * STEP
-    assert motor.i_d == pytest.approx(1.0 / axis.r_s * (1 - math.exp(-time * axis.r_s / axis.l_d)), rel=1e-9)
-    assert motor.i_q == pytest.approx(2.0 / axis.r_s * (1 - math.exp(-time * axis.r_s / axis.l_q)), rel=1e-9)

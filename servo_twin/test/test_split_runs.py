@@ -75,11 +75,7 @@ RUNS: Final[dict[str, list[Input]]] = {
         (680 * MS, breaks(StuckLine(1, "B"))),
     ],
     "reset by the watchdog": [*MOVE, (700 * MS, breaks(StalledCore(0.1))), (900 * MS, sends("cmd.enable", 1, 1))],
-    "noise and a dip": [
-        *MOVE,
-        (600 * MS, breaks(CurrentNoise(0, 0.05))),
-        (650 * MS, breaks(SupplyDip(12.0, 0.05))),
-    ],
+    "noise and a dip": [*MOVE, (600 * MS, breaks(CurrentNoise(0, 0.05))), (650 * MS, breaks(SupplyDip(12.0, 0.05)))],
 }
 
 

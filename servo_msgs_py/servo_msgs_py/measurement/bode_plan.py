@@ -251,15 +251,7 @@ def completed(access: BoardAccess, request: BodeRequest) -> tuple[Settings, Pred
     speed = 0.0 if request.speed is None else request.speed
     deceleration = access.read("param.acceleration_limit")[axis]
     settings = Settings(
-        axis,
-        loop,
-        request.amplitude or 0.0,
-        f_min,
-        f_max,
-        speed,
-        way_max,
-        request.repeats,
-        deceleration=deceleration,
+        axis, loop, request.amplitude or 0.0, f_min, f_max, speed, way_max, request.repeats, deceleration=deceleration
     )
     capacity = access.capacity([f"{axis_name(axis)}.{column}" for column in settings.columns])
     bands = bands_of(f_min, f_max, capacity, loop.slow)

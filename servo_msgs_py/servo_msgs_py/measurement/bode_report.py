@@ -125,11 +125,7 @@ def as_dict(bode: Bode) -> dict[str, Any]:
         "band": [settings.f_min, settings.f_max],
         "repeats": settings.repeats,
         "measured": {name: _plain(measured) for name, _, measured, _ in _comparison(bode)},
-        "predicted": {
-            "crossover": predicted.crossover,
-            "phase margin": predicted.phase,
-            "gain margin": predicted.gain,
-        },
+        "predicted": {"crossover": predicted.crossover, "phase margin": predicted.phase, "gain margin": predicted.gain},
         "resonances": [{"frequency": r.frequency, "height": r.height} for r in bode.figures.resonances],
         "confirmed": bode.confirmed,
         "not determined": list(bode.figures.undetermined),

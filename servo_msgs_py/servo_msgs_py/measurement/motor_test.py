@@ -30,15 +30,7 @@ from servo_msgs_py.measurement.estimation import (
     turning_of,
 )
 from servo_msgs_py.measurement.log import LoggedAccess, MeasurementLog
-from servo_msgs_py.measurement.motor_rig import (
-    COMMAND_TIMEOUT,
-    LATENCY,
-    NOMINAL,
-    PROTECTION,
-    STOPPED,
-    TICK,
-    MotorRig,
-)
+from servo_msgs_py.measurement.motor_rig import COMMAND_TIMEOUT, LATENCY, NOMINAL, PROTECTION, STOPPED, TICK, MotorRig
 from servo_msgs_py.measurement.motor_values import Estimate, Limits
 from servo_msgs_py.measurement.spinning import balance
 from servo_msgs_py.measurement.standstill import PERIOD, impedance

@@ -79,10 +79,7 @@ _FOUND: Final = (
 """In an order in which none depends on a later one."""
 
 
-_NOT_ON_A_BOARD: Final = {
-    "motor.rotor_inertia": "motor.inertia",
-    "motor.rated_speed": "limits.speed",
-}
+_NOT_ON_A_BOARD: Final = {"motor.rotor_inertia": "motor.inertia", "motor.rated_speed": "limits.speed"}
 """Entries that only serve a report, and what stands for them."""
 
 

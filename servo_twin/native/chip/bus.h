@@ -68,7 +68,6 @@ typedef enum {
     VECTOR_COP = 108,
 } chip_vector_t;
 
-/* CFFI-BEGIN */
 /* Causes of a reset, as SIM_RSTAT has them. */
 typedef enum { RESET_POWER_ON = 0x04, RESET_COP = 0x20, RESET_SOFTWARE = 0x40 } reset_cause_t;
 
@@ -95,7 +94,6 @@ typedef struct {
     void (*need_bus_clock)(void *chip, const char *what); /* an error, unless the bus runs at CHIP_BUS_HZ */
     void (*reset)(void *chip, reset_cause_t cause); /* does not return while software runs */
 } chip_signals_t;
-/* CFFI-END */
 
 /* Registers of the SIM that act on other peripherals. */
 typedef struct {

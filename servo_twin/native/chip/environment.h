@@ -8,7 +8,6 @@
 
 #include <stdint.h>
 
-/* CFFI-BEGIN */
 typedef struct {
     /* Advance the plant to `clock` (never back). */
     void (*advance)(void *board, uint64_t clock);
@@ -43,6 +42,5 @@ typedef struct {
     /* Software that runs while no interrupt does. */
     void (*background)(void *board);
 } chip_environment_t;
-/* CFFI-END */
 
 #endif

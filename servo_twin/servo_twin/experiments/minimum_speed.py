@@ -12,16 +12,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_twin.board import Board
 from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.rig import RPM, TICK, command_speed
-from servo_twin.experiments.sensorless import (
-    Trace,
-    back_emf,
-    dead_voltage,
-    ended,
-    follow,
-    let_go,
-    limits_of,
-    started,
-)
+from servo_twin.experiments.sensorless import Trace, back_emf, dead_voltage, ended, follow, let_go, limits_of, started
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "minimum-speed"

@@ -13,15 +13,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_twin.board import Board
 from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.rig import RPM, command_speed, set_up, spinning
-from servo_twin.experiments.sensorless import (
-    Trace,
-    back_emf,
-    dead_voltage,
-    degrees,
-    follow,
-    limits_of,
-    without_fault,
-)
+from servo_twin.experiments.sensorless import Trace, back_emf, dead_voltage, degrees, follow, limits_of, without_fault
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.simulation import SimulationError
 

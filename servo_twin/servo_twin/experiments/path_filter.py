@@ -120,10 +120,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     ways = {"ramp": ramp / turn, "S curve": path / turn, "shaft": (r.position - start) / turn}
     turning = {"ramp": np.gradient(ramp, TICK) / turn, "S curve": np.gradient(path, TICK) / turn}
     turning["shaft"] = r.omega / (2.0 * np.pi)
-    for title, label, lines in (
-        ("F23: path", "position [turns]", ways),
-        ("F24: speed", "speed [turns/s]", turning),
-    ):
+    for title, label, lines in (("F23: path", "position [turns]", ways), ("F24: speed", "speed [turns/s]", turning)):
         curves = [Curve(name, r.time, y, "--" if name == "shaft" else "-") for name, y in lines.items()]
         yield Panel(title, "time [s]", label, curves)
     yield f"axis {AXIS + 1}, {TURNS:g} turns"
