@@ -6,6 +6,7 @@ import contextlib
 import importlib
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -17,6 +18,8 @@ from typing import Any
 
 import pytest
 from servo_twin.board import SimulationError
+from servo_twin.experiments import fault_campaign
+from servo_twin.plant import PlantConfig
 from servo_twin.runner import HERE, RunError, Runner, TrialError, WorkerLostError, run_in_order
 
 NUMBERS = range(40)
@@ -216,3 +219,13 @@ def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr("servo_twin.runner.cluster.CONNECT_TIME", 0.5)
     with pytest.raises(RuntimeError, match=r"no Dask scheduler answers at tcp://127.0.0.1:1"):
         run_in_order(Runner(scheduler="tcp://127.0.0.1:1"), Square(), NUMBERS, "squares")
+
+
+@pytest.mark.parametrize("number", range(0, 10, 3))
+def test_a_trial_of_the_fault_campaign_is_the_same_in_another_process(number: int) -> None:
+    """Its functions cannot travel: it is drawn again there."""
+    trial = fault_campaign.draw(PlantConfig.load().with_bus(u_source=23.0), 3, number, ["slow", "axis2"])
+    other = pickle.loads(pickle.dumps(trial))
+    for it in ("seed", "number", "motor", "plant", "motors"):
+        assert getattr(other, it) == getattr(trial, it), it
+    assert (other.state.name, other.damage.text) == (trial.state.name, trial.damage.text)

@@ -47,7 +47,7 @@ RUNAWAY_MARGIN: Final = 40.0  # beyond its limit that no axis may come (timing.r
 # ---- drawing
 @dataclass(frozen=True)
 class Trial:
-    """One trial before it is run.
+    """One trial before it is run. Between processes only what it follows from travels: its functions cannot.
 
     Attributes
     ----------
@@ -60,6 +60,8 @@ class Trial:
         What is really there.
     motors : tuple of str
         Among which the motor was drawn.
+    nominal : PlantConfig
+        The plant that it follows from.
     """
 
     seed: int
@@ -69,6 +71,10 @@ class Trial:
     damage: Damage
     plant: PlantConfig
     motors: tuple[str, ...] = tuple(MOTORS)
+    nominal: PlantConfig = dataclasses.field(default_factory=PlantConfig.load)
+
+    def __reduce__(self) -> tuple[Callable[..., Trial], tuple[object, ...]]:
+        return draw, (self.nominal, self.seed, self.number, self.motors)
 
     @property
     def random(self) -> random.Random:
@@ -90,7 +96,7 @@ def draw(plant: PlantConfig, seed: int, number: int, motors: Sequence[str] = MOT
     else:
         make = rng.choice([make for make, observed in DAMAGES.values() if observed or not state.sensorless])
         damage = make(rng, where)
-    return Trial(seed, number, motor, state, damage, there, tuple(motors))
+    return Trial(seed, number, motor, state, damage, there, tuple(motors), plant)
 
 
 # ---- running
