@@ -96,7 +96,7 @@ def started() -> Iterator[list[Up]]:
 def test_without_a_board_everything_stays_up_until_a_child_dies_which_is_named(
     started: list[Up], tmp_path: Path
 ) -> None:
-    short = "from servo_twin import up; up._CONNECT_TIMEOUT = 3.0"
+    short = "from servo_twin import up; up._CONNECT_TIMEOUT = 6.0"
     up = Up(tmp_path, "--port", "/dev/ttyNoSuchPort", before=short)
     started.append(up)
     up.wait_for("Ctrl-C ramps down")
