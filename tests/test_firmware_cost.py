@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from bench.firmware import TABLE, difference
-from firmware_cost.calibration import Charging, charges, fit
+from firmware_cost.calibration import fit
 from firmware_cost.instructions import (
     COUNTING,
     FAST,
@@ -67,12 +67,9 @@ def test_committed_table_is_that_of_the_code(measurement: Measurement) -> None:
     assert not lines, "\n".join(["`make bench-firmware UPDATE=1` writes the table anew:", *lines])
 
 
-def test_the_virtual_core_takes_as_long_as_the_counted_instructions(
-    measurement: Measurement, c_sources: Sources, tmp_path: Path
-) -> None:
+def test_the_virtual_core_takes_as_long_as_the_counted_instructions(measurement: Measurement) -> None:
     """With the committed weights, over every mode, feature set and feedback; 10 % in the mean and 20 % at worst."""
-    charging = Charging.build(c_sources, tmp_path, load_weights())
-    charged = {setup: charging.count(setup) for setup in Setup}
+    charged = measurement.charging.charged(load_weights())
     errors = core_errors(dataclasses.replace(measurement, charged=charged))
     assert len(errors) > 100
     mean = [abs(error) for pair in errors.values() for error in pair]
@@ -80,13 +77,9 @@ def test_the_virtual_core_takes_as_long_as_the_counted_instructions(
     assert {label: error for label, error in errors.items() if max(map(abs, error)) > 0.20} == {}
 
 
-def test_weights_hold_for_runs_that_they_were_not_fitted_to(
-    measurement: Measurement, c_sources: Sources, tmp_path: Path
-) -> None:
-    charge = charges(Charging.build(c_sources, tmp_path / "each"))
+def test_weights_hold_for_runs_that_they_were_not_fitted_to(measurement: Measurement) -> None:
     known = {Setup.CONFIGURED: measurement.counts[REFERENCE], Setup.WITHOUT_ENCODERS: measurement.sensorless}
-    charging = Charging.build(c_sources, tmp_path / "all", fit(charge, known))
-    charged = {setup: charging.count(setup) for setup in Setup}
+    charged = measurement.charging.charged(fit(measurement.charge, known))
     errors = core_errors(dataclasses.replace(measurement, charged=charged))
     unseen = [abs(mean) for (setup, _, _), (mean, _) in errors.items() if setup == Setup.ALL_FEATURES]
     assert sum(unseen) / len(unseen) < 0.10

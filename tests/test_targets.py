@@ -72,7 +72,7 @@ NOT_ON_A_TARGET = {
 # ---- the targets ----------------------------------------------------------------------------------------------------
 
 
-SLOW = 100.0
+SLOW = 50.0
 """Weight of a target from which on its test takes more than a few seconds."""
 
 

@@ -17,7 +17,7 @@ from targets.toolchain import TargetError
 
 Needs = Callable[[Target], None]
 
-HOST = Host("host", "gcc", ("-O1",), "for these tests", ("gcc",))
+HOST = Host("host", "gcc", ("-O0",), "for these tests", ("gcc",))
 
 CASTS = [
     ("math/frac.h", "frac16_t f16_add(", "(int32_t)"),

@@ -28,6 +28,12 @@ MARK = "SERVO_UP_TEST_MARK"
 MAIN = "import sys; from servo_twin.up import main; sys.exit(main())"
 IDEAL = ("--level", "ideal")
 """The level that leaves the processor to others."""
+NOT_CONNECTED = """
+from servo_twin import up
+from servo_twin.processes import wait_until
+up.Stack.wait = lambda stack, child, *_: not wait_until(lambda: "no port" in child.text(), stack.children, 60.0)
+"""
+"""Ends the wait for a connection as soon as the bridge says that there is no port."""
 BOTH = ["axis1", "axis2"]
 
 
@@ -96,8 +102,7 @@ def started() -> Iterator[list[Up]]:
 def test_without_a_board_everything_stays_up_until_a_child_dies_which_is_named(
     started: list[Up], tmp_path: Path
 ) -> None:
-    short = "from servo_twin import up; up._CONNECT_TIMEOUT = 3.0"
-    up = Up(tmp_path, "--port", "/dev/ttyNoSuchPort", before=short)
+    up = Up(tmp_path, "--port", "/dev/ttyNoSuchPort", before=NOT_CONNECTED)
     started.append(up)
     up.wait_for("Ctrl-C ramps down")
     assert "no board on /dev/ttyNoSuchPort yet" in up.text()

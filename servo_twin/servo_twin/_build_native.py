@@ -127,21 +127,21 @@ _REGISTERS = [NATIVE / "board_registers.c", *sorted((NATIVE / "chip").glob("*.c"
 _ON_HOST = ["-DCHIP_ON_HOST"]
 
 
-def charged_sources(folder: Path) -> list[Path]:
+def charged_sources() -> list[Path]:
     """Firmware and port as the virtual core runs them: with what they take of its time."""
     if str(PACKAGE) not in sys.path:  # setuptools runs this file as a script
         sys.path.insert(0, str(PACKAGE))
     from servo_twin._core_time import write_charged
 
-    return write_charged([*firmware_sources(), *sorted(PORT.glob("*.c"))], FIRMWARE, _ON_HOST, folder)
+    return write_charged(
+        [*firmware_sources(), *sorted(PORT.glob("*.c"))], FIRMWARE, _ON_HOST, PACKAGE / "build" / "charged"
+    )
 
 
 def board_ffi(module: str, level: str, config: Path) -> FFI:
     """A module with another ``servo_config_gen.c``, for `cffi.FFI.compile` in a folder of its own."""
     native, options, sources = (
-        (_IDEAL, [], firmware_sources())
-        if level == "ideal"
-        else (_REGISTERS, _ON_HOST, charged_sources(config.parent / "charged"))
+        (_IDEAL, [], firmware_sources()) if level == "ideal" else (_REGISTERS, _ON_HOST, charged_sources())
     )
     sources = [config if path.name == "servo_config_gen.c" else path for path in sources]
     return make_ffi(module, native, options, sources, _absolute)
@@ -154,5 +154,4 @@ def ffi() -> FFI:
 
 def registers_ffi() -> FFI:
     """``servo_twin._registers``."""
-    sources = charged_sources(PACKAGE / "build" / "charged")
-    return make_ffi("servo_twin._registers", _REGISTERS, _ON_HOST, sources)
+    return make_ffi("servo_twin._registers", _REGISTERS, _ON_HOST, charged_sources())

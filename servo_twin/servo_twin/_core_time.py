@@ -10,6 +10,7 @@ option of the host.
 from __future__ import annotations
 
 import hashlib
+import os
 import subprocess
 import sys
 import tempfile
@@ -472,5 +473,7 @@ def write_charged(sources: Iterable[Path], firmware: Path, options: Sequence[str
         body = charged(text, str(source), _spend(factor))
         output.parent.mkdir(parents=True, exist_ok=True)
         # As in a system header (3): what the generator writes is not for the warnings.
-        output.write_text(f'{head}\n#include "chip/core_time.h"\n# 1 "{source}" 3\n{body}', encoding="utf-8")
+        complete = output.with_suffix(f".{os.getpid()}")  # another process may be writing the same
+        complete.write_text(f'{head}\n#include "chip/core_time.h"\n# 1 "{source}" 3\n{body}', encoding="utf-8")
+        complete.replace(output)
     return written

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from servo_twin._core_time import COMMON, UNITS, charged, preprocessed, weight_of
 from targets.machines import HostProgram
 from targets.sources import ROOMS, Sources
-from targets.toolchain import run
+from targets.toolchain import compile_objects, run
 
 from firmware_cost.instructions import (
     EVERY_PHASE,
@@ -58,47 +58,59 @@ class Charging:
     ----------
     files : tuple of str
         Of the firmware, such as ``control/pi``.
+    prices : tuple of (str, float)
+        File and price of every charge; equal ones share an entry.
     interrupts, loops : HostProgram
         The two programs that count.
     """
 
     files: tuple[str, ...]
+    prices: tuple[tuple[str, float], ...]
     interrupts: HostProgram
     loops: HostProgram
 
     @classmethod
-    def build(cls, sources: Sources, folder: Path, weights: Mapping[str, float] | None = None) -> Charging:
-        """Compile the program.
+    def build(cls, sources: Sources, folder: Path) -> Charging:
+        """Compile the program, which gets the units of each charge with its image.
 
         Parameters
         ----------
         sources : Sources
         folder : Path
             For what is compiled.
-        weights : mapping, optional
-            Of the files: all are charged to one account then. Without, each has its own, without a weight.
 
         Raises
         ------
         TargetError
             If the compiler refuses.
         """
-        paths = sources.core(ROOMS)
-        names = tuple(f"{path.parent.name}/{path.stem}" for path in paths)
-        written: list[Path] = []
-        for number, (path, name) in enumerate(zip(paths, names, strict=True)):
-            account, weight = (number, 1.0) if weights is None else (0, weight_of(weights, name))
-            body = charged(preprocessed(path, [sources.firmware]), str(path), _adder(account, weight))
-            output = folder / f"{name.replace('/', '_')}.c"
-            output.parent.mkdir(parents=True, exist_ok=True)
-            output.write_text(f"extern unsigned core_units[];\n{body}", encoding="utf-8")
-            written.append(output)
-        return cls(names, _link(sources, folder, written, loops=False), _link(sources, folder, written, loops=True))
+        folder.mkdir(parents=True)
+        prices: dict[tuple[str, float], int] = {}
+        written: dict[str, Path] = {}
+        for path in sources.core(ROOMS):
+            name = f"{path.parent.name}/{path.stem}"
+            body = charged(preprocessed(path, [sources.firmware]), str(path), _adder(prices, name))
+            written[name] = folder / f"{name.replace('/', '_')}.c"
+            written[name].write_text(f"extern unsigned core_units, core_price[];\n{body}", encoding="utf-8")
+        objects = compile_objects(_HOST, list(written.values()), folder, folder)
+        interrupts, loops = (_link(sources, folder, objects, len(prices), loops=loops) for loops in (False, True))
+        return cls(tuple(written), tuple(prices), interrupts, loops)
 
-    def count(self, setup: Setup, account: int = 0) -> Counts:
-        """Units (1/16 instruction) charged to an account, as `instructions.count`."""
+    def charged(self, weights: Mapping[str, float]) -> dict[Setup, Counts]:
+        """Units (1/16 instruction) that the virtual core charges, by setup."""
+        units = [round(UNITS * weight_of(weights, name) * price) for name, price in self.prices]
+        return {setup: self.count(setup, units) for setup in Setup}
+
+    def count(self, setup: Setup, units: Sequence[int]) -> Counts:
+        """Sum of the units of all charges, as `instructions.count`.
+
+        Parameters
+        ----------
+        units : sequence of int
+            Of each of the `prices`.
+        """
         phases = 1 << PHASES.index(OBSERVED_PHASE) if setup == Setup.WITHOUT_ENCODERS else EVERY_PHASE
-        data = image(setup=setup, phases=phases) + bytes([account])
+        data = image(setup=setup, phases=phases) + np.array(units, "<u4").tobytes()
         inner = {label: value for label, value in parse(self.loops.run(data)).items() if label[1] in _LOOPS}
         outer = {label: value for label, value in parse(self.interrupts.run(data)).items() if label[1] not in _LOOPS}
         return {**outer, **inner}
@@ -107,19 +119,19 @@ class Charging:
 _LOOPS: Final = (FAST, SLOW)
 
 
-def _adder(account: int, weight: float) -> Callable[[float], str]:
-    return lambda price: f"(core_units[{account}] += {round(UNITS * weight * price)}U)"
+def _adder(prices: dict[tuple[str, float], int], name: str) -> Callable[[float], str]:
+    return lambda price: f"(core_units += core_price[{prices.setdefault((name, price), len(prices))}])"
 
 
-def _link(sources: Sources, folder: Path, charged_files: Sequence[Path], *, loops: bool) -> HostProgram:
+def _link(sources: Sources, folder: Path, objects: Sequence[Path], prices: int, *, loops: bool) -> HostProgram:
     bench = sources.root / "tests" / "bench" / "native"
     names = ["cost.c", "bench_board.c", "units.c", *(["cost_loops.c"] if loops else [])]
     machine = sources.native / "host"
     include = [f"-I{path}" for path in (bench / "host", bench, sources.firmware, sources.native, machine)]
     wrap = [f"-Wl,--wrap={name}" for name in (_WRAPPED if loops else ())]
-    files = [*charged_files, *(bench / name for name in names), machine / "machine.c", sources.native / "text.c"]
+    files = [*objects, *(bench / name for name in names), machine / "machine.c", sources.native / "text.c"]
     output = folder / ("loops" if loops else "interrupts")
-    run([*_HOST, *include, *wrap, *files, "-o", output])
+    run([*_HOST, f"-DPRICES={prices}U", *include, *wrap, *files, "-o", output])
     return HostProgram(output)
 
 
@@ -142,8 +154,9 @@ def charges(charging: Charging) -> Charges:
     """Run the program once for each file and setup."""
     mean: dict[Label, list[float]] = {}
     for setup in Setup:
-        for account in range(len(charging.files)):
-            for (phase, kind), count in charging.count(setup, account).items():
+        for file in charging.files:
+            units = [round(UNITS * price) if name == file else 0 for name, price in charging.prices]
+            for (phase, kind), count in charging.count(setup, units).items():
                 mean.setdefault((setup, phase, kind), []).append(count.mean / UNITS)
     return Charges(charging.files, {label: np.array(values) for label, values in mean.items()})
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from targets.sources import Sources
 
-from firmware_cost.calibration import Charging, charges, fit
+from firmware_cost.calibration import Charges, Charging, charges, fit
 from firmware_cost.instructions import Count, Counts, Setup, count, name_of
 from firmware_cost.programs import OPTIMISATIONS, Programs, compiler
 from firmware_cost.recorder import recorder_costs
@@ -37,6 +37,10 @@ class Measurement:
     stages : Stages
     recorder : mapping
         What a call of a recorder costs, by case.
+    charging : Charging
+        The program with the charges of the virtual core.
+    charge : Charges
+        What it counts without weights.
     weights : mapping
         Of the price list of the virtual core, fitted to these counts.
     charged : mapping
@@ -50,6 +54,8 @@ class Measurement:
     sensorless: Counts
     stages: Stages
     recorder: Mapping[str, Count]
+    charging: Charging
+    charge: Charges
     weights: Mapping[str, float]
     charged: Mapping[Setup, Counts]
 
@@ -84,8 +90,9 @@ def measure(sources: Sources, folder: Path) -> Measurement:
         setup: count(programs[REFERENCE], setup) for setup in Setup if setup != Setup.CONFIGURED
     }
     by_setup: dict[Setup, Counts] = {Setup.CONFIGURED: counts[REFERENCE], **others}
-    weights = fit(charges(Charging.build(sources, folder / "charges")), by_setup)
-    charging = Charging.build(sources, folder / "charged", weights)
+    charging = Charging.build(sources, folder / "charges")
+    charge = charges(charging)
+    weights = fit(charge, by_setup)
     return Measurement(
         compiler(),
         counts,
@@ -94,8 +101,10 @@ def measure(sources: Sources, folder: Path) -> Measurement:
         others[Setup.WITHOUT_ENCODERS],
         stages(programs[REFERENCE]),
         recorder_costs(programs[REFERENCE]),
+        charging,
+        charge,
         weights,
-        {setup: charging.count(setup) for setup in Setup},
+        charging.charged(weights),
     )
 
 

@@ -9,7 +9,7 @@ from typing import Final
 
 from targets.machines import CORTEX_M3, CortexM3, build_cortex_m3
 from targets.sources import ROOMS, STRICT, Sources
-from targets.toolchain import run, version
+from targets.toolchain import compile_objects, version
 
 OPTIMISATIONS: Final = ("-Os", "-O2", "-O3")
 COMPILER: Final = "arm-none-eabi-gcc"
@@ -47,7 +47,7 @@ class Programs:
         for room in ROOMS:
             objects = folder / room
             objects.mkdir(parents=True)
-            run([COMPILER, *options, "-c", *sources.core([room])], folder=objects)
+            compile_objects([COMPILER, *options], sources.core([room]), objects, sources.root)
         return cls(sources, folder, optimisation)
 
     @property

@@ -21,7 +21,7 @@ VARIABLES: Final = "variables"
 SERVER: Final = "comm"
 
 _ROOMS: Final = (*(room for room in ROOMS if room != SERVER), LIBRARY)
-_TABLE_FILE: Final = "variables_gen.o"
+_TABLE_FILE: Final = "app_variables_gen.o"
 _MAP: Final = "Linker script and memory map"
 _PLACED: Final = re.compile(r"^ \.(text|rodata|data|bss)(\S*)\s+0x[0-9a-f]+\s+0x([0-9a-f]+)\s+(\S+)$", re.MULTILINE)
 _STATE: Final = re.compile(r"^\S+ ([0-9a-f]+) \S state_of_server$", re.MULTILINE)

@@ -49,7 +49,7 @@ def missed_lines(sources: Sources, images: Iterable[bytes], folder: Path) -> lis
     for data in counted:
         report = json.loads(run(["gcov", "--json-format", "--stdout", data], folder=folder))
         for file in report["files"]:
-            path = Path(file["file"])
+            path = sources.root / file["file"]
             if not path.is_relative_to(sources.firmware):
                 continue
             for line in file["lines"]:

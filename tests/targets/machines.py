@@ -20,7 +20,7 @@ AVR_RAM_END: Final = 0xEFFF
 """Last address of the memory that the simulator gives it."""
 
 TIMEOUT: Final = 300.0
-"""How long a simulator may take for one recording [s]; the slowest needs a dozen seconds."""
+"""How long a simulator may take for one recording [s]; the slowest needs seven seconds."""
 
 CORTEX_M3: Final = ("-mcpu=cortex-m3", "-mthumb", "-ffreestanding", "-ffunction-sections", "-fdata-sections")
 """Options of every program for the Cortex-M3."""
@@ -117,7 +117,9 @@ class Host:
         machine = sources.native / "host"
         include = [f"-I{path}" for path in (sources.firmware, sources.native, machine)]
         files = [*sources.core(), *sources.replay(), machine / "machine.c"]
-        objects = compile_objects([self.compiler, *STRICT, SAMPLES, *self.options, *include], files, folder)
+        objects = compile_objects(
+            [self.compiler, *STRICT, SAMPLES, *self.options, *include], files, folder, sources.root
+        )
         run([self.compiler, *self.options, *objects, "-o", program])
         return HostProgram(program)
 
@@ -174,7 +176,7 @@ class CortexM3:
     def build(self, sources: Sources, folder: Path) -> QemuProgram:
         options = [self.optimisation, SAMPLES]
         files = [*sources.core(), *sources.replay()]
-        objects = compile_objects(cortex_m3_compiler(sources, options), files, folder)
+        objects = compile_objects(cortex_m3_compiler(sources, options), files, folder, sources.root)
         return QemuProgram(build_cortex_m3(sources, folder / "replay.elf", objects, options))
 
 
@@ -205,7 +207,7 @@ class Avr:
     optimisation: str = "-Os"
     about: str = "16-bit int, ATmega2560, simavr"
     packages: tuple[str, ...] = ("gcc-avr", "avr-libc", "libsimavr-dev")
-    weight: float = 200.0
+    weight: float = 100.0
 
     @property
     def name(self) -> str:
@@ -219,7 +221,7 @@ class Avr:
         options = [*STRICT, SAMPLES, *AVR_OPTIONS, self.optimisation, "-ffunction-sections", "-fdata-sections"]
         include = [f"-I{path}" for path in (sources.firmware, sources.native, port)]
         files = [*sources.core(), *sources.replay(), port / "machine.c"]
-        objects = compile_objects(["avr-gcc", *options, *include], files, folder)
+        objects = compile_objects(["avr-gcc", *options, *include], files, folder, sources.root)
         program = AvrProgram(folder / "replay.elf", folder / "simulator")
         memory = [f"-Wl,--defsym={name}={AVR_RAM_END:#x}" for name in ("__stack", "__DATA_REGION_LENGTH__")]
         run(["avr-gcc", f"-mmcu={AVR_MCU}", "-mrelax", "-Wl,--gc-sections", *memory, *objects, "-o", program.elf])

@@ -18,7 +18,7 @@ from targets.calls import Call, parse_log
 from targets.machines import ARITHMETIC_NAME
 from targets.rig import Rig
 from targets.sources import SAMPLES, STRICT, Sources
-from targets.toolchain import TargetError, run
+from targets.toolchain import TargetError, compile_objects, run
 
 CHECK_PERIODS: Final = 160
 """PWM periods between two check values: 10 ms."""
@@ -140,8 +140,9 @@ class Recorder:
         include = [f"-I{path}" for path in (sources.firmware, sources.twin, sources.native)]
         wrap = [f"-Wl,--wrap={name}" for name in wrapped_functions(sources)]
         # Without contraction of a * b + c the plant computes the same bits on every processor.
-        options = ["-O2", "-ffp-contract=off", "-fPIC", "-shared", "-Wl,-z,defs"]
-        run(["gcc", *STRICT, SAMPLES, *options, *include, *wrap, *sources.recorder(), "-lm", "-o", library])
+        command = ["gcc", *STRICT, SAMPLES, "-O2", "-ffp-contract=off", "-fPIC", *include]
+        objects = compile_objects(command, sources.recorder(), folder, sources.root)
+        run(["gcc", "-shared", "-Wl,-z,defs", *wrap, *objects, "-lm", "-o", library])
         self._ffi: Any = ffi
         self._lib: Any = ffi.dlopen(str(library))
 
@@ -162,7 +163,7 @@ class Recorder:
             if not lib.record_end():
                 raise TargetError(f"{scenario.name}: {ffi.string(lib.record_problem()).decode()}")
             checks = lib.record_check_values()
-            log = bytes(ffi.buffer(lib.record_log(), 2 * lib.record_log_size()))
+            log = bytes(ffi.buffer(lib.record_log(), lib.record_log_size()))
             return Recording(
                 name=scenario.name,
                 image=bytes(ffi.buffer(lib.record_bytes(), lib.record_size())),

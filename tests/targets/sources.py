@@ -20,10 +20,10 @@ SAMPLES: Final = "-DSERVO_SAMPLES=384"
 """Bytes that recorders have on every target: no more than the smallest one has room for."""
 
 _FOLDERS: Final = ("firmware", "servo_twin/native", "tests/targets/native", "tests/bench/native")
-_REPLAY: Final = ("replay_main", "replay", "replay_hal", "arithmetic", "digest", "trace_model", "trace_reader", "text")
+_REPLAY: Final = ("replay_main", "replay", "replay_hal", "arithmetic", "digest", "trace_reader", "text")
 _IDEAL_BOARD: Final = ("board", "board_ideal", "flash", "ideal_chip", "uart")
 """Of the virtual board's two levels the one that stands on hal.h itself."""
-_RECORDER: Final = ("recorder", "arithmetic", "digest", "trace_model", "trace_writer")
+_RECORDER: Final = ("recorder", "arithmetic", "digest")
 
 
 @dataclass(frozen=True)

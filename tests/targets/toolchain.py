@@ -63,13 +63,19 @@ def run(
     return text
 
 
-def compile_objects(command: Sequence[str], files: Sequence[Path], folder: Path) -> list[Path]:
+def compile_objects(command: Sequence[str], files: Sequence[Path], folder: Path, root: Path) -> list[Path]:
     """Compile C files into a folder, as many at a time as there are processors.
 
     Parameters
     ----------
     command : sequence
         Compiler and options.
+    files : sequence of Path
+        Below `root`.
+    folder : Path
+        For the objects.
+    root : Path
+        Of the sources. Paths below it are passed relative to it: then ccache knows a file in every copy of the sources.
 
     Raises
     ------
@@ -77,9 +83,11 @@ def compile_objects(command: Sequence[str], files: Sequence[Path], folder: Path)
         If the compiler refuses one.
     """
 
+    relative = [word.replace(f"{root}/", "") for word in command]
+
     def compile_one(source: Path) -> Path:
         output = folder / f"{source.parent.name}_{source.stem}.o"
-        run([*command, "-c", source, "-o", output])
+        run([*relative, "-c", source.relative_to(root), "-o", output], folder=root)
         return output
 
     with ThreadPoolExecutor(JOBS) as pool:

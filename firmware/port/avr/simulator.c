@@ -83,8 +83,9 @@ int main(int count, char **words)
     avr_register_io_write(avr, STOP, stop, &status);
     avr_register_io_read(avr, IMAGE_HIGH, image_byte, &image);
 
-    /* The core only: no timer, no interrupt, no peripheral. */
+    /* The core only: no timer, no interrupt, no peripheral. avr_run_one goes on for so many cycles before it returns. */
     while (avr->state == cpu_Running) {
+        avr->run_cycle_count = 1000000;
         avr->pc = avr_run_one(avr);
     }
     free(image.bytes);

@@ -5,21 +5,23 @@
 
 #include "app/variables.h"
 
-/* CRC-32, four bits at a time: reflected polynomial EDB88320. */
-static const uint32_t crc_of_nibble[16] = {
-    UINT32_C(0x00000000), UINT32_C(0x1DB71064), UINT32_C(0x3B6E20C8), UINT32_C(0x26D930AC),
-    UINT32_C(0x76DC4190), UINT32_C(0x6B6B51F4), UINT32_C(0x4DB26158), UINT32_C(0x5005713C),
-    UINT32_C(0xEDB88320), UINT32_C(0xF00F9344), UINT32_C(0xD6D6A3E8), UINT32_C(0xCB61B38C),
-    UINT32_C(0x9B64C2B0), UINT32_C(0x86D3D2D4), UINT32_C(0xA00AE278), UINT32_C(0xBDBDF21C),
-};
+/* CRC-32 with the reflected polynomial EDB88320, a byte at a time. The value of a byte is the sum of those of its bits. */
+#define OF_BIT(byte, bit, value) (((byte) >> (bit) & 1) != 0 ? UINT32_C(value) : 0U)
+#define OF_TWO(byte, bit, low, high) (OF_BIT(byte, bit, low) ^ OF_BIT(byte, (bit) + 1, high))
+#define LOW_BITS(byte) (OF_TWO(byte, 0, 0x77073096, 0xEE0E612C) ^ OF_TWO(byte, 2, 0x076DC419, 0x0EDB8832))
+#define HIGH_BITS(byte) (OF_TWO(byte, 4, 0x1DB71064, 0x3B6E20C8) ^ OF_TWO(byte, 6, 0x76DC4190, 0xEDB88320))
+#define BYTES_1(byte) (LOW_BITS(byte) ^ HIGH_BITS(byte))
+#define BYTES_4(byte) BYTES_1(byte), BYTES_1((byte) + 1), BYTES_1((byte) + 2), BYTES_1((byte) + 3)
+#define BYTES_16(byte) BYTES_4(byte), BYTES_4((byte) + 4), BYTES_4((byte) + 8), BYTES_4((byte) + 12)
+#define BYTES_64(byte) BYTES_16(byte), BYTES_16((byte) + 16), BYTES_16((byte) + 32), BYTES_16((byte) + 48)
+
+static const uint32_t crc_of_byte[256] = {BYTES_64(0), BYTES_64(64), BYTES_64(128), BYTES_64(192)};
 
 uint32_t digest_word(uint32_t value, uint16_t word)
 {
     value ^= word;
-    for (uint16_t nibble = 0; nibble < 4U; nibble++) {
-        value = (value >> 4) ^ crc_of_nibble[value & 15U];
-    }
-    return value;
+    value = (value >> 8) ^ crc_of_byte[value & 0xFFU];
+    return (value >> 8) ^ crc_of_byte[value & 0xFFU];
 }
 
 uint32_t digest_long(uint32_t value, uint32_t word)
@@ -27,11 +29,16 @@ uint32_t digest_long(uint32_t value, uint32_t word)
     return digest_word(digest_word(value, (uint16_t)(word & 0xFFFFU)), (uint16_t)(word >> 16));
 }
 
+static bool in_snapshot(const tsa_entry_t *entry)
+{
+    const uint32_t begin = TSA_VARIABLES_BASE + (uint32_t)offsetof(servo_t, snapshot);
+    return entry->kind == TSA_KIND_RO && entry->address >= begin && entry->address < begin + sizeof(snapshot_t);
+}
+
 bool digest_snapshot_field(const servo_t *servo, uint16_t i, uint32_t *value)
 {
     const tsa_entry_t entry = tsa_entry(&servo_variables, i);
-    const uint32_t begin = TSA_VARIABLES_BASE + (uint32_t)offsetof(servo_t, snapshot);
-    if (entry.kind != TSA_KIND_RO || entry.address < begin || entry.address >= begin + sizeof servo->snapshot) {
+    if (!in_snapshot(&entry)) {
         return false;
     }
     const uint8_t *at = (const uint8_t *)servo + (size_t)(entry.address - TSA_VARIABLES_BASE);
@@ -50,9 +57,9 @@ bool digest_snapshot_field(const servo_t *servo, uint16_t i, uint32_t *value)
     return false; /* the block as a whole */
 }
 
-static uint32_t fold_snapshot(uint32_t crc, const servo_t *servo)
+static uint32_t fold_snapshot(const digest_t *digest, uint32_t crc, const servo_t *servo)
 {
-    for (uint16_t i = 0; i < servo_variables.entries; i++) {
+    for (uint16_t i = digest->first; i < digest->end; i++) {
         uint32_t value;
         if (digest_snapshot_field(servo, i, &value)) {
             crc = digest_long(crc, value);
@@ -66,6 +73,15 @@ void digest_init(digest_t *digest)
     digest->value = DIGEST_START;
     digest->tick = 0;
     digest->periods = 0;
+    digest->first = 0;
+    digest->end = 0;
+    for (uint16_t i = 0; i < servo_variables.entries; i++) {
+        const tsa_entry_t entry = tsa_entry(&servo_variables, i);
+        if (in_snapshot(&entry)) {
+            digest->first = (digest->end == 0U) ? i : digest->first;
+            digest->end = (uint16_t)(i + 1U);
+        }
+    }
 }
 
 void digest_call(digest_t *digest, call_t call, uint16_t axis, uint16_t left, uint16_t missing, const out_log_t *out,
@@ -79,7 +95,7 @@ void digest_call(digest_t *digest, call_t call, uint16_t axis, uint16_t left, ui
         crc = digest_word(crc, out->word[i]);
     }
     if (servo->snapshot.tick != digest->tick) {
-        crc = fold_snapshot(crc, servo);
+        crc = fold_snapshot(digest, crc, servo);
         digest->tick = servo->snapshot.tick;
     }
     if (call == CALL_M2) {

@@ -14,6 +14,8 @@ typedef struct {
     uint32_t value;
     uint32_t tick;    /* of the last snapshot that was taken in */
     uint32_t periods; /* M2 calls so far */
+    uint16_t first;   /* the table's entries of the snapshot lie from here */
+    uint16_t end;     /* to before here */
 } digest_t;
 
 void digest_init(digest_t *digest);

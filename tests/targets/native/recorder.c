@@ -5,16 +5,16 @@
 #include "app/servo.h"
 #include "app/variables.h"
 #include "digest.h"
-#include "trace_writer.h"
+#include "trace.h"
 
 #define CODE_MAX 4095U
 
 /* A vector that grows. */
 typedef struct {
-    uint16_t *word;
+    uint8_t *byte;
     size_t size;
     size_t room;
-} words_t;
+} bytes_t;
 
 typedef struct {
     bool running;
@@ -29,9 +29,9 @@ typedef struct {
     uint16_t index_passed[HAL_AXES]; /* while they were lost */
     trace_call_t call;
     out_log_t out;
-    trace_writer_t writer;
+    bytes_t image;
     digest_t digest;
-    words_t log;
+    bytes_t log;
     uint32_t *check;
     size_t checks;
     size_t check_room;
@@ -39,15 +39,67 @@ typedef struct {
 
 static run_recorder_t recorder;
 
+/* ---- memory ----------------------------------------------------------------------------------------------------- */
+
+static void *grown(void *memory, size_t count, size_t size, size_t *room)
+{
+    if (count < *room) {
+        return memory;
+    }
+    const size_t more = 2 * *room + 1024;
+    void *larger = realloc(memory, more * size);
+    if (larger == NULL) {
+        recorder.problem = "out of memory";
+        return NULL;
+    }
+    *room = more;
+    return larger;
+}
+
+static void put_byte(bytes_t *bytes, uint32_t byte)
+{
+    uint8_t *memory = (uint8_t *)grown(bytes->byte, bytes->size, sizeof *memory, &bytes->room);
+    if (memory != NULL) {
+        bytes->byte = memory;
+        bytes->byte[bytes->size++] = (uint8_t)byte;
+    }
+}
+
+static void put_word(bytes_t *bytes, uint32_t word)
+{
+    put_byte(bytes, word);
+    put_byte(bytes, word >> 8);
+}
+
+static void put_long(bytes_t *bytes, uint32_t value)
+{
+    put_word(bytes, value);
+    put_word(bytes, value >> 16);
+}
+
+/* trace.h */
+static void record_call(void)
+{
+    put_byte(&recorder.image, (uint32_t)recorder.call.call);
+    put_byte(&recorder.image, recorder.call.axis);
+    put_byte(&recorder.image, recorder.call.size);
+    for (uint16_t i = 0; i < recorder.call.size; i++) {
+        put_word(&recorder.image, recorder.call.in[i]);
+    }
+}
+
 /* ---- control ---------------------------------------------------------------------------------------------------- */
 
 void record_begin(uint32_t check_every)
 {
-    trace_writer_free(&recorder.writer);
+    free(recorder.image.byte);
     free(recorder.check);
-    free(recorder.log.word);
+    free(recorder.log.byte);
     recorder = (run_recorder_t){.check_every = check_every};
-    trace_writer_open(&recorder.writer, check_every);
+    put_long(&recorder.image, TRACE_NAME);
+    put_long(&recorder.image, check_every);
+    put_long(&recorder.image, UINT32_MAX); /* print nothing */
+    put_long(&recorder.image, 0);
     digest_init(&recorder.digest);
     recorder.running = true;
 }
@@ -55,10 +107,8 @@ void record_begin(uint32_t check_every)
 bool record_end(void)
 {
     recorder.running = false;
-    trace_writer_close(&recorder.writer);
-    if (recorder.writer.failed && recorder.problem == NULL) {
-        recorder.problem = "out of memory, or more kinds of calls than the format has room for";
-    }
+    recorder.call = (trace_call_t){.call = CALL_END};
+    record_call();
     return recorder.problem == NULL;
 }
 
@@ -72,14 +122,14 @@ void record_disturb(uint16_t axes, uint32_t one_in, uint32_t seed)
 void record_lose_index(bool lost) { recorder.index_lost = lost; }
 
 const char *record_problem(void) { return (recorder.problem != NULL) ? recorder.problem : ""; }
-size_t record_size(void) { return recorder.writer.size; }
-const uint8_t *record_bytes(void) { return recorder.writer.bytes; }
+size_t record_size(void) { return recorder.image.size; }
+const uint8_t *record_bytes(void) { return recorder.image.byte; }
 uint32_t record_periods(void) { return recorder.digest.periods; }
 uint32_t record_digest(void) { return recorder.digest.value; }
 size_t record_checks(void) { return recorder.checks; }
 const uint32_t *record_check_values(void) { return recorder.check; }
 size_t record_log_size(void) { return recorder.log.size; }
-const uint16_t *record_log(void) { return recorder.log.word; }
+const uint8_t *record_log(void) { return recorder.log.byte; }
 
 /* ---- disturbance ------------------------------------------------------------------------------------------------ */
 
@@ -142,59 +192,29 @@ static void out1(out_t operation, uint16_t axis, uint16_t word)
     out_word(&recorder.out, word);
 }
 
-static void *grown(void *memory, size_t count, size_t size, size_t *room)
-{
-    if (count < *room) {
-        return memory;
-    }
-    const size_t more = 2 * *room + 1024;
-    void *larger = realloc(memory, more * size);
-    if (larger == NULL) {
-        recorder.problem = "out of memory";
-        return NULL;
-    }
-    *room = more;
-    return larger;
-}
-
-static void log_word(uint32_t word)
-{
-    words_t *log = &recorder.log;
-    uint16_t *words = (uint16_t *)grown(log->word, log->size, sizeof *words, &log->room);
-    if (words != NULL) {
-        log->word = words;
-        log->word[log->size++] = (uint16_t)word;
-    }
-}
-
-static void log_long(uint32_t value)
-{
-    log_word(value & 0xFFFFU);
-    log_word(value >> 16);
-}
-
 static void log_call(uint32_t period, const servo_t *servo, bool fresh)
 {
-    log_long(period);
-    log_word((uint32_t)recorder.call.call);
-    log_word(recorder.call.axis);
-    log_word(recorder.out.size);
+    put_long(&recorder.log, period);
+    put_word(&recorder.log, (uint32_t)recorder.call.call);
+    put_word(&recorder.log, recorder.call.axis);
+    put_word(&recorder.log, recorder.out.size);
     for (uint16_t i = 0; i < recorder.out.size; i++) {
-        log_word(recorder.out.word[i]);
+        put_word(&recorder.log, recorder.out.word[i]);
     }
     const size_t count_at = recorder.log.size;
     uint16_t count = 0;
-    log_word(0);
+    put_word(&recorder.log, count);
     for (uint16_t i = 0; fresh && i < servo_variables.entries; i++) {
         uint32_t value;
         if (digest_snapshot_field(servo, i, &value)) {
-            log_word(i);
-            log_long(value);
+            put_word(&recorder.log, i);
+            put_long(&recorder.log, value);
             count++;
         }
     }
     if (recorder.problem == NULL) {
-        recorder.log.word[count_at] = count;
+        recorder.log.byte[count_at] = (uint8_t)count;
+        recorder.log.byte[count_at + 1U] = (uint8_t)(count >> 8);
     }
 }
 
@@ -230,7 +250,7 @@ static void end(const servo_t *servo)
         recorder.problem = "one call wrote more than EXCHANGE_OUT_MAX words";
         return;
     }
-    trace_writer_put(&recorder.writer, &recorder.call);
+    record_call();
     const uint32_t period = recorder.digest.periods;
     log_call(period, servo, servo->snapshot.tick != recorder.digest.tick);
     digest_call(&recorder.digest, recorder.call.call, recorder.call.axis, 0, 0, &recorder.out, servo);

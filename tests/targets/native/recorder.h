@@ -25,10 +25,11 @@ uint32_t record_digest(void);
 size_t record_checks(void);
 const uint32_t *record_check_values(void);
 
-/* All calls with what they did, one after the other: period (low word first), kind, axis, number of words out, words
- * out, number of snapshot scalars (0 without a new snapshot), and for each its index and value (low word first). */
-size_t record_log_size(void);
-const uint16_t *record_log(void);
+/* All calls with what they did, one after the other, in words of two bytes, low one first: period (low word first), kind,
+ * axis, number of words out, words out, number of snapshot scalars (0 without a new snapshot), and for each its index and
+ * value (low word first). */
+size_t record_log_size(void); /* bytes */
+const uint8_t *record_log(void);
 
 /* Let the core see something else than the board shows: of the axes in the mask, each current and offset code, each
  * captured edge and its age is replaced by a random one once in `one_in` reads, and so is the code of the bus; 0 ends

@@ -1,7 +1,7 @@
 """What boards go through while they are recorded: together every state, mode, fault and limit of the firmware.
 
-Each begins with a board that has just been switched on, and is short: a simulator of a small machine needs ten seconds
-for each second of it, and has to hold the recording in its flash.
+Each begins with a board that has just been switched on, and is short: a simulator of a small machine needs three
+seconds for each second of it.
 """
 
 from __future__ import annotations
