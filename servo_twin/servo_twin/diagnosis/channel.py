@@ -138,7 +138,7 @@ class Channel(Generic[_Sample]):
             self._calm(sums)
             return
         self._age += 1
-        if misfit and not enough:
+        if not left and (misfit or found.rest <= self._detect):
             return
         finding = self._finding(found, left, tick)
         if finding is None:

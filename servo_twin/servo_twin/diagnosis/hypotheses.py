@@ -25,6 +25,13 @@ def _flux_lost(sine: float | _Array) -> _Array:
     return np.asarray(np.sqrt(np.maximum(1.0 - np.square(sine), 0.0)) - 1.0)
 
 
+def _largest_part(sums: Sums, block: int, change: int, value: float) -> float:
+    """Part of the evidence for a change since a block that one block alone contributes, from 0 to 1."""
+    since = value * sums.b[block:, change] - 0.5 * value**2 * sums.a[block:, change, change]
+    alone = since - np.append(since[1:], 0.0)
+    return float(min(alone.max() / since[0], 1.0)) if since[0] > 0.0 else 1.0
+
+
 @dataclass(frozen=True)
 class Evidence:
     """What a window says.
@@ -39,6 +46,8 @@ class Evidence:
         Its estimate and standard deviation.
     ratio : float
         Logarithm of its likelihood ratio against no change.
+    rest : float
+        The same without the block that contributes most: a single outlier is no change.
     rival : int
         The change that explains most after it, alone.
     rival_ratio : float
@@ -57,6 +66,7 @@ class Evidence:
     value: float
     deviation: float
     ratio: float
+    rest: float
     rival: int
     rival_ratio: float
     second: int
@@ -129,7 +139,7 @@ class Unknowns:
         a, b = sums.a[block], sums.b[block]
         if not a[change, change] > 0.0:
             none = np.zeros(len(self.names))
-            return Evidence(since, block, change, 0.0, float("inf"), 0.0, change, 0.0, change, 0.0, none, none)
+            return Evidence(since, block, change, 0.0, float("inf"), 0.0, 0.0, change, 0.0, change, 0.0, none, none)
         value = float(values[block, change])
         vector = self.vector(change, value)
         left = b - a @ vector
@@ -151,6 +161,7 @@ class Unknowns:
             value,
             float(self.spread[change] / np.sqrt(a[change, change])),
             float(ratios[block, change]),
+            float(ratios[block, change]) * (1.0 - _largest_part(sums, block, change, value)),
             rival,
             float(max(rivals[rival], 0.0)),
             second,
