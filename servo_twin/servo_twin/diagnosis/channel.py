@@ -10,7 +10,7 @@ from typing import Final, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_twin.diagnosis.hypotheses import Evidence, Unknowns
+from servo_twin.diagnosis.hypotheses import ENCODER_ANGLE, Evidence, Unknowns
 from servo_twin.diagnosis.window import Rows, Sums, Window
 
 __all__ = ["Channel", "Estimate", "Finding", "Kind"]
@@ -19,7 +19,8 @@ _INTERVAL: Final = 1.96  # of 95 %
 _SEPARATE: Final = 6.0  # by which the likelihood of the change that is named exceeds that of any other,
 _SEPARATE_PART: Final = 0.1  # and by which part of itself
 _SEVERAL_AFTER: Final = 4  # blocks of signs after which several changes are named,
-_UNKNOWN_AFTER: Final = 20  # and a residual that no change explains: beats of the aliased ripple last 0.5 s at times
+_SLIP_AFTER: Final = 10  # an angle of the encoder: beats of the ripple in voltage d last up to 0.5 s,
+_UNKNOWN_AFTER: Final = 20  # and a residual that no change explains
 _AMBIGUOUS: Final = 30  # blocks after which changes that cannot be told apart are named together
 _SEVERAL: Final = 0.02  # part of what the first change explains that its own nonlinearity may leave to others
 _LEFT: Final = 0.1  # part of the residual that a single change may leave, whatever the noise
@@ -214,7 +215,8 @@ class Channel(Generic[_Sample]):
             both = tuple(sorted((single, names[found.second])))
             return Finding(Kind.SEVERAL, both, *known) if self._age >= _SEVERAL_AFTER else None
         if found.ratio - found.rival_ratio > _SEPARATE + _SEPARATE_PART * found.ratio:
-            return Finding(Kind.SINGLE, (single,), *known)
+            sure = single != ENCODER_ANGLE or self._age >= _SLIP_AFTER
+            return Finding(Kind.SINGLE, (single,), *known) if sure else None
         if self._age > _AMBIGUOUS:
             return Finding(Kind.ONE_OF, (single, names[found.rival]), *known)
         return None

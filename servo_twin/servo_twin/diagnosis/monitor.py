@@ -32,7 +32,7 @@ PLANT_VALUES: Final[Mapping[str, str]] = {
 }
 """Name in the plant file of what can change, of an axis but for the supply."""
 
-MARGINS: Final = (0.02, 0.01, 0.02, 0.02, 5e-5, 0.01)
+MARGINS: Final = (0.02, 0.01, 0.02, 0.02, 1e-4, 0.01)
 """Per change of an axis, see `Unknowns.margins`."""
 
 _SPEED_MAX: Final = 260.0
