@@ -51,7 +51,7 @@ def pytest_testnodedown(node: Any, error: object) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """A crashed process, or a skipped test where every tool has to be there: not repaired by repeating the failed tests."""
+    """A crashed process, or a test skipped where every tool has to be there: repeating failed tests does not repair it."""
     if _skipped_in_vain(session.config) or session.config.stash.get(_CRASHED, False):
         session.exitstatus = pytest.ExitCode.INTERNAL_ERROR
 
