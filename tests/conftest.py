@@ -51,8 +51,9 @@ def pytest_testnodedown(node: Any, error: object) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """A crashed process, or a test skipped where every tool has to be there: repeating failed tests does not repair it."""
-    if _skipped_in_vain(session.config) or session.config.stash.get(_CRASHED, False):
+    """A crashed process, or a test skipped where every tool has to be there; to repeat failed tests does not help."""
+    crashed = session.config.stash.get(_CRASHED, False)
+    if crashed or _skipped_in_vain(session.config):
         session.exitstatus = pytest.ExitCode.INTERNAL_ERROR
 
 
