@@ -365,6 +365,11 @@ class Rig:
         assert self.bridge.supervisor is not None
         return self.bridge.supervisor._set_points.figures.accepted
 
+    def last_rejection(self) -> str:
+        """The latest one, whether the log has it or not."""
+        assert self.bridge.supervisor is not None
+        return self.bridge.supervisor._set_points.figures.last_rejection
+
     def rejections(self) -> list[str]:
         return [text for text in self.logs() if text.startswith("rejected")]
 
