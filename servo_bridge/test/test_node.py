@@ -268,14 +268,13 @@ def test_a_stream_of_wrong_commands_does_not_flood_the_log(rig: Rig) -> None:
     rig.ready()
     for k in range(60):
         rig.joint_commands.publish(JointState(name=[f"joint{k}"], position=[0.0]))
-        rig.executor.spin_once(timeout_sec=0.0)
-    rig.until(lambda: "joint59" in rig.last_rejection())
+        rig.until(lambda name=f"'joint{k}'": name in rig.last_rejection())  # the queue of the topic takes ten
     status = rig.diagnosis("commands")
     assert status.level == b"\x01"
     assert "rejected: joint_commands: joint 'joint59'" in status.message
     rig.commands.publish(Float64MultiArray(data=[0.0] * 9))  # throttled by itself, and logged after all others
     rig.until(lambda: any("commands: 9 values" in text for text in rig.rejections()))
-    assert 15 <= sum("'joint" in text for text in rig.rejections()) <= 30
+    assert 20 <= sum("'joint" in text for text in rig.rejections()) <= 30
 
 
 # ---- services
