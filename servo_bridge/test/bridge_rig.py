@@ -365,10 +365,10 @@ class Rig:
         assert self.bridge.supervisor is not None
         return self.bridge.supervisor._set_points.figures.accepted
 
-    def last_rejection(self) -> str:
-        """The latest one, whether the log has it or not."""
+    def was_rejected(self, name: str) -> bool:
+        """Whether the latest rejection, logged or not, is of this joint."""
         assert self.bridge.supervisor is not None
-        return self.bridge.supervisor._set_points.figures.last_rejection
+        return f"'{name}'" in self.bridge.supervisor._set_points.figures.last_rejection
 
     def rejections(self) -> list[str]:
         return [text for text in self.logs() if text.startswith("rejected")]
