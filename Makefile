@@ -104,7 +104,7 @@ fuzz: $(VENV)/.packages ## libFuzzer (clang) on the FreeMASTER server for FUZZ_S
 	@$(BIN)/python firmware/test/freemaster_fuzz.py --seconds $(or $(FUZZ_SECONDS),600)
 
 # Tests in real time run two at a time, each in a ROS domain of its own. Two chains of processes may overload two cores for a
-# moment: what fails is run once more, alone. Status 5: no test was chosen.
+# moment: what fails is run once more, alone. Status 1: tests failed; 5: no test was chosen.
 test: $(VENV)/.native $(VENV)/.dev ## every check and every test
 	@status=0; $(MAKE) --no-print-directory lint || { status=1; echo "make lint fails (above)"; }; \
 	run() { echo "== pytest: $$1"; shift; $(BIN)/python -m pytest $(TIMEOUTS) $(PYTEST_ARGS) "$$@"; result=$$?; }; \
@@ -112,9 +112,8 @@ test: $(VENV)/.native $(VENV)/.dev ## every check and every test
 	[ $$result -eq 0 ] || [ $$result -eq 5 ] || status=1; \
 	set -- -m "realtime$(if $(MARKS), and ($(MARKS)))" $(REALTIME); \
 	run "in real time" "$$@" -n 2 --dist loadfile --max-worker-restart 1; \
-	[ $$result -eq 0 ] || [ $$result -eq 5 ] || { \
-	run "what failed in real time, alone" "$$@" --last-failed --last-failed-no-failures none; \
-	[ $$result -eq 0 ] || status=1; }; \
+	if [ $$result -eq 1 ]; then run "what failed in real time, alone" "$$@" --last-failed; [ $$result -eq 0 ] || status=1; \
+	elif [ $$result -ne 0 ] && [ $$result -ne 5 ]; then status=1; fi; \
 	exit $$status
 
 # The checks of the C sources run beside those of Python; their output comes last.

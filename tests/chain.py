@@ -241,7 +241,7 @@ class Chain:
     def tool(self, *arguments: str) -> str:
         """Run a command of ``servo-tool`` in this process, past the bridge, which must not be running."""
         output = io.StringIO()
-        with contextlib.redirect_stdout(output):
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
             status = tool.main(["--port", str(self.port), "--baud", str(self.baud), *arguments])
         assert status == 0, output.getvalue()
         return output.getvalue()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 from targets.comparison import Expectation
@@ -29,6 +30,9 @@ ALLOWED = (
 """Reasons that are not the want of a tool."""
 
 
+_CRASHED = pytest.StashKey[bool]()
+
+
 def _skipped_in_vain(config: pytest.Config) -> list[str]:
     """Reasons for which tests were skipped where every tool has to be there."""
     reporter = config.pluginmanager.get_plugin("terminalreporter")
@@ -38,11 +42,19 @@ def _skipped_in_vain(config: pytest.Config) -> list[str]:
     return sorted(reasons - set(ALLOWED))
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any, error: object) -> None:
+    """A process of pytest-xdist has ended; with an error, some tests may not have been run."""
+    if error:
+        node.config.stash[_CRASHED] = True
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Continuous integration has every tool: there a skipped test, wherever it lies, is a failure."""
-    if _skipped_in_vain(session.config):
-        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+    """A crashed process, or a test skipped where every tool has to be there; to repeat failed tests does not help."""
+    crashed = session.config.stash.get(_CRASHED, False)
+    if crashed or _skipped_in_vain(session.config):
+        session.exitstatus = pytest.ExitCode.INTERNAL_ERROR
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:

@@ -6,7 +6,7 @@ import itertools
 import math
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
 from chain import FAST, Chain, Process, User, followed_board, user, wait_for
-from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import from_stamp, snapshot_table
 from servo_msgs_py.runtime.qos import command_qos, latched_qos
@@ -83,11 +82,6 @@ def go(me: User, *targets: float) -> None:
     """Move both axes to targets [rad] and wait until they are there."""
     me.joint_commands.publish(JointState(name=BOTH, position=list(targets)))
     me.until(reached(me, *targets), 10.0, f"not at {targets}")
-
-
-def quickest(stamps: Sequence[int], count: int) -> int:
-    """Shortest time in which so many samples came [ns]: the machine may be busy with other things meanwhile."""
-    return min(later - sooner for sooner, later in zip(stamps, stamps[count:], strict=False))
 
 
 class TestNormalWork:
@@ -277,23 +271,6 @@ def square() -> JointTrajectory:
     return JointTrajectory(joint_names=BOTH, points=points)
 
 
-def follow_square(me: User, trajectories: Publisher) -> None:
-    """Publish the square, again if a busy machine held up the bridge until its points were in the past of the board."""
-    for _ in range(10):
-        said = len(me.messages["/rosout"])
-        trajectories.publish(square())
-
-        def refused(said: int = said) -> bool:
-            return any("refused points of a trajectory: PAST" in m.msg for m in me.messages["/rosout"][said:])
-
-        def decided() -> bool:
-            return me.position_of(1) < -0.9 * TURN or refused()
-
-        me.until(decided, 10.0)
-        if not refused():
-            return
-
-
 RECORDED = ("axis1.i_a", "axis1.i_q", "axis1.position", "axis2.duty_a")
 
 
@@ -354,7 +331,8 @@ class TestTwinOfTheSameBoard:
                 bursts.exactly_zero()
             trajectories = me.node.create_publisher(JointTrajectory, "/servo/joint_trajectory", command_qos())
             me.until(trajectories.get_subscription_count)
-            follow_square(me, trajectories)
+            trajectories.publish(square())
+            me.until(lambda: me.position_of(1) < -0.9 * TURN, 10.0)
             me.until(reached(me, 0.0, 0.0), 10.0)
             end = from_stamp(me.messages["/servo/joint_states"][-1].header.stamp)
             residuals = me.messages["/twin/residual"]
@@ -450,7 +428,8 @@ class TestTrouble:
                 me.seconds(1.0)
                 stamps = [from_stamp(m.header.stamp) for m in me.messages["/servo/joint_states"][start:]]
                 # A line of 115200 baud carries 133 samples/s; the full rate is measured by tests/bench/telemetry.py.
-                assert 20.0 / (quickest(stamps, 20) * 1e-9) >= 160.0
+                # The median: the machine may be busy with other things meanwhile.
+                assert np.median(np.diff(stamps)) <= 1e9 / 160.0
                 me.until(lambda: me.last("/twin/healthy") is True)
         finally:
             fast.end()

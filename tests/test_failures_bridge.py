@@ -171,6 +171,16 @@ class Rig:
         """Ask for nothing any more."""
         self._commander.cancel()
 
+    def set_timeouts(self, host: float, command: float) -> None:
+        """Set both time-outs [s]; set-points end, for they go before parameters and leave a slow line no room."""
+        self.hush()
+        said = len(self.me.messages["/rosout"])
+        done, reason = self.me.set_board_parameters(f"param.host_timeout={host}", f"param.command_timeout={command}")
+        assert done, reason
+        self.me.until(
+            lambda: any("param.command_timeout: " in m.msg for m in self.me.messages["/rosout"][said:]), 15.0, "not set"
+        )
+
     # ---- what is seen
     @property
     def state(self) -> str:
@@ -386,28 +396,27 @@ class TestRows:
     def test_bridge_restarted(self, rig: Rig) -> None:
         """The next one comes before the board misses the first one: it stops what it finds moving."""
         bridge = rig.turning()
-        rig.hush()  # set-points go before parameters, and leave them no room on a slow line
-        said = len(rig.me.messages["/rosout"])
-        done, reason = rig.me.set_board_parameters("param.host_timeout=20", "param.command_timeout=0")
-        assert done, reason
-        rig.me.until(lambda: any("param.command_timeout: " in m.msg for m in rig.me.messages["/rosout"][said:]), 15.0)
-        rig.turning()
-        before = rig.last
-        bridge.kill()
-        rig.start_bridge()
-        rows = rig.me.rows(rig.mark())
-        stop = rows[0]["applied_tick"]  # nothing else is carried out since the stop with which the bridge begins
-        ahead = SPEED * (seconds(stop - before["tick"]) + RAMP / 2)
-        assert travel([before, rows[-1]]) == pytest.approx(ahead, abs=0.02 * SPEED)
-        assert all(rests(row) for row in rows if seconds(row["tick"] - stop) > RAMP + SETTLING)
-        rig.me.seconds(0.1)
-        rig.stays()
-        assert rig.state == SPIN
-        assert fault_names(rig.last) == [[], []]
-        rig.comes_back_by_command_only()
+        try:
+            rig.set_timeouts(host=20.0, command=0.0)
+            assert rig.state == SPIN, fault_names(rig.last)
+            rig.turn()
+            before = rig.last
+            bridge.kill()
+            rig.start_bridge()
+            rows = rig.me.rows(rig.mark())
+            stop = rows[0]["applied_tick"]  # nothing else is carried out since the stop with which the bridge begins
+            ahead = SPEED * (seconds(stop - before["tick"]) + RAMP / 2)
+            assert travel([before, rows[-1]]) == pytest.approx(ahead, abs=0.02 * SPEED)
+            assert all(rests(row) for row in rows if seconds(row["tick"] - stop) > RAMP + SETTLING)
+            rig.me.seconds(0.1)
+            rig.stays()
+            assert rig.state == SPIN
+            assert fault_names(rig.last) == [[], []]
+            rig.comes_back_by_command_only()
+        finally:
+            rig.set_timeouts(host=TIMEOUT, command=TIMEOUT)
 
     def test_board_power_cycled(self, rig: Rig) -> None:
-        """This ends what the row before has set, too."""
         rig.turning()
         rig.board.kill()
         rig.me.until(lambda: rig.me.last("/servo/state").startswith("DISCONNECTED"))

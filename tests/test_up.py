@@ -16,8 +16,8 @@ import pytest
 from chain import DOMAIN, user
 from sensor_msgs.msg import JointState
 from servo_msgs_py.runtime.end_with_parent import bound_to_us
-from servo_twin.processes import executable
-from servo_twin.up import main, parser
+from servo_twin.processes import Child, executable
+from servo_twin.up import Stack, main, parser
 
 from servo_twin import up as up_module
 
@@ -31,9 +31,15 @@ IDEAL = ("--level", "ideal")
 NOT_CONNECTED = """
 from servo_twin import up
 from servo_twin.processes import wait_until
-up.Stack.wait = lambda stack, child, *_: not wait_until(lambda: "no port" in child.text(), stack.children, 60.0)
+
+def wait_from_no_port_on(stack, child, *what):
+    wait_until(lambda: "no port" in child.text(), stack.children, 60.0)
+    return wait(stack, child, *what)
+
+up._CONNECT_TIMEOUT, wait = 0.5, up.Stack.wait
+up.Stack.wait = wait_from_no_port_on
 """
-"""Ends the wait for a connection as soon as the bridge says that there is no port."""
+"""The wait for a connection begins when the bridge has said that there is no port, and is short."""
 BOTH = ["axis1", "axis2"]
 
 
@@ -200,14 +206,36 @@ def test_sigterm_ends_the_demonstration_while_it_moves(started: list[Up], tmp_pa
 def test_ctrl_c_while_the_picture_is_drawn_leaves_the_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The children have been stopped then: here they have never been started."""
+    """The children have been stopped then."""
     record = tmp_path / "demo.rrd"
-    monkeypatch.setattr(up_module, "_bring_up", lambda *_: record.touch())
+    children: list[Child] = []
+
+    def bring_up(stack: Stack, *_: object) -> None:
+        record.touch()
+        children.append(stack.start("sleep", "60"))
+
+    def finish(*_: object) -> None:
+        assert [child.running for child in children] == [False]
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(up_module, "_bring_up", bring_up)
     monkeypatch.setattr(up_module, "_run_demo", lambda *_: 0)
-    monkeypatch.setattr(up_module, "_finish_demo", lambda *_: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr(up_module, "_finish_demo", finish)
     assert main(["--demo", "--out", str(tmp_path)]) == 130
     assert f"stopped; the recording is in {record}, the picture was not drawn" in capsys.readouterr().out
     assert record.exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_is_an_orderly_end_unless_it_interrupts_the_demonstration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    monkeypatch.setattr(up_module, "_refuse_a_second", lambda *_: None)
+    monkeypatch.setattr(up_module, "_bring_up", lambda *_: None)
+    monkeypatch.setattr(up_module, "_stay", lambda *_: signal.raise_signal(number))
+    monkeypatch.setattr(up_module, "_run_demo", lambda *_: signal.raise_signal(number))
+    assert main(["--out", str(tmp_path)]) == 0
+    assert main(["--demo", "--out", str(tmp_path)]) == 130
 
 
 def test_help_names_every_option() -> None:

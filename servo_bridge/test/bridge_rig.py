@@ -365,6 +365,11 @@ class Rig:
         assert self.bridge.supervisor is not None
         return self.bridge.supervisor._set_points.figures.accepted
 
+    def was_rejected(self, name: str) -> bool:
+        """Whether the latest rejection, logged or not, is of this joint."""
+        assert self.bridge.supervisor is not None
+        return f"'{name}'" in self.bridge.supervisor._set_points.figures.last_rejection
+
     def rejections(self) -> list[str]:
         return [text for text in self.logs() if text.startswith("rejected")]
 

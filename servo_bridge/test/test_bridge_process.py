@@ -185,8 +185,10 @@ def test_an_absent_port_and_a_wrong_board_are_named_once_each_and_the_node_lives
             servo.put("catalogue_hash", CATALOGUE.hash)
             bridge.until(lambda: bridge.state() == "axis1=STOP axis2=STOP")
             assert len(bridge.errors()) == 2, bridge.log()
+            bridge.enable()
             bridge.process.send_signal(signal.SIGTERM)
             assert bridge.process.wait(15) == 0
+            assert servo.command_writes()[-1] == ("cmd.enable", 0, b"\0\0\0\0")
             assert "Traceback" not in bridge.log()
 
 

@@ -117,9 +117,67 @@ def test_what_no_equation_has_is_unknown() -> None:
     unknowns = Unknowns(("one", "two"), np.array([0.01, 0.01]), np.ones(2))
     channel = Channel(unknowns, 10.0, np.array([2.0]), np.empty(0), rows)
     draw = np.random.default_rng(1)
+    said: list[Kind | None] = []
     for tick in range(0, 400_000, 136):
         phi = draw.normal(size=(1, 2))
-        channel.add(tick, 0.0085, (draw.normal() * 3.0, phi))
+        if channel.add(tick, 0.0085, (draw.normal() * 3.0, phi)):
+            said.append(channel.finding.kind if channel.finding else None)
+    assert set(said) == {None, Kind.UNKNOWN}
+    assert said.count(Kind.UNKNOWN) > len(said) // 2
+
+
+BLOCK_SAMPLES = 12  # of 0.1 s
+WHITE = np.random.default_rng(3).normal(size=100 * BLOCK_SAMPLES)
+
+
+Simple = Channel[tuple[float, NDArray[np.float64]]]
+
+
+def named(channel: Simple, left: NDArray[np.float64], change: int = 0) -> int | None:
+    """Block in which a channel first names something, when one unknown alone moves, with these left sides."""
+    phi = np.zeros((1, 2))
+    phi[0, change] = 1.0
+    for number, y in enumerate(left):
+        channel.add(136 * number, 0.1 / BLOCK_SAMPLES, (float(y), phi))
+        if channel.finding is not None:
+            return number // BLOCK_SAMPLES
+    return None
+
+
+def two(*names: str) -> Simple:
+    return Channel(Unknowns(names, np.array([0.01, 0.01]), np.ones(2)), 10.0, np.array([9.0]), np.empty(0), rows)
+
+
+@pytest.mark.parametrize("change", [0, 1])
+def test_a_single_outlier_is_no_change_but_the_same_evidence_of_several_blocks_is(change: int) -> None:
+    outlier, shift = WHITE.copy(), WHITE.copy()
+    outlier[400] += 20.0
+    shift[400:] += 1.0
+    assert named(two("flux", "friction"), outlier, change) is None
+    block = named(two("flux", "friction"), shift, change)
+    assert block is not None
+    assert 400 // BLOCK_SAMPLES < block < 400 // BLOCK_SAMPLES + 10
+
+
+@pytest.mark.parametrize("before", [0.0, 20.0])
+def test_a_slip_and_an_unknown_cause_have_to_last(before: float) -> None:
+    """Also after an outlier, which is a sign of a change for as long as the window holds it."""
+    begin, second = 40 * BLOCK_SAMPLES, 10 * BLOCK_SAMPLES
+    short, slip, noise = WHITE.copy(), WHITE.copy(), WHITE.copy()
+    for left in (short, slip, noise):
+        left[begin - second] += before
+    short[begin : begin + second // 2] += 1.5
+    slip[begin:] += 1.5
+    noise[begin:] *= 6.0
+    assert named(two("flux", "encoder_angle"), short, 1) is None
+    assert named(two("flux", "friction"), short) is not None
+    block = named(two("flux", "encoder_angle"), slip, 1)
+    assert block is not None
+    assert block >= 40 + 9
+    channel = two("flux", "friction")
+    block = named(channel, noise)
+    assert block is not None
+    assert block >= 40 + 19
     assert channel.finding is not None
     assert channel.finding.kind is Kind.UNKNOWN
 

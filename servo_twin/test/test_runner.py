@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import importlib
 import json
 import os
@@ -229,3 +230,12 @@ def test_a_trial_of_the_fault_campaign_is_the_same_in_another_process(number: in
     for it in ("seed", "number", "motor", "plant", "motors"):
         assert getattr(other, it) == getattr(trial, it), it
     assert (other.state.name, other.damage.text) == (trial.state.name, trial.damage.text)
+    changes: tuple[dict[str, Any], ...] = (
+        {"nominal": None},
+        {"plant": PlantConfig.load()},
+        {"state": dataclasses.replace(trial.state, name="as said")},
+        {"damage": dataclasses.replace(trial.damage, text="as said")},
+    )
+    for change in changes:
+        with pytest.raises(TypeError, match="only a drawn trial can travel"):
+            pickle.dumps(dataclasses.replace(trial, **change))

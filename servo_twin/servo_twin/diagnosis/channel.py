@@ -18,10 +18,6 @@ __all__ = ["Channel", "Estimate", "Finding", "Kind"]
 _INTERVAL: Final = 1.96  # of 95 %
 _SEPARATE: Final = 6.0  # by which the likelihood of the change that is named exceeds that of any other,
 _SEPARATE_PART: Final = 0.1  # and by which part of itself
-_SEVERAL_AFTER: Final = 4  # blocks of signs after which several changes are named,
-_SLIP_AFTER: Final = 10  # an angle of the encoder: beats of the ripple in voltage d last up to 0.5 s,
-_UNKNOWN_AFTER: Final = 20  # and a residual that no change explains
-_AMBIGUOUS: Final = 30  # blocks after which changes that cannot be told apart are named together
 _SEVERAL: Final = 0.02  # part of what the first change explains that its own nonlinearity may leave to others
 _LEFT: Final = 0.1  # part of the residual that a single change may leave, whatever the noise
 _ENOUGH: Final = 5  # blocks from which a mean square is one
@@ -80,6 +76,11 @@ class Estimate:
     half_width: float
 
 
+_BLOCKS_MIN: Final = {Kind.SINGLE: 1, Kind.SEVERAL: 4, Kind.UNKNOWN: 20, Kind.ONE_OF: 30}
+"""For how many blocks something has to be the most likely before it is said."""
+_SLIP_BLOCKS_MIN: Final = 10  # the same of an encoder's angle: beats of the ripple in voltage d last up to 0.5 s
+
+
 class Channel(Generic[_Sample]):
     """One set of equations: those of an axis, or that of the bus.
 
@@ -113,13 +114,19 @@ class Channel(Generic[_Sample]):
         self._unexplained = unexplained
         self._window = Window(len(unknowns.names), prior, rows)
         self._age = 0  # blocks since the first sign of a change
+        self._likely: tuple[Kind, tuple[str, ...]] | None = None
+        self._likely_blocks = 0  # for which that has been the most likely
         self.finding: Finding | None = None
 
     def clear(self) -> None:
         """Begin anew: the twin has another plant."""
         self._window.clear()
-        self._age = 0
-        self.finding = None
+        self._end()
+
+    def _end(self) -> None:
+        """Nothing has changed, or not any more."""
+        self._age = self._likely_blocks = 0
+        self._likely = self.finding = None
 
     def add(self, tick: int, seconds: float, sample: _Sample) -> bool:
         """Add a sample; returns whether there is something new to say. Arguments as of `Window.add`."""
@@ -142,7 +149,7 @@ class Channel(Generic[_Sample]):
         if not left and (misfit or found.rest <= self._detect):
             return
         finding = self._finding(found, left, tick)
-        if finding is None:
+        if not self._lasts(finding):
             return
         if self.finding is not None:
             same = finding.changes == self.finding.changes and finding.kind == self.finding.kind
@@ -155,6 +162,14 @@ class Channel(Generic[_Sample]):
         self.finding = finding
         if found.since and len(sums.samples) - found.since >= _SETTLED:
             self._window.forget_before(found.since)
+
+    def _lasts(self, finding: Finding) -> bool:
+        """Whether this has been the most likely for long enough."""
+        likely = finding.kind, finding.changes if finding.kind is Kind.SINGLE else ()
+        self._likely_blocks = self._likely_blocks + 1 if likely == self._likely else 1
+        self._likely = likely
+        slip = finding.kind is Kind.SINGLE and finding.changes == (ENCODER_ANGLE,)
+        return self._likely_blocks >= (_SLIP_BLOCKS_MIN if slip else _BLOCKS_MIN[finding.kind])
 
     def _forget_what_is_over(self) -> None:
         """Keep only what has come since the change that is known has become another one, or none."""
@@ -192,7 +207,7 @@ class Channel(Generic[_Sample]):
     def _calm(self, sums: Sums) -> None:
         """No sign of a change in the window: whether the last finding is over."""
         if self.finding is None:
-            self._age = 0
+            self._end()
             return
         if self.finding.kind is Kind.SINGLE:
             change = self.unknowns.names.index(self.finding.changes[0])
@@ -200,26 +215,22 @@ class Channel(Generic[_Sample]):
                 return
         elif len(sums.samples) < _SETTLED:
             return
-        self._age = 0
-        self.finding = None
+        self._end()
 
-    def _finding(self, found: Evidence, left: bool, tick: int) -> Finding | None:
+    def _finding(self, found: Evidence, left: bool, tick: int) -> Finding:
+        """The most likely."""
         names = self.unknowns.names
         since = self._window.ticks[found.since]
         half = float(np.hypot(_INTERVAL * found.deviation, self.unknowns.margins[found.change]))
         single = names[found.change]
         known = (found.value, found.value - half, found.value + half, since, tick)
         if left:
-            return Finding(Kind.UNKNOWN, (), 0.0, 0.0, 0.0, since, tick) if self._age >= _UNKNOWN_AFTER else None
+            return Finding(Kind.UNKNOWN, (), 0.0, 0.0, 0.0, since, tick)
         if found.second_ratio > self._detect + _SEVERAL * found.ratio:
-            both = tuple(sorted((single, names[found.second])))
-            return Finding(Kind.SEVERAL, both, *known) if self._age >= _SEVERAL_AFTER else None
+            return Finding(Kind.SEVERAL, tuple(sorted((single, names[found.second]))), *known)
         if found.ratio - found.rival_ratio > _SEPARATE + _SEPARATE_PART * found.ratio:
-            sure = single != ENCODER_ANGLE or self._age >= _SLIP_AFTER
-            return Finding(Kind.SINGLE, (single,), *known) if sure else None
-        if self._age > _AMBIGUOUS:
-            return Finding(Kind.ONE_OF, (single, names[found.rival]), *known)
-        return None
+            return Finding(Kind.SINGLE, (single,), *known)
+        return Finding(Kind.ONE_OF, (single, names[found.rival]), *known)
 
     def estimates(self) -> list[Estimate]:
         """Of everything together, since the last change or over the window."""

@@ -25,9 +25,16 @@ def _flux_lost(sine: float | _Array) -> _Array:
     return np.asarray(np.sqrt(np.maximum(1.0 - np.square(sine), 0.0)) - 1.0)
 
 
-def _largest_part(sums: Sums, block: int, change: int, value: float) -> float:
-    """Part of the evidence for a change since a block that one block alone contributes, from 0 to 1."""
-    since = value * sums.b[block:, change] - 0.5 * value**2 * sums.a[block:, change, change]
+def _largest_part(a: _Array, b: _Array) -> float:
+    """Part of the evidence for one change that a single block contributes, from 0 to 1.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (blocks,)
+        Its information and its right side since the beginning of each block; the first ones are of all blocks.
+    """
+    value = b[0] / a[0]
+    since = value * b - 0.5 * value**2 * a
     alone = since - np.append(since[1:], 0.0)
     return float(min(alone.max() / since[0], 1.0)) if since[0] > 0.0 else 1.0
 
@@ -55,7 +62,7 @@ class Evidence:
     second : int
         The change that explains most of what is left.
     second_ratio : float
-        How much that is.
+        How much that is, without the block that contributes most.
     vector, joint : ndarray, shape (unknowns,)
         All unknowns at that change, and at both.
     """
@@ -140,7 +147,7 @@ class Unknowns:
         if not a[change, change] > 0.0:
             none = np.zeros(len(self.names))
             return Evidence(since, block, change, 0.0, float("inf"), 0.0, 0.0, change, 0.0, change, 0.0, none, none)
-        value = float(values[block, change])
+        value, ratio = float(values[block, change]), float(ratios[block, change])
         vector = self.vector(change, value)
         left = b - a @ vector
         diagonal = np.diag(a)
@@ -149,6 +156,8 @@ class Unknowns:
         reduced[change] = 0.0
         seconds, second_ratios = self._ratios(reduced, left)
         second = int(np.argmax(second_ratios))
+        rest = sums.b[block:, second] - sums.a[block:, second] @ vector
+        second_part = _largest_part(sums.a[block:, second, second], rest) if second_ratios[second] > 0.0 else 0.0
         rivals = np.where(np.arange(len(self.names)) == change, -1.0, ratios[block])
         rival = int(np.argmax(rivals))
         joint = vector.copy()  # of both changes together
@@ -160,12 +169,12 @@ class Unknowns:
             change,
             value,
             float(self.spread[change] / np.sqrt(a[change, change])),
-            float(ratios[block, change]),
-            float(ratios[block, change]) * (1.0 - _largest_part(sums, block, change, value)),
+            ratio,
+            ratio * (1.0 - _largest_part(sums.a[block:, change, change], sums.b[block:, change])),
             rival,
             float(max(rivals[rival], 0.0)),
             second,
-            float(second_ratios[second]),
+            float(second_ratios[second]) * (1.0 - second_part),
             vector,
             joint,
         )

@@ -49,6 +49,8 @@ RUNAWAY_MARGIN: Final = 40.0  # beyond its limit that no axis may come (timing.r
 class Trial:
     """One trial before it is run. Between processes only what it follows from travels: its functions cannot.
 
+    One that does not follow from that, made by hand or with another damage, is not pickled: `TypeError`.
+
     Attributes
     ----------
     seed, number : int
@@ -60,8 +62,8 @@ class Trial:
         What is really there.
     motors : tuple of str
         Among which the motor was drawn.
-    nominal : PlantConfig
-        The plant that it follows from.
+    nominal : PlantConfig or None
+        The plant that it follows from; None if it was not drawn.
     """
 
     seed: int
@@ -71,10 +73,19 @@ class Trial:
     damage: Damage
     plant: PlantConfig
     motors: tuple[str, ...] = tuple(MOTORS)
-    nominal: PlantConfig = dataclasses.field(default_factory=PlantConfig.load)
+    nominal: PlantConfig | None = None
 
     def __reduce__(self) -> tuple[Callable[..., Trial], tuple[object, ...]]:
-        return draw, (self.nominal, self.seed, self.number, self.motors)
+        if self.nominal is not None:
+            drawn = draw(self.nominal, self.seed, self.number, self.motors)
+            if drawn._what == self._what:
+                return draw, (self.nominal, self.seed, self.number, self.motors)
+        raise TypeError("only a drawn trial can travel to another process")
+
+    @property
+    def _what(self) -> tuple[object, ...]:
+        """What can be compared."""
+        return self.motor, self.plant, self.state, self.damage.kind, self.damage.text
 
     @property
     def random(self) -> random.Random:
