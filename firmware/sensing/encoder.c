@@ -54,7 +54,8 @@ bool encoder_update(encoder_t *encoder, const encoder_config_t *config, uint16_t
     encoder->pending = (uint16_t)(encoder->pending + (uint16_t)(index - encoder->index));
     if (raw != moved) {
         if (encoder->pending != 0U) {
-            encoder->turns = i32_add_wrap(encoder->turns, (moved > 0) ? 1 : -1);
+            /* not the sign of moved: a shaft that turns back may stand still across the wrap */
+            encoder->turns = i32_add_wrap(encoder->turns, (raw < 0) ? 1 : -1);
         }
         encoder->pending = 0;
     } else if (encoder->pending != 0U) {

@@ -126,6 +126,23 @@ def test_dithering_on_the_compare_value(core: Core, config: Any) -> None:
 
 
 @pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("back", [1, 2, 5])
+def test_a_shaft_that_turns_back_over_the_reload_keeps_its_turn(
+    core: Core, config: Any, direction: int, back: int
+) -> None:
+    """Between two samples: it is where it was before, or behind that, but the counter has been reloaded."""
+    encoder = Encoder(core, config)
+    for moved in (1999, 1999, 1):
+        assert encoder.update(direction * moved)
+    encoder.timer.move(direction)
+    assert encoder.update(-direction * back)
+    assert encoder.c.position == encoder.timer.shaft
+    for _ in range(3):
+        assert encoder.update(direction * 1999)
+        assert encoder.c.position == encoder.timer.shaft
+
+
+@pytest.mark.parametrize("direction", [1, -1])
 def test_missing_index_pulse_is_found_at_the_wrap(core: Core, config: Any, direction: int) -> None:
     encoder = Encoder(core, config)
     encoder.timer.index_works = False
@@ -239,7 +256,7 @@ class Model:
         self.pending = (self.pending + index - self.index) & 0xFFFF
         if wraps:
             if self.pending:
-                self.turns = wrap(self.turns + (1 if moved > 0 else -1), 32)
+                self.turns = wrap(self.turns + (1 if wraps > 0 else -1), 32)
             self.pending = 0
         elif abs(count) < self.counts // 2:
             self.pending = 0
