@@ -78,7 +78,8 @@ class Estimate:
 
 _BLOCKS_MIN: Final = {Kind.SINGLE: 1, Kind.SEVERAL: 4, Kind.UNKNOWN: 20, Kind.ONE_OF: 30}
 """For how many blocks something has to be the most likely before it is said."""
-_SLIP_BLOCKS_MIN: Final = 10  # the same of an encoder's angle: beats of the ripple in voltage d last up to 0.5 s
+_SINGLE_BLOCKS_MIN: Final = {ENCODER_ANGLE: 10, "supply": 5}
+"""The same of single changes: beats of the ripple in voltage d last up to 0.5 s, an unlike braking energy 0.2 s."""
 
 
 class Channel(Generic[_Sample]):
@@ -168,8 +169,10 @@ class Channel(Generic[_Sample]):
         likely = finding.kind, finding.changes if finding.kind is Kind.SINGLE else ()
         self._likely_blocks = self._likely_blocks + 1 if likely == self._likely else 1
         self._likely = likely
-        slip = finding.kind is Kind.SINGLE and finding.changes == (ENCODER_ANGLE,)
-        return self._likely_blocks >= (_SLIP_BLOCKS_MIN if slip else _BLOCKS_MIN[finding.kind])
+        blocks = _BLOCKS_MIN[finding.kind]
+        if finding.kind is Kind.SINGLE:
+            blocks = _SINGLE_BLOCKS_MIN.get(finding.changes[0], blocks)
+        return self._likely_blocks >= blocks
 
     def _forget_what_is_over(self) -> None:
         """Keep only what has come since the change that is known has become another one, or none."""
