@@ -18,7 +18,7 @@ export SERVO_TWIN_LEVEL := $(LEVEL)
 endif
 # A test that hangs fails; one that hangs where Python cannot interrupt it ends the run with the stack of every thread.
 TIMEOUTS := --timeout 900 --timeout-method signal -o faulthandler_exit_on_timeout=true
-# These tests mostly wait for the clock.
+# Tests in real time mostly wait for the clock.
 REALTIME := --timeout 120 -o faulthandler_timeout=180
 # Many tests compile the C sources. With ccache (if there is one) a file that has been compiled is taken from the cache; without
 # link-time optimisation the rest takes a fourth of the time. The numbers are the same bits.

@@ -145,7 +145,10 @@ def named(channel: Simple, left: NDArray[np.float64], change: int = 0) -> int | 
 
 
 def two(*names: str) -> Simple:
-    return Channel(Unknowns(names, np.array([0.01, 0.01]), np.ones(2)), 10.0, np.array([9.0]), np.empty(0), rows)
+    unknowns = Unknowns(
+        names, np.array([0.01, 0.01]), np.ones(2), DiagnosisMonitor(PLANT, LEARNED).axes[0].unknowns.blocks_min
+    )
+    return Channel(unknowns, 10.0, np.array([9.0]), np.empty(0), rows)
 
 
 @pytest.mark.parametrize("change", [0, 1])

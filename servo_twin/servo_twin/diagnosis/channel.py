@@ -10,7 +10,7 @@ from typing import Final, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_twin.diagnosis.hypotheses import ENCODER_ANGLE, Evidence, Unknowns
+from servo_twin.diagnosis.hypotheses import Evidence, Unknowns
 from servo_twin.diagnosis.window import Rows, Sums, Window
 
 __all__ = ["Channel", "Estimate", "Finding", "Kind"]
@@ -77,9 +77,7 @@ class Estimate:
 
 
 _BLOCKS_MIN: Final = {Kind.SINGLE: 1, Kind.SEVERAL: 4, Kind.UNKNOWN: 20, Kind.ONE_OF: 30}
-"""For how many blocks something has to be the most likely before it is said."""
-_SINGLE_BLOCKS_MIN: Final = {ENCODER_ANGLE: 10, "supply": 5}
-"""The same of single changes: beats of the ripple in voltage d last up to 0.5 s, an unlike braking energy 0.2 s."""
+"""For how many blocks something has to be the most likely before it is said; `Unknowns.blocks_min` may ask for more."""
 
 
 class Channel(Generic[_Sample]):
@@ -169,10 +167,8 @@ class Channel(Generic[_Sample]):
         likely = finding.kind, finding.changes if finding.kind is Kind.SINGLE else ()
         self._likely_blocks = self._likely_blocks + 1 if likely == self._likely else 1
         self._likely = likely
-        blocks = _BLOCKS_MIN[finding.kind]
-        if finding.kind is Kind.SINGLE:
-            blocks = _SINGLE_BLOCKS_MIN.get(finding.changes[0], blocks)
-        return self._likely_blocks >= blocks
+        own = self.unknowns.blocks_min.get(finding.changes[0], 0) if finding.kind is Kind.SINGLE else 0
+        return self._likely_blocks >= max(_BLOCKS_MIN[finding.kind], own)
 
     def _forget_what_is_over(self) -> None:
         """Keep only what has come since the change that is known has become another one, or none."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -10,14 +11,13 @@ from numpy.typing import NDArray
 
 from servo_twin.diagnosis.window import Sums
 
-__all__ = ["ENCODER_ANGLE", "Evidence", "Unknowns"]
+__all__ = ["Evidence", "Unknowns"]
 
 _TRANSIENT: Final = 3  # blocks after a change in which the loops may still settle: what they show does not count later
 
 _Array = NDArray[np.float64]
 
-ENCODER_ANGLE: Final = "encoder_angle"
-"""Name of the change that is judged together with the flux that it takes from the q axis."""
+_ANGLE: Final = "encoder_angle"  # judged together with the flux that it takes from the q axis
 
 
 def _flux_lost(sine: float | _Array) -> _Array:
@@ -93,25 +93,28 @@ class Unknowns:
         Within which the model may be wrong without anything having changed: so much explains nothing.
     spread : ndarray, shape (unknowns,)
         Standard deviation of an estimate over that of white noise.
+    blocks_min : mapping
+        For how many blocks such a change has to be the most likely before it is said; one where it is not listed.
     """
 
     names: tuple[str, ...]
     margins: _Array
     spread: _Array
+    blocks_min: Mapping[str, int] = field(default_factory=dict)
 
     def vector(self, change: int, value: float) -> _Array:
         """All unknowns (unknowns,) at a single change; an encoder that has slipped also takes flux from the q axis."""
         vector = np.zeros(len(self.names))
         vector[change] = value
-        if self.names[change] == ENCODER_ANGLE:
+        if self.names[change] == _ANGLE:
             vector[self.names.index("flux")] = _flux_lost(value)
         return vector
 
     def _singles(self, sums: Sums) -> tuple[_Array, _Array]:
         """As `_ratios`, since every block, with the flux that an encoder's angle takes from the q axis."""
         values, ratios = self._ratios(np.einsum("nii->ni", sums.a), sums.b)
-        if ENCODER_ANGLE in self.names:
-            angle, flux = self.names.index(ENCODER_ANGLE), self.names.index("flux")
+        if _ANGLE in self.names:
+            angle, flux = self.names.index(_ANGLE), self.names.index("flux")
             lost = _flux_lost(values[:, angle])
             left = sums.b[:, flux] - sums.a[:, angle, flux] * values[:, angle] - 0.5 * sums.a[:, flux, flux] * lost
             ratios[:, angle] += np.where(ratios[:, angle] > 0.0, lost * left, 0.0) / self.spread[flux] ** 2
