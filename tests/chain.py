@@ -239,11 +239,11 @@ class Chain:
         return values
 
     def tool(self, *arguments: str) -> str:
-        """Run a command of ``servo-tool`` in this process, past the bridge, which must not be running."""
-        output = io.StringIO()
-        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+        """What a command of ``servo-tool`` prints; run in this process, past the bridge, which must not be running."""
+        output, errors = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
             status = tool.main(["--port", str(self.port), "--baud", str(self.baud), *arguments])
-        assert status == 0, output.getvalue()
+        assert status == 0, output.getvalue() + errors.getvalue()
         return output.getvalue()
 
     def end(self) -> None:

@@ -214,6 +214,13 @@ class Rig:
 
         self.me.until(look, within, "the board past the bridge is not as expected")
 
+    def comes_to_rest(self) -> None:
+        """Wait until both shafts have stood for 0.1 s; without a current they run out slowly."""
+        start = self.mark() + 1
+        self.me.until(
+            lambda: self.mark() > start and travel(self.me.rows(self.me.seconds(0.1))) <= HOLDING, 5.0, "no rest"
+        )
+
     def stays(self, duration: float = 0.15) -> None:
         """Nothing moves for a time, whatever is asked."""
         start = self.me.seconds(duration)
@@ -232,10 +239,7 @@ class Rig:
         assert self.me.last("/servo/armed") is not True
         self.hush()
         self.me.spinning()
-        start = self.mark() + 1
-        self.me.until(
-            lambda: self.mark() > start and travel(self.me.rows(self.me.seconds(0.1))) <= HOLDING, 5.0, "no rest"
-        )
+        self.comes_to_rest()
         self.stays()
         self.turn()
 
@@ -391,6 +395,7 @@ class TestRows:
         silent = next(row for row in rows if all("HOST_SILENT" in names for names in fault_names(row)))
         assert seconds(silent["tick"] - rows[-1]["applied_tick"]) <= TIMEOUT + KEEP_ALIVE + RAMP + 0.1 + rig.exchanges
         assert fault_names(rows[-1]) == [["HOST_SILENT"]] * 2
+        rig.comes_to_rest()
         rig.comes_back_by_command_only()
 
     def test_bridge_restarted(self, rig: Rig) -> None:

@@ -95,6 +95,7 @@ def test_what_is_recorded_is_said_before_the_recorder_starts_and_taken_back(
 
     monkeypatch.setattr(Recording, "_begin", started)
     monkeypatch.setattr("servo_bridge.bursts.record_service.setup_message", said)
+    rig.until(lambda: rig.messages[topics.RECORDER])  # a latched topic keeps its last message only
     assert rig.set_parameter("recording", "axis1.i_q param.i_q_limit --rate 4000 --points 30")[0]
     assert record(rig, True)[0]
     rig.until(lambda: rig.messages[topics.RECORDING] and len(rig.messages[topics.RECORDER]) == 3)
