@@ -13,8 +13,6 @@ from pathlib import Path
 
 import pytest
 
-__all__ = ["action_environment"]
-
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = Path(__file__).with_name("action_interfaces")
 BUILDS = ROOT / "build" / "control_msgs"

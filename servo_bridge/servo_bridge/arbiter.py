@@ -19,8 +19,6 @@ from servo_bridge.set_point_queue import TARGETS, SetPointQueue, Target
 from servo_bridge.setpoints import Mode, NotReady, Rejected, SetPointRequest
 from servo_bridge.sources import Source, Sources
 
-__all__ = ["Arbiter", "AxisStatus"]
-
 _QUANTITY = {Mode.POSITION: ("position", "rad"), Mode.SPEED: ("velocity", "rad/s"), Mode.TORQUE: ("effort", "N m")}
 _REMEDY = "send a value inside, or change the limits in the parameters of the bridge"
 _BOARD = "the board takes no other; send a value inside"

@@ -15,8 +15,6 @@ from servo_bridge.wire.scope import ScopeLayout
 from servo_bridge.wire.serial_port import LowLatency
 from servo_bridge.wire.session import Session
 
-__all__ = ["BoardLink", "LinkFactory"]
-
 T = TypeVar("T")
 
 

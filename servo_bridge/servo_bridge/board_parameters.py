@@ -15,8 +15,6 @@ from servo_msgs_py.value_text import value_text
 
 from servo_bridge.outcome import error_of
 
-__all__ = ["BoardParameters"]
-
 
 class BoardParameters:
     """Keeps a board at the parameters that the user requests.

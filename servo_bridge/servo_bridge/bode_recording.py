@@ -12,8 +12,6 @@ from servo_msgs_py.measurement.bode_report import rows, text
 
 from servo_bridge.bursts.rerun_log import entity_of, import_rerun, send_curve
 
-__all__ = ["FREQUENCY", "LOG_FREQUENCY", "write_recording"]
-
 FREQUENCY: Final = "frequency"
 """Time line on which a second is a hertz."""
 

@@ -54,8 +54,6 @@ from servo_bridge.homing import METHODS
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_msgs_py import topics
 
-__all__ = ["CommandError", "Commander", "main"]
-
 _STEP: Final = 0.02  # [s]
 _MATCH: Final = 0.3  # until a subscription receives what a running node publishes [s]
 _REPEAT: Final = 0.05  # between two velocity or effort set-points, which expire when they are not renewed [s]

@@ -25,8 +25,6 @@ from servo_bridge.trajectory.shapes import move, sine
 from servo_bridge.trajectory.spline import path_through
 from servo_bridge.trajectory_limits import path_limits
 
-__all__ = ["PATH_VERBS", "PathUser", "add_path_verbs", "path_message", "run_path"]
-
 PATH_VERBS: Final = ("move", "follow", "sine")
 _SAMPLES: Final = 4000  # of a path, for its largest speed and acceleration
 _STEADY: Final = 0.3  # after the end, until the shaft has come to rest [s]

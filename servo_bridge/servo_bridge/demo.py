@@ -35,8 +35,6 @@ from servo_bridge.path_metrics import measure_path
 from servo_bridge.trajectory.path import Path as Motion
 from servo_bridge.trajectory.shapes import lissajous
 
-__all__ = ["Demo", "main"]
-
 TURN: Final = 2.0 * math.pi
 _HOLD: Final = 0.25  # how long an axis has to stay on its target before the next move [s]
 _APPLY_TIMEOUT: Final = 2.0  # from publishing a set-point to its effect [s]

@@ -23,8 +23,6 @@ from servo_bridge.command_paths import path_message
 from servo_bridge.trajectory.path import Path
 from servo_msgs_py import topics
 
-__all__ = ["DemoError", "ServoClient"]
-
 _ANSWER: Final = 5.0  # a service answers within [s]
 _STEP: Final = 0.02  # longest time between two looks at a condition [s]
 

@@ -12,8 +12,6 @@ from servo_msgs_py.units import COUNTS_PER_TURN
 from servo_bridge.move_metrics import MoveFigures
 from servo_bridge.path_metrics import PathFigures
 
-__all__ = ["PathRow", "Residual", "Row", "passed", "path_table", "report", "table"]
-
 _COUNTS = COUNTS_PER_TURN / (2.0 * math.pi)
 _COLUMNS = (
     "move", "axis", "commanded", "reached", "error", "settling", "overshoot", "tracking rms", "max",

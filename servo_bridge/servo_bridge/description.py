@@ -18,8 +18,6 @@ from servo_msgs_py.robot_description import describe
 from servo_bridge.parameters import PARAMETERS, ParameterError, settings_from
 from servo_msgs_py import topics
 
-__all__ = ["description_from_file", "main"]
-
 
 def description_from_file(params: str = "", namespace: str = "") -> str:
     """Robot description as the bridge will publish it.

@@ -13,8 +13,6 @@ from typing import Final
 
 from servo_msgs_py.catalogue import AXES, Catalogue, Variable, axis_name
 
-__all__ = ["desktop_project"]
-
 Member = tuple[str, str, object]
 """Name, type and value of a member."""
 

@@ -18,8 +18,6 @@ from servo_msgs_py.units import SLOW_PERIODS
 
 from servo_bridge.set_point_queue import CommandWrite, SetPointQueue
 
-__all__ = ["Dispatcher"]
-
 _TIMEOUT = 40 * SLOW_PERIODS
 """PWM periods (20 ms) after which an accepted write that no sample has shown is given up. The board latches within one
 slow tick; the rest is for a sample that was already on its way."""

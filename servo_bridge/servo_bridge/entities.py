@@ -7,8 +7,6 @@ from typing import Any
 
 from rclpy.node import Node
 
-__all__ = ["Entities"]
-
 
 class Entities:
     """Publishers, subscriptions, services, clients, timers and waitables that a node creates from now on.

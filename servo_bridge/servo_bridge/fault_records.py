@@ -12,8 +12,6 @@ from servo_msgs_py.fault_record import FaultRecord, record_variable
 
 from servo_bridge.outcome import error_of
 
-__all__ = ["FaultRecords"]
-
 SECOND_LOOK: Final = 4000
 """PWM periods after which the name of the first fault is final: the firmware may find a cause behind a symptom."""
 

@@ -28,8 +28,6 @@ from servo_bridge.trajectory.tolerances import Phase, goal_time_from, tolerances
 from servo_bridge.trajectory_topics import TrajectoryTopics
 from servo_msgs_py import topics
 
-__all__ = ["FollowAction", "action_interfaces"]
-
 _SOURCE: Final = topics.FOLLOW_JOINT_TRAJECTORY
 _FEEDBACK_PERIODS: Final = 800  # 50 ms
 

@@ -20,8 +20,6 @@ from servo_bridge.trajectory.stream import StreamReport
 from servo_bridge.wire.link_state import LinkState, LinkStatus
 from servo_bridge.wire.link_statistics import LinkStatistics
 
-__all__ = ["BOARD_COUNTERS", "WINDING", "CommandFigures", "Health", "Winding"]
-
 _OK: Final[bytes] = DiagnosticStatus.OK
 _WARN: Final[bytes] = DiagnosticStatus.WARN
 _ERROR: Final[bytes] = DiagnosticStatus.ERROR

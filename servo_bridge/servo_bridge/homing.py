@@ -19,8 +19,6 @@ from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.setpoints import NotReady
 from servo_bridge.telemetry import Snapshot
 
-__all__ = ["METHODS", "Homing", "with_home_states"]
-
 METHODS: Final = ("here", "stop_positive", "stop_negative", "switch_positive", "switch_negative")
 """How the position of a joint becomes known; the directions are those of the joint."""
 

@@ -6,8 +6,6 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
-__all__ = ["Inbox"]
-
 
 class Inbox:
     """Calls functions, in order, in the executor's thread.

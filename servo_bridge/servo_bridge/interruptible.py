@@ -10,8 +10,6 @@ from servo_bridge.measurement_access import SessionAccess, measurement_access
 from servo_bridge.tool_record import interrupts
 from servo_bridge.wire.session import Session
 
-__all__ = ["interruptible_access"]
-
 
 @contextmanager
 def interruptible_access(session: Session) -> Iterator[SessionAccess]:

@@ -16,8 +16,6 @@ from servo_bridge.trajectory.check import Limits
 from servo_bridge.trajectory.streamer import Streamer, require_within
 from servo_msgs_py import topics
 
-__all__ = ["JointCommands"]
-
 _SOURCE = topics.JOINT_COMMANDS
 
 

@@ -14,8 +14,6 @@ from servo_msgs_py.catalogue import Catalogue
 
 from servo_bridge.wire.take_over import KEEP_ALIVE_PERIOD
 
-__all__ = ["KeepAlive"]
-
 _TIMEOUT: Final = "param.host_timeout"
 _PER_TIMEOUT: Final = 4  # keep-alives within the time after which the board misses its host
 

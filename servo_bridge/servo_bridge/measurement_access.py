@@ -26,8 +26,6 @@ from servo_bridge.tool_values import UnknownVariableError
 from servo_bridge.wire.session import Session, element_bytes
 from servo_bridge.wire.take_over import kept_alive
 
-__all__ = ["SessionAccess", "measurement_access"]
-
 _FAST, _SLOW = 0, 1
 _LEAD: Final = 0.2  # longer than it takes to notice that a recording is over, and to stop it [s]
 _ATTEND: Final = 0.08  # between two calls of who attends a recording [s]

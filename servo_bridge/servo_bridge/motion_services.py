@@ -14,8 +14,6 @@ from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.telemetry import Snapshot
 
-__all__ = ["MotionServices", "Outcome"]
-
 Outcome = tuple[bool, str]
 """Success and message."""
 

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MoveFigures", "measure_move", "rms", "settling_time"]
-
 Series = NDArray[np.float64]
 
 

@@ -20,8 +20,6 @@ from servo_bridge.parameters import PARAMETERS, ParameterError, declare, setting
 from servo_bridge.supervisor import Supervisor
 from servo_bridge.wire.link import Link
 
-__all__ = ["ServoBridge", "main"]
-
 
 class ServoBridge(LifecycleNode):
     """The node.

@@ -5,8 +5,6 @@ from __future__ import annotations
 from concurrent.futures import Future
 from typing import Any
 
-__all__ = ["error_of"]
-
 
 def error_of(job: Future[Any]) -> str | None:
     """Why a job has no result, None when it has one; never waits."""

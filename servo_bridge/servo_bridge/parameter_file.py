@@ -22,8 +22,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["ParameterFileError", "changes", "checked", "dump", "parse", "to_bytes"]
-
 Entry = Number | str
 """A number, or the name of one."""
 

@@ -12,8 +12,6 @@ from servo_msgs_py.units import PERIOD_NS
 from servo_bridge.move_metrics import rms
 from servo_bridge.trajectory.path import Path
 
-__all__ = ["PathFigures", "measure_path"]
-
 Series = NDArray[np.float64]
 
 _STEPS: Final = 12  # of Newton's method; it converges from a quarter of a period away

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from servo_msgs_py.runtime.ros_program import run_with_ros
 
-__all__ = ["bridge", "command", "demo"]
-
 
 def bridge() -> int:
     """``servo_bridge``."""

@@ -25,8 +25,6 @@ from std_msgs.msg import Bool, Float64MultiArray, String
 from servo_bridge.telemetry import Snapshot
 from servo_msgs_py import topics
 
-__all__ = ["Publications"]
-
 
 class Publications:
     """Publishers of telemetry, state and applied commands.

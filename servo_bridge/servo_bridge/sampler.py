@@ -12,8 +12,6 @@ from servo_bridge.freemaster.commands import SCOPE_SIZES, Request, ScopeSlot
 from servo_bridge.freemaster.errors import CodecError, StatusError
 from servo_bridge.wire.session import BoardVariable, Session
 
-__all__ = ["Reading", "Sampler"]
-
 
 @dataclass(frozen=True)
 class Reading:

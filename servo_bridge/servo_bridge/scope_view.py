@@ -28,8 +28,6 @@ from servo_msgs_py.recording_names import BURST, PLOT, TIMELINE
 from servo_bridge.bursts.rerun_log import entity_of, import_rerun, send_curve
 from servo_bridge.tool_values import UsageError
 
-__all__ = ["Curve", "ScopeView", "ViewLostError"]
-
 _WINDOW: Final = 15.0  # what the plots of the telemetry show of the past [s]
 _WAITING: Final = 20  # pieces that may wait for the thread before the caller waits
 _REACH: Final = 2.0  # longest wait for a viewer to answer [s]

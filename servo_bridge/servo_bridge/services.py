@@ -13,8 +13,6 @@ from typing import Any
 
 from rclpy.node import Node
 
-__all__ = ["DeferredService", "Outcome"]
-
 Outcome = tuple[bool, str]
 """Success and message, the two fields of SetBool and Trigger responses."""
 

@@ -17,8 +17,6 @@ from servo_msgs_py.timed_points import axes_of_points
 from servo_bridge.setpoints import Mode
 from servo_bridge.trajectory.errors import POINTS_REFUSED
 
-__all__ = ["TARGETS", "CommandWrite", "PathSource", "SetPointQueue", "Target"]
-
 TARGETS: Final = {Mode.POSITION: "cmd.position", Mode.SPEED: "cmd.speed", Mode.TORQUE: "cmd.i_q"}
 """Variable that takes the set-point of a mode."""
 

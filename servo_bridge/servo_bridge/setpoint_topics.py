@@ -17,8 +17,6 @@ from servo_bridge.sources import Source
 from servo_bridge.throttle import Throttle
 from servo_msgs_py import topics
 
-__all__ = ["SetPointTopics"]
-
 
 class SetPointTopics:
     """Subscriptions of the topics of positions; what is let through and refused on all set-point topics.

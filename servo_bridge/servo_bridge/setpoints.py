@@ -11,19 +11,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-__all__ = [
-    "JointSetPoint",
-    "Mode",
-    "NotReady",
-    "Rejected",
-    "Repeats",
-    "SetPointRequest",
-    "from_array",
-    "from_joint_command",
-    "from_single",
-    "requests_of",
-]
-
 
 class Rejected(ValueError):
     """A command that was not carried out; the text says what is wrong, where, and what to do."""

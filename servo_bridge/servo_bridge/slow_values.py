@@ -12,8 +12,6 @@ from servo_msgs_py.robot_description import Motor
 from servo_bridge.health import BOARD_COUNTERS, WINDING, Winding
 from servo_bridge.outcome import error_of
 
-__all__ = ["SlowValues"]
-
 _MOTOR: Final = ("torque_constant", "acceleration_current")
 
 

@@ -11,8 +11,6 @@ from servo_msgs_py.convert import flag_texts
 
 from servo_bridge.telemetry import Snapshot
 
-__all__ = ["SnapshotEvents"]
-
 _TIMEOUT: Final = "param.command_timeout"
 
 

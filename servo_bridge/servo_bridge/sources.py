@@ -13,8 +13,6 @@ from typing import Final
 
 from servo_bridge.setpoints import Rejected
 
-__all__ = ["FRESH", "Conflict", "Source", "Sources"]
-
 FRESH: Final = 1.0
 """How long a source counts as active after its last set-point [s]."""
 

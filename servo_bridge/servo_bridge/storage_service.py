@@ -28,8 +28,6 @@ from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.wire.session import Call
 from servo_msgs_py import topics
 
-__all__ = ["StorageService"]
-
 _TIMEOUT: Final = 5.0
 """Longest time for a request [s]; the flash takes half a second at most."""
 

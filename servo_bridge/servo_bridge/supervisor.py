@@ -67,8 +67,6 @@ from servo_bridge.wire.board_clock import BoardClock, WallClock
 from servo_bridge.wire.link import FinalWrite, LinkConfig, LinkState, LinkStatus, Sample, WriteResult
 from servo_msgs_py import topics
 
-__all__ = ["Supervisor"]
-
 _TAKE_OVER: Final = CommandWrite("cmd.quick_stop", 0, (1,) * AXES)  # what the link does first, see wire.take_over
 _URGENT: Final = ("cmd.enable", "cmd.quick_stop", "cmd.clear_faults")
 _SWITCH_OFF: Final[Sequence[FinalWrite]] = (("cmd.enable", [0.0] * AXES),)

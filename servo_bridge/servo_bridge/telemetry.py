@@ -13,8 +13,6 @@ from servo_msgs_py.units import SLOW_PERIODS, unwrap_u32
 from servo_bridge.arbiter import AxisStatus
 from servo_bridge.wire.scope import Sample
 
-__all__ = ["Snapshot", "Telemetry", "required_variables", "telemetry_variables"]
-
 _OBEYS = ("RUN/SPIN", "RUN/STARTUP")
 """States in which an axis takes set-points."""
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["Throttle"]
-
 
 class Throttle:
     """Token bucket per key.

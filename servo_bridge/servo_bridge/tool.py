@@ -35,8 +35,6 @@ from servo_bridge.wire.link_state import status_of
 from servo_bridge.wire.serial_port import SerialPort
 from servo_bridge.wire.session import connect
 
-__all__ = ["main"]
-
 _NEGATIVE = re.compile(r"-\.?\d|-(inf|nan)", re.IGNORECASE)
 _STARTUP_RETRIES = 5
 _PROJECT = "project"

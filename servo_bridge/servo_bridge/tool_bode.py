@@ -23,8 +23,6 @@ from servo_bridge.tool_progress import ProgressLine
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
 
-__all__ = ["add_arguments", "bode"]
-
 _AXES: Final = [axis_name(axis) for axis in range(AXES)]
 
 ABOUT: Final = """\

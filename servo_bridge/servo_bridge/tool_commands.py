@@ -29,23 +29,6 @@ from servo_bridge.wire.serial_port import LowLatency
 from servo_bridge.wire.session import BoardMismatchError, BoardVariable, Session
 from servo_msgs_py import board_parameters
 
-__all__ = [
-    "Context",
-    "Runner",
-    "diff",
-    "get",
-    "info",
-    "list_variables",
-    "load",
-    "log",
-    "record",
-    "save",
-    "select",
-    "set_variable",
-    "warn",
-    "watch",
-]
-
 _TICK: Final = "tick"
 _LOG_POLL: Final = 0.05  # [s]
 _LOG_END: Final = 3  # the board fills its pipe when it has the time: so many empty answers are the end

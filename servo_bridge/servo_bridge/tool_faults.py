@@ -17,8 +17,6 @@ from servo_bridge.tool_values import UsageError
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
 
-__all__ = ["snapshot"]
-
 _HEADS = ("time [ms]", "i_a [A]", "i_b [A]", "i_d [A]", "i_q [A]", "theta_e [rad]", "u_dc [V]", "speed [rad/s]")
 
 

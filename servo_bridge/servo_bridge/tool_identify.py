@@ -35,8 +35,6 @@ else:
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
 
-__all__ = ["add_arguments", "identify"]
-
 _OUT: Final = Path("out/identify")
 _RECORDING: Final = "measurement.npz"
 _INTERRUPTED: Final = 130

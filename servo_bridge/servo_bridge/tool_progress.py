@@ -7,8 +7,6 @@ import time
 from types import TracebackType
 from typing import Final, TextIO
 
-__all__ = ["ProgressLine"]
-
 _WIDTH: Final = 30
 _PERIOD: Final = 0.1  # between two changes of the line [s]
 

@@ -24,8 +24,6 @@ from servo_bridge.wire.session import Session
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
 
-__all__ = ["add_options", "interrupts", "record"]
-
 
 def add_options(command: argparse.ArgumentParser) -> None:
     """Add the options of a burst to those of ``record``."""

@@ -31,8 +31,6 @@ from servo_bridge.wire.session import Session
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
 
-__all__ = ["add_options", "scope"]
-
 _TELEMETRY: Final = (*(f"{axis_name(k)}.{name}" for k in range(AXES) for name in ("position", "speed", "i_q")), "u_dc")
 _SHOW: Final = 0.2
 """Between two pieces of telemetry that are handed to the viewer [s]."""

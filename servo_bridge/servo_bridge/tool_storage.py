@@ -12,8 +12,6 @@ from servo_bridge.tuning.block_session import BlockSession
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
 
-__all__ = ["factory", "save_to_board", "storage_row"]
-
 
 def save_to_board(context: Context) -> int:
     """Keep parameters and configuration in the data flash."""

@@ -19,8 +19,6 @@ from servo_bridge.tuning.plan import Plan, computed, file_of, read_blocks
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
 
-__all__ = ["add_arguments", "tune"]
-
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
     """Arguments of the command."""

@@ -12,8 +12,6 @@ from servo_msgs_py.robot_description import Motor
 
 from servo_bridge.trajectory.check import Limits
 
-__all__ = ["path_limits"]
-
 
 def path_limits(
     catalogue: Catalogue, raw: RawParameters, joints: Sequence[Joint], motors: Sequence[Motor]

@@ -18,8 +18,6 @@ from servo_bridge.trajectory.from_message import from_message
 from servo_bridge.trajectory.path import Path
 from servo_msgs_py import topics
 
-__all__ = ["TrajectoryTopics"]
-
 _STOP_DELAY = 0.1
 """Until a stop takes effect on the board, and the shaft has followed it [s]."""
 

@@ -15,8 +15,6 @@ from std_msgs.msg import Float64
 from servo_bridge.outcome import error_of
 from servo_msgs_py import topics
 
-__all__ = ["VariableTopics"]
-
 
 class VariableTopics:
     """Publishes variables of the telemetry, and reads the others one at a time.

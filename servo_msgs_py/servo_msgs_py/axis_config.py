@@ -22,8 +22,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["AxisConfigError", "AxisConfigTable", "Member"]
-
 _TYPES: Final[Mapping[str, tuple[int, bool]]] = {
     "int16": (2, True),
     "uint16": (2, False),

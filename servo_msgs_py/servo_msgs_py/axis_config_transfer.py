@@ -12,8 +12,6 @@ from typing import Final, NamedTuple, Protocol
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 
-__all__ = ["BlockMemory", "BlockRefusedError", "Taken", "read_block", "send_block", "take_blocks", "take_result"]
-
 _HEAD: Final = 3  # words of the window before the members
 
 _TEXTS: Final[Mapping[str, str]] = {

@@ -15,21 +15,6 @@ from typing import Final
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
 from servo_msgs_py.value_text import parse_values
 
-__all__ = [
-    "COMPARED",
-    "PREFIX",
-    "Assignment",
-    "RawParameters",
-    "applied",
-    "contradiction",
-    "find",
-    "layout",
-    "merged",
-    "parameters",
-    "parse",
-    "si",
-]
-
 PREFIX: Final = "param."
 """What the names of all parameters begin with."""
 

@@ -13,17 +13,6 @@ from typing import Final, Literal, NamedTuple
 from servo_msgs_py.axis_config_transfer import BlockMemory
 from servo_msgs_py.catalogue import Catalogue
 
-__all__ = [
-    "Kind",
-    "Storage",
-    "StorageRefusedError",
-    "begin_request",
-    "carry_out",
-    "read_storage",
-    "request_result",
-    "success_text",
-]
-
 Kind = Literal["SAVE", "FACTORY"]
 
 _COPIES: Final = "AB"

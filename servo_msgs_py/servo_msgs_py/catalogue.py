@@ -18,8 +18,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["AXES", "Catalogue", "CatalogueError", "Flag", "Scale", "Value", "Variable", "axis_name", "numbers"]
-
 AXES: Final = 2
 """Axes of one board."""
 

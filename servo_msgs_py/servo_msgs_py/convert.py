@@ -27,26 +27,6 @@ from servo_msgs_py.timed_points import POINT_WORDS
 from servo_msgs_py.topics import COMMAND_COLUMNS, COMMAND_VARIABLES, PARAMETERS
 from servo_msgs_py.units import to_raw
 
-__all__ = [
-    "AppliedCommand",
-    "applied_from_message",
-    "applied_message",
-    "columns",
-    "diagnostic_array",
-    "diagnostic_status",
-    "flag_texts",
-    "from_stamp",
-    "joint_state",
-    "joint_state_from_values",
-    "parameters_from_message",
-    "parameters_message",
-    "row",
-    "snapshot_message",
-    "snapshot_table",
-    "state_label",
-    "to_stamp",
-]
-
 _NS: Final = 1_000_000_000
 
 

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import Catalogue, Flag, Value, axis_name
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
-__all__ = ["COLUMNS", "FaultRecord", "record_variable"]
-
 _STRUCTURE: Final = "fault_record_t"
 _TICK: Final = PERIOD_NS * SLOW_PERIODS * 1e-9
 _WATCH_PERIOD: Final = SLOW_PERIODS // 2

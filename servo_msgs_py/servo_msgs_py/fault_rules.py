@@ -9,8 +9,6 @@ from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue, CatalogueError
 
-__all__ = ["FaultRules", "Revision", "Rule", "Suspicion", "fault_list"]
-
 _RULE: Final = re.compile(r"\[FINDING_(\w+)\] = \{FAULT_(\w+), ([\w| ]+), (?:FAULT_(\w+)|0)\}, /\* (.+) \*/")
 _CAUSE: Final = re.compile(r"\{(\w+), FAULT_(\w+)\}, /\* (.+) \*/")
 _REVISION: Final = re.compile(r"\{FAULT_(\w+), (\d+), ([\w| ]+), ([\w| ]+)\}, /\* (.+) \*/")

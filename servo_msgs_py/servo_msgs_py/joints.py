@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from servo_msgs_py.catalogue import AXES, axis_name
 
-__all__ = ["DEFAULT_JOINTS", "GEAR_RATIO_MAX", "GEAR_RATIO_MIN", "OFFSET_MAX", "Joint", "JointLimits", "joint_names"]
-
 GEAR_RATIO_MIN: Final = 1.0e-4
 GEAR_RATIO_MAX: Final = 1.0e5
 OFFSET_MAX: Final = 1.0e6

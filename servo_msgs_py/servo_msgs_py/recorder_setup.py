@@ -9,8 +9,6 @@ from std_msgs.msg import Float64MultiArray
 
 from servo_msgs_py.convert import snapshot_message, snapshot_table
 
-__all__ = ["RecorderSetup", "setup_from_message", "setup_message"]
-
 _COLUMNS: Final = ("recorder", "period", "points")
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["BOARD", "BURST", "PLOT", "SET_POINT", "TIMELINE", "burst_parts", "telemetry_parts"]
-
 TIMELINE: Final = "board_time"
 """Seconds of board ticks since the recording began."""
 

@@ -16,8 +16,6 @@ from typing import Final
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.joints import Joint, JointLimits
 
-__all__ = ["COMMAND_INTERFACES", "NO_LIMIT", "Motor", "describe", "joints_of", "motors_of"]
-
 NO_LIMIT: Final = 1.0e15
 """Stands for an infinite limit, which not every reader of XML or YAML takes."""
 

@@ -8,17 +8,6 @@ from typing import Final
 
 from servo_msgs_py.catalogue import AXES, Catalogue
 
-__all__ = [
-    "POINTS_TOGETHER",
-    "POINT_WORDS",
-    "TimedPoint",
-    "axes_of_points",
-    "decode_points",
-    "encode_points",
-    "periods_ahead",
-    "shifted_points",
-]
-
 POINT_WORDS: Final = 4
 POINTS_TOGETHER: Final = 8
 """Points that one write can hold."""

@@ -9,18 +9,6 @@ from __future__ import annotations
 import math
 from typing import Final
 
-__all__ = [
-    "COUNTS_PER_TURN",
-    "PERIOD_NS",
-    "SLOW_PERIODS",
-    "counts_to_rad",
-    "frac_lsb",
-    "rad_to_counts",
-    "rpm",
-    "to_raw",
-    "unwrap_u32",
-]
-
 COUNTS_PER_TURN: Final = 4000
 """Counts per mechanical turn of a 1000-line encoder (DRM 2.4.1)."""
 

@@ -7,8 +7,6 @@ from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
 
-__all__ = ["NO_FLAG", "labels_of", "number_text", "parse_number", "parse_values", "value_text", "words_of"]
-
 NO_FLAG: Final = "none"
 """How a flag word without a flag is written."""
 

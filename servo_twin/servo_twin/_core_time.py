@@ -25,8 +25,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["COMMON", "UNITS", "WEIGHTS", "charged", "load_weights", "preprocessed", "weight_of", "write_charged"]
-
 UNITS: Final = 16
 """Units of time per instruction."""
 

@@ -19,8 +19,6 @@ from servo_msgs_py.measurement.access import (
 
 from servo_twin.board import Board, BoardError
 
-__all__ = ["VirtualBoardAccess"]
-
 _OUT_OF_RANGE: Final = 0x97  # FreeMASTER status of a value that the board does not take
 _FAST, _SLOW = 0, 1
 _LOOK: Final = 0.002  # between two looks for the trigger [s]

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, Final, NamedTuple
 
-__all__ = ["BoardError", "BoardMemory", "TableEntry", "status_text"]
-
 _ENTRY_SIZE: Final = 16
 
 _STATUS_TEXT: Final[Mapping[int, str]] = {

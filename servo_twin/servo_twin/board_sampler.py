@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from servo_twin.board_memory import BoardError, status_text
 
-__all__ = ["BoardSampler"]
-
 
 class BoardSampler:
     """Numbers at some addresses, sampled in every call of a loop, where the recorder of the firmware takes them.

@@ -16,8 +16,6 @@ from servo_twin.lockstep.twin import Pair
 from servo_twin.node import PARAMETERS as TWIN_PARAMETERS
 from servo_twin.node import ServoTwin
 
-__all__ = ["PARAMETERS", "Calibration", "main"]
-
 PARAMETERS: Final = {
     **{name: spec for name, spec in TWIN_PARAMETERS.items() if name not in ("thresholds", "adapt")},
     "duration": Spec(300.0, "time of the board that is learned from [s]; move both axes as in use", 60.0, 1e5),

@@ -25,8 +25,6 @@ from servo_twin.sweep import robust_command
 from servo_twin.timing import command as timing
 from servo_twin.timing import core_measured
 
-__all__ = ["main", "parser"]
-
 
 def parser() -> argparse.ArgumentParser:
     """Command line of ``servo-sim``."""

@@ -16,31 +16,6 @@ from servo_msgs_py.catalogue import AXES
 
 from servo_twin.plant import PlantConfig
 
-__all__ = [
-    "BadContact",
-    "BusNoise",
-    "ChangedValue",
-    "CurrentNoise",
-    "CutWire",
-    "DryBearing",
-    "EncoderGlitches",
-    "HotPowerStage",
-    "InjectedFault",
-    "LockedRotor",
-    "NativeFault",
-    "OpenPhase",
-    "RawFault",
-    "ShiftedDisc",
-    "ShortedPhase",
-    "SlippedEncoder",
-    "StalledCore",
-    "StuckConverter",
-    "StuckLine",
-    "SupplyDip",
-    "WeakMagnet",
-    "WornShaft",
-]
-
 Phase = Literal["a", "b", "c"]
 Line = Literal["A", "B"]
 Pin = Literal["home", "limit_min", "limit_max", "enable", "brake"]

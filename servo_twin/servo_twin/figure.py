@@ -6,8 +6,6 @@ from typing import Any
 
 from servo_twin.board import SimulationError
 
-__all__ = ["new_figure"]
-
 
 def new_figure(width: float, height: float, dpi: int) -> Any:
     """A matplotlib figure of this size [inch] that lays itself out.

@@ -27,8 +27,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["CHECKOUT", "SERVO_TOML", "as_toml", "build_firmware", "servo_table"]
-
 CHECKOUT: Final = Path(__file__).resolve().parents[2]
 """Folder with ``firmware`` in it, where there is one."""
 

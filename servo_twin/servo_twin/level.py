@@ -6,8 +6,6 @@ import argparse
 import os
 from typing import Final, Literal, get_args
 
-__all__ = ["DEFAULT_LEVEL", "FAST_LEVEL", "LEVEL_VARIABLE", "Level", "add_level_option", "chosen_level"]
-
 Level = Literal["registers", "ideal"]
 """How closely the board is modelled."""
 

@@ -51,8 +51,6 @@ from servo_twin.lockstep.twin import Pair, Twin, TwinSettings
 from servo_twin.lockstep.worker import TwinWorker
 from servo_twin.plant import PlantConfig, PlantError
 
-__all__ = ["PARAMETERS", "ServoTwin", "main"]
-
 _DIAGNOSIS_NS: Final = 250_000_000  # between two messages of new estimates, for their curves [ns]
 _SLOW: Final = 0.5  # backlog that is worth a warning [s]
 

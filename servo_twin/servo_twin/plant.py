@@ -18,8 +18,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["BUILT_IN", "STIFFEST", "AxisPlant", "BusPlant", "PinsPlant", "PlantConfig", "PlantError"]
-
 STIFFEST: Final = 0.06
 """Of an end stop, over inertia and the square of the PWM frequency: it swings in 25 periods, and its torque is worked
 out once in each."""

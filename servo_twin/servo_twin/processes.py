@@ -15,8 +15,6 @@ from typing import Final
 
 from servo_msgs_py.runtime.end_with_parent import bound_to_us
 
-__all__ = ["Child", "ChildError", "executable", "stop_all", "wait_until"]
-
 _POLL: Final = 0.05  # [s]
 _TERM_TIMEOUT: Final = 8.0  # from SIGTERM to SIGKILL [s]
 

@@ -6,8 +6,6 @@ import sys
 
 from servo_msgs_py.runtime.ros_program import run_with_ros
 
-__all__ = ["twin", "viewer"]
-
 
 def twin() -> int:
     """``servo_twin``, and ``servo_twin calibrate``."""

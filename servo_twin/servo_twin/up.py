@@ -28,8 +28,6 @@ from servo_msgs_py import board_parameters
 from servo_twin.level import LEVEL_VARIABLE, add_level_option, chosen_level
 from servo_twin.processes import Child, ChildError, executable, stop_all, wait_until
 
-__all__ = ["Stack", "main", "parser"]
-
 _BOARD_TIMEOUT: Final = 10.0  # [s]
 _CONNECT_TIMEOUT: Final = 15.0
 _VIEWER_TIMEOUT: Final = 30.0  # the first start of the viewer compiles nothing but reads a lot

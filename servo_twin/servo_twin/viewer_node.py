@@ -32,8 +32,6 @@ from servo_twin.view.recording import Recording, RecordingError
 from servo_twin.view.viewer import Viewer
 from servo_twin.view.web_page import WebPage, WebPageError, free_port
 
-__all__ = ["PARAMETERS", "ServoViewer", "main"]
-
 PARAMETERS: Final = {
     "record": Spec("", "file for the recording (.rrd); one that exists is replaced; empty: none"),
     "web": Spec(True, "serve the live viewer to a browser on this machine"),

@@ -26,8 +26,6 @@ from servo_twin.board import Board
 from servo_twin.level import Level, add_level_option
 from servo_twin.plant import PlantConfig, PlantError
 
-__all__ = ["FlashFile", "LinkError", "Pacer", "Terminal", "main", "serve", "slip_reporter"]
-
 MAX_LAG_S: Final = 0.05
 """Backlog that is made up for; a longer stall of the machine is given up and counted as a slip [s]."""
 

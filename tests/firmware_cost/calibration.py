@@ -33,8 +33,6 @@ from firmware_cost.instructions import (
     parse,
 )
 
-__all__ = ["Charges", "Charging", "charges", "fit", "weights_text"]
-
 _PULL: Final = 0.1
 """Of a weight towards the common one, against a relative error of a row."""
 _WEIGHT_MIN: Final = 0.1

@@ -15,8 +15,6 @@ from servo_bridge.freemaster.errors import CodecError
 from servo_bridge.freemaster.tsa import TypeKind
 from servo_bridge.wire.session import BoardVariable
 
-__all__ = ["Burst", "Channel", "burst_of", "channels_of"]
-
 _LETTERS: Final = {TypeKind.UNSIGNED: "u", TypeKind.SIGNED: "i", TypeKind.FLOAT: "f"}
 
 

@@ -13,8 +13,6 @@ from servo_bridge.bursts.burst import Burst
 from servo_bridge.bursts.rerun_log import entity_of, import_rerun, send_curve
 from servo_bridge.tool_values import UsageError
 
-__all__ = ["writer_for"]
-
 _TIMELINE: Final = "time"
 
 

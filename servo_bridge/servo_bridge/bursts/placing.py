@@ -12,8 +12,6 @@ from servo_bridge.bursts.burst import Burst
 from servo_bridge.bursts.request import TICK
 from servo_bridge.wire.board_clock import TickExtender
 
-__all__ = ["BoardTime", "HostTime", "Placing"]
-
 
 class Placing(Protocol):
     """A time line that begins with the first row."""

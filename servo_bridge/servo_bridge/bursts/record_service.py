@@ -25,8 +25,6 @@ from servo_bridge.services import DeferredService, Outcome
 from servo_bridge.wire.session import Call
 from servo_msgs_py import topics
 
-__all__ = ["RecordService", "table_of"]
-
 
 class RecordService:
     """Sets a recorder up when it is asked to, and publishes what it has recorded.

@@ -16,8 +16,6 @@ from servo_bridge.freemaster.errors import RecorderError
 from servo_bridge.freemaster.recorder import SampleMemory, State, in_order, memory_checked
 from servo_bridge.wire.session import Session
 
-__all__ = ["POLL", "Phase", "Recording", "piece_size"]
-
 POLL: Final = 0.05
 """Between two questions for the state of the recorder [s]."""
 

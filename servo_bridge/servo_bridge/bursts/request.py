@@ -16,8 +16,6 @@ from servo_bridge.freemaster.recorder import Limits, Recorder, Setup, Trigger
 from servo_bridge.tool_values import UsageError, lookup, opened
 from servo_bridge.wire.session import Session
 
-__all__ = ["TICK", "Before", "BurstRequest", "Prepared", "add_options"]
-
 TICK: Final = "tick"
 """PWM periods since the reset of a board of ours."""
 

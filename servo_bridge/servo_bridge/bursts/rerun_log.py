@@ -17,8 +17,6 @@ from servo_bridge.tool_values import UsageError
 if TYPE_CHECKING:
     from types import ModuleType
 
-__all__ = ["entity_of", "import_rerun", "send_curve"]
-
 
 def import_rerun(what: str) -> ModuleType:
     """Import rerun.

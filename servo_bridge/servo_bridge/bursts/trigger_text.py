@@ -17,8 +17,6 @@ from servo_bridge.freemaster.tsa import Number, TypeKind, ValueType
 from servo_bridge.tool_values import UnknownVariableError, UsageError, lookup, number_text, parse_values
 from servo_bridge.wire.session import BoardVariable
 
-__all__ = ["Expression", "channel_slot", "parse_expression", "trigger_of"]
-
 _FORM: Final = re.compile(r"\s*(\S.*?)\s*(>=|<=|>|<|(?<=\s)(?:rising|falling)(?=\s))\s*(\S.*?)\s*\Z", re.DOTALL)
 _ABOVE: Final = (">", ">=", "rising")
 _BEYOND: Final = (">", "<=")

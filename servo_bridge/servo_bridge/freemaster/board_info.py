@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-__all__ = ["DEFAULT_MTU", "BoardInfo"]
-
 DEFAULT_MTU: Final = 32
 """Smallest allowed message buffer of version 4, until the target has named its own [bytes]."""
 

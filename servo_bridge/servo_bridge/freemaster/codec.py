@@ -11,23 +11,6 @@ from typing import Final
 
 from servo_bridge.freemaster.errors import CodecError, Status
 
-__all__ = [
-    "MAX_ANSWER_DATA",
-    "SOB",
-    "V3",
-    "V4",
-    "Answer",
-    "AnswerParser",
-    "Framing",
-    "crc8",
-    "decode_sleb",
-    "decode_uleb",
-    "encode_request",
-    "encode_sleb",
-    "encode_uleb",
-    "negated_sum",
-]
-
 SOB: Final = 0x2B
 """Start of block, '+'. Every later byte of this value is sent twice."""
 

@@ -9,34 +9,6 @@ from typing import Final
 from servo_bridge.freemaster.codec import MAX_ANSWER_DATA, V4, Framing, decode_uleb, encode_uleb
 from servo_bridge.freemaster.errors import CodecError
 
-__all__ = [
-    "COMMAND_IDLE",
-    "COMMAND_RUNNING",
-    "NO_PASSWORD",
-    "SCOPE_SIZES",
-    "SHA1_PASSWORD",
-    "Command",
-    "Request",
-    "ScopeSlot",
-    "TsaTable",
-    "begin_login",
-    "exchange_pipe",
-    "finish_login",
-    "get_command_data",
-    "get_command_status",
-    "get_config",
-    "get_string_length",
-    "get_tsa_info",
-    "parse_config",
-    "parse_size",
-    "parse_tsa_info",
-    "read_memory",
-    "read_scope",
-    "send_command",
-    "set_scope",
-    "write_memory",
-]
-
 SCOPE_SIZES: Final = (1, 2, 4, 8)
 """Sizes that a scope slot can have [bytes]."""
 

@@ -11,8 +11,6 @@ from servo_bridge.freemaster.commands import COMMAND_IDLE, Request, ScopeSlot, T
 from servo_bridge.freemaster.errors import CodecError
 from servo_bridge.freemaster.tsa import ByteOrder
 
-__all__ = ["BRIEF_INFO_SIZE", "INFO_SIZE", "MemoryForm", "exchange_pipe", "get_info", "get_info_brief"]
-
 INFO_SIZE: Final = 35
 BRIEF_INFO_SIZE: Final = 6
 

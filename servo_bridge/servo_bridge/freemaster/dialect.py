@@ -10,8 +10,6 @@ from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
 from servo_bridge.freemaster.line import Exchange, Fence
 from servo_bridge.freemaster.recorder import Recorder
 
-__all__ = ["Ask", "Dialect"]
-
 Ask = Callable[[Request], Exchange]
 """Sends a request and returns its answer; see `Line.exchange`."""
 

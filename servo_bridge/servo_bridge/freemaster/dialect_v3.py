@@ -16,8 +16,6 @@ from servo_bridge.freemaster.line import Fence
 from servo_bridge.freemaster.recorder import Recorder
 from servo_bridge.freemaster.recorder_v3 import RecorderV3
 
-__all__ = ["DialectV3"]
-
 _MTU_MIN: Final = 8
 _BIG_ENDIAN: Final = 0x01
 _LARGE_RECORDER: Final = 0x10

@@ -15,8 +15,6 @@ from servo_bridge.freemaster.line import Fence
 from servo_bridge.freemaster.recorder import Recorder
 from servo_bridge.freemaster.recorder_v4 import RecorderV4
 
-__all__ = ["DialectV4", "password_key"]
-
 
 def password_key(password: str, salt: bytes) -> bytes:
     """Compute what proves the knowledge of a password: two rounds of SHA-1 around the salt of the target."""

@@ -14,8 +14,6 @@ from servo_bridge.freemaster.commands import TsaTable
 from servo_bridge.freemaster.errors import DiscoveryError, Status, StatusError
 from servo_bridge.freemaster.tsa import ByteOrder, Entry, TargetVariable, entry_of_version_2, parse_entries
 
-__all__ = ["Progress", "discover", "read_entries"]
-
 Progress = Callable[[int, int], None]
 """Called with entries done and entries in all."""
 

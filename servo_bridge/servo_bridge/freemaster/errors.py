@@ -4,24 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = [
-    "STATUS_TEXT",
-    "AnswerTimeoutError",
-    "CodecError",
-    "CommandUnfinishedError",
-    "DamagedAnswerError",
-    "DiscoveryError",
-    "DisturbedRequestError",
-    "FreemasterError",
-    "OutOfRangeError",
-    "RecorderError",
-    "Status",
-    "StatusError",
-    "TransportError",
-    "WrongProtocolError",
-    "status_text",
-]
-
 
 class Status:
     """Status byte of an answer: bit 7 error, bit 6 a length byte follows."""

@@ -25,8 +25,6 @@ from servo_bridge.freemaster.errors import (
 )
 from servo_bridge.freemaster.round_trip import RoundTrip
 
-__all__ = ["ClientStatistics", "Exchange", "Fence", "Line", "Transport"]
-
 _BITS_PER_BYTE: Final = 10  # 8N1
 _QUIET_NS: Final = 30_000_000  # longer than the 16 ms after which a USB adapter hands over a partly filled buffer
 _SETTLE_LIMIT_NS: Final = 500_000_000

@@ -7,8 +7,6 @@ from typing import Final
 from servo_bridge.freemaster.dialect import Ask, Dialect
 from servo_bridge.freemaster.errors import CodecError
 
-__all__ = ["PORT_MAX", "Pipe"]
-
 PORT_MAX: Final = 127
 _TOGGLE: Final = 0x80
 _HEAD: Final = 2  # port and number of bytes taken, in front of the data

@@ -13,18 +13,6 @@ from typing import Final, Protocol
 from servo_bridge.freemaster.commands import SCOPE_SIZES, ScopeSlot
 from servo_bridge.freemaster.errors import RecorderError
 
-__all__ = [
-    "Compare",
-    "Limits",
-    "Recorder",
-    "SampleMemory",
-    "Setup",
-    "State",
-    "Trigger",
-    "in_order",
-    "memory_checked",
-]
-
 _MEMORY_MAX: Final = 1 << 24
 
 

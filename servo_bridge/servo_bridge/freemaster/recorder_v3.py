@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from servo_bridge.freemaster.commands_v3 import MemoryForm
     from servo_bridge.freemaster.dialect import Ask
 
-__all__ = ["RecorderV3", "set_up"]
-
 _SLOTS_MAX: Final = 8
 _NUMBER_MAX: Final = 0xFFFF
 

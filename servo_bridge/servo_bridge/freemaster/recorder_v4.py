@@ -12,8 +12,6 @@ from servo_bridge.freemaster.recorder import Compare, Limits, SampleMemory, Setu
 if TYPE_CHECKING:
     from servo_bridge.freemaster.dialect import Ask
 
-__all__ = ["RecorderV4", "set_up"]
-
 _CONFIGURE, _VARIABLE, _START, _STOP = 0x01, 0x02, 0x03, 0x04
 _NAME, _LIMITS, _INFO, _STATE = 0x81, 0x82, 0x83, 0x84
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["RoundTrip"]
-
 _FLOOR_NS: Final = 1_500_000
 """Least margin: what a computer and an adapter in low-latency mode may be late."""
 

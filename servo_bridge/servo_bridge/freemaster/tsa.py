@@ -15,20 +15,6 @@ from typing import Final, Literal
 
 from servo_bridge.freemaster.errors import CodecError
 
-__all__ = [
-    "MAX_ELEMENTS",
-    "ByteOrder",
-    "Entry",
-    "EntryKind",
-    "Number",
-    "TargetVariable",
-    "TypeKind",
-    "ValueType",
-    "entry_of_version_2",
-    "parse_entries",
-    "parse_type",
-]
-
 Number = int | float
 ByteOrder = Literal["little", "big"]
 

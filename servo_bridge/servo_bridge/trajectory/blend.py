@@ -9,8 +9,6 @@ from servo_bridge.trajectory.path import DEGREE, Path, State
 from servo_bridge.trajectory.spline import cubic, quintic
 from servo_bridge.trajectory.timed_points import PERIOD, TimedPoints
 
-__all__ = ["BLEND_TIME", "extended", "joined", "spliced"]
-
 BLEND_TIME = 0.1
 """Shortest time to join a path that runs already, where it is long enough [s]."""
 

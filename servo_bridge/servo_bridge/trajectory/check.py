@@ -14,8 +14,6 @@ from servo_bridge.trajectory.path import DEGREE, Path
 from servo_bridge.trajectory.polynomials import derivative, enclosure, extrema, first_above, roots
 from servo_bridge.trajectory.waypoints import Array
 
-__all__ = ["Limits", "Violation", "first_violation", "require"]
-
 _ROUNDING = 1.0e-9
 """What a value may exceed its limit by, relative to the larger of both and 1: a motion planned to the limit passes."""
 

@@ -7,8 +7,6 @@ from typing import Final
 
 from servo_bridge.setpoints import Rejected
 
-__all__ = ["POINTS_REFUSED", "ErrorCode", "TrajectoryError"]
-
 POINTS_REFUSED: Final = "the board refused points of the trajectory"
 """Reason for which a path that has begun is given up."""
 

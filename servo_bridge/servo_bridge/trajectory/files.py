@@ -12,8 +12,6 @@ from typing import Any
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.waypoints import Waypoints
 
-__all__ = ["read_waypoints"]
-
 _VELOCITY = "_velocity"
 _POINT = ("time_from_start", "positions", "velocities", "accelerations", "effort")
 

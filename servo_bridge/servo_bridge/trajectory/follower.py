@@ -24,8 +24,6 @@ from servo_bridge.trajectory.merge import merged
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.timed_points import PERIOD, SEGMENT_PERIODS_MIN, TimedPoints, concatenated, timed_points
 
-__all__ = ["LEAD", "AxisReport", "Follower", "Plan"]
-
 LEAD: Final = 0.1
 """From the newest telemetry to the first point [s]: a sample on its way, two writes, the board's own 1.5 ms, and what a
 busy computer adds."""

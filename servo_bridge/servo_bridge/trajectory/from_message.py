@@ -19,8 +19,6 @@ from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.spline import START_TOLERANCE, path_through
 from servo_bridge.trajectory.waypoints import Waypoints, check_joints
 
-__all__ = ["from_message"]
-
 _STANDING = float(np.finfo(np.float32).eps)
 """Velocity that joint_trajectory_controller takes for zero at the end [rad/s]."""
 

@@ -15,8 +15,6 @@ from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.path import State
 from servo_bridge.trajectory.tolerances import GoalMonitor, Outcome, Phase, Tolerance
 
-__all__ = ["CANCELED", "PREEMPTED", "STOPPED", "WITHDRAWN", "Goal", "GoalDefaults", "Step"]
-
 PREEMPTED = "Current goal preempted by new incoming action."
 """What joint_trajectory_controller says of a goal that another one replaces."""
 

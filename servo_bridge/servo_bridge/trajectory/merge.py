@@ -10,8 +10,6 @@ import numpy as np
 from servo_bridge.trajectory.path import DEGREE, Path
 from servo_bridge.trajectory.waypoints import Array
 
-__all__ = ["merged"]
-
 
 def merged(paths: Sequence[Path]) -> Path:
     """The same motions, with the breakpoints of every path.

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.waypoints import Array
 
-__all__ = ["DEGREE", "Path", "State"]
-
 DEGREE = 5
 _HOLD = 1.0e-3
 """Length of a path that only holds [s]: the shortest segment of the board."""

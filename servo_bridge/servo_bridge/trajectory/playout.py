@@ -7,8 +7,6 @@ from collections import deque
 from itertools import pairwise
 from statistics import median
 
-__all__ = ["PlayoutClock"]
-
 _WINDOW = 128
 """Messages that the estimates look back on."""
 

@@ -9,8 +9,6 @@ from numpy.polynomial import polynomial
 
 from servo_bridge.trajectory.waypoints import Array
 
-__all__ = ["derivative", "enclosure", "extrema", "first_above", "roots"]
-
 _NEGLIGIBLE = 1.0e-13
 """A leading coefficient this small beside the largest one changes no value and spoils the companion matrix."""
 

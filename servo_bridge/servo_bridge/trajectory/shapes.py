@@ -15,8 +15,6 @@ from servo_bridge.trajectory.path import DEGREE, Path, State
 from servo_bridge.trajectory.spline import path_through
 from servo_bridge.trajectory.waypoints import Array, Waypoints
 
-__all__ = ["lissajous", "move", "sine", "stop"]
-
 _SHORTEST = 2.0e-3
 """Shortest motion that is planned [s]: two of the shortest segments of the board."""
 

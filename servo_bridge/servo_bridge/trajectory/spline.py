@@ -8,8 +8,6 @@ from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.path import Path, State
 from servo_bridge.trajectory.waypoints import Array, Waypoints
 
-__all__ = ["START_TOLERANCE", "cubic", "path_through", "quintic"]
-
 START_TOLERANCE = 0.01
 """How far a waypoint at the very start may be from where the joint is [rad]: ``allowed_start_tolerance`` of MoveIt."""
 

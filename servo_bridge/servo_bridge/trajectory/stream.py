@@ -20,8 +20,6 @@ from servo_bridge.trajectory.playout import PlayoutClock
 from servo_bridge.trajectory.timed_points import PERIOD, SEGMENT_PERIODS_MIN, TimedPoints
 from servo_bridge.trajectory.tracker import Tracker
 
-__all__ = ["STEP_PERIODS", "Stream", "StreamReport"]
-
 STEP_PERIODS = 160
 """Distance of the points, 10 ms [PWM periods]."""
 

@@ -22,8 +22,6 @@ from servo_bridge.trajectory.shapes import stop
 from servo_bridge.trajectory.stream import Stream, StreamReport
 from servo_bridge.trajectory.timed_points import PERIOD
 
-__all__ = ["Streamer", "require_within", "stream_lead"]
-
 _WAITING_MAX: Final = 64
 """Messages that are kept for a stream that has not begun yet."""
 

@@ -16,16 +16,6 @@ from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.spline import cubic
 from servo_bridge.trajectory.waypoints import Array
 
-__all__ = [
-    "PERIOD",
-    "SEGMENT_PERIODS_MAX",
-    "SEGMENT_PERIODS_MIN",
-    "TOLERANCE",
-    "TimedPoints",
-    "concatenated",
-    "timed_points",
-]
-
 PERIOD = PERIOD_NS * 1.0e-9
 """Length of one PWM period, the unit of time of the board [s]."""
 

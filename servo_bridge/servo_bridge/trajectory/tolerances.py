@@ -13,8 +13,6 @@ import numpy as np
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.path import State
 
-__all__ = ["GoalMonitor", "Outcome", "Phase", "Tolerance", "goal_time_from", "tolerances_from"]
-
 _UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}
 
 

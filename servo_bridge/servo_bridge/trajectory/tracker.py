@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-__all__ = ["Tracker"]
-
 _SMOOTHING = 4.0
 """Steps in which a small error is corrected; more is smoother and slower."""
 

@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 
-__all__ = ["Array", "Waypoints", "check_joints"]
-
 Array = NDArray[np.float64]
 
 Rows = Sequence[ArrayLike | None] | Array | None

@@ -9,8 +9,6 @@ from typing import Final
 from servo_bridge.freemaster.errors import Status, StatusError
 from servo_bridge.wire.session import Session
 
-__all__ = ["BlockSession"]
-
 _TIMEOUT: Final = 1.0
 
 

@@ -13,8 +13,6 @@ from servo_msgs_py.tuning.reading import load
 from servo_msgs_py.tuning.report import axis_reports
 from servo_msgs_py.tuning.restore import restored, toml_text
 
-__all__ = ["Computed", "Plan", "computed", "file_of", "read_blocks"]
-
 Block = Mapping[str, int]
 
 _HEADING: Final = """\

@@ -19,8 +19,6 @@ from servo_msgs_py.tuning.errors import ConfigError
 
 from servo_bridge.tuning.plan import Computed, computed, file_of
 
-__all__ = ["ComputationError", "TuningProcess", "main"]
-
 _TIMEOUT: Final = 60.0  # [s]
 
 

@@ -34,8 +34,6 @@ from servo_bridge.wire.link_queue import LinkDownError
 from servo_bridge.wire.session import Call
 from servo_msgs_py import topics
 
-__all__ = ["TuningService"]
-
 _TIMEOUTS: Final = ("param.host_timeout", "param.command_timeout")
 _TIMEOUT: Final = 10.0
 """Longest wait for one exchange [s]; the link itself answers sooner, or is lost."""

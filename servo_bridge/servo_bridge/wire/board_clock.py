@@ -14,8 +14,6 @@ from typing import Final
 
 from servo_msgs_py.units import PERIOD_NS
 
-__all__ = ["BoardClock", "TickExtender", "TickReading", "WallClock"]
-
 _BUCKETS: Final = 8
 _UP_NS: Final = 1_000_000_000
 _DOWN_NS: Final = 100_000_000

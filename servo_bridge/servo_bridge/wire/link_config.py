@@ -9,8 +9,6 @@ from typing import Final, Protocol
 from servo_bridge.freemaster.line import Transport
 from servo_bridge.wire.serial_port import LowLatency
 
-__all__ = ["TICK", "FinalWrite", "LinkConfig", "Port", "WriteResult"]
-
 TICK: Final = "tick"
 """Variable that every sample begins with."""
 

@@ -11,8 +11,6 @@ from typing import Any
 
 from servo_bridge.freemaster.client import Client
 
-__all__ = ["Job", "JobQueue", "LinkBusyError", "LinkDownError"]
-
 
 class LinkDownError(ConnectionError):
     """There is no link, or it was lost before the job was done."""

@@ -19,8 +19,6 @@ from servo_bridge.wire.scope_reader import BoardResetError, BoardStoppedError
 from servo_bridge.wire.serial_port import PortError
 from servo_bridge.wire.session import BoardMismatchError
 
-__all__ = ["LinkState", "LinkStatus", "status_of"]
-
 
 class LinkState(Enum):
     """How things stand with the board."""

@@ -9,8 +9,6 @@ from typing import Final
 
 from servo_bridge.freemaster.line import ClientStatistics
 
-__all__ = ["LinkStatistics", "StatisticsCollector"]
-
 _WINDOW_NS: Final = 2_000_000_000
 _ROUND_TRIPS: Final = 2000
 

@@ -9,8 +9,6 @@ from servo_msgs_py.catalogue import Catalogue, Variable
 
 from servo_bridge.freemaster.errors import OutOfRangeError, Status, StatusError
 
-__all__ = ["explained", "refusal_text"]
-
 
 @contextmanager
 def explained(catalogue: Catalogue, variable: Variable, data: bytes, offset: int = 0) -> Iterator[None]:

@@ -11,8 +11,6 @@ from servo_msgs_py.catalogue import Value, Variable
 
 from servo_bridge.freemaster.commands import SCOPE_SIZES
 
-__all__ = ["Sample", "ScopeLayout"]
-
 _FORMATS: Final = {(1, False): "B", (2, False): "H", (2, True): "h", (4, False): "I", (4, True): "i"}
 
 

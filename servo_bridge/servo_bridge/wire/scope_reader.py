@@ -12,8 +12,6 @@ from servo_bridge.wire.board_clock import TickExtender
 from servo_bridge.wire.scope import Sample, ScopeLayout
 from servo_bridge.wire.session import BoardVariable
 
-__all__ = ["BoardResetError", "BoardStoppedError", "ScopeReader"]
-
 _STANDSTILL_NS: Final = 1_000_000_000
 
 

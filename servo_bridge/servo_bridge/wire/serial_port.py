@@ -25,8 +25,6 @@ from serial.tools import list_ports
 
 from servo_bridge.freemaster.errors import TransportError
 
-__all__ = ["LowLatency", "PortError", "SerialPort"]
-
 _CHUNK: Final = 4096
 _WRITE_LIMIT_NS: Final = 1_000_000_000
 _SYS_TTY: Final = Path("/sys/class/tty")

@@ -16,8 +16,6 @@ from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.freemaster.tsa import Number, TargetVariable, TypeKind, parse_type
 from servo_bridge.wire.refusal import explained
 
-__all__ = ["BoardMismatchError", "BoardVariable", "Call", "Session", "check_contract", "connect", "element_bytes"]
-
 T = TypeVar("T")
 
 _HASH: Final = "catalogue_hash"

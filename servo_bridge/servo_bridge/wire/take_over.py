@@ -17,8 +17,6 @@ from servo_bridge.freemaster.errors import (
     StatusError,
 )
 
-__all__ = ["KEEP_ALIVE_PERIOD", "kept_alive", "taken_over"]
-
 KEEP_ALIVE_PERIOD: Final = 0.1
 """Longest time between two keep-alives [s]; an exchange that is longer than that is not interrupted."""
 

@@ -18,19 +18,6 @@ from servo_msgs_py.axis_config_transfer import BlockMemory, Taken, send_block, t
 from servo_msgs_py.catalogue import Catalogue, Variable, axis_name
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
-__all__ = [
-    "RECORDER_BYTES",
-    "TRIGGER_TIMEOUT",
-    "BoardAccess",
-    "MeasurementError",
-    "Recording",
-    "element_of",
-    "faults_refused",
-    "refuse_faults",
-    "send_configuration",
-    "step_of",
-]
-
 RECORDER_BYTES: Final = 7680
 """Samples that the recorder of a board keeps [bytes]."""
 

@@ -23,8 +23,6 @@ from servo_msgs_py.measurement.access import (
     send_configuration,
 )
 
-__all__ = ["HELD_SPEED", "LOOK", "REST_SPEED", "AxisState", "AxisUnderTest", "Step"]
-
 LOOK: Final = 0.02  # between two looks at the board [s]
 REST_SPEED: Final = 0.5  # of a shaft that stands without current [rad/s]
 HELD_SPEED: Final = 1.0  # of one that is held: position control moves it by a count [rad/s]

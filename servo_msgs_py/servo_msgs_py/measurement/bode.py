@@ -36,8 +36,6 @@ from servo_msgs_py.measurement.prediction import Prediction
 from servo_msgs_py.measurement.test_signal import full_scale, prepare_test_signal
 from servo_msgs_py.tuning.configuration import Board as BoardValues
 
-__all__ = ["Bode", "measure"]
-
 _CHECKS: Final = 2  # recordings with half the amplitude
 _LINEAR, _LINEAR_DEGREES = 0.05, 3.0  # what they may change
 _SIGNAL_PART: Final = 0.9  # of a sweep, that a recording has to hold

@@ -16,19 +16,6 @@ from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Reco
 from servo_msgs_py.measurement.prediction import Prediction, predict
 from servo_msgs_py.measurement.test_signal import SweptSine, refuse_test_signal
 
-__all__ = [
-    "LOOPS",
-    "Band",
-    "BodeRequest",
-    "Loop",
-    "Settings",
-    "bands_of",
-    "completed",
-    "motion_text",
-    "notes",
-    "refuse_settings",
-]
-
 SWEEP_PART: Final = 0.8  # of a recording; the rest is for the loop to come to rest
 BASE_PART: Final = 0.5  # of the current limit: i_d that holds the rotor while a current loop is measured
 SETTLE: Final = 0.3  # at the constant speed [s]

@@ -14,8 +14,6 @@ from servo_msgs_py.measurement.access import MeasurementError
 from servo_msgs_py.measurement.bode import Bode
 from servo_msgs_py.measurement.frequency_response import Measured, Response
 
-__all__ = ["COLUMNS", "as_dict", "draw", "predicted_curve", "rows", "text"]
-
 COLUMNS: Final = (
     "frequency [Hz]",
     "gain [dB]",

@@ -14,8 +14,6 @@ from servo_msgs_py.measurement.test_signal import end_test_signal, start_test_si
 from servo_msgs_py.timed_points import TimedPoint, encode_points
 from servo_msgs_py.units import PERIOD_NS
 
-__all__ = ["BodeRig"]
-
 _TEST_TIME: Final = 5.0  # until mode TEST has begun [s]
 _SEARCH_TIME: Final = 8.0  # until the rotor has been found [s]
 _STILL_TIME: Final = 5.0  # until a rotor swings no more [s]

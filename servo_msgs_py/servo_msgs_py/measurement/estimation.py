@@ -17,19 +17,6 @@ from servo_msgs_py.measurement.spinning import balance, flux, friction, second_h
 from servo_msgs_py.measurement.standstill import Ohmic, impedance, ohmic
 from servo_msgs_py.measurement.turning import sensor_errors, turning
 
-__all__ = [
-    "BAND",
-    "PLAIN",
-    "estimates_of",
-    "flux_of",
-    "follows",
-    "inductance_at_less",
-    "inductances_of",
-    "resistance_of",
-    "running_of",
-    "turning_of",
-]
-
 BAND: Final = {"d": (400.0, 2500.0), "q": (700.0, 2500.0)}
 """Frequencies that inductances are taken from [Hz]; below, the rotor gives way to a current across the vector."""
 

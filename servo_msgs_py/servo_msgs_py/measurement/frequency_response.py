@@ -18,8 +18,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["COHERENCE_MIN", "Figures", "Measured", "Resonance", "Response", "estimate", "figures", "joined"]
-
 COHERENCE_MIN: Final = 0.6
 """Points below it determine nothing."""
 

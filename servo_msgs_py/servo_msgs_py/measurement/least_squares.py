@@ -8,8 +8,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["fit_linear", "fit_nonlinear", "mean_of"]
-
 Floats = NDArray[np.float64]
 
 BATCHES: Final = 8

@@ -19,8 +19,6 @@ import numpy as np
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Recording, step_of
 
-__all__ = ["Call", "LoggedAccess", "MeasurementLog", "repeat"]
-
 FORMAT: Final = 1
 
 _NO_LOG: Final = (KeyError, ValueError, IndexError, TypeError, AttributeError, EOFError, zipfile.BadZipFile, zlib.error)

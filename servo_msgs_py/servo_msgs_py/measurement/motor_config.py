@@ -13,8 +13,6 @@ from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.reading import parse
 from servo_msgs_py.tuning.tuned import Tuned, tuned
 
-__all__ = ["configured", "fitted", "tuned_axis"]
-
 SPEED_USE: Final = 0.8
 """Part of the speed that the voltage reaches without load."""
 

@@ -20,8 +20,6 @@ from servo_msgs_py.tuning.configuration import Scales
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.formats import GAIN
 
-__all__ = ["COMMAND_TIMEOUT", "LATENCY", "NOMINAL", "PROTECTION", "STOPPED", "TICK", "MotorRig"]
-
 TICK: Final = 0.5e-3  # [s]
 PROTECTION: Final = "protection"
 """Stage of a log: limits around the place of the shaft, and what brings the board back; of one board only."""

@@ -36,8 +36,6 @@ from servo_msgs_py.measurement.spinning import balance
 from servo_msgs_py.measurement.standstill import PERIOD, impedance
 from servo_msgs_py.units import PERIOD_NS
 
-__all__ = ["PULSES", "SPEEDS", "TURN", "MotorTest"]
-
 FIRST_KP: Final = 0.05  # V/A; stable from 0.03 mH on
 FIRST_KI: Final = 10.0  # V/(A s); stable from 0.05 ohm on
 LEVELS: Final = tuple(float(level) for level in np.linspace(0.2, 1.0, 9))

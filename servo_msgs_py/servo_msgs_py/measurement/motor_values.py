@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-__all__ = ["COVERAGE", "UNITS", "Estimate", "Limits", "MotorEstimates"]
-
 COVERAGE: Final = 1.96
 """Half the width of a 95 % interval, over the standard uncertainty."""
 

@@ -20,8 +20,6 @@ from servo_msgs_py.tuning.restore import restored
 from servo_msgs_py.tuning.sensors import EdgeDelay, edge_delay
 from servo_msgs_py.tuning.tuned import Tuned, tuned
 
-__all__ = ["Prediction", "predict", "tuned_of_blocks", "tuned_of_board"]
-
 _GRID: Final = 200
 
 

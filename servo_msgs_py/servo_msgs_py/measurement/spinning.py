@@ -13,8 +13,6 @@ from servo_msgs_py.measurement.least_squares import Floats, fit_linear, mean_of
 from servo_msgs_py.measurement.motor_values import Estimate
 from servo_msgs_py.measurement.standstill import PERIOD, Ohmic, switching_share
 
-__all__ = ["Steady", "balance", "flux", "friction", "second_half", "steady_of", "torque_of"]
-
 BRIDGED: Final = 3  # samples that may be missing in a row
 LOST_OFF: Final = 0.3
 """Part by which a lost voltage may be off that changes within the band of small currents."""

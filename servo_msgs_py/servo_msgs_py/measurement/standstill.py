@@ -14,8 +14,6 @@ from servo_msgs_py.measurement.least_squares import Floats, fit_linear, fit_nonl
 from servo_msgs_py.measurement.motor_values import Estimate
 from servo_msgs_py.units import PERIOD_NS
 
-__all__ = ["Impedance", "Ohmic", "impedance", "ohmic", "spectra", "switching_share"]
-
 Complex = NDArray[np.complex128]
 
 PERIOD: Final = PERIOD_NS * 1e-9  # [s]

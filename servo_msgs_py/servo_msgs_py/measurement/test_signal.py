@@ -8,16 +8,6 @@ from typing import Final
 
 from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, step_of
 
-__all__ = [
-    "FAST_POINTS",
-    "SweptSine",
-    "end_test_signal",
-    "full_scale",
-    "prepare_test_signal",
-    "refuse_test_signal",
-    "start_test_signal",
-]
-
 FAST_POINTS: Final = ("I_D", "I_Q")
 """Points of the fast loop, which call once per PWM period; the others call once per slow tick."""
 

@@ -11,8 +11,6 @@ from servo_msgs_py.measurement.access import MeasurementError, Recording
 from servo_msgs_py.measurement.least_squares import Floats, fit_linear
 from servo_msgs_py.measurement.motor_values import Estimate
 
-__all__ = ["Turning", "sensor_errors", "turning"]
-
 PAIRS_OFF_MAX: Final = 0.12
 """Distance from a whole number that says that the rotor has not followed."""
 

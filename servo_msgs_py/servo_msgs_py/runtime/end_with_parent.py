@@ -13,8 +13,6 @@ import signal
 import sys
 from collections.abc import Sequence
 
-__all__ = ["bound_to_us"]
-
 
 def bound_to_us(command: Sequence[str]) -> list[str]:
     """Command line that gets SIGTERM when the calling thread is gone; the same line where the kernel cannot do that.

@@ -22,19 +22,6 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
-__all__ = [
-    "NameTakenError",
-    "ParameterError",
-    "Runnable",
-    "Spec",
-    "claim_name",
-    "declare",
-    "full_name",
-    "help_text",
-    "run",
-    "setting_up",
-]
-
 _SPIN_TIMEOUT: Final = 0.1  # how long a stop may go unnoticed [s]
 
 

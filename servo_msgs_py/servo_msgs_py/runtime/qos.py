@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-__all__ = ["command_qos", "latched_qos", "telemetry_qos"]
-
 
 def telemetry_qos(depth: int = 50) -> QoSProfile:
     """Reliable and deep enough: depth 10 loses 5 % of a 500 Hz stream in a Python subscriber."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 
-__all__ = ["run_with_ros"]
-
 
 def run_with_ros(name: str, module: str) -> int:
     """Run ``main`` of a module.

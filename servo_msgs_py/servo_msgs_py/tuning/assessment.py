@@ -16,19 +16,6 @@ from servo_msgs_py.tuning.sensorless_figures import SensorlessFigures, sensorles
 from servo_msgs_py.tuning.sensors import edge_delay
 from servo_msgs_py.tuning.tuned import Tuned
 
-__all__ = [
-    "Arrival",
-    "Assessment",
-    "DesignRule",
-    "Inertia",
-    "LoadStep",
-    "Loop",
-    "Reach",
-    "assess",
-    "design_rule",
-    "shaped_arrival",
-]
-
 INERTIAS: Final = (0.5, 1.0, 2.0, 3.0)
 """Inertias that are tried, over the nominal one."""
 

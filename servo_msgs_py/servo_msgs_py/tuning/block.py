@@ -11,8 +11,6 @@ from servo_msgs_py.tuning.conversion import AxisConstants, Category, FaultSet, F
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.stops import CATEGORIES
 
-__all__ = ["block_of", "constants_of"]
-
 
 @lru_cache(maxsize=1)
 def _masks() -> tuple[Mapping[str, int], Mapping[str, int]]:

@@ -11,8 +11,6 @@ from servo_msgs_py.tuning.conversion import Category, Converter, FaultSet, Field
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN
 
-__all__ = ["BUS_END", "brake_constants", "pin_constants", "regeneration_speed", "short_speed", "stop_constants"]
-
 BUS_END: Final = 0.98
 """Part of the bus converter's range that can still be told from its end."""
 

@@ -12,8 +12,6 @@ from servo_msgs_py.tuning.sensorless_checks import check_sensorless
 from servo_msgs_py.tuning.winding import check_winding
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
-__all__ = ["check"]
-
 
 def check(configuration: Configuration, catalogue: Catalogue) -> None:
     """Check everything that can be seen before a gain is computed.

@@ -21,8 +21,6 @@ from servo_msgs_py.tuning.reading import load
 from servo_msgs_py.tuning.report import as_dict, axis_reports, text
 from servo_msgs_py.tuning.source import c_source
 
-__all__ = ["main", "parser"]
-
 FOLDER: Final = Path(__file__).resolve().parents[3] / "firmware" / "config"
 
 _ABOUT: Final = """\

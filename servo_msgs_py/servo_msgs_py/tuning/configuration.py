@@ -22,8 +22,6 @@ from servo_msgs_py.tuning.schema import (
 from servo_msgs_py.tuning.stops import Stops
 from servo_msgs_py.tuning.temperature import Temperature
 
-__all__ = ["FEEDBACKS", "PINS", "Axis", "Board", "Configuration", "Scales"]
-
 FEEDBACKS: Final = ("encoder", "observer")
 """Where an axis may take its angle and speed from; the first one unless the file says otherwise."""
 

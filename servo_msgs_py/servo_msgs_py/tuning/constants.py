@@ -13,8 +13,6 @@ from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN, INT16_Q8, INT32_Q
 from servo_msgs_py.tuning.gains import Gains
 from servo_msgs_py.tuning.winding import winding_constants
 
-__all__ = ["OBSERVER", "PATH_OMEGA", "axis_constants", "time_outs"]
-
 ANGLE32: Final = Format("uint32_t, 2^32 a turn", 32, 1, 2**32 - 1)
 COUNTS: Final = Format("int32_t counts", 0, 1, 2**30)
 PATH_OMEGA: Final = Format("omega_n Ts of DRM E40", 16, 1, 2**14)

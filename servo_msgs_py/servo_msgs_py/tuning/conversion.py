@@ -10,8 +10,6 @@ from servo_msgs_py.tuning.configuration import Axis, Board, Scales
 from servo_msgs_py.tuning.formats import GAIN, Format
 from servo_msgs_py.tuning.gains import Pi
 
-__all__ = ["AxisConstants", "Category", "Converter", "FaultSet", "Field", "PiRaw", "Switches", "pi_raw"]
-
 TICKS: Final = Format("uint16_t slow ticks", 0, 0, 2**16 - 2)
 """A counter of 16 bits has to be able to go beyond it."""
 

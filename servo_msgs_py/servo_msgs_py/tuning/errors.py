@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["ConfigError", "refused"]
-
 
 class ConfigError(ValueError):
     """The configuration cannot work; the message names the entry, its value, the reason and a way out."""

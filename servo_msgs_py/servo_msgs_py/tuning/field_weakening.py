@@ -15,19 +15,6 @@ from servo_msgs_py.tuning.conversion import Converter, Field
 from servo_msgs_py.tuning.formats import FRAC16, INT16_Q8
 from servo_msgs_py.tuning.layout import notes, table
 
-__all__ = [
-    "Loop",
-    "Motor",
-    "Reserve",
-    "field_weakening_constants",
-    "field_weakening_loops",
-    "field_weakening_text",
-    "i_d_max",
-    "idle_speed",
-    "reserve_at",
-    "top_speed",
-]
-
 _STEPS: Final = 201  # values of i_d that are tried
 _SHARE_MAX: Final = 1.0 - 2.0**-15
 _SPEEDS: Final = (0.6, 0.7, 0.8, 0.9, 1.0)  # of the rated speed, in the report

@@ -12,8 +12,6 @@ from servo_msgs_py.tuning.sensorless_constants import needs_observer
 from servo_msgs_py.tuning.sensorless_figures import SensorlessFigures
 from servo_msgs_py.tuning.tuned import Tuned
 
-__all__ = ["findings"]
-
 PHASE_MIN: Final = 45.0
 """Phase margin that current and speed loop should have [degrees]."""
 

@@ -8,8 +8,6 @@ from typing import Final
 
 from servo_msgs_py.tuning.errors import refused
 
-__all__ = ["FRAC16", "FRAC32", "GAIN", "INT16_Q8", "INT32_Q16", "UINT16", "UINT16_Q14", "Format"]
-
 
 @dataclass(frozen=True)
 class Format:

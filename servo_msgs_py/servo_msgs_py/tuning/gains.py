@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 from servo_msgs_py.tuning.configuration import Axis, Board
 
-__all__ = ["Gains", "Pi", "speed_pi"]
-
 
 @dataclass(frozen=True)
 class Pi:

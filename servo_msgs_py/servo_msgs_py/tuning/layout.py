@@ -7,8 +7,6 @@ from collections.abc import Iterator, Sequence
 
 from servo_msgs_py.tuning.linear import Margins
 
-__all__ = ["factor", "hertz", "notes", "phase", "table"]
-
 
 def table(rows: Sequence[Sequence[str]]) -> Iterator[str]:
     """Columns below their heads, the first to the left and the others to the right."""

@@ -11,21 +11,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "Margins",
-    "Matrix",
-    "Omega",
-    "Pole",
-    "System",
-    "Tracking",
-    "expm",
-    "held",
-    "margins",
-    "pole_of",
-    "poles",
-    "spectral_radius",
-]
-
 Matrix = NDArray[np.float64]
 Omega = NDArray[np.float64]
 """Angular frequencies [rad/s]."""

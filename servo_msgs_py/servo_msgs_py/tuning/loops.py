@@ -22,8 +22,6 @@ from servo_msgs_py.tuning.gains import Gains, Pi
 from servo_msgs_py.tuning.linear import Margins, Matrix, Omega, System, held, margins
 from servo_msgs_py.tuning.sensors import EdgeDelay, SpeedSensor
 
-__all__ = ["CurrentLoop", "In", "Out", "ShaftLoops"]
-
 
 @dataclass(frozen=True)
 class CurrentLoop:

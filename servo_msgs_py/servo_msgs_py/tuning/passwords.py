@@ -11,8 +11,6 @@ from typing import Final
 from servo_msgs_py.tuning.errors import refused
 from servo_msgs_py.tuning.schema import check_table, unknown_name
 
-__all__ = ["LEVELS", "password_constants", "password_entries"]
-
 LEVELS: Final = ("view", "command", "tune")
 """Names of the levels, from the lowest, in the order of ``ACCESS_VIEW``."""
 

@@ -17,8 +17,6 @@ from servo_msgs_py.tuning.report import AxisReport
 from servo_msgs_py.tuning.sensorless_figures import WINDINGS
 from servo_msgs_py.tuning.tuned import Tuned
 
-__all__ = ["PictureError", "draw"]
-
 
 class PictureError(RuntimeError):
     """The picture cannot be made; the message says why."""

@@ -18,8 +18,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["load", "loads", "parse"]
-
 AXIS_NAMES: Final = tuple(axis_name(axis) for axis in range(AXES))
 
 

@@ -16,8 +16,6 @@ from servo_msgs_py.tuning.sensorless_report import sensorless_text
 from servo_msgs_py.tuning.tuned import Tuned, tuned
 from servo_msgs_py.tuning.winding import Winding
 
-__all__ = ["AxisReport", "as_dict", "axis_reports", "text"]
-
 MODEL: Final = """\
 Model: the loops as they are sampled, with the integer gains and the nominal motor.
 Duties are loaded half a PWM period after their sample and hold for a whole one. M/T: the controller sees the mean speed

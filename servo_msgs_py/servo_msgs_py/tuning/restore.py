@@ -24,8 +24,6 @@ from servo_msgs_py.tuning.temperature import Temperature
 from servo_msgs_py.tuning.tuned import integers, tuned
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 
-__all__ = ["restored", "toml_text"]
-
 Block = Mapping[str, int]
 
 _TICK: Final = PERIOD_NS * SLOW_PERIODS * 1e-9

@@ -10,18 +10,6 @@ from typing import Any, Final
 
 from servo_msgs_py.tuning.errors import ConfigError, refused
 
-__all__ = [
-    "AXIS_GROUPS",
-    "BOARD",
-    "BOARD_GROUPS",
-    "SCHEMA",
-    "Entry",
-    "check_group",
-    "check_switches",
-    "check_table",
-    "unknown_name",
-]
-
 LEAST: Final = 1e-12
 """Nothing that could stand in the file is smaller, 0 apart."""
 

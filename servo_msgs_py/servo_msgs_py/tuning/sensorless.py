@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 from servo_msgs_py.tuning.configuration import Axis, Board
 from servo_msgs_py.tuning.gains import Pi, speed_pi
 
-__all__ = ["BackEmfObserver", "Pll", "Sensorless", "StartUp", "angle_error", "inductance", "slide_damping"]
-
 SLIDE_I_PER_SPEED: Final = 60.0 / 2.0**19
 """omega_n^2 / omega_e per number of the slide's rule (ST slide "PLL 闭环系数计算").
 

@@ -9,8 +9,6 @@ from servo_msgs_py.tuning.configuration import Axis, Board
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.sensorless import BackEmfObserver, Pll, StartUp
 
-__all__ = ["check_sensorless"]
-
 SPEEDS: Final = 64
 """Length of the FIFO of observed speeds."""
 

@@ -13,8 +13,6 @@ from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN, UINT16, UINT16_Q1
 from servo_msgs_py.tuning.sensorless import BackEmfObserver, Pll, Sensorless, StartUp
 from servo_msgs_py.tuning.sensors import FORGET
 
-__all__ = ["F2", "needs_observer", "sensorless_constants", "used_observer", "used_pll"]
-
 F2: Final = 11
 """Fraction bits of the observed back-EMF beyond 15; F1 of the observed current is at most the same."""
 F1_MIN: Final = 6

@@ -13,8 +13,6 @@ from servo_msgs_py.tuning.linear import Margins, Pole, pole_of, spectral_radius
 from servo_msgs_py.tuning.sensorless import angle_error, slide_damping
 from servo_msgs_py.tuning.tuned import Tuned
 
-__all__ = ["WINDINGS", "AngleError", "Lock", "ObserverPoles", "SensorlessFigures", "sensorless_figures"]
-
 WINDINGS: Final = ((1.0, 1.0), (0.5, 1.0), (1.5, 1.0), (1.0, 0.5), (1.0, 1.5))
 """Resistance and inductance that are tried, over the nominal values."""
 

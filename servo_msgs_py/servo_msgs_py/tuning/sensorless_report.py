@@ -10,8 +10,6 @@ from servo_msgs_py.tuning.linear import Pole
 from servo_msgs_py.tuning.sensorless_figures import SensorlessFigures
 from servo_msgs_py.tuning.tuned import Tuned
 
-__all__ = ["sensorless_text"]
-
 
 def sensorless_text(it: Tuned, figures: SensorlessFigures) -> Iterator[str]:
     """Sections about the observer of the back-EMF, its loop and the start-up."""

@@ -12,9 +12,6 @@ from numpy.typing import NDArray
 
 from servo_msgs_py.tuning.linear import Matrix, Omega, held
 
-__all__ = ["FORGET", "EdgeDelay", "MtSpeed", "Observer", "PllSpeed", "SpeedSensor", "edge_delay"]
-
-
 FORGET: Final = 0.128
 """Time constant with which the phase-locked loop learns what the size of the back-EMF is off by [s]."""
 

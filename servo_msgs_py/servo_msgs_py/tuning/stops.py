@@ -9,8 +9,6 @@ from typing import Any, Final
 from servo_msgs_py.tuning.errors import refused
 from servo_msgs_py.tuning.schema import unknown_name
 
-__all__ = ["CATEGORIES", "COMMANDS", "Stops"]
-
 CATEGORIES: Final = ("coast", "short", "ramp", "hold")
 """From the harshest; one that the moment does not permit gives way to the one before it."""
 

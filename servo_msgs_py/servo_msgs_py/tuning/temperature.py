@@ -11,8 +11,6 @@ from typing import Final
 from servo_msgs_py.tuning.errors import ConfigError, refused
 from servo_msgs_py.tuning.schema import check_table, unknown_name
 
-__all__ = ["Temperature"]
-
 _CODES: Final = 4096
 _LINEAR: Final = ((0.0, 0.0), (150.0, float(_CODES)))
 _DEFAULTS: Final[Mapping[str, object]] = {"threshold_c": 85.0, "hysteresis_c": 15.0, "table": _LINEAR}

@@ -20,8 +20,6 @@ from servo_msgs_py.tuning.sensorless import Sensorless
 from servo_msgs_py.tuning.sensorless_constants import sensorless_constants, used_observer, used_pll
 from servo_msgs_py.tuning.sensors import MtSpeed, Observer, PllSpeed
 
-__all__ = ["GainRow", "Tuned", "integers", "tuned"]
-
 
 class GainRow(NamedTuple):
     """One gain: as designed, as the firmware uses it, and its integer."""

@@ -16,8 +16,6 @@ from servo_msgs_py.tuning.configuration import Axis
 from servo_msgs_py.tuning.conversion import Converter, Field
 from servo_msgs_py.tuning.formats import FRAC16, Format
 
-__all__ = ["COLD", "COPPER", "FULL", "STEP_TICKS", "Winding", "check_winding", "winding_constants"]
-
 COPPER: Final = 3.93e-3
 """Rise of copper's resistance, over that at `COLD` [1/K]."""
 

@@ -16,8 +16,6 @@ from typing import Final
 from servo_twin.experiments.outcome import Outcome
 from servo_twin.plant import PlantConfig
 
-__all__ = ["EXPERIMENTS", "Experiment"]
-
 
 @dataclass(frozen=True)
 class Experiment:

@@ -29,8 +29,6 @@ from servo_twin.plant import PlantConfig
 from servo_twin.runner import Runner
 from servo_twin.simulation import SimulationError
 
-__all__ = ["add_parser"]
-
 _HELP: Final = """\
 Find out what motor is there: resistance, inductances, flux, pole pairs, inertia, friction, load, the voltage that dead
 time and switches take, delay, with 95 % intervals. The axis moves by itself, within the limits. Nothing has to be known

@@ -19,8 +19,6 @@ from servo_twin.identification.refine import plant_of
 from servo_twin.identification.session import Identified, rows_of
 from servo_twin.plant import PlantConfig
 
-__all__ = ["draw", "report_lines", "write_estimates", "write_plant", "write_servo"]
-
 _PLANT: Final = ("r_s", "l_d", "l_q", "psi_m", "pole_pairs", "inertia", "friction", "viscous", "r_on", "v_drop")
 """Values of an axis in the plant file."""
 

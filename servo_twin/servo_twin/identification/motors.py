@@ -8,8 +8,6 @@ from typing import Final
 
 from servo_twin.plant import PlantConfig
 
-__all__ = ["random_motor"]
-
 PAIRS: Final = (1, 2, 2, 3, 4, 4, 5, 7)
 R_S: Final = (0.15, 3.0)  # [ohm]
 TIME_CONSTANT: Final = (0.3e-3, 3e-3)  # L_d over R [s]

@@ -30,8 +30,6 @@ from servo_twin.board_access import VirtualBoardAccess
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig, PlantError
 
-__all__ = ["MODEL_ERROR", "REFINED", "Refinement", "covariance", "plant_of", "refine", "simulated"]
-
 Floats = NDArray[np.float64]
 
 REFINED: Final = ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous", "load", "dead_voltage")

@@ -25,8 +25,6 @@ from servo_twin.identification.refine import CLOSE, Refinement, refine
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 
-__all__ = ["BOOT", "NEEDED", "Identified", "identified", "measure_virtual", "tuned_table"]
-
 BOOT: Final = 0.05  # power-on to STOP [s]
 
 NEEDED: Final[Mapping[str, float]] = {

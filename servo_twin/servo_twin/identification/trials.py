@@ -14,8 +14,6 @@ from servo_twin.identification.session import identified, measure_virtual, tuned
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 
-__all__ = ["AIMS", "Trial", "Trials", "summary"]
-
 AIMS: Final[Mapping[str, float]] = {
     "r_s": 0.03,
     "l_d": 0.03,

@@ -10,8 +10,6 @@ from servo_msgs_py.convert import AppliedCommand
 from servo_twin.lockstep.replica import Replica
 from servo_twin.lockstep.samples import COUNTED_FROM_ZERO, Activity, Sample, activity
 
-__all__ = ["POINTS", "AxisTie"]
-
 POINTS: Final = "cmd.points"
 _SET_POINTS: Final = ("cmd.position", "cmd.speed", "cmd.i_q", "cmd.points")  # by control mode
 _STOPS: Final = (("cmd.quick_stop", 1), ("cmd.enable", 0))

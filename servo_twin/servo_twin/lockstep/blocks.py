@@ -16,17 +16,6 @@ from servo_msgs_py.units import SLOW_PERIODS
 
 from servo_twin.lockstep.replica import Replica
 
-__all__ = [
-    "TAKE",
-    "Blocks",
-    "blocks_of",
-    "blocks_of_configuration",
-    "blocks_of_file",
-    "bring",
-    "checksums_of",
-    "repeat",
-]
-
 TAKE: Final = "config.take"
 
 Blocks = Mapping[int, tuple[int, ...]]

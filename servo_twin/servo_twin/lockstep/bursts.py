@@ -25,8 +25,6 @@ from servo_twin.board_memory import BoardError
 from servo_twin.lockstep.replica import Replica
 from servo_twin.lockstep.samples import BY_ANGLE, COUNTED_FROM_ZERO, OWN
 
-__all__ = ["Alignment", "BurstAnswer", "BurstFollower"]
-
 _TICK: Final = "tick"
 _COPIED: Final = (_TICK, topics.BURST_TIME, *topics.STAMP_COLUMNS)
 _LOOPS: Final = (PERIOD_NS, PERIOD_NS * SLOW_PERIODS)  # time base by recorder [ns]

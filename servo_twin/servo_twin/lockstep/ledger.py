@@ -11,8 +11,6 @@ from typing import Final
 
 from servo_msgs_py.convert import AppliedCommand
 
-__all__ = ["CommandLedger"]
-
 _COUNT_WRAP: Final = 0xFFFF
 _TICK_WRAP: Final = 0xFFFF_FFFF
 

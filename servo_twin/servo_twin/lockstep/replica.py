@@ -19,8 +19,6 @@ from servo_twin.board_memory import BoardError
 from servo_twin.lockstep.samples import expired_mask
 from servo_twin.plant import PlantConfig
 
-__all__ = ["ReplayBoard", "Replica", "slow_tick"]
-
 _WRAP: Final = 1 << 32
 _OUT_OF_RANGE: Final = 0x97  # FreeMASTER status of a value that the board does not take
 

@@ -10,8 +10,6 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, joint_names
 from servo_msgs_py.units import PERIOD_NS
 
-__all__ = ["COMPARED", "HealthMonitor", "Residual", "Thresholds", "residual"]
-
 COMPARED: Final = tuple(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in ("position", "speed", "i_q"))
 """Variables whose difference is a residual; those of position and speed are compared in joint units."""
 

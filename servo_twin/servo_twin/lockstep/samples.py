@@ -15,18 +15,6 @@ from servo_msgs_py.convert import state_label
 
 from servo_msgs_py import topics
 
-__all__ = [
-    "BY_ANGLE",
-    "COUNTED_FROM_ZERO",
-    "OWN",
-    "Activity",
-    "RestWatch",
-    "Sample",
-    "SampleReader",
-    "activity",
-    "expired_mask",
-]
-
 OWN: Final = frozenset({"tick", "applied_tick", "applied_count", "config.taken_tick", "config.taken_count"})
 """Variables that count on each board for itself."""
 

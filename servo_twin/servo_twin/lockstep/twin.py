@@ -39,8 +39,6 @@ from servo_twin.lockstep.replica import ReplayBoard, Replica, slow_tick
 from servo_twin.lockstep.samples import OWN, Activity, RestWatch, Sample, SampleReader, activity
 from servo_twin.plant import PlantConfig
 
-__all__ = ["Pair", "Twin", "TwinSettings"]
-
 _POSITIONS: Final = ("param.position_min", "param.position_max")  # parameters that are positions of a shaft
 _FOREVER: Final = 1 << 63  # later than any tick
 _SETTLE: Final = 2.0  # longest time from reset to STOP [s]

@@ -19,8 +19,6 @@ from servo_msgs_py.units import PERIOD_NS
 from servo_twin.lockstep.blocks import Blocks
 from servo_twin.lockstep.twin import Pair, Twin
 
-__all__ = ["TwinWorker", "WorkerFigures"]
-
 _CHUNK: Final = 16  # samples between two looks at what has come
 _WAITING: Final = 1000  # messages that may wait
 _MOST_BACKLOG: Final = 3.0  # of board time that may wait [s]

@@ -10,8 +10,6 @@ from typing import Any, Final, TypeVar
 
 from servo_twin.runner.work import Answer, RunError, Work, WorkerLostError, attempt
 
-__all__ = ["run_on_cluster"]
-
 Result = TypeVar("Result")
 
 CHUNK_TIME: Final = 0.5  # of the trials that a worker gets at once, as far as that is known before [s]

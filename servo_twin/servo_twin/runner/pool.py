@@ -12,8 +12,6 @@ from typing import Final, TypeVar
 
 from servo_twin.runner.work import ATTEMPTS, Answer, RunError, Work, WorkerLostError, attempt
 
-__all__ = ["run_on_processes"]
-
 Result = TypeVar("Result")
 
 IN_HAND: Final = 2

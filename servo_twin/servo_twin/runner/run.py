@@ -15,8 +15,6 @@ from servo_twin.runner.cluster import run_on_cluster
 from servo_twin.runner.pool import run_on_processes
 from servo_twin.runner.work import Work, attempt
 
-__all__ = ["HERE", "Runner", "run_in_order"]
-
 Result = TypeVar("Result")
 
 

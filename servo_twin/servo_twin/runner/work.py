@@ -7,8 +7,6 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 from servo_twin.board import SimulationError
 
-__all__ = ["ATTEMPTS", "Answer", "RunError", "TrialError", "Work", "WorkerLostError", "attempt"]
-
 ATTEMPTS = 3
 """A trial that was running when so many workers died is not tried again."""
 

@@ -29,8 +29,6 @@ from servo_twin.sweep.summary import Summary
 from servo_twin.sweep.trial import MEASURES, Sweep
 from servo_twin.sweep.variant import Base
 
-__all__ = ["add_parser", "sweep_of"]
-
 _HELP: Final = f"""\
 Run an experiment on many boards, each with other values of the plant file (plant.axis1.inertia, plant.bus.u_source), of
 servo.toml (servo.axis1.speed.bandwidth), or of the board's parameters (param.i_q_limit[0]), and collect its figures.

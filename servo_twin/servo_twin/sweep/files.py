@@ -15,8 +15,6 @@ from servo_twin.simulation import SimulationError
 from servo_twin.sweep.space import Varied
 from servo_twin.sweep.trial import Trial
 
-__all__ = ["draw", "write_csv", "write_parquet"]
-
 BATCH: Final = 10_000  # rows that are in memory at once
 LABEL_WIDTH: Final = 28  # letters
 

@@ -20,8 +20,6 @@ from servo_twin.sweep.space import Space, Varied
 from servo_twin.sweep.trial import Trial, trial_at
 from servo_twin.sweep.variant import Base
 
-__all__ = ["BATCH", "Candidates", "Objective", "Score", "front", "search"]
-
 BATCH: Final = 8
 """Candidates that are tried at once. The sampler learns from whole batches: the number of workers changes nothing."""
 

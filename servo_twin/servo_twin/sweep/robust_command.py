@@ -21,8 +21,6 @@ from servo_twin.sweep.space import SYNTAX, Space, SpaceError, Varied
 from servo_twin.sweep.trial import MEASURES
 from servo_twin.sweep.variant import Base
 
-__all__ = ["add_parser"]
-
 _HELP: Final = f"""\
 Find values of servo.toml that do well on the worst of a set of plants.
 

@@ -12,8 +12,6 @@ from typing import Final, Literal
 
 import numpy as np
 
-__all__ = ["METHODS", "Method", "Space", "SpaceError", "Varied", "shuffled"]
-
 Method = Literal["grid", "latin", "random"]
 METHODS: Final[tuple[Method, ...]] = ("grid", "latin", "random")
 

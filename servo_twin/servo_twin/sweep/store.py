@@ -16,8 +16,6 @@ import numpy as np
 
 from servo_twin.sweep.trial import Trial
 
-__all__ = ["RESULTS", "Store", "StoreError"]
-
 RESULTS: Final = "trials.jsonl"
 _ABSENT: Final = -1
 

@@ -10,8 +10,6 @@ from typing import Final
 
 from servo_twin.sweep.trial import Figure, Trial
 
-__all__ = ["WORST", "FigureSummary", "Summary"]
-
 WORST: Final = 3
 """Trials that are named for each figure."""
 

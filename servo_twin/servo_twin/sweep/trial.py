@@ -19,8 +19,6 @@ from servo_twin.simulation import SimulationError, enable, move, turns
 from servo_twin.sweep.space import Space
 from servo_twin.sweep.variant import Base
 
-__all__ = ["MEASURES", "Figure", "Sweep", "Trial", "outcome_at", "trial_at"]
-
 MOVE: Final = "move"
 MOVE_TURNS: Final = 1.0
 MOVE_TIME: Final = 0.5  # [s]

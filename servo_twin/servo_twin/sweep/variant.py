@@ -27,8 +27,6 @@ from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 from servo_twin.sweep.space import SpaceError, Varied
 
-__all__ = ["Base", "Variant"]
-
 _PLANT: Final = "plant."
 _SERVO: Final = "servo."
 

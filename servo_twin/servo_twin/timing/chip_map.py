@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-__all__ = ["LOOPS", "PHASES", "SLOTS", "START_STEPS", "VECTOR_M1", "VECTOR_M2", "VECTOR_START", "Loop"]
-
 PHASES: Final = ((0, 1, 2), (4, 5, 6))
 """Submodules (4 module + submodule) of the phases a, b, c of both motors."""
 

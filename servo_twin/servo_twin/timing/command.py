@@ -25,8 +25,6 @@ from servo_twin.timing.picture import draw
 from servo_twin.timing.scenarios import SCENARIOS, USUAL, Scenario
 from servo_twin.timing.trace import Kind, Trace
 
-__all__ = ["add_parser", "counters", "everything", "measure", "record"]
-
 HELP: Final = """\
 Timing of both motors on one chip, as it emerges from the register values on the register-level board: the carriers
 180 degrees apart, the instants of the samples, the converter's sequence, the two interrupts (F33, F34, F35, F38), the

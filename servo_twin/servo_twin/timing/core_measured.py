@@ -30,8 +30,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["Row", "add_parser", "compare", "with_cycles"]
-
 HELP: Final = """\
 Mean widths of the pulses at the scope pins F6 (M1) and F7 (M2) on the virtual board, in states that are easily set
 up on silicon. --measured FILE takes the widths of a board in, and writes what an instruction costs there into

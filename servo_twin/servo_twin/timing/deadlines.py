@@ -18,8 +18,6 @@ from servo_twin.experiments.outcome import Bound, Row
 from servo_twin.timing.chip_map import LOOPS, SLOTS, Loop
 from servo_twin.timing.trace import CLOCK, Kind, Trace
 
-__all__ = ["BUSY_MAX", "ROOM_MIN", "Handler", "Runs", "busy", "handlers", "lines", "rows", "runs_of"]
-
 PERIOD: Final = round(PERIOD_NS * 1e-9 / CLOCK)  # of the PWM [clocks]
 ROOM_MIN: Final = 0.20
 """Of the time from sample to load."""

@@ -13,8 +13,6 @@ from servo_twin.experiments.outcome import Bound, Row
 from servo_twin.timing.chip_map import PHASES, START_STEPS, VECTOR_M1, VECTOR_M2, VECTOR_START
 from servo_twin.timing.trace import CLOCK, Kind, Trace
 
-__all__ = ["circle", "start"]
-
 PWM: Final = 16e3  # [Hz]
 PAIRS: Final = 3  # per motor (F35)
 MOTORS: Final = ("motor 1", "motor 2")

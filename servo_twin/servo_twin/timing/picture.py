@@ -14,8 +14,6 @@ from servo_twin.timing.chip_map import LOOPS, PHASES, VECTOR_M1, VECTOR_M2, VECT
 from servo_twin.timing.deadlines import runs_of
 from servo_twin.timing.trace import CLOCK, Kind, Trace
 
-__all__ = ["draw", "rooms"]
-
 _US: Final = CLOCK * 1e6
 _COLOURS: Final = ("tab:blue", "tab:orange")
 _PAIRS: Final = 3

@@ -16,8 +16,6 @@ from servo_twin.board import Board
 from servo_twin.experiments.rig import choose_mode, features
 from servo_twin.simulation import enable, keep_set_points
 
-__all__ = ["SCENARIOS", "USUAL", "Scenario"]
-
 _TURN: Final = 6.283185307179586
 _AHEAD: Final = 16
 """Points that the queue of an axis holds."""

@@ -8,8 +8,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CLOCK", "Kind", "Trace"]
-
 CLOCK: Final = 10e-9
 """Clock of the bus [s]."""
 

@@ -6,8 +6,6 @@ from typing import Any, Final
 
 from servo_twin.view import scene
 
-__all__ = ["blueprint"]
-
 _WINDOW: Final = 15.0  # what the plots show of the past [s]
 
 

@@ -14,8 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.units import PERIOD_NS
 
-__all__ = ["BoardTime"]
-
 _PERIOD: Final = PERIOD_NS * 1e-9
 _REMEMBERED: Final = 20_000  # rows: ten seconds of the fastest telemetry, more than a twin may lag
 

@@ -8,8 +8,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Curves", "Hand"]
-
 _Array = NDArray[np.float64]
 
 _GAP: Final = 0.5  # silence that a curve does not bridge [s]

@@ -8,8 +8,6 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.timed_points import decode_points
 
-__all__ = ["PathSpan"]
-
 _WRAP = 1 << 32
 
 

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw", "figure", "main"]
-
 _Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 _SIZE: Final = (16.0, 10.0)  # [inch]

@@ -20,8 +20,6 @@ from servo_twin.view.blueprint import blueprint
 if TYPE_CHECKING:
     from types import ModuleType
 
-__all__ = ["Recording", "RecordingError", "import_rerun", "read_scalars", "read_texts"]
-
 _APPLICATION: Final = "servo"
 _SERVER_MEMORY: Final = "256MiB"  # what a browser that comes late can still see
 _FLUSH_TIMEOUT: Final = 3.0  # [s]

@@ -26,8 +26,6 @@ from servo_twin.view.board_time import BoardTime
 from servo_twin.view.curves import Curves, Hand
 from servo_twin.view.path_span import PathSpan
 
-__all__ = ["Recorder", "Viewer"]
-
 _Job = Callable[[], None]
 _Table = NDArray[np.float64]
 

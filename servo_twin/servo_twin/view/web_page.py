@@ -16,8 +16,6 @@ from urllib.parse import quote
 
 from servo_msgs_py.runtime.end_with_parent import bound_to_us
 
-__all__ = ["LOOPBACK", "WebPage", "WebPageError", "free_port"]
-
 LOOPBACK: Final = "127.0.0.1"
 _PORTS_TRIED: Final = 32
 _START_TIMEOUT: Final = 15.0  # [s]
