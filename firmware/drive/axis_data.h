@@ -178,7 +178,7 @@ typedef struct axis {
     bool calibrated;
     rotor_search_t search;
     current_loop_t current_loop;
-    dq_t current_ref;
+    dq_t current_ref; /* Q1.15 of full-scale current */
     field_weakening_t weakening; /* of the field; all zero: no effect */
     motion_state_t motion;
     trajectory_t trajectory;

@@ -69,7 +69,7 @@ class TestReport:
         rows = json.loads(path.read_text())
         assert {row["name"]: row["agrees"] for row in rows} == {"a: figure 0": False, "b: figure 0": True}
 
-    def test_picture(self, tmp_path: Path) -> None:
+    def test_a_picture_is_written_to_a_new_folder(self, tmp_path: Path) -> None:
         draw(outcome("a", 0.5), tmp_path / "new" / "a.png")
         assert (tmp_path / "new" / "a.png").read_bytes().startswith(b"\x89PNG")
 
@@ -84,7 +84,9 @@ class TestLevels:
     @pytest.mark.parametrize(
         ("ideal", "registers", "agrees"), [(0.5, 1.0, True), (0.5, 1.1, False), (-0.5, 1.0, False), (0.5, None, False)]
     )
-    def test_agreement(self, ideal: float, registers: float | None, agrees: bool) -> None:
+    def test_two_levels_agree_within_bound_and_difference(
+        self, ideal: float, registers: float | None, agrees: bool
+    ) -> None:
         """With the bound at each level, and with each other."""
         pair = levels.pairs(outcome("a", ideal), outcome("a", registers))[0]
         assert pair.agrees is agrees
