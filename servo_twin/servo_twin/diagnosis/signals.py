@@ -40,7 +40,7 @@ ALIASES: Final = ("speed [N m s/rad]", "set-point [N m/A]", "large current [V/A]
 NEEDED: Final = ("position", "speed", "speed_ref", "i_q", "i_q_ref", "u_d", "u_q")
 """Variables of an axis that a sample has to carry."""
 
-RESISTANCE, FLUX, INERTIA, FRICTION, LOAD, ANGLE = range(len(CHANGES))
+RESISTANCE: Final = CHANGES.index("resistance")
 TORQUE, VOLTAGE_Q, VOLTAGE_D = range(len(EQUATIONS))
 
 _TIME: Final = 0.03  # time constant of F [s]
