@@ -1,4 +1,5 @@
-/* The harness as a target of libFuzzer, or (FUZZ_REPLAY) as a program that runs the inputs in the files it is given.
+/* The harness as a target of libFuzzer, or (FUZZ_REPLAY) as a program that runs the inputs it reads from standard input:
+ * u16 size, bytes. For each it writes what the server has sent after the last step: u16 size, bytes (little endian).
  *
  * The first byte says which levels have a password: bits 0 to 2. Then steps follow, each a code, a length and that many
  * bytes:
@@ -107,9 +108,8 @@ static void check_memory(const harness_t *harness)
     }
 }
 
-static void step(harness_t *harness, uint8_t code, const uint8_t *data, uint8_t size, bool *clean)
+static uint16_t step(harness_t *harness, uint8_t code, const uint8_t *data, uint8_t size, bool *clean, uint8_t *wire)
 {
-    static uint8_t wire[HARNESS_LINE];
     const bool whole = code == STEP_FRAME && size != 0 && data[0] != FRAME_START;
     if (whole) {
         feed_frame(harness, data, size);
@@ -130,15 +130,15 @@ static void step(harness_t *harness, uint8_t code, const uint8_t *data, uint8_t 
         check_answer(wire, sent);
     }
     *clean = whole || (*clean && code != STEP_RAW);
+    return sent;
 }
 
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+/* All steps of an input; returns the size of what was sent after the last one. */
+static uint16_t run(const uint8_t *data, size_t size, uint8_t *wire)
 {
     static const char *const words[ACCESS_LEVELS] = {"view", "command", "tune"};
-    if (size == 0) {
-        return 0;
-    }
-    harness_t *harness = harness_new();
+    uint16_t sent = 0;
+    harness_t *harness = size == 0 ? NULL : harness_new();
     if (harness == NULL) {
         return 0;
     }
@@ -155,26 +155,34 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         const uint8_t code = (uint8_t)(data[at] % CODES);
         const size_t left = size - at - STEP_HEAD;
         const uint8_t length = data[at + 1] <= left ? data[at + 1] : (uint8_t)left;
-        step(harness, code, data + at + STEP_HEAD, length, &clean);
+        sent = step(harness, code, data + at + STEP_HEAD, length, &clean, wire);
         at += STEP_HEAD + length;
     }
     check_memory(harness);
     harness_free(harness);
+    return sent;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    static uint8_t wire[HARNESS_LINE];
+    run(data, size, wire);
     return 0;
 }
 
 #ifdef FUZZ_REPLAY
-int main(int count, char **names)
+int main(void)
 {
     static uint8_t data[1 << 16];
-    for (int i = 1; i < count; i++) {
-        FILE *file = fopen(names[i], "rb");
-        require(file != NULL, names[i]);
-        const size_t size = fread(data, 1, sizeof data, file);
-        fclose(file);
-        printf("%s\n", names[i]);
+    static uint8_t wire[2 + HARNESS_LINE];
+    while (fread(data, 1, 2, stdin) == 2) {
+        const size_t size = (size_t)data[0] | (size_t)data[1] << 8;
+        require(fread(data, 1, size, stdin) == size, "an input that is cut off");
+        const uint16_t sent = run(data, size, wire + 2);
+        wire[0] = (uint8_t)(sent & 0xFFu);
+        wire[1] = (uint8_t)(sent >> 8);
+        fwrite(wire, 1, sent + 2u, stdout);
         fflush(stdout);
-        LLVMFuzzerTestOneInput(data, size);
     }
     return 0;
 }

@@ -1,4 +1,8 @@
-"""Hostile input to a server built with sanitizers: it never crashes and writes only what may be written."""
+"""Hostile input to a server built with sanitizers: it never crashes and writes only what may be written.
+
+``freemaster_fuzz.c`` checks answers and memory. Its inputs are those of this file, those of the corpus, and what
+libFuzzer finds in some seconds where there is one.
+"""
 
 from __future__ import annotations
 
@@ -7,24 +11,15 @@ import select
 import struct
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, NoReturn
 
+import freemaster_fuzz
 import pytest
 from firmware_compiler import CompileProgram, has_library
-from freemaster_model import (
-    ENTRIES,
-    MEMORY_SIZE,
-    SERVO,
-    Layout,
-    examples,
-    initial_memory,
-    parse_answer,
-    request,
-    sleb,
-    uleb,
-)
+from freemaster_fuzz import CORPUS, frame
+from freemaster_model import ENTRIES, SERVO, examples, parse_answer, request, sleb, uleb
 from freemaster_recorder import START, STOP, memory, variable
 from hypothesis import given
 from hypothesis import strategies as st
@@ -33,11 +28,10 @@ TIME_LIMIT = 30.0  # seconds; an answer takes microseconds
 CODES = (
     0x20, 0x21, 0x22, 0x23, 0x24, 0x25, 0x26, 0x27, 0x28, 0x29, 0x2A, 0x2C, 0x2D, 0x2F, 0x30, 0x31, 0x32, 0x33
 )  # fmt: skip
-READ_ONLY = [offset for offset in range(MEMORY_SIZE) if not SERVO.writable(SERVO.variables + offset, 1)]
 
 
 class Server:
-    """A server in a process of its own, so that a sanitizer may end it."""
+    """Servers in a process of its own, so that a sanitizer may end it."""
 
     def __init__(self, program: Path, errors: IO[bytes]) -> None:
         self._errors = errors
@@ -48,36 +42,19 @@ class Server:
 
     def close(self) -> int:
         """End the process; returns its exit code."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.close()
-        code = self._process.wait(TIME_LIMIT)
-        self._process.stdout.close()
-        return code
+        self._process.communicate(timeout=TIME_LIMIT)
+        return self._process.returncode
 
-    def fresh(self) -> None:
-        """Begin again with a new server."""
-        self._write(b"\xff\xff")
-
-    def send(self, data: bytes) -> bytes:
-        """Bytes to the server, byte by byte; returns its bytes after checking the application's memory."""
-        self._write(struct.pack("<H", len(data)) + data)
-        (size,) = struct.unpack("<H", self._read(2))
-        sent = self._read(size)
-        memory = self._read(MEMORY_SIZE)
-        (violations,) = struct.unpack("<H", self._read(2))
-        assert violations == 0
-        before = initial_memory()
-        assert [memory[i] for i in READ_ONLY] == [before[i] for i in READ_ONLY]
-        return sent
-
-    def _write(self, data: bytes) -> None:
+    def run(self, data: bytes) -> bytes:
+        """Input of the fuzzer to a new server; returns what it has sent after the last step."""
         assert self._process.stdin is not None
         try:
-            self._process.stdin.write(data)
+            self._process.stdin.write(struct.pack("<H", len(data)) + data)
             self._process.stdin.flush()
         except BrokenPipeError:
             self._fail()
+        (size,) = struct.unpack("<H", self._read(2))
+        return self._read(size)
 
     def _read(self, size: int) -> bytes:
         assert self._process.stdout is not None
@@ -92,22 +69,20 @@ class Server:
             data += part
         return data
 
-    def _fail(self) -> None:
+    def _fail(self) -> NoReturn:
         self._errors.seek(0)
         raise AssertionError(f"the server has died:\n{self._errors.read().decode(errors='replace')}")
 
 
 @pytest.fixture(scope="module")
-def server(
-    compile_program: CompileProgram, freemaster_sources: Callable[[Layout], list[str | Path]]
-) -> Iterator[Server]:
+def server(compile_program: CompileProgram, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     if not has_library("gcc", "libasan.so") or not has_library("gcc", "libubsan.so"):
         pytest.skip("gcc has no sanitizers")
     program = compile_program(
-        "freemaster_pipe",
-        [*freemaster_sources(SERVO), "test/freemaster_pipe.c"],
+        "freemaster_replay",
+        freemaster_fuzz.sources(tmp_path_factory.mktemp("table")),
         options=["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"],
-        defines=SERVO.defines,
+        defines=[*SERVO.defines, "FUZZ_REPLAY"],
     )
     with tempfile.TemporaryFile() as errors:
         server = Server(program, errors)
@@ -185,26 +160,34 @@ def damage(frames: bytes, places: list[tuple[int, int]]) -> bytes:
     return bytes(data)
 
 
+def raw(data: bytes) -> bytes:
+    """Steps that put bytes on the line one by one, so that every frame among them is answered."""
+    return b"".join(bytes([0, 1, byte]) for byte in data)
+
+
+SAMPLES = bytes([4, 32]) + bytes([0, 1] * 16)  # the loops go on between two frames
+
+
+def frames(commands: list[tuple[int, bytes]]) -> bytes:
+    return b"".join(SAMPLES + frame(code, payload) for code, payload in commands)
+
+
 @given(data=st.binary(max_size=2000))
 @examples(150)
 def test_random_bytes(server: Server, data: bytes) -> None:
-    server.fresh()
-    server.send(data)
+    server.run(b"\0" + raw(data))
 
 
 @given(tokens=st.lists(st.sampled_from([b"\x2b", b"\x2b\x2b", b"\x21", b"\x23", b"\x00", b"\x27", b"\xfe", b"\xff"])))
 @examples(150)
 def test_sequences_of_special_bytes(server: Server, tokens: list[bytes]) -> None:
-    server.fresh()
-    server.send(b"".join(tokens))
+    server.run(b"\0" + raw(b"".join(tokens)))
 
 
 @given(commands=st.lists(COMMAND, min_size=1, max_size=12))
 @examples(400)
 def test_any_well_formed_request_gets_one_answer(server: Server, commands: list[tuple[int, bytes]]) -> None:
-    server.fresh()
-    for code, payload in commands:
-        parse_answer(server.send(request(code, payload)))
+    parse_answer(server.run(b"\0" + frames(commands)))
 
 
 @given(
@@ -213,8 +196,40 @@ def test_any_well_formed_request_gets_one_answer(server: Server, commands: list[
 )
 @examples(200)
 def test_damaged_requests(server: Server, commands: list[tuple[int, bytes]], places: list[tuple[int, int]]) -> None:
-    server.fresh()
-    server.send(damage(b"".join(request(code, payload) for code, payload in commands), places))
+    damaged = damage(b"".join(request(code, payload) for code, payload in commands), places)
     # Two requests bring any receiver back: the first may be taken for the rest of a frame.
-    server.send(request(0x20, b"\x01"))
-    assert parse_answer(server.send(request(0x20, b"\x01"))).data == b"MTU\0" + uleb(SERVO.mtu)
+    sent = server.run(b"\0" + raw(damaged) + frames([(0x20, b"\x01")] * 2))
+    assert parse_answer(sent).data == b"MTU\0" + uleb(SERVO.mtu)
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in CORPUS.iterdir()))
+def test_corpus(server: Server, name: str) -> None:
+    server.run((CORPUS / name).read_bytes())
+
+
+def test_inputs_made_by_hand_are_in_the_corpus() -> None:
+    assert {path.name for path in CORPUS.iterdir()} >= freemaster_fuzz.seeds().keys()
+    for name, data in freemaster_fuzz.seeds().items():
+        assert (CORPUS / name).read_bytes() == data, "freemaster_fuzz.py --seeds writes them"
+
+
+def test_fuzzer_finds_nothing(tmp_path: Path) -> None:
+    try:
+        target = freemaster_fuzz.build(tmp_path)
+    except OSError:
+        pytest.skip("clang is not installed")
+    except subprocess.CalledProcessError as error:
+        if "libclang_rt.fuzzer" in error.stderr:
+            pytest.skip("clang has no libFuzzer (libclang-rt-dev)")
+        raise
+    found = tmp_path / "found"
+    found.mkdir()
+    command = [target, "-runs=4000", "-max_total_time=10", "-seed=1", f"-artifact_prefix={tmp_path}/"]
+    result = subprocess.run(
+        [*map(str, command), str(found), str(CORPUS)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert result.returncode == 0, result.stderr[-3000:]

@@ -52,7 +52,7 @@ from trajectory_msgs.msg import JointTrajectory
 from servo_bridge.command_paths import PATH_VERBS, add_path_verbs, run_path
 from servo_bridge.homing import METHODS
 from servo_bridge.trajectory.errors import TrajectoryError
-from servo_msgs_py import topics
+from servo_msgs_py import argument, topics
 
 _STEP: Final = 0.02  # [s]
 _MATCH: Final = 0.3  # until a subscription receives what a running node publishes [s]
@@ -437,26 +437,6 @@ def _parameter(text: str) -> tuple[Variable, int | None]:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is no position in rad")
-    return value
-
-
-def _duration(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is no duration in seconds")
-    return value
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="servo-command", description="Send one command to the servo over ROS.")
     parser.add_argument("--namespace", default="/servo", help="of the bridge (default: %(default)s)")
@@ -477,13 +457,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     homer.add_argument(
         "--position",
-        type=_number,
+        type=argument.finite,
         metavar="RAD",
         help="position of the joint at its reference; stored in the bridge's parameter home_positions, the default",
     )
     zero = verbs.add_parser("zero", help="set the position of a joint where it is")
     zero.add_argument("joint", metavar="JOINT")
-    zero.add_argument("position", nargs="?", type=_number, default=0.0, metavar="RAD", help="default: 0")
+    zero.add_argument("position", nargs="?", type=argument.finite, default=0.0, metavar="RAD", help="default: 0")
     setter = verbs.add_parser(
         "set", help="set parameters of the board; the bridge sets them again after a reconnection"
     )
@@ -507,7 +487,7 @@ def _parser() -> argparse.ArgumentParser:
             verb_parser.add_argument(
                 "--for",
                 dest="duration",
-                type=_duration,
+                type=argument.not_negative,
                 default=1.0,
                 metavar="S",
                 help="repeat for so long (default: 1)",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -24,6 +23,7 @@ from servo_bridge.trajectory.path import Path, State
 from servo_bridge.trajectory.shapes import move, sine
 from servo_bridge.trajectory.spline import path_through
 from servo_bridge.trajectory_limits import path_limits
+from servo_msgs_py import argument
 
 PATH_VERBS: Final = ("move", "follow", "sine")
 _SAMPLES: Final = 4000  # of a path, for its largest speed and acceleration
@@ -59,26 +59,16 @@ def add_path_verbs(verbs: argparse._SubParsersAction[argparse.ArgumentParser], t
     """Add the commands that follow a path."""
     mover = verbs.add_parser("move", help="to positions [rad] in a given time, or as fast as the limits allow")
     mover.add_argument("targets", nargs="+", type=target, metavar="JOINT=VALUE")
-    mover.add_argument("--time", type=_positive, metavar="S", help="default: the shortest within the limits")
+    mover.add_argument("--time", type=argument.positive, metavar="S", help="default: the shortest within the limits")
     follower = verbs.add_parser("follow", help="a path from a .csv (time, joints, <joint>_velocity) or .json file")
     follower.add_argument("file", metavar="FILE")
     waver = verbs.add_parser("sine", help="a sine about where the joint is, faded in and out")
     waver.add_argument("joint", metavar="JOINT")
-    waver.add_argument("--amplitude", type=_positive, required=True, metavar="RAD")
-    waver.add_argument("--frequency", type=_positive, required=True, metavar="HZ")
-    waver.add_argument("--for", dest="duration", type=_positive, default=5.0, metavar="S", help="default: 5")
+    waver.add_argument("--amplitude", type=argument.positive, required=True, metavar="RAD")
+    waver.add_argument("--frequency", type=argument.positive, required=True, metavar="HZ")
+    waver.add_argument("--for", dest="duration", type=argument.positive, default=5.0, metavar="S", help="default: 5")
     for parser in (mover, follower, waver):
         parser.add_argument("--dry-run", action="store_true", help="only print the demands of the path with the limits")
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is no positive number")
-    return value
 
 
 def path_message(path: Path) -> JointTrajectory:

@@ -82,7 +82,7 @@ def _numbers(**values: int) -> list[Member]:
     return [(name, "sint32", value) for name, value in values.items()]
 
 
-def desktop_project(catalogue: Catalogue, baud: int = 115_200, title: str = "dual-axis PMSM servo") -> str:
+def desktop_project(catalogue: Catalogue, baud: int = 115_200) -> str:
     """Write the project.
 
     Parameters
@@ -91,8 +91,6 @@ def desktop_project(catalogue: Catalogue, baud: int = 115_200, title: str = "dua
         Variables; blocks of memory are left out.
     baud : int
         Line speed that the tool proposes [bit/s].
-    title : str
-        Name of the root of the project.
 
     Returns
     -------
@@ -109,7 +107,7 @@ def desktop_project(catalogue: Catalogue, baud: int = 115_200, title: str = "dua
         for name in _element_names(variable)
     }
     enum_list = archive.add("CEnumList", [("enums_list", "CObListEx", archive.list_of(enums))])
-    root = _tree(archive, variables, title)
+    root = _tree(archive, variables, "dual-axis PMSM servo")
     archive.fill(
         document,
         "CPrjDoc",

@@ -47,8 +47,6 @@ class StorageService:
         Runs a function in the thread of the node.
     say, warn : callable
         Get a sentence for the log.
-    clock : callable
-        Time [s].
 
     Attributes
     ----------
@@ -64,12 +62,10 @@ class StorageService:
         *,
         say: Callable[[str], None],
         warn: Callable[[str], None],
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.storage: Storage | None = None
         self._call, self._post = call, post
         self._say, self._warn = say, warn
-        self._clock = clock
         self._busy = False
         self._services = [
             DeferredService(node, Trigger, topics.SAVE_TO_BOARD, lambda _: self._asked("SAVE")),
@@ -95,7 +91,7 @@ class StorageService:
             answer.set_result((False, "a request is already in progress; call again after its answer"))
             return answer
         self._busy = True
-        until = self._clock() + _TIMEOUT
+        until = time.monotonic() + _TIMEOUT
         failed = partial(self._failed, kind, answer)
         self._job(lambda memory: begin_request(memory, kind), partial(self._look, kind, answer, until), failed)
         return answer
@@ -105,7 +101,7 @@ class StorageService:
             if storage is not None:
                 self._seen(storage)
                 self._done(answer, (True, success_text(kind, storage)))
-            elif self._clock() > until:
+            elif time.monotonic() > until:
                 self._failed(kind, answer, StorageRefusedError("", f"the board is not done within {_TIMEOUT:g} s"))
             else:
                 self._look(kind, answer, until, token)

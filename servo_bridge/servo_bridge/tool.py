@@ -34,31 +34,11 @@ from servo_bridge.tool_values import UnknownVariableError, UsageError
 from servo_bridge.wire.link_state import status_of
 from servo_bridge.wire.serial_port import SerialPort
 from servo_bridge.wire.session import connect
+from servo_msgs_py import argument
 
 _NEGATIVE = re.compile(r"-\.?\d|-(inf|nan)", re.IGNORECASE)
 _STARTUP_RETRIES = 5
 _PROJECT = "project"
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
-
-
-def _positive(text: str) -> float:
-    value = _number(text)
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text} is not positive")
-    return value
-
-
-def _positive_whole(text: str) -> int:
-    value = _positive(text)
-    if not value.is_integer():
-        raise argparse.ArgumentTypeError(f"{text} is not a whole number")
-    return int(value)
 
 
 def _port(text: str) -> str:
@@ -98,7 +78,7 @@ def _parser() -> argparse.ArgumentParser:
         help="device or pyserial URL (default: $SERVO_PORT or /dev/ttyUSB0)",
     )
     common.add_argument(
-        "--baud", type=_positive_whole, default=argparse.SUPPRESS, help="line speed (default: $SERVO_BAUD or 115200)"
+        "--baud", type=argument.count, default=argparse.SUPPRESS, help="line speed (default: $SERVO_BAUD or 115200)"
     )
     common.add_argument(
         "--password",
@@ -137,8 +117,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_raw(command)
     command = add("watch", tool_commands.watch, "print variables again and again until Ctrl-C")
     command.add_argument("names", nargs="+", metavar="NAME")
-    command.add_argument("--rate", type=_positive, default=5.0, help="lines per second (default: 5)")
-    command.add_argument("--count", type=_positive_whole, help="end after this many lines")
+    command.add_argument("--rate", type=argument.positive, default=5.0, help="lines per second (default: 5)")
+    command.add_argument("--count", type=argument.count, help="end after this many lines")
     command = add(
         "record",
         tool_record.record,
@@ -153,11 +133,11 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help=".csv; of a burst also .png, .svg, .pdf, .npz or .rrd, and more than once",
     )
-    command.add_argument("--duration", type=_positive, help="seconds (default: until Ctrl-C)")
-    command.add_argument("--rate", type=_positive, help="rows, or points of a burst, per second (default: all)")
+    command.add_argument("--duration", type=argument.positive, help="seconds (default: until Ctrl-C)")
+    command.add_argument("--rate", type=argument.positive, help="rows, or points of a burst, per second (default: all)")
     tool_record.add_options(command)
     command = add("log", tool_commands.log, "print the text that the board writes to a pipe: events with their tick")
-    command.add_argument("--pipe", type=_positive_whole, default=1, metavar="N", help="number of the pipe (default: 1)")
+    command.add_argument("--pipe", type=argument.count, default=1, metavar="N", help="number of the pipe (default: 1)")
     command.add_argument("--follow", "-f", action="store_true", help="continue until Ctrl-C")
     command = add(
         "scope",
@@ -222,7 +202,7 @@ def _shield_negative(arguments: Sequence[str]) -> list[str]:
 def _run(args: argparse.Namespace) -> int:
     port = getattr(args, "port", os.environ.get("SERVO_PORT") or "/dev/ttyUSB0")
     try:
-        baud = getattr(args, "baud", None) or _positive_whole(os.environ.get("SERVO_BAUD") or "115200")
+        baud = getattr(args, "baud", None) or argument.count(os.environ.get("SERVO_BAUD") or "115200")
     except argparse.ArgumentTypeError:
         raise UsageError(f"SERVO_BAUD is {os.environ['SERVO_BAUD']!r}, not a line speed") from None
     if args.command == _PROJECT:  # the one command that needs no board

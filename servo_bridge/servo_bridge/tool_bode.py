@@ -19,6 +19,7 @@ from servo_msgs_py.measurement.bode_report import COLUMNS, as_dict, draw, rows, 
 from servo_bridge.bode_recording import write_recording
 from servo_bridge.interruptible import interruptible_access
 from servo_bridge.tool_progress import ProgressLine
+from servo_msgs_py import argument
 
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
@@ -36,11 +37,13 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     command.add_argument("axis", choices=_AXES)
     command.add_argument("loop", choices=list(LOOPS), help="current is the loop of i_q, current_d that of i_d")
-    command.add_argument("--amplitude", type=_positive, metavar="A", help="[A]; of the position loop [rad/s]")
-    command.add_argument("--from", dest="f_min", type=_positive, metavar="HZ", help="lowest frequency")
-    command.add_argument("--to", dest="f_max", type=_positive, metavar="HZ", help="highest frequency")
-    command.add_argument("--speed", type=_speed, metavar="RAD/S", help="constant speed meanwhile")
-    command.add_argument("--range", type=_positive, default=math.inf, metavar="RAD", help="way that the shaft may turn")
+    command.add_argument("--amplitude", type=argument.positive, metavar="A", help="[A]; of the position loop [rad/s]")
+    command.add_argument("--from", dest="f_min", type=argument.positive, metavar="HZ", help="lowest frequency")
+    command.add_argument("--to", dest="f_max", type=argument.positive, metavar="HZ", help="highest frequency")
+    command.add_argument("--speed", type=argument.finite, metavar="RAD/S", help="constant speed meanwhile")
+    command.add_argument(
+        "--range", type=argument.positive, default=math.inf, metavar="RAD", help="that the shaft may turn"
+    )
     command.add_argument("--repeat", type=_count, default=4, metavar="N", help="sweeps per band (default: 4)")
     command.add_argument("--enable", action="store_true", help="enable the axis, and disable it afterwards")
     command.add_argument("--out", type=Path, metavar="DIR", help="write curves and picture there, as .csv and .png")
@@ -83,23 +86,6 @@ def _write(result: Bode, folder: Path | None, recording: Path | None) -> None:
     if recording is not None:
         recording.parent.mkdir(parents=True, exist_ok=True)
         write_recording(result, recording)
-
-
-def _speed(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is no speed")
-    return value
-
-
-def _positive(text: str) -> float:
-    value = _speed(text)
-    if value <= 0.0:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
-    return value
 
 
 def _count(text: str) -> int:

@@ -27,6 +27,7 @@ from servo_bridge.tool_progress import ProgressLine
 from servo_bridge.tool_record import interrupts
 from servo_bridge.tool_values import UsageError, lookup, opened
 from servo_bridge.wire.session import Session
+from servo_msgs_py import argument
 
 if TYPE_CHECKING:
     from servo_bridge.tool_commands import Context
@@ -47,17 +48,13 @@ def add_options(command: argparse.ArgumentParser) -> None:
         help="variables that are read all the time (default: position, speed and i_q of both axes and u_dc; of other "
         "boards those of the burst)",
     )
-    command.add_argument("--count", type=_count, metavar="N", help="end after so many bursts (default: at Ctrl-C)")
+    command.add_argument(
+        "--count", type=argument.count, metavar="N", help="end after so many bursts (default: at Ctrl-C)"
+    )
     command.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a recording instead of opening a viewer")
     command.add_argument(
         "--connect", metavar="URL", help="show it in a viewer that runs, such as rerun+http://127.0.0.1:9876/proxy"
     )
-
-
-def _count(text: str) -> int:
-    if not text.isdigit() or int(text) == 0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
-    return int(text)
 
 
 def scope(context: Context) -> int:

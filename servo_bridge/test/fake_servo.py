@@ -117,11 +117,11 @@ class FakeServo(FakeTarget):
             self._fresh = True
             self.signs.append((self.clock(), name))
 
-    def _command_ran(self, name: str, _: bytes) -> tuple[int, bytes]:
+    def _command_ran(self, name: str, _: bytes) -> int:
         if name != "IDENTIFY":
             self.signs.append((self.clock(), name))
         self._fresh = self._fresh or name in ("QUICK_STOP", "CLEAR_FAULTS")
-        return 0, b""
+        return 0
 
     @property
     def silence_ns(self) -> int:

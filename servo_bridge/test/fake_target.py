@@ -110,7 +110,7 @@ class FakeTarget:
     before_scope: Callable[[], None] | None = None
     on_tick: Callable[[int], None] | None = None
     pipe: bytearray = field(default_factory=bytearray)
-    commands: dict[int, Callable[[bytes], tuple[int, bytes]]] = field(default_factory=dict)
+    commands: dict[int, Callable[[bytes], int]] = field(default_factory=dict)
     requests: list[tuple[int, bytes]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -126,7 +126,6 @@ class FakeTarget:
         self._overflow = False
         self.scope: list[tuple[int, int] | None] = []
         self._command_status = 0xFF
-        self._command_data = b""
         self._command: tuple[int, bytes] | None = None
         self.ticks_done = 0
         self.open_level = min(self.passwords, default=4) - 1
@@ -284,14 +283,9 @@ class FakeTarget:
             case 0x31:
                 # As our firmware does it: a command runs when its result is asked for.
                 if self._command is not None:
-                    self._command_status, self._command_data = self._run(*self._command)
+                    self._command_status = self._run(*self._command)
                     self._command = None
                 return 0, bytes([self._command_status])
-            case 0x32:
-                size, offset = r.uleb(), r.uleb()
-                if size == 0 or offset + size > len(self._command_data):
-                    raise Refused(0x86)
-                return 0x40, self._command_data[offset : offset + size]
         raise Refused(0x81)
 
     def _get_config(self, r: Reader) -> tuple[int, bytes]:
@@ -302,16 +296,12 @@ class FakeTarget:
         return 0x40, key.encode() + b"\0" + self.config[key]
 
     def _write(self, r: Reader) -> tuple[int, bytes]:
-        flags, address, size = r.u8(), r.uleb(), r.uleb()
+        masked, address, size = r.u8(), r.uleb(), r.uleb()
+        assert not masked
         if self.level < 2:
             raise Refused(0x91)
         self._check(address, size, write=True)
         data = r.take(size)
-        if flags & 1:
-            mask = r.take(size)
-            data = bytes(
-                (o & ~m & 0xFF) | (d & m) for o, d, m in zip(self.peek(address, size), data, mask, strict=True)
-            )
         if self.accepts is not None and not self.accepts(address, data):
             raise Refused(0x97)
         self.poke(address, data)
@@ -465,9 +455,9 @@ class FakeTarget:
         self._command, self._command_status = (r.u8(), r.data[1:]), 0xFE
         return 0, b""
 
-    def _run(self, code: int, arguments: bytes) -> tuple[int, bytes]:
+    def _run(self, code: int, arguments: bytes) -> int:
         command = self.commands.get(code)
-        return (0, b"") if command is None else command(arguments)
+        return 0 if command is None else command(arguments)
 
     # ---- TSA safety
     def _check(self, address: int, size: int, *, write: bool) -> None:

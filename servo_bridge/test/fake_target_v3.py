@@ -107,8 +107,8 @@ class FakeTargetV3(FakeTarget):
                 if size > self.mtu:
                     raise Refused(0x84)
                 return 0, self.peek(address, size)
-            case 0x02 | 0x05 | 0x03 | 0x06:
-                return self._write_v3(r, command in (0x05, 0x06), command in (0x03, 0x06))
+            case 0x02 | 0x05:
+                return self._write_v3(r, command == 0x05)
             case 0x08 | 0x0A:
                 self.scope = []
                 slots = self._list(r, command == 0x0A)
@@ -139,14 +139,9 @@ class FakeTargetV3(FakeTarget):
                 return self._start_command(r)
             case 0xC6:
                 if self._command is not None:
-                    self._command_status, self._command_data = self._run(*self._command)
+                    self._command_status = self._run(*self._command)
                     self._command = None
                 return 0, bytes([self._command_status])
-            case 0xD3:
-                size, offset = r.u8(), r.u8()
-                if offset + size > len(self._command_data):
-                    raise Refused(0x86)
-                return 0, self._command_data[:size]  # the offset is ignored
             case 0x09 | 0x0B:
                 return self._set_up_recorder(r, command == 0x0B)
             case 0xC1 | 0xC2 | 0xC3 | 0xC4 | 0xC9:
@@ -160,16 +155,11 @@ class FakeTargetV3(FakeTarget):
     def _info(self) -> bytes:
         return bytes([3, int(self.big_endian), 1, 2, 0, self.mtu])
 
-    def _write_v3(self, r: Reader, wide: bool, masked: bool) -> tuple[int, bytes]:
+    def _write_v3(self, r: Reader, wide: bool) -> tuple[int, bytes]:
         size = r.u8()
         address = self._address(r, wide)
         self._check(address, size, write=True)
         data = r.take(size)
-        if masked:
-            mask = r.take(size)
-            data = bytes(
-                (o & ~m & 0xFF) | (d & m) for o, d, m in zip(self.peek(address, size), data, mask, strict=True)
-            )
         self.poke(address, data)
         if self.on_write is not None:
             self.on_write(address, data)

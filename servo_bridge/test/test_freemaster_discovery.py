@@ -195,15 +195,6 @@ def test_a_password_is_reported_as_such() -> None:
         find_all(FakeTarget(passwords={1: "x"}, tables=[[FakeEntry("x", b"\xe0", 0x1000, 1, RO)]]))
 
 
-def test_progress_is_reported() -> None:
-    target = FakeTarget(tables=[[FakeEntry(f"v{k}", b"\xe0", 0x1000 + k, 1, RO) for k in range(5)]])
-    target.build()
-    client = client_on(FakeTransport(target.feed))
-    seen: list[tuple[int, int]] = []
-    discover(client, client.identify(), lambda done, total: seen.append((done, total)))
-    assert seen == [(k, 5) for k in range(1, 6)]
-
-
 # ---- type strings ------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("text", "data", "value"),

@@ -22,7 +22,7 @@ BASE = 0x1000
 def a_line(kind: type[FakeTarget] = FakeTarget, **options: object) -> tuple[FakeTarget, LossyLine, Client]:
     """A target whose words hold their own number, one entry each; identified while the line is still good."""
     rows = [FakeEntry(f"w{k}", b"\xe1", BASE + 2 * k, 2, RW) for k in range(WORDS)]
-    target = kind(tables=[rows], commands={1: lambda _: (1, b"")})
+    target = kind(tables=[rows], commands={1: lambda _: 1})
     for k in range(WORDS):
         target.set_int(BASE + 2 * k, 0x2B00 + k, 2)
     line = LossyLine(target.feed, **options)  # type: ignore[arg-type]

@@ -97,7 +97,7 @@ def test_a_write_arrives_and_its_effect_is_seen(connected: Watcher, fake_board: 
 
 
 def test_raw_write_read_and_command(connected: Watcher, fake_board: FakeServo) -> None:
-    fake_board.commands[1] = lambda arguments: (0x42, arguments)
+    fake_board.commands[1] = lambda _: 0x42
     connected.link.write_raw("cmd.i_q", [100, -100]).result(TIMEOUT)
     assert fake_board.get("cmd.i_q") == [100, -100]
     assert connected.link.read("cmd.i_q").result(TIMEOUT) == pytest.approx([100 * 8.25 / 32768, -100 * 8.25 / 32768])

@@ -197,7 +197,7 @@ def test_a_command_without_answer_is_not_repeated_and_costs_no_link(
     fake_port.mangle = lambda answer: b"" if fake_board.requests[-1][0] == 0x30 else answer
     with pytest.raises(AnswerTimeoutError):
         connected.link.run_command(0x11).result(TIMEOUT)
-    fake_board.commands[0x12] = lambda _: (0xFE, b"")
+    fake_board.commands[0x12] = lambda _: 0xFE
     fake_port.mangle = lambda answer: answer
     with pytest.raises(CommandUnfinishedError):
         connected.link.run_command(0x12).result(TIMEOUT)

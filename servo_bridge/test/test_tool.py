@@ -582,11 +582,11 @@ def test_a_silent_board(fake_port: FakePort, run: Run, capsys: pytest.CaptureFix
         ([], "COMMAND"),
         (["jump"], "'jump'"),
         (["get"], "NAME"),
-        (["info", "--baud", "abc"], "'abc' is not a number"),
+        (["info", "--baud", "abc"], "'abc' is not a finite number"),
         (["info", "--baud", "9600.5"], "9600.5 is not a whole number"),
         (["info", "--port", ""], "it is empty"),
-        (["watch", "x", "--rate", "-1"], "-1 is not positive"),
-        (["watch", "x", "--count", "-1"], "-1 is not positive"),
+        (["watch", "x", "--rate", "-1"], "-1 is not above 0"),
+        (["watch", "x", "--count", "-1"], "-1 is not above 0"),
     ],
 )
 def test_wrong_command_lines(run: Run, arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -103,4 +103,4 @@ def test_a_board_without_a_recorder(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_wrong_options(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         tool.main(["scope", "x", "--count", "0"])
-    assert "is not a whole number above 0" in capsys.readouterr().err
+    assert "0 is not above 0" in capsys.readouterr().err

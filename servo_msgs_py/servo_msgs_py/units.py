@@ -58,16 +58,6 @@ def to_raw(value: float, lsb: float, low: int, high: int) -> int:
     return min(max(raw, low), high)
 
 
-def counts_to_rad(counts: int) -> float:
-    """Encoder counts [1] to shaft angle [rad]."""
-    return counts * (2.0 * math.pi / COUNTS_PER_TURN)
-
-
-def rad_to_counts(angle: float) -> int:
-    """Shaft angle [rad] to the nearest encoder count [1]."""
-    return round(angle * (COUNTS_PER_TURN / (2.0 * math.pi)))
-
-
 def rpm(speed: float) -> float:
     """Speed [rad/s] in turns per minute."""
     return speed * (30.0 / math.pi)

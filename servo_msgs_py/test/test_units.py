@@ -53,16 +53,6 @@ def test_rounding_is_to_the_nearest(value: float) -> None:
     assert abs(raw * lsb - value) <= lsb / 2
 
 
-def test_a_turn_has_4000_counts() -> None:
-    assert units.rad_to_counts(2.0 * math.pi) == 4000
-    assert units.counts_to_rad(-1000) == pytest.approx(-math.pi / 2)
-
-
-@given(st.integers(-(2**31), 2**31 - 1))
-def test_counts_survive_the_way_over_radians(counts: int) -> None:
-    assert units.rad_to_counts(units.counts_to_rad(counts)) == counts
-
-
 def test_rpm() -> None:
     assert units.rpm(2.0 * math.pi) == pytest.approx(60.0)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 import time
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ from pathlib import Path
 
 from servo_msgs_py.catalogue import AXES, axis_name
 
+from servo_msgs_py import argument
 from servo_twin.board import Board
 from servo_twin.diagnosis import command as diagnose
 from servo_twin.experiments import command as experiment
@@ -40,14 +40,14 @@ def parser() -> argparse.ArgumentParser:
     info.set_defaults(run=_info)
 
     mover = verbs.add_parser("move", parents=[common, levelled], help="find the rotors, move, measure")
-    mover.add_argument("--turns", type=_finite, default=5.0, help="distance (default: %(default)s)")
+    mover.add_argument("--turns", type=argument.finite, default=5.0, help="distance (default: %(default)s)")
     mover.add_argument("--axis", type=int, choices=range(1, AXES + 1), help="only this axis (default: both)")
-    mover.add_argument("--time", type=_positive, help="length of the recording [s] (default: by the distance)")
+    mover.add_argument("--time", type=argument.positive, help="length of the recording [s] (default: by the distance)")
     mover.add_argument("--plot", type=Path, metavar="FILE", help="draw position, speed and current to this file")
     mover.set_defaults(run=_move)
 
     bench = verbs.add_parser("bench", parents=[common, levelled], help="real-time factor of one board with two axes")
-    bench.add_argument("--time", type=_positive, default=10.0, help="simulated time [s] (default: %(default)s)")
+    bench.add_argument("--time", type=argument.positive, default=10.0, help="simulated time [s] (default: %(default)s)")
     bench.set_defaults(run=_bench)
 
     experiment.add_parser(verbs, common, _levelled(FAST_LEVEL))
@@ -65,27 +65,6 @@ def _levelled(default: Level) -> argparse.ArgumentParser:
     result = argparse.ArgumentParser(add_help=False)
     add_level_option(result, "the board is", default)
     return result
-
-
-def _positive(text: str) -> float:
-    """A finite number above zero."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value > 0.0):
-        raise argparse.ArgumentTypeError(f"{text!r} is no number above zero")
-    return value
-
-
-def _finite(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is no number")
-    return value
 
 
 def _board(args: argparse.Namespace) -> Board:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import errno
-import math
 import os
 import select
 import signal
@@ -22,6 +21,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Final, Protocol
 
+from servo_msgs_py import argument
 from servo_twin.board import Board
 from servo_twin.level import Level, add_level_option
 from servo_twin.plant import PlantConfig, PlantError
@@ -355,14 +355,6 @@ def _slips(pacer: Pacer) -> str:
     return f"time slipped {pacer.slips} times, {pacer.slipped_s:.3f} s in all"
 
 
-def _speed(text: str) -> float:
-    """Option ``--speed``: a number above 0."""
-    speed = float(text)
-    if not (math.isfinite(speed) and speed > 0.0):
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
-    return speed
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="virtual_board",
@@ -384,7 +376,9 @@ def _parser() -> argparse.ArgumentParser:
         help="keep what the board stores in its data flash (default: until it ends)",
     )
     add_level_option(parser, "the board is")
-    parser.add_argument("--speed", type=_speed, default=1.0, help="simulated seconds per second (default: %(default)g)")
+    parser.add_argument(
+        "--speed", type=argument.positive, default=1.0, help="simulated seconds per second (default: %(default)g)"
+    )
     return parser
 
 

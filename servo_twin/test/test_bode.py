@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -255,18 +255,8 @@ def test_a_current_that_expires_between_two_recordings_still_holds_the_rotor(acc
 class EndedSignal(VirtualBoardAccess):
     """A board that ends a test signal half-way."""
 
-    def record(
-        self,
-        names: Sequence[str],
-        samples: int,
-        every: int,
-        slow: bool,
-        start: Callable[[], None] | None = None,
-        *,
-        trigger: str | None = None,
-        lead: float = 0.0,
-        meanwhile: Callable[[bool], None] | None = None,
-    ) -> Recording:
+    def record(self, *args: Any, **options: Any) -> Recording:
+        meanwhile: Callable[[bool], None] = options["meanwhile"]
         calls = 0
 
         def ending(full: bool) -> None:
@@ -274,10 +264,9 @@ class EndedSignal(VirtualBoardAccess):
             calls += 1
             if calls == 5:
                 end_test_signal(self, 0)
-            if meanwhile is not None:
-                meanwhile(full)
+            meanwhile(full)
 
-        return super().record(names, samples, every, slow, start, trigger=trigger, lead=lead, meanwhile=ending)
+        return super().record(*args, **options | {"meanwhile": ending})
 
 
 def test_a_test_signal_that_ends_early_is_refused(access: VirtualBoardAccess) -> None:

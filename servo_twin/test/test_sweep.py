@@ -265,6 +265,19 @@ def test_a_line_that_a_crash_has_cut_short_costs_only_itself(cut: int) -> None:
             assert list(store) == [trial(k) for k in range(4)]
 
 
+def test_a_result_that_is_interrupted_while_it_is_written_is_missing(tmp_path: Path) -> None:
+    class Interrupted(Trial):
+        def as_dict(self) -> dict[str, Any]:
+            raise KeyboardInterrupt
+
+    with Store(tmp_path, {}, 2, resume=False) as store:
+        store.add(trial(0))
+        with pytest.raises(KeyboardInterrupt):
+            store.add(Interrupted(1, {}, {}))
+        assert list(store) == [trial(0)]
+        assert store.missing == [1]
+
+
 def test_results_of_another_sweep_are_left_alone(tmp_path: Path) -> None:
     with Store(tmp_path, {"a": 1}, 5, resume=False) as store:
         store.add(trial(1))

@@ -1,7 +1,7 @@
 /* registers.h - the registers of the MC56F84789 that the servo uses: word addresses, fields, codes.
  *
  * Names are those of the chip's own headers. A register of a repeated block is base + offset; a field of more than one
- * bit is FIELD_NAME(value) with FIELD_NAME_MASK beside it, FIELD_GET() takes it out again.
+ * bit is FIELD_NAME(value), FIELD_GET(register, FIELD_NAME_MASK) takes it out again.
  */
 #ifndef PORT_REGISTERS_H
 #define PORT_REGISTERS_H
@@ -24,94 +24,47 @@
 #define PWM_CTRL2 0x02U
 #define PWM_CTRL 0x03U
 #define PWM_VAL0 0x05U
-#define PWM_FRACVAL1 0x06U
 #define PWM_VAL1 0x07U
-#define PWM_FRACVAL2 0x08U
 #define PWM_VAL2 0x09U
-#define PWM_FRACVAL3 0x0AU
 #define PWM_VAL3 0x0BU
-#define PWM_FRACVAL4 0x0CU
 #define PWM_VAL4 0x0DU
-#define PWM_FRACVAL5 0x0EU
 #define PWM_VAL5 0x0FU
 #define PWM_FRCTRL 0x10U
 #define PWM_OCTRL 0x11U
 #define PWM_STS 0x12U
 #define PWM_INTEN 0x13U
-#define PWM_DMAEN 0x14U
 #define PWM_TCTRL 0x15U
 #define PWM_DISMAP0 0x16U
 #define PWM_DISMAP1 0x17U
 #define PWM_DTCNT0 0x18U
 #define PWM_DTCNT1 0x19U
 
-#define PWM_CTRL2_CLK_SEL(v) FIELD(0, v)
-#define PWM_CTRL2_CLK_SEL_MASK FIELD(0, 3)
 #define PWM_CTRL2_RELOAD_SEL BIT(2) /* reload with submodule 0 */
-#define PWM_CTRL2_FORCE_SEL(v) FIELD(3, v)
-#define PWM_CTRL2_FORCE_SEL_MASK FIELD(3, 7)
 #define PWM_CTRL2_FORCE BIT(6)
-#define PWM_CTRL2_FRCEN BIT(7)
 #define PWM_CTRL2_INIT_SEL(v) FIELD(8, v)
-#define PWM_CTRL2_INIT_SEL_MASK FIELD(8, 3)
-#define PWM_CTRL2_PWMX_INIT BIT(10)
-#define PWM_CTRL2_PWM45_INIT BIT(11)
-#define PWM_CTRL2_PWM23_INIT BIT(12)
 #define PWM_CTRL2_INDEP BIT(13)
-#define PWM_CTRL2_WAITEN BIT(14)
-#define PWM_CTRL2_DBGEN BIT(15)
 
 #define PWM_INIT_SEL_LOCAL_SYNC 0U
-#define PWM_INIT_SEL_MASTER_RELOAD 1U
 #define PWM_INIT_SEL_MASTER_SYNC 2U
 #define PWM_INIT_SEL_EXT_SYNC 3U
 
-#define PWM_CTRL_DBLEN BIT(0)
-#define PWM_CTRL_DBLX BIT(1)
 #define PWM_CTRL_LDMOD BIT(2)
-#define PWM_CTRL_PRSC(v) FIELD(4, v)
-#define PWM_CTRL_PRSC_MASK FIELD(4, 7)
-#define PWM_CTRL_DT_MASK FIELD(8, 3)
 #define PWM_CTRL_FULL BIT(10)
 #define PWM_CTRL_HALF BIT(11)
-#define PWM_CTRL_LDFQ(v) FIELD(12, v)
-#define PWM_CTRL_LDFQ_MASK FIELD(12, 15)
 
-#define PWM_OCTRL_PWMXFS(v) FIELD(0, v)
 #define PWM_OCTRL_PWMBFS(v) FIELD(2, v)
 #define PWM_OCTRL_PWMAFS(v) FIELD(4, v)
-#define PWM_OCTRL_POLX BIT(8)
-#define PWM_OCTRL_POLB BIT(9)
-#define PWM_OCTRL_POLA BIT(10)
-#define PWM_OCTRL_PWMX_IN BIT(13)
-#define PWM_OCTRL_PWMB_IN BIT(14)
-#define PWM_OCTRL_PWMA_IN BIT(15)
 #define PWM_FAULT_STATE_LOW 0U
-#define PWM_FAULT_STATE_HIGH 1U
 
 /* STS (flags, write 1 to clear) and INTEN have the same layout. */
 #define PWM_STS_CMPF(k) BIT(k) /* the counter has matched VALk */
-#define PWM_STS_CMPF_MASK FIELD(0, 0x3F)
-#define PWM_STS_CAPTURE_MASK FIELD(6, 0x3F)
-#define PWM_STS_RF BIT(12)
-#define PWM_STS_REF BIT(13)
-#define PWM_STS_RUF BIT(14)
 #define PWM_INTEN_CMPIE(k) BIT(k)
-#define PWM_INTEN_CMPIE_MASK FIELD(0, 0x3F)
-#define PWM_INTEN_RIE BIT(12)
-#define PWM_INTEN_REIE BIT(13)
 
 #define PWM_TCTRL_OUT_TRIG_EN(k) BIT(k) /* even k: OUT_TRIG0, odd k: OUT_TRIG1 */
-#define PWM_TCTRL_OUT_TRIG_EN_MASK FIELD(0, 0x3F)
-#define PWM_TCTRL_PWBOT1 BIT(14)
-#define PWM_TCTRL_PWAOT0 BIT(15)
 
 /* One bit per fault, 0-3 in DISMAP0 and 4-7 in DISMAP1. */
 #define PWM_DISMAP_A(v) FIELD(0, v)
-#define PWM_DISMAP_A_MASK FIELD(0, 15)
 #define PWM_DISMAP_B(v) FIELD(4, v)
-#define PWM_DISMAP_B_MASK FIELD(4, 15)
-#define PWM_DISMAP_X(v) FIELD(8, v)
 #define PWM_DISMAP_X_MASK FIELD(8, 15)
 #define PWM_DISMAP_ONES FIELD(12, 15) /* unused bits that reset to 1 */
 
@@ -120,34 +73,15 @@
 /* Registers of the module. */
 #define PWM_OUTEN 0xC0U
 #define PWM_MASK 0xC1U
-#define PWM_SWCOUT 0xC2U
 #define PWM_DTSRCSEL 0xC3U
 #define PWM_MCTRL 0xC4U
-#define PWM_MCTRL2 0xC5U
 #define PWM_FCTRL0 0xC6U
 #define PWM_FSTS0 0xC7U
 #define PWM_FFILT0 0xC8U
-#define PWM_FTST0 0xC9U
-#define PWM_FCTRL1 0xCAU
-#define PWM_FSTS1 0xCBU
-#define PWM_FFILT1 0xCCU
-#define PWM_FTST1 0xCDU
 
 /* OUTEN, MASK and MCTRL have one bit per submodule in each field. */
-#define PWM_OUTEN_X(v) FIELD(0, v)
-#define PWM_OUTEN_X_MASK FIELD(0, 15)
 #define PWM_OUTEN_B(v) FIELD(4, v)
-#define PWM_OUTEN_B_MASK FIELD(4, 15)
 #define PWM_OUTEN_A(v) FIELD(8, v)
-#define PWM_OUTEN_A_MASK FIELD(8, 15)
-
-#define PWM_MASK_X(v) FIELD(0, v)
-#define PWM_MASK_B(v) FIELD(4, v)
-#define PWM_MASK_A(v) FIELD(8, v)
-
-#define PWM_DTSRCSEL_SEL45(n, v) FIELD(4U * (n), v)
-#define PWM_DTSRCSEL_SEL23(n, v) FIELD(4U * (n) + 2U, v)
-#define PWM_DTSRC_GENERATED 0U
 
 #define PWM_MCTRL_LDOK(v) FIELD(0, v)
 #define PWM_MCTRL_LDOK_MASK FIELD(0, 15)
@@ -155,33 +89,19 @@
 #define PWM_MCTRL_CLDOK_MASK FIELD(4, 15)
 #define PWM_MCTRL_RUN(v) FIELD(8, v)
 #define PWM_MCTRL_RUN_MASK FIELD(8, 15)
-#define PWM_MCTRL_IPOL(v) FIELD(12, v)
-#define PWM_MCTRL_IPOL_MASK FIELD(12, 15)
 
-/* One bit per fault 0-3 (FCTRL0, FSTS0) or 4-7 (FCTRL1, FSTS1) in each field. */
+/* One bit per fault 0-3 in each field. */
 #define PWM_FCTRL_FIE(v) FIELD(0, v)
-#define PWM_FCTRL_FIE_MASK FIELD(0, 15)
 #define PWM_FCTRL_FSAFE(v) FIELD(4, v)
-#define PWM_FCTRL_FSAFE_MASK FIELD(4, 15)
-#define PWM_FCTRL_FAUTO(v) FIELD(8, v)
-#define PWM_FCTRL_FAUTO_MASK FIELD(8, 15)
 #define PWM_FCTRL_FLVL(v) FIELD(12, v) /* 1: a high level is a fault */
-#define PWM_FCTRL_FLVL_MASK FIELD(12, 15)
 
 #define PWM_FSTS_FFLAG(v) FIELD(0, v) /* write 1 to clear */
 #define PWM_FSTS_FFLAG_MASK FIELD(0, 15)
 #define PWM_FSTS_FFULL(v) FIELD(4, v)
-#define PWM_FSTS_FFULL_MASK FIELD(4, 15)
 #define PWM_FSTS_FFPIN(v) FIELD(8, v)
-#define PWM_FSTS_FFPIN_MASK FIELD(8, 15)
-#define PWM_FSTS_FHALF(v) FIELD(12, v)
-#define PWM_FSTS_FHALF_MASK FIELD(12, 15)
 
 #define PWM_FFILT_FILT_PER(v) FIELD(0, v)
-#define PWM_FFILT_FILT_PER_MASK FIELD(0, 0xFF)
 #define PWM_FFILT_FILT_CNT(v) FIELD(8, v)
-#define PWM_FFILT_FILT_CNT_MASK FIELD(8, 7)
-#define PWM_FFILT_GSTR BIT(15)
 
 /* ---- 12-bit cyclic ADC ------------------------------------------------------------------------------------------ */
 
@@ -195,12 +115,7 @@
 #define ADC_SDIS 0xE508U
 #define ADC_STAT 0xE509U
 #define ADC_RDY 0xE50AU
-#define ADC_LOLIMSTAT 0xE50BU
-#define ADC_HILIMSTAT 0xE50CU
-#define ADC_ZXSTAT 0xE50DU
 #define ADC_RSLT(n) (0xE50EU + (n))
-#define ADC_LOLIM(n) (0xE51EU + (n))
-#define ADC_HILIM(n) (0xE52EU + (n))
 #define ADC_OFFST(n) (0xE53EU + (n))
 #define ADC_PWR 0xE54EU
 #define ADC_CAL 0xE54FU
@@ -212,67 +127,34 @@
 #define ADC_SCHLTEN 0xE555U
 
 #define ADC_CTRL1_SMODE(v) FIELD(0, v)
-#define ADC_CTRL1_SMODE_MASK FIELD(0, 7)
-#define ADC_SMODE_ONCE_SEQUENTIAL 0U
-#define ADC_SMODE_ONCE_PARALLEL 1U
-#define ADC_SMODE_LOOP_SEQUENTIAL 2U
-#define ADC_SMODE_LOOP_PARALLEL 3U
-#define ADC_SMODE_TRIGGERED_SEQUENTIAL 4U
 #define ADC_SMODE_TRIGGERED_PARALLEL 5U
-#define ADC_CTRL1_CHNCFG_L(v) FIELD(4, v)
-#define ADC_CTRL1_CHNCFG_L_MASK FIELD(4, 15)
-#define ADC_CTRL1_HLMTIE BIT(8)
-#define ADC_CTRL1_LLMTIE BIT(9)
-#define ADC_CTRL1_ZCIE BIT(10)
 #define ADC_CTRL1_EOSIE0 BIT(11)
 #define ADC_CTRL1_SYNC0 BIT(12)
-#define ADC_CTRL1_START0 BIT(13)
 #define ADC_CTRL1_STOP0 BIT(14)
-#define ADC_CTRL1_DMAEN0 BIT(15)
 
 #define ADC_CTRL2_DIV0(v) FIELD(0, v)
-#define ADC_CTRL2_DIV0_MASK FIELD(0, 0x3F)
 #define ADC_CTRL2_SIMULT BIT(6)
-#define ADC_CTRL2_CHNCFG_H(v) FIELD(7, v)
-#define ADC_CTRL2_CHNCFG_H_MASK FIELD(7, 15)
-#define ADC_CTRL2_EOSIE1 BIT(11)
-#define ADC_CTRL2_SYNC1 BIT(12)
-#define ADC_CTRL2_START1 BIT(13)
 #define ADC_CTRL2_STOP1 BIT(14)
-#define ADC_CTRL2_DMAEN1 BIT(15)
 
 /* Channel lists: four samples of four bits; codes 0-7 ANA0-7, 8-15 ANB0-7. */
 #define ADC_CLIST_SAMPLE(n, channel) FIELD(4U * ((n) % 4U), channel)
 #define ADC_ANA(n) (n)
 #define ADC_ANB(n) (8U + (n))
 
-#define ADC_STAT_HLMTI BIT(8)
-#define ADC_STAT_LLMTI BIT(9)
-#define ADC_STAT_ZCI BIT(10)
 #define ADC_STAT_EOSI0 BIT(11) /* write 1 to clear */
 #define ADC_STAT_EOSI1 BIT(12)
-#define ADC_STAT_CIP1 BIT(14)
-#define ADC_STAT_CIP0 BIT(15)
 
 #define ADC_RSLT_SHIFT 3 /* a result stands in bits 14:3 */
 #define ADC_RSLT_MASK FIELD(ADC_RSLT_SHIFT, 0xFFF)
-#define ADC_RSLT_SEXT BIT(15)
 
 #define ADC_PWR_PD0 BIT(0)
 #define ADC_PWR_PD1 BIT(1)
-#define ADC_PWR_APD BIT(3)
-#define ADC_PWR_PUDELAY(v) FIELD(4, v)
-#define ADC_PWR_PUDELAY_MASK FIELD(4, 0x3F)
 #define ADC_PWR_PSTS0 BIT(10) /* still powered down */
 #define ADC_PWR_PSTS1 BIT(11)
-#define ADC_PWR_ASB BIT(15)
 
 #define ADC_PWR2_SPEEDA(v) FIELD(0, v)
-#define ADC_PWR2_SPEEDA_MASK FIELD(0, 3)
 #define ADC_PWR2_SPEEDB(v) FIELD(2, v)
-#define ADC_PWR2_SPEEDB_MASK FIELD(2, 3)
 #define ADC_PWR2_DIV1(v) FIELD(8, v)
-#define ADC_PWR2_DIV1_MASK FIELD(8, 0x3F)
 
 /* ---- quad timers: channel n of a module at base + TMR_CHANNEL(n) ------------------------------------------------ */
 
@@ -285,90 +167,37 @@
 #define TMR_COMP2 0x1U
 #define TMR_CAPT 0x2U
 #define TMR_LOAD 0x3U
-#define TMR_HOLD 0x4U
 #define TMR_CNTR 0x5U
 #define TMR_CTRL 0x6U
 #define TMR_SCTRL 0x7U
-#define TMR_CMPLD1 0x8U
-#define TMR_CMPLD2 0x9U
 #define TMR_CSCTRL 0xAU
 #define TMR_FILT 0xBU
-#define TMR_DMA 0xCU
 #define TMR_ENBL 0xFU /* channel 0 only */
 
 #define TMR_CTRL_OUTMODE(v) FIELD(0, v)
-#define TMR_CTRL_OUTMODE_MASK FIELD(0, 7)
-#define TMR_OUTMODE_ACTIVE 0U
-#define TMR_OUTMODE_CLEAR 1U
-#define TMR_OUTMODE_SET 2U
-#define TMR_OUTMODE_TOGGLE 3U
-#define TMR_OUTMODE_TOGGLE_ALTERNATING 4U
 #define TMR_OUTMODE_SET_CLEAR_SECONDARY 5U
-#define TMR_OUTMODE_SET_CLEAR_ROLLOVER 6U
-#define TMR_OUTMODE_GATED_CLOCK 7U
-#define TMR_CTRL_COINIT BIT(3)
-#define TMR_CTRL_DIR BIT(4)
 #define TMR_CTRL_LENGTH BIT(5)
-#define TMR_CTRL_ONCE BIT(6)
 #define TMR_CTRL_SCS(v) FIELD(7, v)
-#define TMR_CTRL_SCS_MASK FIELD(7, 3)
 #define TMR_CTRL_PCS(v) FIELD(9, v)
-#define TMR_CTRL_PCS_MASK FIELD(9, 15)
 #define TMR_PCS_INPUT(n) (n)
 #define TMR_PCS_OUTPUT(n) (4U + (n))
 #define TMR_PCS_BUS(log2_divider) (8U + (log2_divider))
 #define TMR_CTRL_CM(v) FIELD(13, v)
-#define TMR_CTRL_CM_MASK FIELD(13, 7)
-#define TMR_CM_STOP 0U
 #define TMR_CM_RISING 1U
-#define TMR_CM_BOTH 2U
-#define TMR_CM_GATED 3U
 #define TMR_CM_QUADRATURE 4U
-#define TMR_CM_SIGNED 5U
-#define TMR_CM_TRIGGERED 6U
-#define TMR_CM_CASCADE 7U
 
-#define TMR_SCTRL_OEN BIT(0)
-#define TMR_SCTRL_OPS BIT(1)
-#define TMR_SCTRL_FORCE BIT(2)
-#define TMR_SCTRL_VAL BIT(3)
-#define TMR_SCTRL_EEOF BIT(4)
-#define TMR_SCTRL_MSTR BIT(5)
 #define TMR_SCTRL_CAPTURE_MODE(v) FIELD(6, v)
 #define TMR_SCTRL_CAPTURE_MODE_MASK FIELD(6, 3)
-#define TMR_CAPTURE_OFF 0U
-#define TMR_CAPTURE_RISING 1U
-#define TMR_CAPTURE_FALLING 2U
 #define TMR_CAPTURE_BOTH 3U
-#define TMR_SCTRL_INPUT BIT(8) /* read only: level of the secondary input */
-#define TMR_SCTRL_IPS BIT(9)
 #define TMR_SCTRL_IEFIE BIT(10)
 #define TMR_SCTRL_IEF BIT(11) /* flags: write 0 to clear */
-#define TMR_SCTRL_TOFIE BIT(12)
 #define TMR_SCTRL_TOF BIT(13)
-#define TMR_SCTRL_TCFIE BIT(14)
 #define TMR_SCTRL_TCF BIT(15)
 
-#define TMR_CSCTRL_CL1(v) FIELD(0, v)
-#define TMR_CSCTRL_CL1_MASK FIELD(0, 3)
-#define TMR_CSCTRL_CL2(v) FIELD(2, v)
-#define TMR_CSCTRL_CL2_MASK FIELD(2, 3)
-#define TMR_CSCTRL_TCF1 BIT(4)
-#define TMR_CSCTRL_TCF2 BIT(5)
-#define TMR_CSCTRL_TCF1EN BIT(6)
-#define TMR_CSCTRL_TCF2EN BIT(7)
-#define TMR_CSCTRL_UP BIT(9)
-#define TMR_CSCTRL_TCI BIT(10)
 #define TMR_CSCTRL_ROC BIT(11)
-#define TMR_CSCTRL_ALT_LOAD BIT(12)
-#define TMR_CSCTRL_FAULT BIT(13)
-#define TMR_CSCTRL_DBG_EN(v) FIELD(14, v)
-#define TMR_CSCTRL_DBG_EN_MASK FIELD(14, 3)
 
 #define TMR_FILT_FILT_PER(v) FIELD(0, v)
-#define TMR_FILT_FILT_PER_MASK FIELD(0, 0xFF)
 #define TMR_FILT_FILT_CNT(v) FIELD(8, v)
-#define TMR_FILT_FILT_CNT_MASK FIELD(8, 7)
 
 #define TMR_ENBL_MASK FIELD(0, 15)
 
@@ -376,36 +205,19 @@
 
 /* SELk holds the inputs of two outputs: 2k in the low byte, 2k + 1 in the high byte. */
 #define XBARA_BASE 0xE340U
-#define XBARA_SELS 30U
 #define XBARA_SEL(output) (XBARA_BASE + (output) / 2U)
 #define XBARA_INPUT(output, input) FIELD(8U * ((output) % 2U), input)
-#define XBARA_INPUT_MASK 0x3FU
-#define XBARA_CTRL0 0xE35EU
-#define XBARA_CTRL1 0xE35FU
 
-#define XBARA_IN_VSS 0U
-#define XBARA_IN_VDD 1U
 #define XBARA_IN_PWMA_TRIG(sm, trig) (20U + 2U * (sm) + (trig))
-#define XBARA_IN_TA_OUT(n) (36U + (n))
-#define XBARA_IN_TB_OUT(n) (16U + (n))
-#define XBARA_IN_PWMB_TRIG01(sm) (40U + (sm)) /* submodules 0-2: TRIG0 or TRIG1 */
 #define XBARA_IN_AOI(event) (46U + (event))
 
 #define XBARA_OUT_ADCA_SYNC 12U
 #define XBARA_OUT_ADCB_SYNC 13U
-#define XBARA_OUT_PWMA_EXT_SYNC(sm) (24U + (sm))
-#define XBARA_OUT_PWM_FAULT(n) (29U + (n))
-#define XBARA_OUT_PWMA_FORCE 33U
-#define XBARA_OUT_TB_IN(n) (34U + (n))
-#define XBARA_OUT_TA_IN(n) (49U + (n))
 #define XBARA_OUT_PWMB_EXT_SYNC(sm) (53U + (sm))
-#define XBARA_OUT_PWMB_FORCE 57U
 
 #define XBARB_BASE 0xE360U
-#define XBARB_SELS 8U
 #define XBARB_SEL(output) (XBARB_BASE + (output) / 2U)
 #define XBARB_INPUT(output, input) FIELD(8U * ((output) % 2U), input)
-#define XBARB_INPUT_MASK 0x1FU
 
 #define XBARB_IN_PWMA_TRIG01(sm) (8U + (sm))
 #define XBARB_IN_PWMB_TRIG01(sm) (22U + (sm))
@@ -419,14 +231,11 @@
 #define AOI_TERMS(even, odd) FIELD(0, ((unsigned)(even) << 8) | (odd)) /* even: term 0 or 2 */
 #define AOI_0 0U
 #define AOI_PASS 1U
-#define AOI_INVERT 2U
 #define AOI_1 3U
 
 /* ---- serial interfaces ------------------------------------------------------------------------------------------ */
 
 #define QSCI0_BASE 0xE080U
-#define QSCI1_BASE 0xE090U
-#define QSCI2_BASE 0xE0A0U
 #define QSCI_RATE 0U
 #define QSCI_CTRL1 1U
 #define QSCI_CTRL2 2U
@@ -437,49 +246,20 @@
 #define QSCI_RATE_SBR(v) FIELD(3, v)
 #define QSCI_RATE_FRAC_SBR(v) FIELD(0, v) /* eighths */
 
-#define QSCI_CTRL1_SBK BIT(0)
-#define QSCI_CTRL1_RWU BIT(1)
 #define QSCI_CTRL1_RE BIT(2)
 #define QSCI_CTRL1_TE BIT(3)
-#define QSCI_CTRL1_REIE BIT(4)
 #define QSCI_CTRL1_RFIE BIT(5)
-#define QSCI_CTRL1_TIIE BIT(6)
-#define QSCI_CTRL1_TEIE BIT(7)
-#define QSCI_CTRL1_PT BIT(8)
-#define QSCI_CTRL1_PE BIT(9)
-#define QSCI_CTRL1_POL BIT(10)
-#define QSCI_CTRL1_WAKE BIT(11)
-#define QSCI_CTRL1_M BIT(12)
-#define QSCI_CTRL1_RSRC BIT(13)
-#define QSCI_CTRL1_SWAI BIT(14)
-#define QSCI_CTRL1_LOOP BIT(15)
 
-#define QSCI_CTRL2_RDE BIT(0)
-#define QSCI_CTRL2_TDE BIT(1)
-#define QSCI_CTRL2_LINMODE BIT(3)
-#define QSCI_CTRL2_RIEIE BIT(4)
 #define QSCI_CTRL2_FIFO_EN BIT(5)
 #define QSCI_CTRL2_RFWM(v) FIELD(6, v) /* v + 1 words */
-#define QSCI_CTRL2_RFWM_MASK FIELD(6, 3)
 #define QSCI_CTRL2_RFCNT_MASK FIELD(8, 7)
-#define QSCI_CTRL2_TFWM(v) FIELD(11, v)
-#define QSCI_CTRL2_TFWM_MASK FIELD(11, 3)
 #define QSCI_CTRL2_TFCNT_MASK FIELD(13, 7)
 #define QSCI_FIFO_WORDS 4U
 
-#define QSCI_STAT_RAF BIT(0)
-#define QSCI_STAT_RDMA BIT(1)
-#define QSCI_STAT_TDMA BIT(2)
-#define QSCI_STAT_LSE BIT(3)
-#define QSCI_STAT_RIEF BIT(4)
 #define QSCI_STAT_PF BIT(8)
 #define QSCI_STAT_FE BIT(9)
 #define QSCI_STAT_NF BIT(10)
 #define QSCI_STAT_OR BIT(11)
-#define QSCI_STAT_RIDLE BIT(12)
-#define QSCI_STAT_RDRF BIT(13)
-#define QSCI_STAT_TIDLE BIT(14)
-#define QSCI_STAT_TDRE BIT(15)
 
 /* ---- flash controller: registers of bytes, two in a word, the even one in its low half ----------------------------- */
 
@@ -511,76 +291,48 @@
 #define OCCS_STAT 0xE2B2U
 #define OCCS_OSCTL1 0xE2B4U
 #define OCCS_OSCTL2 0xE2B5U
-#define OCCS_CLKCHKR 0xE2B6U
-#define OCCS_CLKCHKT 0xE2B7U
 #define OCCS_PROT 0xE2B8U
 
 #define OCCS_CTRL_ZSRC BIT(0) /* 1: PLL / 2 */
 #define OCCS_CTRL_PRECS(v) FIELD(2, v)
-#define OCCS_CTRL_PRECS_MASK FIELD(2, 3)
 #define OCCS_PRECS_INTERNAL 0U
 #define OCCS_PRECS_EXTERNAL 1U
 #define OCCS_CTRL_PLLPD BIT(4)
 #define OCCS_CTRL_LCKON BIT(7)
-#define OCCS_CTRL_LOCIE BIT(11)
 
 #define OCCS_DIVBY_PLLDB(v) FIELD(0, v)
-#define OCCS_DIVBY_PLLDB_MASK FIELD(0, 0x3F)
 #define OCCS_DIVBY_COD(v) FIELD(8, v)
-#define OCCS_DIVBY_COD_MASK FIELD(8, 15)
 #define OCCS_DIVBY_LORTP(v) FIELD(12, v)
-#define OCCS_DIVBY_LORTP_MASK FIELD(12, 15)
 
 #define OCCS_STAT_ZSRCS(v) FIELD(0, v)
 #define OCCS_STAT_ZSRCS_MASK FIELD(0, 3)
 #define OCCS_ZSRCS_OSCILLATOR 0U
 #define OCCS_ZSRCS_PLL 1U
-#define OCCS_STAT_PLLPDN BIT(4)
 #define OCCS_STAT_LCK0 BIT(5)
 #define OCCS_STAT_LCK1 BIT(6)
 #define OCCS_STAT_OSC_OK BIT(7)
-#define OCCS_STAT_MON_FAILURE BIT(8)
-#define OCCS_STAT_LOCI BIT(13)
-#define OCCS_STAT_LOLI0 BIT(14)
-#define OCCS_STAT_LOLI1 BIT(15)
 
 #define OCCS_OSCTL1_FREQ_TRIM8M(v) FIELD(0, v)
 #define OCCS_OSCTL1_FREQ_TRIM8M_MASK FIELD(0, 0x3FF)
 #define OCCS_OSCTL1_EXT_SEL BIT(10)
-#define OCCS_OSCTL1_OSC_DIV2 BIT(11)
 #define OCCS_OSCTL1_CLK_MODE BIT(12)
-#define OCCS_OSCTL1_COHL BIT(13)
-#define OCCS_OSCTL1_ROSB BIT(14)
 #define OCCS_OSCTL1_ROPD BIT(15)
 
-#define OCCS_OSCTL2_FREQ_TRIM32K_MASK FIELD(0, 0x1FF)
-#define OCCS_OSCTL2_MON_ENABLE BIT(9)
 #define OCCS_OSCTL2_TEMP_TRIM8M(v) FIELD(10, v)
 #define OCCS_OSCTL2_TEMP_TRIM8M_MASK FIELD(10, 15)
 #define OCCS_OSCTL2_COPD BIT(14)
-#define OCCS_OSCTL2_ROPD32K BIT(15)
 
 /* ---- watchdog --------------------------------------------------------------------------------------------------- */
 
 #define COP_CTRL 0xE320U
 #define COP_TOUT 0xE321U
 #define COP_CNTR 0xE322U
-#define COP_INTVAL 0xE323U
 
 #define COP_CTRL_CWP BIT(0)
 #define COP_CTRL_CEN BIT(1)
-#define COP_CTRL_CWEN BIT(2)
-#define COP_CTRL_CSEN BIT(3)
-#define COP_CTRL_CLOREN BIT(4)
 #define COP_CTRL_CLKSEL(v) FIELD(5, v)
-#define COP_CTRL_CLKSEL_MASK FIELD(5, 3)
 #define COP_CLKSEL_RC_8MHZ 0U
-#define COP_CLKSEL_CRYSTAL 1U
-#define COP_CLKSEL_BUS 2U
-#define COP_CLKSEL_RC_32KHZ 3U
-#define COP_CTRL_INTEN BIT(7)
 #define COP_CTRL_PSS(v) FIELD(8, v)
-#define COP_CTRL_PSS_MASK FIELD(8, 3)
 #define COP_PSS_1 0U
 #define COP_PSS_16 1U
 #define COP_PSS_256 2U
@@ -599,10 +351,8 @@
 #define SIM_PCE3 0xE40FU
 #define SIM_PROT 0xE416U
 #define SIM_GPSAL 0xE417U
-#define SIM_GPSBH 0xE418U
 #define SIM_GPSCL 0xE419U
 #define SIM_GPSCH 0xE41AU
-#define SIM_GPSDL 0xE41BU
 #define SIM_GPSEL 0xE41CU
 #define SIM_GPSEH 0xE41DU
 #define SIM_GPSFL 0xE41EU
@@ -610,19 +360,12 @@
 #define SIM_GPSGL 0xE420U
 #define SIM_GPSGH 0xE421U
 #define SIM_IPS0 0xE422U
-#define SIM_MISC0 0xE423U
 #define SIM_PWRMODE 0xE428U
 #define SIM_NVMOPT2H 0xE42CU
-#define SIM_NVMOPT2L 0xE42DU
 
-#define SIM_RSTAT_POR BIT(2)
-#define SIM_RSTAT_EXTR BIT(3)
 #define SIM_RSTAT_COP_LOR BIT(4)
 #define SIM_RSTAT_COP_CPU BIT(5)
-#define SIM_RSTAT_SWR BIT(6)
 
-#define SIM_PCR_SCI2_CR BIT(11) /* 1: twice the bus clock */
-#define SIM_PCR_SCI1_CR BIT(12)
 #define SIM_PCR_SCI0_CR BIT(13)
 
 #define SIM_PCE0_GPIO(port) BIT(6U - (port)) /* port 0-6 is A-G */
@@ -632,11 +375,6 @@
 #define SIM_PCE2_CYCADC BIT(7)
 #define SIM_PCE3_PWMB(sm) BIT(3U - (sm))
 #define SIM_PCE3_PWMA(sm) BIT(7U - (sm))
-
-#define SIM_IPS0_PWMAF(n) BIT(n) /* 0: pin, 1: XBARA */
-#define SIM_IPS0_PWMBF(n) BIT(4U + (n))
-#define SIM_IPS0_TA(n) BIT(8U + (n))
-#define SIM_IPS0_TB(n) BIT(12U + (n))
 
 #define SIM_NVMOPT2H_FREQ_TRIM8M_MASK FIELD(0, 0x3FF)
 #define SIM_NVMOPT2H_TEMP_TRIM8M_MASK FIELD(10, 15)
@@ -702,18 +440,14 @@
 #define GPIO_DR 0x1U
 #define GPIO_DDR 0x2U
 #define GPIO_PER 0x3U
-#define GPIO_IENR 0x5U
 #define GPIO_PPMODE 0x9U
 #define GPIO_RAWDATA 0xAU
-#define GPIO_DRIVE 0xBU
 #define GPIO_PUS 0xCU
-#define GPIO_SRE 0xDU
 
 /* ---- interrupt controller --------------------------------------------------------------------------------------- */
 
 #define INTC_BASE 0xE300U
 #define INTC_IPRS 13U
-#define INTC_VBA 0xE30DU
 #define INTC_CTRL 0xE31BU
 #define INTC_CTRL_INT_DIS BIT(5)
 
@@ -726,15 +460,11 @@
 #define INTC_LEVEL(vector, level) FIELD(INTC_IPR_SHIFT(vector), INTC_LEVEL_CODE(level))
 
 #define VECTORS 111U
-#define VECTOR_XBARA 18U
 #define VECTOR_TMRB_0 24U
 #define VECTOR_TMRA_0 28U
 #define VECTOR_ADC_CC0 30U
-#define VECTOR_QSCI0_RERR 51U
 #define VECTOR_QSCI0_RCV 52U
-#define VECTOR_QSCI0_TDRE 54U
 #define VECTOR_PWMB_FAULT 63U
-#define VECTOR_PWMB_CMP0 76U
 #define VECTOR_PWMA_FAULT 77U
 #define VECTOR_PWMA_CMP1 85U
 #define VECTOR_PWMA_CMP0 87U

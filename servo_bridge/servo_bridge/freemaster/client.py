@@ -194,7 +194,7 @@ class Client:
         overhead = len(self._dialect.write_memory(address, b"").payload) + 1  # a size of 128 and more takes two bytes
         return self.payload_limit - overhead
 
-    def write_memory(self, address: int, data: bytes, *, retries: int | None = None, lengthy: bool = False) -> Exchange:
+    def write_memory(self, address: int, data: bytes, *, lengthy: bool = False) -> Exchange:
         """Write bytes in one request, so that they take effect together.
 
         Parameters
@@ -203,8 +203,6 @@ class Client:
             Where.
         data : bytes
             What.
-        retries : int, optional
-            Other than those of the line.
         lengthy : bool
             Wait for the answer for the full time, because a write that arrives twice does more than one.
 
@@ -214,12 +212,7 @@ class Client:
             If the data does not fit the target's buffer.
         """
         self._check_write(address, len(data))
-        return self.exchange(replace(self._dialect.write_memory(address, data), lengthy=lengthy), retries=retries)
-
-    def write_masked(self, address: int, data: bytes, mask: bytes) -> None:
-        """Write only the bits that are set in `mask`."""
-        self._check_write(address, 2 * len(data))
-        self._ask(self._dialect.write_memory(address, data, mask))
+        return self.exchange(replace(self._dialect.write_memory(address, data), lengthy=lengthy))
 
     def _check_write(self, address: int, size: int) -> None:
         if size > self.write_limit(address):
@@ -295,13 +288,6 @@ class Client:
                 return result
             if self.line.clock() >= limit:
                 raise CommandUnfinishedError(f"application command {code} still runs after {timeout:g} s")
-
-    def command_data(self, size: int, offset: int = 0) -> bytes:
-        """Read result data of the last application command."""
-        data = self._ask(self._dialect.get_command_data(size, offset))
-        if len(data) < size:
-            raise FreemasterError(f"{len(data)} bytes of result data, {size} expected")
-        return data[len(data) - size :]
 
     # ---- pipes ------------------------------------------------------------------------------------------------
 

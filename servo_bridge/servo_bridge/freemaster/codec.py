@@ -34,8 +34,9 @@ def _crc_table() -> bytes:
 _CRC_TABLE: Final = _crc_table()
 
 
-def crc8(data: bytes, crc: int = 0) -> int:
-    """Compute the CRC-8 of `data`, continuing from `crc`."""
+def crc8(data: bytes) -> int:
+    """Compute the CRC-8 of `data`."""
+    crc = 0
     for byte in data:
         crc = _CRC_TABLE[crc ^ byte]
     return crc
@@ -144,17 +145,6 @@ def encode_sleb(value: int) -> bytes:
     return bytes(out)
 
 
-def _leb(data: bytes, start: int) -> tuple[int, int]:
-    """Join the groups of a LEB128 number to one unsigned value, and the index behind it."""
-    value = shift = 0
-    for index in range(start, len(data)):
-        value |= (data[index] & 0x7F) << shift
-        shift += 7
-        if not data[index] & 0x80:
-            return value, index + 1
-    raise CodecError("number is cut off")
-
-
 def decode_uleb(data: bytes, start: int = 0) -> tuple[int, int]:
     """Decode unsigned LEB128; padded forms are fine and bits beyond 64 are dropped.
 
@@ -168,17 +158,13 @@ def decode_uleb(data: bytes, start: int = 0) -> tuple[int, int]:
     CodecError
         If the data ends inside the number.
     """
-    value, end = _leb(data, start)
-    return value & _NUMBER_MASK, end
-
-
-def decode_sleb(data: bytes, start: int = 0) -> tuple[int, int]:
-    """Decode signed LEB128; see `decode_uleb`."""
-    value, end = _leb(data, start)
-    if data[end - 1] & 0x40:
-        value -= 1 << (7 * (end - start))
-    value &= _NUMBER_MASK
-    return (value - (1 << 64) if value >> 63 else value), end
+    value = shift = 0
+    for index in range(start, len(data)):
+        value |= (data[index] & 0x7F) << shift
+        shift += 7
+        if not data[index] & 0x80:
+            return value & _NUMBER_MASK, index + 1
+    raise CodecError("number is cut off")
 
 
 @dataclass(frozen=True)

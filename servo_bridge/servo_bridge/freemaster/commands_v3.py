@@ -81,13 +81,10 @@ class MemoryForm:
         payload = self.number(size, 1) + self.address(address)
         return Request(f"READMEM {size} bytes at 0x{address:X}", self._code(0x01, 0x04), payload, size, framing=V3)
 
-    def write_memory(self, address: int, data: bytes, mask: bytes | None = None) -> Request:
-        """Write bytes; with a mask only the bits that are set in it."""
-        if mask is not None and len(mask) != len(data):
-            raise CodecError(f"mask of {len(mask)} bytes for {len(data)} bytes of data")
-        code = self._code(0x02, 0x05) if mask is None else self._code(0x03, 0x06)
-        payload = self.number(len(data), 1) + self.address(address) + data + (mask or b"")
-        return Request(f"WRITEMEM {len(data)} bytes at 0x{address:X}", code, payload, 0, framing=V3)
+    def write_memory(self, address: int, data: bytes) -> Request:
+        """Write bytes."""
+        payload = self.number(len(data), 1) + self.address(address) + data
+        return Request(f"WRITEMEM {len(data)} bytes at 0x{address:X}", self._code(0x02, 0x05), payload, 0, framing=V3)
 
     def slots(self, slots: Sequence[ScopeSlot]) -> bytes:
         """Encode a list of variables for scope or recorder."""
@@ -126,8 +123,3 @@ class MemoryForm:
     def get_command_status(self) -> Request:
         """Ask for the result of the last application command, which the target may run only now."""
         return Request("GETAPPCMDSTS", 0xC6, b"", 1, framing=V3, lengthy=True)
-
-    def get_command_data(self, size: int, offset: int) -> Request:
-        """Read result data from the beginning up to the end of what is wanted: targets ignore the offset."""
-        total = size + offset
-        return Request("GETAPPCMDDATA", 0xD3, self.number(total, 1) + b"\x00", total, framing=V3)

@@ -72,8 +72,8 @@ class DialectV3:
     def read_memory(self, address: int, size: int) -> Request:
         return self._form.read_memory(address, size)
 
-    def write_memory(self, address: int, data: bytes, mask: bytes | None = None) -> Request:
-        return self._form.write_memory(address, data, mask)
+    def write_memory(self, address: int, data: bytes) -> Request:
+        return self._form.write_memory(address, data)
 
     def set_scope(self, slots: Sequence[ScopeSlot], *, scope: int, payload_limit: int) -> list[Request]:
         if scope:
@@ -103,9 +103,6 @@ class DialectV3:
 
     def get_command_status(self) -> Request:
         return self._form.get_command_status()
-
-    def get_command_data(self, size: int, offset: int) -> Request:
-        return self._form.get_command_data(size, offset)
 
     def exchange_pipe(self, payload: bytes) -> Request:
         return commands_v3.exchange_pipe(payload)

@@ -71,8 +71,8 @@ class DialectV4:
     def read_memory(self, address: int, size: int) -> Request:
         return commands.read_memory(address, size)
 
-    def write_memory(self, address: int, data: bytes, mask: bytes | None = None) -> Request:
-        return commands.write_memory(address, data, mask)
+    def write_memory(self, address: int, data: bytes) -> Request:
+        return commands.write_memory(address, data)
 
     def set_scope(self, slots: Sequence[ScopeSlot], *, scope: int, payload_limit: int) -> list[Request]:
         return commands.set_scope(slots, scope=scope, payload_limit=payload_limit)
@@ -97,9 +97,6 @@ class DialectV4:
 
     def get_command_status(self) -> Request:
         return commands.get_command_status()
-
-    def get_command_data(self, size: int, offset: int) -> Request:
-        return commands.get_command_data(size, offset)
 
     def exchange_pipe(self, payload: bytes) -> Request:
         return commands.exchange_pipe(payload)

@@ -6,16 +6,12 @@ around it. Strings that several entries share are read once.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final
 
 from servo_bridge.freemaster.client import BoardInfo, Client
 from servo_bridge.freemaster.commands import TsaTable
 from servo_bridge.freemaster.errors import DiscoveryError, Status, StatusError
 from servo_bridge.freemaster.tsa import ByteOrder, Entry, TargetVariable, entry_of_version_2, parse_entries
-
-Progress = Callable[[int, int], None]
-"""Called with entries done and entries in all."""
 
 _Row = tuple[int, int, int, int]
 _OLD_VERSION: Final = 2
@@ -24,7 +20,7 @@ _MAX_TABLE_SIZE: Final = 1 << 20
 _MAX_STRING: Final = 1024
 
 
-def discover(client: Client, info: BoardInfo, progress: Progress | None = None) -> list[TargetVariable]:
+def discover(client: Client, info: BoardInfo) -> list[TargetVariable]:
     """Read all tables of an identified target.
 
     Parameters
@@ -33,8 +29,6 @@ def discover(client: Client, info: BoardInfo, progress: Progress | None = None) 
         Client whose `identify` gave `info`.
     info : BoardInfo
         Tells the byte order.
-    progress : callable, optional
-        Called now and then; discovery of a large table takes seconds.
 
     Raises
     ------
@@ -44,10 +38,10 @@ def discover(client: Client, info: BoardInfo, progress: Progress | None = None) 
         If the line fails.
     """
     order: ByteOrder = "big" if info.big_endian else "little"
-    return parse_entries(read_entries(client, order, progress), order)
+    return parse_entries(read_entries(client, order), order)
 
 
-def read_entries(client: Client, order: ByteOrder, progress: Progress | None = None) -> list[Entry]:
+def read_entries(client: Client, order: ByteOrder) -> list[Entry]:
     """Read the entries of all tables with their texts; see `discover`."""
     rows: list[tuple[int, _Row]] = []
     for table in _tables(client):
@@ -62,8 +56,6 @@ def read_entries(client: Client, order: ByteOrder, progress: Progress | None = N
             label = f"0x{name:X}" if text is None else text.decode("utf-8", "replace")
             build = entry_of_version_2 if version <= _OLD_VERSION else Entry
             entries.append(build(label, strings.read(type_) or b"", address, info))
-        if progress is not None:
-            progress(len(entries), len(rows))
     return entries
 
 

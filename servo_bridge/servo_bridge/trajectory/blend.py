@@ -13,10 +13,10 @@ BLEND_TIME = 0.1
 """Shortest time to join a path that runs already, where it is long enough [s]."""
 
 
-def joined(start: State, start_time: float, path: Path, blend_time: float = BLEND_TIME) -> Path:
+def joined(start: State, start_time: float, path: Path) -> Path:
     """Path that leaves a state and joins a path that has begun before.
 
-    A quintic piece ends at the first breakpoint at least `blend_time` later, or at the last one, with the state that
+    A quintic piece ends at the first breakpoint at least `BLEND_TIME` later, or at the last one, with the state that
     the path has there.
 
     Parameters
@@ -27,8 +27,6 @@ def joined(start: State, start_time: float, path: Path, blend_time: float = BLEN
         Before the end of the path [s].
     path : Path
         Path to join.
-    blend_time : float
-        [s]
 
     Raises
     ------
@@ -41,7 +39,7 @@ def joined(start: State, start_time: float, path: Path, blend_time: float = BLEN
             ErrorCode.OLD_HEADER_TIMESTAMP,
         )
     last = len(path.times) - 1
-    meet = min(int(np.searchsorted(path.times, start_time + blend_time)), last)
+    meet = min(int(np.searchsorted(path.times, start_time + BLEND_TIME)), last)
     h = np.array(path.times[meet] - start_time)
     there = path.state(path.times[meet])
     begin = (start.position, start.velocity, start.acceleration)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 from servo_bridge.freemaster.errors import Status, StatusError
@@ -19,12 +19,10 @@ class BlockSession:
     ----------
     session : Session
         With a board of this contract.
-    clock : callable, optional
-        Time [s].
     """
 
-    def __init__(self, session: Session, clock: Callable[[], float] = time.monotonic) -> None:
-        self._session, self._clock = session, clock
+    def __init__(self, session: Session) -> None:
+        self._session = session
         self._until: float | None = None
 
     def read_words(self, name: str) -> list[int]:
@@ -46,7 +44,7 @@ class BlockSession:
 
     def wait(self) -> bool:
         """The next look takes longer than a slow tick by itself; False when the board has had its time."""
-        now = self._clock()
+        now = time.monotonic()
         if self._until is None:
             self._until = now + _TIMEOUT
         return now < self._until

@@ -11,7 +11,7 @@ from typing import Final, Protocol, TypeVar
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
 
 from servo_bridge.freemaster.client import BoardInfo, Client
-from servo_bridge.freemaster.discovery import Progress, discover
+from servo_bridge.freemaster.discovery import discover
 from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.freemaster.tsa import Number, TargetVariable, TypeKind, parse_type
 from servo_bridge.wire.refusal import explained
@@ -216,7 +216,7 @@ class Session:
                 self.client.write_memory(variable.address + offset + start, data[start : start + step], lengthy=True)
 
 
-def connect(client: Client, catalogue: Catalogue, progress: Progress | None = None) -> Session:
+def connect(client: Client, catalogue: Catalogue) -> Session:
     """Identify a board, read its table of variables and compare it with the catalogue.
 
     Raises
@@ -225,7 +225,7 @@ def connect(client: Client, catalogue: Catalogue, progress: Progress | None = No
         If nothing answers, or not in this protocol, or without a table of variables.
     """
     info = client.identify()
-    targets = {target.name: target for target in discover(client, info, progress)}
+    targets = {target.name: target for target in discover(client, info)}
     mismatch: BoardMismatchError | None = None
     try:
         found = targets.get(_HASH)

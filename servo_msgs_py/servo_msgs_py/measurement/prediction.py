@@ -24,10 +24,12 @@ _GRID: Final = 200
 
 
 def tuned_of_blocks(
-    access: BoardAccess, axis: int, blocks: Sequence[Mapping[str, int]], timeouts: tuple[float, float] = (0.5, 0.5)
+    access: BoardAccess,
+    axis: int,
+    blocks: Sequence[Mapping[str, int]],
 ) -> Tuned:
     """Gains and nominal values of configuration blocks; a `ConfigError` if no configuration gives them."""
-    configuration = parse(restored(blocks, timeouts, access.catalogue), access.catalogue)
+    configuration = parse(restored(blocks, (0.5, 0.5), access.catalogue), access.catalogue)
     return tuned(configuration.axes[axis], configuration)
 
 

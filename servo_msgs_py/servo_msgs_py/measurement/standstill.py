@@ -18,7 +18,6 @@ Complex = NDArray[np.complex128]
 
 PERIOD: Final = PERIOD_NS * 1e-9  # [s]
 SMOOTHED: Final = 6  # neighbouring frequencies whose cross spectra are added
-RESISTANCE_FIRST: Final = 0.4  # ohm; scale of what changes it
 
 
 def switching_share(x: Floats) -> Floats:

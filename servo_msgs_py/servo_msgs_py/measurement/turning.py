@@ -33,14 +33,6 @@ class Turning:
     measured: float
 
 
-def unwrapped(angle: Floats) -> Floats:
-    """Angle without jumps; missing samples stay missing [rad]."""
-    result = np.full_like(angle, np.nan)
-    usable = np.isfinite(angle)
-    result[usable] = np.unwrap(angle[usable])
-    return result
-
-
 def turning(position: Floats, theta_e: Floats) -> Turning:
     """Pole pairs and direction from a turn of the vector.
 

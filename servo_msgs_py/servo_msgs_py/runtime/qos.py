@@ -10,9 +10,9 @@ def telemetry_qos(depth: int = 50) -> QoSProfile:
     return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE)
 
 
-def command_qos(depth: int = 10) -> QoSProfile:
+def command_qos() -> QoSProfile:
     """Reliable; a set-point must not be lost."""
-    return telemetry_qos(depth)
+    return telemetry_qos(depth=10)
 
 
 def latched_qos() -> QoSProfile:

@@ -247,10 +247,10 @@ class Pole:
     pair: bool
 
 
-def poles(a: Matrix, dt: float, least: float = 0.02) -> tuple[Pole, ...]:
-    """Eigenvalues of a discrete system of step `dt` [s], the slowest first, without those of abs(z) < `least`."""
+def poles(a: Matrix, dt: float) -> tuple[Pole, ...]:
+    """Eigenvalues of a discrete system of step `dt` [s], the slowest first, without those of abs(z) < 0.02."""
     found = [complex(z) for z in np.linalg.eigvals(a)]
-    kept = sorted((z for z in found if z.imag >= 0.0 and abs(z) >= least), key=abs, reverse=True)
+    kept = sorted((z for z in found if z.imag >= 0.0 and abs(z) >= 0.02), key=abs, reverse=True)
     return tuple(pole_of(z, dt) for z in kept)
 
 

@@ -93,13 +93,12 @@ class Winding:
         growth = 1.0 - COPPER * cold
         return math.inf if growth <= 0.0 else self.ambient + cold * (1.0 + COPPER * (self.ambient - COLD)) / growth
 
-    def time_to(self, temperature: float, current: float, start: float | None = None) -> float:
-        """How long a current takes to a temperature, from that of the surroundings by default [s]; may be infinite."""
-        begin = self.ambient if start is None else start
+    def time_to(self, temperature: float, current: float) -> float:
+        """How long a current takes to a temperature, from that of the surroundings [s]; may be infinite."""
         loss = self.loss(current, COLD)
         rate = (1.0 / self.resistance - COPPER * loss) / self.capacity  # [1/s], below 0 where it runs away
-        slope = (loss * (1.0 + COPPER * (begin - COLD)) - (begin - self.ambient) / self.resistance) / self.capacity
-        way = temperature - begin
+        slope = loss * (1.0 + COPPER * (self.ambient - COLD)) / self.capacity
+        way = temperature - self.ambient
         if way <= 0.0:
             return 0.0
         if slope <= 0.0 or (rate > 0.0 and rate * way >= slope):

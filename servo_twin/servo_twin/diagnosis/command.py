@@ -11,10 +11,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from servo_msgs_py import argument
 from servo_twin.diagnosis.monitor import PLANT_VALUES
 from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.diagnosis.trials import NOTHING, Answer, Change, HealthyRuns, Trials, confusion
-from servo_twin.experiments.rig import positive
 from servo_twin.level import FAST_LEVEL, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import Runner, run_in_order
@@ -41,7 +41,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         parents=[common, levelled],
         help="does the twin find what has changed? Many pairs of board and twin in ordinary motion",
     )
-    parser.add_argument("--trials", type=positive, default=60, metavar="N", help="default: %(default)s")
+    parser.add_argument("--trials", type=argument.count, default=60, metavar="N", help="default: %(default)s")
     parser.add_argument(
         "--change",
         action="append",
@@ -61,7 +61,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         parents=[common, levelled],
         help="what does a healthy pair show? Thresholds of the diagnosis from virtual pairs",
     )
-    learner.add_argument("--runs", type=positive, default=10, metavar="N", help="default: %(default)s")
+    learner.add_argument("--runs", type=argument.count, default=10, metavar="N", help="default: %(default)s")
     learner.add_argument("--time", type=float, default=120.0, metavar="S", help="of each run (default: %(default)s)")
     learner.add_argument(
         "--out", type=Path, default=Path("thresholds.toml"), metavar="FILE", help="default: %(default)s"

@@ -147,19 +147,18 @@ class Bench:
         self.speed(sign * (OBSERVED_PART if self.sensorless else PROVOKED_PART) * self.speed_limit)
 
     # ---- ways into the states
-    def boot(self, other: bool = True) -> None:
+    def boot(self) -> None:
         """From reset to STOP; the other axis turns."""
         self.board.write("param.host_timeout", 30.0)
         self.board.run(BOOT)
         if self.sensorless:
             observer = self.board.catalogue.enums["feedback_kind_t"]["OBSERVER"]
             rig.set_axis(self.board, "param.feedback", self.axis, observer)
-        if other:
-            rig.set_axis(self.board, "cmd.enable", self.other, 1.0)
-            self.until("SPIN of the other axis", lambda: self.place(self.other) == "SPIN")
-            rig.choose_mode(self.board, self.other, "SPEED")
-            rig.command_speed(self.board, self.other, self.other_speed)
-            self.board.run(0.2)
+        rig.set_axis(self.board, "cmd.enable", self.other, 1.0)
+        self.until("SPIN of the other axis", lambda: self.place(self.other) == "SPIN")
+        rig.choose_mode(self.board, self.other, "SPEED")
+        rig.command_speed(self.board, self.other, self.other_speed)
+        self.board.run(0.2)
 
     def hold(self) -> None:
         self.enable()

@@ -13,12 +13,13 @@ from typing import Final
 
 import numpy as np
 
+from servo_msgs_py import argument
 from servo_twin.experiments.campaign_damage import DAMAGES, NO_DAMAGE, Damage, Seen, Where, no_damage
 from servo_twin.experiments.campaign_motors import MOTORS, Motor, deviating
 from servo_twin.experiments.campaign_states import MANOEUVRES, STATES, Bench, Script, State
 from servo_twin.experiments.named_faults import EVERYTHING, NAMED, NOTHING, PROVOKED, fault_time, gain_max
 from servo_twin.experiments.outcome import BEYOND, Bound, Curve, Outcome, Panel, Row
-from servo_twin.experiments.rig import TICK, TICK_NS, at_level, level, positive
+from servo_twin.experiments.rig import TICK, TICK_NS, at_level, level
 from servo_twin.level import Level
 from servo_twin.plant import AxisPlant, PlantConfig
 from servo_twin.runner import HERE, Runner, run_in_order
@@ -340,7 +341,7 @@ def _line(head: str, cells: Sequence[str]) -> str:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What this experiment can be told beyond plant and seed."""
     parser.add_argument(
-        "--count", type=positive, metavar="N", default=COUNT, help="number of trials (default: %(default)s)"
+        "--count", type=argument.count, metavar="N", default=COUNT, help="number of trials (default: %(default)s)"
     )
     parser.add_argument(
         "--trial", type=int, nargs="+", metavar="K", help="only these trials, each with what came of it"

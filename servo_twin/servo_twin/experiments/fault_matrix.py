@@ -266,16 +266,11 @@ def case(plant: PlantConfig, seed: int, damage: Damage, state: str) -> Case:
 
 
 # ---- all of them
-def cases(plant: PlantConfig, seed: int, names: Sequence[str] = (), states: Sequence[str] = ()) -> list[Case]:
-    """Every damage in every state, or those that are named."""
+def cases(plant: PlantConfig, seed: int) -> list[Case]:
+    """Every damage in every state."""
     return [
         case(plant, seed + k, damage, state)
-        for k, (damage, state) in enumerate(
-            (damage, state)
-            for damage in damages(plant)
-            if not names or damage.name in names
-            for state in (states or STATES)
-        )
+        for k, (damage, state) in enumerate((damage, state) for damage in damages(plant) for state in STATES)
     ]
 
 

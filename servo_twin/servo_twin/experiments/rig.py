@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -363,11 +362,3 @@ def overshoot(recording: Recording, target: float) -> float:
     """Farthest position beyond the target of a move that begins with the recording [counts]."""
     direction = 1.0 if target >= recording.position[0] else -1.0
     return max(float((direction * (recording.position - target)).max()), 0.0) + 0.0
-
-
-def positive(text: str) -> int:
-    """A number of trials, from the command line."""
-    count = int(text)
-    if count < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not a number from 1")
-    return count

@@ -14,9 +14,10 @@ from typing import Final
 import numpy as np
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 
+from servo_msgs_py import argument
 from servo_twin.board import Board
 from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Outcome, Panel, experiment
-from servo_twin.experiments.rig import RPM, TICK, at_level, command_speed, level, positive, word
+from servo_twin.experiments.rig import RPM, TICK, at_level, command_speed, level, word
 from servo_twin.experiments.sensorless import Trace, fault_names, follow, limits_of, observing, substate
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
@@ -265,7 +266,7 @@ def run(plant: PlantConfig, seed: int, count: int | None = None, runner: Runner 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What this experiment can be told beyond plant and seed."""
     text = f"random starts (default: {STARTS}, at register level {STARTS_SLOWLY})"
-    parser.add_argument("--count", type=positive, metavar="N", help=text)
+    parser.add_argument("--count", type=argument.count, metavar="N", help=text)
     Runner.add_options(parser)
 
 

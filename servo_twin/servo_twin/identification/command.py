@@ -16,8 +16,8 @@ from servo_msgs_py.measurement.access import MeasurementError
 from servo_msgs_py.measurement.log import MeasurementLog
 from servo_msgs_py.measurement.motor_values import Limits
 
+from servo_msgs_py import argument
 from servo_twin.board import Board
-from servo_twin.experiments.rig import positive
 from servo_twin.firmware_build import SERVO_TOML, servo_table
 from servo_twin.identification.files import draw, report_lines, write_estimates, write_plant, write_servo
 from servo_twin.identification.motors import random_motor
@@ -84,7 +84,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     real.add_argument("--motor", type=int, metavar="K", help="a random motor")
     real.add_argument("--load", type=float, default=0.0, help="constant torque [N m]")
     real.add_argument("--locked", action="store_true", help="the shaft is held fast")
-    parser.add_argument("--trials", type=positive, metavar="N", help="so many random motors against the truth")
+    parser.add_argument("--trials", type=argument.count, metavar="N", help="so many random motors against the truth")
     Runner.add_options(parser)
     parser.set_defaults(run=_run)
 

@@ -143,9 +143,7 @@ def plant_of(plant: PlantConfig, axis: int, values: Mapping[str, float], limits:
     return plant.with_axis(axis, **changes)
 
 
-def simulated(
-    log: MeasurementLog, plant: PlantConfig, load: float, level: Level = "ideal", seed: int = 1
-) -> list[Recording]:
+def simulated(log: MeasurementLog, plant: PlantConfig, load: float, level: Level = "ideal") -> list[Recording]:
     """What a virtual board with this plant and load [N m] shows when treated as the real one was.
 
     Raises
@@ -157,7 +155,7 @@ def simulated(
     if level == QUICK:
         plant = plant.with_axis(log.axis, i_noise=0.0).with_bus(u_noise=0.0)
     try:
-        with Board(plant, seed=seed, level=level) as board:
+        with Board(plant, seed=1, level=level) as board:
             board.set_load(log.axis, load)
             board.run(float(log.notes.get("boot", 0.05)))
             # the real board has watched the motor; with values not yet right a monitor would end the simulation

@@ -95,23 +95,21 @@ class Replica:
         self.raw = dict(zip(log.dtype.names or (), log[-1].tolist(), strict=True))
         assert self.raw["tick"] == tick % _WRAP
 
-    def run_until(self, condition: Callable[[], bool], most: int, step: int = 16 * SLOW_PERIODS) -> bool:
+    def run_until(self, condition: Callable[[], bool], most: int) -> bool:
         """Run until the condition holds, at most `most` ticks; returns whether it does.
 
         Parameters
         ----------
         condition : callable
-            Looked at every `step` ticks.
+            Looked at every 16 slow ticks.
         most : int
             Longest run [PWM periods].
-        step : int
-            A multiple of a slow tick [PWM periods].
         """
         end = self.tick + most
         while not condition():
             if self.tick >= end:
                 return False
-            self.run_to(self.tick + step)
+            self.run_to(self.tick + 16 * SLOW_PERIODS)
         return True
 
     def sample(self, recorder: int, elements: Sequence[tuple[Variable, int]], room: int) -> None:

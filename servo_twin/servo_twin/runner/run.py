@@ -11,6 +11,7 @@ from typing import Final, TypeVar
 
 from tqdm import tqdm
 
+from servo_msgs_py import argument
 from servo_twin.runner.cluster import run_on_cluster
 from servo_twin.runner.pool import run_on_processes
 from servo_twin.runner.work import Work, attempt
@@ -37,7 +38,7 @@ class Runner:
     def add_options(parser: argparse.ArgumentParser) -> None:
         """Options of every command that runs many boards."""
         place = parser.add_mutually_exclusive_group()
-        place.add_argument("--workers", type=_count, metavar="N", help="processes (default: one per core)")
+        place.add_argument("--workers", type=argument.count, metavar="N", help="processes (default: one per core)")
         place.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="run on the Dask cluster of this scheduler")
 
     @classmethod
@@ -92,10 +93,3 @@ def run_in_order(runner: Runner, work: Work[Result], numbers: Sequence[int], wha
     """All results, in the order of the numbers."""
     results = dict(runner.run(work, numbers, what))
     return [results[number] for number in numbers]
-
-
-def _count(text: str) -> int:
-    count = int(text)
-    if count < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not a number from 1")
-    return count

@@ -15,9 +15,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
+from servo_msgs_py import argument
 from servo_twin import board as board_module
 from servo_twin.experiments.report import table
-from servo_twin.experiments.rig import positive
 from servo_twin.firmware_build import SERVO_TOML, servo_table
 from servo_twin.level import FAST_LEVEL, chosen_level
 from servo_twin.plant import PlantConfig
@@ -67,7 +67,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     parser.add_argument("measure", choices=MEASURES, metavar="EXPERIMENT", help=f"one of {', '.join(MEASURES)}")
     parser.add_argument("--vary", action="append", required=True, metavar="NAME=VALUES", help="what is varied (above)")
     parser.add_argument("--method", choices=METHODS, help="default: grid if every value has levels, else latin")
-    parser.add_argument("--count", type=positive, metavar="N", help="trials, for latin and random")
+    parser.add_argument("--count", type=argument.count, metavar="N", help="trials, for latin and random")
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="servo.toml that is varied (default: the firmware's)"
     )

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from tqdm import tqdm
 
-from servo_twin.experiments.rig import positive
+from servo_msgs_py import argument
 from servo_twin.figure import new_figure
 from servo_twin.firmware_build import SERVO_TOML, as_toml, servo_table
 from servo_twin.level import FAST_LEVEL, chosen_level
@@ -58,9 +58,15 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     goal.add_argument("--minimize", metavar="FIGURE", help="row of the experiment")
     goal.add_argument("--maximize", metavar="FIGURE", help="row of the experiment")
     parser.add_argument(
-        "--plants", type=positive, default=PLANTS, metavar="N", help="beside the nominal one (default: %(default)s)"
+        "--plants",
+        type=argument.count,
+        default=PLANTS,
+        metavar="N",
+        help="beside the nominal one (default: %(default)s)",
     )
-    parser.add_argument("--candidates", type=positive, default=CANDIDATES, metavar="N", help="default: %(default)s")
+    parser.add_argument(
+        "--candidates", type=argument.count, default=CANDIDATES, metavar="N", help="default: %(default)s"
+    )
     parser.add_argument("--config", type=Path, metavar="FILE", help="today's servo.toml (default: the firmware's)")
     parser.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="default: %(default)s")
     Runner.add_options(parser)

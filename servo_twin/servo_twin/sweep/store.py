@@ -92,10 +92,10 @@ class Store:
 
     def add(self, trial: Trial) -> None:
         """Keep a result: from here on it survives whatever becomes of this process."""
-        self._file.seek(0, 2)
-        self._places[trial.number] = self._file.tell()
+        place = self._file.seek(0, 2)
         self._file.write(json.dumps(trial.as_dict()).encode() + b"\n")
         self._file.flush()
+        self._places[trial.number] = place  # last: Ctrl-C may interrupt anything above
 
     def __iter__(self) -> Iterator[Trial]:
         """Results by number."""
