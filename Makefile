@@ -109,7 +109,7 @@ fuzz: $(VENV)/.packages ## libFuzzer (clang) on the FreeMASTER server for FUZZ_S
 test: $(VENV)/.native $(VENV)/.dev ## every check and every test
 	@status=0; $(MAKE) --no-print-directory lint || { status=1; echo "make lint fails (above)"; }; \
 	run() { echo "== pytest: $$1"; shift; $(BIN)/python -m pytest $(TIMEOUTS) $(PYTEST_ARGS) "$$@"; result=$$?; }; \
-	run "on every core" -m "not realtime$(if $(MARKS), and ($(MARKS)))" -n auto --dist loadfile --max-worker-restart 0; \
+	run "on every core" -m "not realtime$(if $(MARKS), and ($(MARKS)))" -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart 0; \
 	[ $$result -eq 0 ] || [ $$result -eq 5 ] || status=1; \
 	set -- -m "realtime$(if $(MARKS), and ($(MARKS)))" $(REALTIME); \
 	run "in real time" "$$@" -n 2 --dist loadfile --max-worker-restart 1; \
