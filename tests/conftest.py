@@ -33,7 +33,7 @@ ALLOWED = (
 _CRASHED = pytest.StashKey[bool]()
 
 
-def _skipped_in_vain(config: pytest.Config) -> list[str]:
+def _unexpected_skips(config: pytest.Config) -> list[str]:
     """Reasons for which tests were skipped where every tool has to be there."""
     reporter = config.pluginmanager.get_plugin("terminalreporter")
     if SKIP_NOTHING not in os.environ or reporter is None:
@@ -60,12 +60,12 @@ def pytest_testnodedown(node: Any, error: object) -> None:
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """A crashed process, or a test skipped where every tool has to be there; to repeat failed tests does not help."""
     crashed = session.config.stash.get(_CRASHED, False)
-    if crashed or _skipped_in_vain(session.config):
+    if crashed or _unexpected_skips(session.config):
         session.exitstatus = pytest.ExitCode.INTERNAL_ERROR
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    for reason in _skipped_in_vain(config):
+    for reason in _unexpected_skips(config):
         terminalreporter.write_line(f"{SKIP_NOTHING} is set, but a test was skipped: {reason}", red=True)
 
 

@@ -54,7 +54,7 @@ class PathWorld:
 
     Attributes
     ----------
-    held_back : bool
+    muted : bool
         Let no write through: the bridge is dead.
     write_delay : float
         From the bridge to the board [s].
@@ -65,7 +65,7 @@ class PathWorld:
         self.troubles: list[str] = []
         self.ends: list[float] = []
         self.refusals: list[TrajectoryError] = []
-        self.held_back = False
+        self.muted = False
         self.write_delay = 0.0
         self._on_the_line: list[tuple[float, CommandWrite]] = []
         self.log: list[NDArray[np.void]] = []
@@ -94,7 +94,7 @@ class PathWorld:
         require(path, [self.limits[JOINTS.index(joint)] for joint in path.joints])
 
     def _send(self, write: CommandWrite) -> None:
-        if not self.held_back:
+        if not self.muted:
             self._on_the_line.append((self.now + self.write_delay, write))
             self._deliver()
 

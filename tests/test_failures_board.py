@@ -191,7 +191,7 @@ class TestOneLine:
     def baud(self, request: pytest.FixtureRequest) -> int:
         return int(request.param)
 
-    def test_reader(self, baud: int) -> None:
+    def test_a_reading_client_does_not_disturb_the_set_points(self, baud: int) -> None:
         """A client that reads comes and goes."""
         world = World(chosen_level(), baud)
         world.enable()

@@ -55,7 +55,9 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Answers]:
         ("disabled", "ABORTED", -1, "disabled by the service enable"),
     ],
 )
-def test_result(answers: Answers, case: str, status: str, code: int, said: str) -> None:
+def test_each_case_ends_with_its_status_and_code(
+    answers: Answers, case: str, status: str, code: int, said: str
+) -> None:
     answer = answers[case]
     assert (answer["status"], answer["code"]) == (status, code), answer
     assert said in answer["text"]

@@ -131,7 +131,7 @@ def test_a_path_beyond_a_limit_moves_nothing(world: PathWorld) -> None:
 def test_a_bridge_that_dies_leaves_a_controlled_stop(world: PathWorld) -> None:
     world.follow(circle)
     world.run(1.0)
-    world.held_back = True
+    world.muted = True
     world.run(1.0)
     table = world.table()
     for joint in JOINTS:

@@ -18,8 +18,8 @@ typedef struct {
 } current_loop_config_t;
 
 typedef struct {
-    dq_t current; /* measured */
-    dq_t voltage; /* what was asked of the inverter */
+    dq_t current; /* measured, Q1.15 of full-scale current */
+    dq_t voltage; /* commanded, Q1.15 of full-scale voltage */
     ab_t stator_current; /* the same in the stator frame */
     ab_t stator_voltage;
     bool limited; /* the voltage has been at its limit since this was cleared */

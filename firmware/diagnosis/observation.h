@@ -51,9 +51,9 @@ typedef struct {
 
     /* currents and voltages of the last period, in the coordinates of `d_axis_angle` */
     frac16_t d_axis_angle; /* of the current controller, Q1.15 of pi, electrical, stator reference frame */
-    dq_t current;
-    dq_t current_ref;
-    dq_t voltage;
+    dq_t current;     /* Q1.15 of full-scale current */
+    dq_t current_ref; /* its set-point */
+    dq_t voltage;     /* Q1.15 of full-scale voltage */
     pi_sum_t steady_d; /* integral parts of the current controllers */
     pi_sum_t steady_q; /* the same for q */
     frac16_t current_limit; /* longest current vector, Q1.15 of full-scale current */

@@ -118,7 +118,7 @@ typedef struct {
     frac32_t speed_ref; /* set-point of the speed controller, Q1.31 of full-scale speed */
     frac32_t speed_excitation; /* test signal in it */
     bool saturated;       /* the speed controller pushes with all it has */
-    bool held_back;       /* bus or winding allow less current than controller and limits */
+    bool current_reduced;       /* bus or winding allow less current than controller and limits */
     frac32_t limit_hold_current; /* torque mode: what holds a load that drives the shaft past a limit */
     frac32_t entry_speed; /* at which this motion has begun */
     uint16_t stop_ticks;  /* slow ticks since the ramp of MOTION_STOP has ended */
@@ -178,7 +178,7 @@ typedef struct axis {
     bool calibrated;
     rotor_search_t search;
     current_loop_t current_loop;
-    dq_t current_ref;
+    dq_t current_ref; /* Q1.15 of full-scale current */
     field_weakening_t weakening; /* of the field; all zero: no effect */
     motion_state_t motion;
     trajectory_t trajectory;

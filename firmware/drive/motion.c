@@ -283,7 +283,7 @@ static frac32_t followed_speed(axis_t *axis, path_position_t behind)
 static void follow_model(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
-    if ((axis->features & FEATURE_FOLLOWING_ERROR) == 0U || m->held_back) {
+    if ((axis->features & FEATURE_FOLLOWING_ERROR) == 0U || m->current_reduced) {
         m->model = path_counts(axis->feedback.position);
         return;
     }
@@ -410,7 +410,7 @@ static void end_stop(axis_t *axis)
     if (m->speed_ramp != 0) {
         return;
     }
-    if (m->stop_ticks < UINT16_MAX && !m->held_back) { /* time with limited regeneration does not count */
+    if (m->stop_ticks < UINT16_MAX && !m->current_reduced) { /* time with limited regeneration does not count */
         m->stop_ticks++;
     }
     /* With a low current limit the shaft lags the ramp: a position held now would require a motion back to it. */

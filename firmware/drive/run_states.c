@@ -402,7 +402,7 @@ static void bound_current(axis_t *axis)
 
 static finding_set_t monitor_shaft(axis_t *axis)
 {
-    const bool full = axis->motion.saturated && !axis->motion.held_back; /* a reduced limit is no evidence */
+    const bool full = axis->motion.saturated && !axis->motion.current_reduced; /* a reduced limit is no evidence */
     const bool opposed = (axis->feedback.speed < 0) != (axis->current_ref.q < 0);
     shaft_observation_t seen = {
         .features = axis->features,

@@ -293,7 +293,7 @@ frac16_t startup_fade(axis_t *axis)
     const startup_config_t *config = &axis->config->startup;
     /* Without load part of the d current remains: with phase currents near zero the dead time would determine the
      * voltage. */
-    const frac32_t first = axis->motion.held_back ? 0 : f32_from_f16(config->first_current);
+    const frac32_t first = axis->motion.current_reduced ? 0 : f32_from_f16(config->first_current);
     const frac32_t spare = first - f32_from_f16(f16_abs(axis->current_ref.q));
     const frac32_t kept = (spare > first / 2) ? first / 2 : ((spare > 0) ? spare : 0);
     startup->fade += f32_clip(kept - startup->fade, config->fade_step);

@@ -50,9 +50,9 @@ static frac16_t restricted_limit(const axis_t *axis, bool negative)
 }
 
 /* `held`: the limit is below the requested current, whose sign is given by `negative`. */
-static void hold_back(axis_t *axis, bool held, bool negative)
+static void reduce_current(axis_t *axis, bool held, bool negative)
 {
-    axis->motion.held_back = held;
+    axis->motion.current_reduced = held;
     axis->current_ref.d = field_weakening_i_d(&axis->weakening);
     if (held && axis->regen_derating != FRAC16_MAX && returns_energy(axis, negative)) {
         axis_report(axis, LIMIT_REGENERATION);
@@ -66,10 +66,10 @@ static void hold_back(axis_t *axis, bool held, bool negative)
 /* Set i_d*. `less` is the result of restricted(); `held` means that i_q has been limited by it. */
 static void set_i_d(axis_t *axis, bool less, bool held, bool negative)
 {
-    axis->motion.held_back = false;
+    axis->motion.current_reduced = false;
     axis->current_ref.d = 0; /* E23; the usual case */
     if (less) {
-        hold_back(axis, held, negative);
+        reduce_current(axis, held, negative);
     }
 }
 
@@ -117,7 +117,7 @@ frac16_t speed_control(axis_t *axis)
     m->saturated = m->speed_pi.excess != 0;
     set_i_d(axis, less, m->saturated && limit < axis->current_max.q, sum < 0);
     if (m->saturated) {
-        m->held_back = report_current(axis) || m->held_back;
+        m->current_reduced = report_current(axis) || m->current_reduced;
     }
     return f16_from_f32(i_q);
 }

@@ -18,7 +18,7 @@ static void enter(sm_t *sm, state_t state)
 }
 
 /* A fault leads to FAULT at once and clears all requests: the drive never restarts without a new command. */
-static bool faulty(sm_t *sm, struct axis *axis, axis_function_t to_fault)
+static bool enter_fault_if_requested(sm_t *sm, struct axis *axis, axis_function_t to_fault)
 {
     if ((sm->ctrl & SM_CTRL_FAULT) == 0U) {
         return false;
@@ -37,7 +37,7 @@ static bool run_unless_fault(sm_t *sm, struct axis *axis, axis_loop_t loop, stat
     if ((sm->ctrl & SM_CTRL_FAULT) == 0U) {
         state(axis, loop);
     }
-    return !faulty(sm, axis, to_fault);
+    return !enter_fault_if_requested(sm, axis, to_fault);
 }
 
 static void step_fault(sm_t *sm, struct axis *axis, axis_loop_t loop)
@@ -84,7 +84,7 @@ static void step_run(sm_t *sm, struct axis *axis, axis_loop_t loop)
             return; /* the usual case */
         }
     }
-    if (faulty(sm, axis, sm->transitions->run_fault)) {
+    if (enter_fault_if_requested(sm, axis, sm->transitions->run_fault)) {
         return;
     }
     sm->transitions->run_stop(axis);

@@ -18,8 +18,8 @@ stop_category_t stop_for(const stop_config_t *config, fault_set_t faults)
     if ((faults & ~(config->shorted | config->ramp | config->hold)) != 0U) {
         return STOP_CATEGORY_COAST;
     }
-    const stop_category_t gentle = ((faults & config->ramp) != 0U) ? STOP_CATEGORY_RAMP : STOP_CATEGORY_HOLD;
-    return ((faults & config->shorted) != 0U) ? STOP_CATEGORY_SHORT : gentle;
+    const stop_category_t controlled = ((faults & config->ramp) != 0U) ? STOP_CATEGORY_RAMP : STOP_CATEGORY_HOLD;
+    return ((faults & config->shorted) != 0U) ? STOP_CATEGORY_SHORT : controlled;
 }
 
 bool stop_in_hand(const axis_t *axis)

@@ -78,7 +78,7 @@ def test_faults_by_name(quiet: Bench) -> None:
     assert console.lines()[:2] == ["axis1 faults cleared", "axis1 INIT"]
 
 
-def test_refusals(quiet: Bench) -> None:
+def test_refused_writes_and_points_are_lines(quiet: Bench) -> None:
     console = Console(quiet)
     console.lines()
     address = quiet.address("param.acceleration_limit", 1)
@@ -89,7 +89,7 @@ def test_refusals(quiet: Bench) -> None:
     assert console.lines() == ["refused param.acceleration_limit", "points refused: MODE"]
 
 
-def test_watchdog(core: Core) -> None:
+def test_a_reset_by_the_watchdog_is_a_line(core: Core) -> None:
     bench = Bench(core)
     bench.hal.reset_by_watchdog = True
     core.lib.servo_init(bench.servo, bench.hal)

@@ -85,7 +85,7 @@ def test_padded_addresses_and_dropped_bits(servo: Board) -> None:
         (0x22E, 4, False),
     ],
 )
-def test_writing(servo: Board, offset: int, size: int, allowed: bool) -> None:
+def test_only_whole_writable_entries_are_written(servo: Board, offset: int, size: int, allowed: bool) -> None:
     before = servo.memory()
     data = bytes(range(0xC0, 0xC0 + size))
     assert servo.ask(WRITE, write(offset, data)) == (Answer(0) if allowed else DENIED)

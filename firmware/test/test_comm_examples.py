@@ -15,7 +15,7 @@ def dialogue(board: Board, text: str) -> None:
         assert received == bytes.fromhex(expected), f"{line}: {received.hex(' ')}"
 
 
-def test_configuration(sheet: Board) -> None:
+def test_configuration_dialogue_matches_the_recorded_frames(sheet: Board) -> None:
     dialogue(
         sheet,
         """
@@ -60,7 +60,7 @@ def test_write_memory(sheet: Board) -> None:
     assert sheet.memory() == before
 
 
-def test_scope(sheet: Board) -> None:
+def test_scope_dialogue_matches_the_recorded_frames(sheet: Board) -> None:
     dialogue(
         sheet,
         """

@@ -203,7 +203,7 @@ def test_damaged_requests(server: Server, commands: list[tuple[int, bytes]], pla
 
 
 @pytest.mark.parametrize("name", sorted(path.name for path in CORPUS.iterdir()))
-def test_corpus(server: Server, name: str) -> None:
+def test_an_input_of_the_corpus_breaks_no_rule(server: Server, name: str) -> None:
     server.run((CORPUS / name).read_bytes())
 
 

@@ -197,7 +197,7 @@ def digest(compile_c: CompileC) -> tuple[cffi.FFI, Any]:
 
 
 @pytest.mark.parametrize("size", range(56))
-def test_sha1(digest: tuple[cffi.FFI, Any], size: int) -> None:
+def test_sha1_agrees_with_hashlib(digest: tuple[cffi.FFI, Any], size: int) -> None:
     ffi, lib = digest
     message = hashlib.sha256(bytes([size])).digest() * 2
     result = ffi.new("uint8_t[20]")

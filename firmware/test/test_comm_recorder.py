@@ -148,7 +148,9 @@ def test_what_recorders_say_of_themselves(servo: Board) -> None:
         (ABOVE | LEVEL, sleb(3), None),
     ],
 )
-def test_trigger(servo: Board, mode: int, threshold: bytes, first: int | None) -> None:
+def test_a_trigger_fires_at_the_crossing_that_its_mode_selects(
+    servo: Board, mode: int, threshold: bytes, first: int | None
+) -> None:
     """A ramp from -5 to 14, again and again; from the tenth point on, with the memory full, a trigger may fire."""
     ramp = [k % 20 - 5 for k in range(60)]
     assert configure(servo, memory(1, 10, 4), variable(0, LONG, 4, mode, threshold), START) == 0
@@ -263,7 +265,7 @@ def test_a_start_keeps_what_the_last_sample_was(servo: Board) -> None:
         (b"\x00" + memory(2) + variable(0, LONG, 4) + START, 0x86),
     ],
 )
-def test_statuses(servo: Board, payload: bytes, expected: int) -> None:
+def test_a_wrong_operation_gets_its_own_status(servo: Board, payload: bytes, expected: int) -> None:
     assert servo.ask(SET, payload) == Answer(expected)
 
 

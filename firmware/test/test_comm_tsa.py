@@ -113,7 +113,7 @@ def test_empty_table(library: tuple[cffi.FFI, Any]) -> None:
         assert tsa.string_length(address) is None
 
 
-def test_sources(library: tuple[cffi.FFI, Any]) -> None:
+def test_a_part_of_a_variable_comes_from_the_same_part_of_its_source(library: tuple[cffi.FFI, Any]) -> None:
     """A part of a variable comes from the same part of its source; one that lies beyond the memory has none."""
     ffi, lib = library
     sources = [(VARIABLES + 4, 8, 4), (LIVE, 12, 4), (LIVE + 4, 14, 4), (LIVE + 8, 0xFFFE, 4), (0xFFFF_FFFE, 0, 4)]

@@ -38,7 +38,7 @@ def constants() -> dict[str, Any]:
 # ---- the committed motor, by hand -----------------------------------------------------------------------------------
 
 
-def test_observer(constants: dict[str, Any]) -> None:
+def test_observer_constants_place_the_pole(constants: dict[str, Any]) -> None:
     pole = math.exp(-(R / (2.0 * L) + 2.0 * math.pi * 500.0) * T)
     f1, f2 = constants["observer.f1"], constants["observer.f2"]
     assert (f1, f2) == (11, 11)

@@ -112,7 +112,7 @@ def test_it_runs_as_a_script_beside_the_contract_alone() -> None:
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["generate", "--help"], ["report", "--help"]])
-def test_help(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_names_the_options_and_exits_with_0(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main(arguments)
     assert end.value.code == 0

@@ -341,7 +341,7 @@ def test_sum_is_rounded_once(core: Core, total: int) -> None:
     assert core.lib.current_loop_rounded(total) == clip16(nearest(total, 2**40))
 
 
-def test_reset(core: Core) -> None:
+def test_a_reset_clears_currents_voltages_and_integrators(core: Core) -> None:
     loop: Any = core.ffi.new("current_loop_t *")
     core.ffi.memmove(loop, b"\x01" * core.ffi.sizeof("current_loop_t"), core.ffi.sizeof("current_loop_t"))
     core.lib.current_loop_reset(loop)

@@ -51,7 +51,9 @@ def test_every_bit(
     bus=BUS,
 )
 @settings(max_examples=300)
-def test_formula(core: Core, dead_time: int, v_drop: int, slope: int, duty: int, current: int, bus: int) -> None:
+def test_compensation_follows_the_formula_within_1_8_lsb(
+    core: Core, dead_time: int, v_drop: int, slope: int, duty: int, current: int, bus: int
+) -> None:
     """(t_d f + V_drop / u_dc) times the softened sign, in reals: at most 1.8 LSB off.
 
     Half an LSB each for drop over bus and product, one for the sign times a loss of at most a half, and up to 0.2 for

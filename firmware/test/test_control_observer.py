@@ -114,6 +114,6 @@ def test_a_turn_is_exact(core: Core) -> None:
         assert observer.turn_versine / 2**32 == pytest.approx(1.0 - math.cos(angle), abs=1e-5)
 
 
-def test_scales() -> None:
+def test_the_rig_has_the_scales_of_the_tuning_tool() -> None:
     """The rig uses the same units as the tool."""
     assert (U_FS, I_FS, PAIRS, SLOW) == (24.2, 8.25, 2, 8)

@@ -80,7 +80,7 @@ def test_every_bit_over_the_whole_range(
         assert (state.integral, state.excess) == (integral, excess)
 
 
-def test_reset(core: Core) -> None:
+def test_a_reset_sets_the_integrator_and_clears_the_excess(core: Core) -> None:
     state = core.ffi.new("pi_state_t *", (1, 2))
     core.lib.pi_reset(state, -ONE)
     assert (state.integral, state.excess) == (-ONE * GAIN_ONE, 0)

@@ -169,7 +169,9 @@ def test_silence_in_six_of_eight_directions_and_33_times_is_a_lost_phase(
 
 
 @pytest.mark.parametrize(("sectors", "suspected"), [(0b011, False), (0b111, True), (0b10101, True)])
-def test_silence_in_three_directions_is_suspicious(driven: Diagnosis, sectors: int, suspected: bool) -> None:
+def test_low_current_in_three_directions_makes_a_phase_loss_possible(
+    driven: Diagnosis, sectors: int, suspected: bool
+) -> None:
     driven.monitors.phase.sectors[1] = 0x100 | sectors
     assert bool(driven.suspect().silent) == suspected
 

@@ -40,7 +40,7 @@ class Resistor:
         return float(self.brake.heat) / 2**31
 
 
-def test_hysteresis(core: Core) -> None:
+def test_the_resistor_switches_with_hysteresis(core: Core) -> None:
     resistor = Resistor(core)
     course = [(24.0, False), (27.9, False), (28.1, True), (27.5, True), (27.1, True), (26.9, False), (27.5, False)]
     assert [(u, resistor.step(u)) for u, _ in course] == course

@@ -83,7 +83,7 @@ def test_offset_is_taken_off_with_its_fraction(core: Core, sense: Any) -> None:
     assert read(core, sense, AB, 2048, 2048)[0] == -1
 
 
-def test_reset(core: Core) -> None:
+def test_a_reset_restores_the_middle_as_offset(core: Core) -> None:
     sense = core.ffi.new("current_sense_t *", ([1, 2, 3], [4, 5, 6], 7, 2, (8, 9, 10)))
     core.lib.current_sense_reset(sense)
     assert list(sense.offset) == [MID] * 3

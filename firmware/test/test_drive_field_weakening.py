@@ -58,7 +58,7 @@ def test_motoring_current_gives_way_and_braking_current_does_not(bench: Bench) -
         bench.write(0, mode=MODE.TORQUE, i_q=amps(wanted))
         bench.slow(5)
         assert abs(int(bench.axis(0).current_ref.q)) == pytest.approx(amps(most), abs=2)
-        assert bench.axis(0).motion.held_back
+        assert bench.axis(0).motion.current_reduced
 
 
 def test_the_speed_controller_does_not_wind_up(bench: Bench) -> None:

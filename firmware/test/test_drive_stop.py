@@ -57,7 +57,7 @@ def withdraw(bench: Bench, category: int, command: str = "disable") -> None:
 
 
 @pytest.mark.parametrize("command", ["disable", "quick_stop"])
-def test_coast(turning: Bench, command: str) -> None:
+def test_coast_opens_the_switches_at_once(turning: Bench, command: str) -> None:
     withdraw(turning, STOP_CATEGORY.COAST, command)
     assert place(turning) == (STATE.RUN, SUBSTATE.FREEWHEEL)
     assert not turning.hal.axis[0].outputs_on
@@ -65,7 +65,7 @@ def test_coast(turning: Bench, command: str) -> None:
 
 
 @pytest.mark.parametrize("command", ["disable", "quick_stop"])
-def test_ramp(turning: Bench, command: str) -> None:
+def test_ramp_brakes_before_the_outputs_open(turning: Bench, command: str) -> None:
     withdraw(turning, STOP_CATEGORY.RAMP, command)
     assert place(turning) == (STATE.RUN, SUBSTATE.SPIN)
     turning.follow(60)
@@ -75,7 +75,7 @@ def test_ramp(turning: Bench, command: str) -> None:
 
 
 @pytest.mark.parametrize("command", ["disable", "quick_stop"])
-def test_short(turning: Bench, command: str) -> None:
+def test_short_keeps_all_low_sides_on_until_the_shaft_rests(turning: Bench, command: str) -> None:
     """All low sides on, until the shaft rests."""
     withdraw(turning, STOP_CATEGORY.SHORT, command)
     assert place(turning) == (STATE.RUN, SUBSTATE.FREEWHEEL)

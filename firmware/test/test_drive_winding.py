@@ -47,7 +47,7 @@ def hot(bench: Bench, *, features: int = 0) -> None:
     warm(bench, HALF)
 
 
-def test_without_the_feature_nothing_is_held_back(bench: Bench) -> None:
+def test_without_the_feature_no_current_is_reduced(bench: Bench) -> None:
     bench.to_spin(0)
     warm(bench, 200.0)
     bench.write(0, mode=MODE.TORQUE, i_q=amps(4.0))
@@ -108,7 +108,7 @@ def test_a_shaft_that_stands_at_less_than_the_full_current_is_no_stall(bench: Be
     bench.until(lambda: place(bench)[1] == SUBSTATE.ALIGN, 1200)  # the test of a stall, at full current
 
 
-def test_a_shaft_that_is_held_back_does_not_run_away(bench: Bench) -> None:
+def test_a_reduced_current_is_no_runaway(bench: Bench) -> None:
     hot(bench)
     bench.write(0, mode=MODE.SPEED, speed=speed(-200.0))
     bench.slow(60)
@@ -119,7 +119,7 @@ def test_a_shaft_that_is_held_back_does_not_run_away(bench: Bench) -> None:
     assert place(bench) == (STATE.RUN, SUBSTATE.SPIN, 0)
 
 
-def test_a_shaft_that_is_held_back_has_no_following_error(bench: Bench) -> None:
+def test_a_reduced_current_is_no_following_error(bench: Bench) -> None:
     hot(bench, features=FEATURES.FOLLOWING_ERROR)
     bench.write(0, mode=MODE.POSITION, position=bench.view(0).position + 100_000)
     bench.slow(300)

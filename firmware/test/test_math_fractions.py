@@ -44,7 +44,7 @@ def test_shift_rounds_towards_minus_infinity_64(c: Any, x: int, n: int) -> None:
 
 
 @given(x=st.one_of(I32, near(MIN16, MAX16)), y=st.one_of(I64, near(MIN32, MAX32)))
-def test_saturation(c: Any, x: int, y: int) -> None:
+def test_numbers_out_of_range_saturate(c: Any, x: int, y: int) -> None:
     assert c.probe_sat16(x) == clip(x, MIN16, MAX16)
     assert c.probe_sat32(y) == clip(y, MIN32, MAX32)
 
@@ -111,5 +111,5 @@ def test_narrowing_rounds_and_saturates(c: Any, a: int) -> None:
 
 
 @given(x=I32, gain=I32)
-def test_gain(c: Any, x: int, gain: int) -> None:
+def test_a_gain_multiplies_and_saturates(c: Any, x: int, gain: int) -> None:
     assert c.probe_f32_gain(x, gain) == times_gain(x, gain)

@@ -73,7 +73,7 @@ class TestBuild:
             assert loaded.constants[name] > 0
             assert name not in chip_budget.fast_files()
 
-    def test_commands(self) -> None:
+    def test_each_object_is_compiled_from_one_source(self) -> None:
         """Each object has a source and a place of its own; fast loops and tables come by way of their section."""
         run = chip_budget._output("make", "--dry-run", "--always-make", "-C", PORT, "CW=/cw", "all")
         compiled = [line.split(" -c ")[1].split(" -o ") for line in run.splitlines() if " -c " in line]

@@ -35,7 +35,7 @@ def take(board: FakeBoard, axis: int) -> tuple[int, int] | None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_counters(board: FakeBoard, axis: int) -> None:
+def test_count_and_index_count_are_read_from_their_timers(board: FakeBoard, axis: int) -> None:
     board[TMR[axis] + CNTR] = 0xF061
     board[TMR[axis] + 0x20 + CNTR] = 7
     assert board.lib.hal_encoder_count(board.hal, axis) == 0xF061
@@ -99,7 +99,7 @@ def test_an_edge_not_taken_interrupts_once(board: FakeBoard) -> None:
 # ---- age of the last edge -------------------------------------------------------------------------------------------
 
 
-def test_age(board: FakeBoard) -> None:
+def test_the_age_of_an_edge_saturates_at_the_overflow(board: FakeBoard) -> None:
     board[TMR[0] + 0x30 + CNTR] = 4711
     assert board.lib.hal_edge_age(board.hal, 0) == 4711
     board[TMR[0] + 0x30 + SCTRL] |= TOF

@@ -46,7 +46,7 @@ def regions() -> dict[str, tuple[str, int, int]]:
     return {name: (access, int(origin, 16), int(length, 16)) for name, access, origin, length in found}
 
 
-def test_memory() -> None:
+def test_no_word_of_memory_is_forgotten_or_used_twice() -> None:
     """256 KB of program flash, 32 KB of RAM, in words; nothing overlaps and no word of flash is forgotten."""
     flash = sorted((origin, length) for name, (_, origin, length) in regions().items() if name.startswith("p_"))
     end = 0

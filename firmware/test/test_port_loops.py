@@ -295,7 +295,7 @@ def test_enable_works_on_one_module_at_once(board: FakeBoard, axis: int) -> None
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_break(board: FakeBoard, axis: int) -> None:
+def test_a_fault_input_calls_the_break_handler(board: FakeBoard, axis: int) -> None:
     module = PWM[axis]
     board[module + 0xC7] = 0x0111  # flag, pin
     board.isr(FAULT[axis])

@@ -73,7 +73,7 @@ def test_pwm_module(board: FakeBoard, axis: int) -> None:
     assert board[module + 0xC1] == board[module + 0xC3] == 0
 
 
-def test_adc(board: FakeBoard) -> None:
+def test_start_up_sets_the_converter(board: FakeBoard) -> None:
     assert board[0xE500] == 0x1805
     assert board[0xE501] == 0x0044
     assert [board[0xE504 + n] for n in range(4)] == [0x4640, 0x0060, 0xCEC8, 0x00F8]
@@ -90,7 +90,7 @@ def test_adc(board: FakeBoard) -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_timers(board: FakeBoard, axis: int) -> None:
+def test_start_up_sets_the_timers(board: FakeBoard, axis: int) -> None:
     module = TMR[axis]
     assert [board[module + 0x10 * n + 6] for n in range(4)] == [0x80A5, 0x3E80, 0x2800, 0x3E80]
     assert [board[module + 0x10 * n + 7] & 0x00C0 for n in range(4)] == [0xC0, 0xC0, 0, 0xC0]
@@ -100,7 +100,7 @@ def test_timers(board: FakeBoard, axis: int) -> None:
     assert board[module + 0xF] == 0xF
 
 
-def test_crossbars(board: FakeBoard) -> None:
+def test_start_up_sets_the_crossbars(board: FakeBoard) -> None:
     assert (board[0xE35A], board[0xE35B]) == (0x1400, 0x1414)
     assert (board[0xE360], board[0xE380], board[0xE381], board[0xE346]) == (0x1609, 0x7FDF, 0, 0x2E2E)
 
@@ -125,7 +125,7 @@ def test_clock_serial_watchdog(board: FakeBoard) -> None:
     assert (board[0xE321], board[0xE320]) == (0x0186, 0x0303)
 
 
-def test_pins(board: FakeBoard) -> None:
+def test_start_up_sets_the_pins(board: FakeBoard) -> None:
     per = {port: board[base + 3] for port, base in GPIO.items()}
     assert per == {"A": 0x73, "B": 0xF3, "C": 0x019F, "D": 0x5A5A, "E": 0x03FF, "F": 0x6100, "G": 0x003F}
     assert board[GPIO["F"] + 2] == 0x00C0  # scope pins are outputs

@@ -333,7 +333,9 @@ def test_reset_forgets_everything(core: Core) -> None:
         ((3900, 100), (65535, 0), 1),  # TMRx2 wraps: the difference is 1
     ],
 )
-def test_f14(core: Core, config: Any, counts: tuple[int, int], revs: tuple[int, int], turns: int) -> None:
+def test_the_sign_of_the_count_decides_the_sign_of_the_index(
+    core: Core, config: Any, counts: tuple[int, int], revs: tuple[int, int], turns: int
+) -> None:
     """The sign of ENC(k) - ENC(k-1), wrapped, decides whether REV(k) - REV(k-1) is added or subtracted."""
     c = core.ffi.new("encoder_t *")
     core.lib.encoder_reset(c, counts[0] & 0xFFFF, revs[0])

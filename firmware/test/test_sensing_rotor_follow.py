@@ -83,7 +83,7 @@ def test_tells_a_held_rotor_from_one_that_follows(core: Core, axis: int) -> None
 
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_margins(core: Core, axis: int, sign: float) -> None:
+def test_an_error_of_a_fifth_of_the_flux_changes_no_verdict(core: Core, axis: int, sign: float) -> None:
     """An offset, a wrong inductance or noise may look like a fifth of the flux; three fifths are more than enough."""
     config = config_of(core, axis)
     flux = PSI[axis] * math.radians(120.0)

@@ -355,7 +355,7 @@ def test_a_quarter_of_the_current_is_enough(stepped: Stepped, sign: int) -> None
 
 @pytest.mark.parametrize("friction", [0.0, 0.5e-3, 2e-3, 8e-3, 20e-3])
 @pytest.mark.parametrize("degrees", [-100.0, 30.0, 77.0, 150.0])
-def test_friction(core: Core, friction: float, degrees: float) -> None:
+def test_friction_does_not_shift_the_angle_found(core: Core, friction: float, degrees: float) -> None:
     """The current grows until the shaft lets go. The angle at which friction holds it against the largest current, six
     degrees for the last one, is not in the result: it cancels between the turn there and the one back."""
     result = search(core, Shaft(degrees * DEGREE, friction=friction))

@@ -128,7 +128,7 @@ def test_an_edge_is_measured_from_a_young_one_only(
     assert (speed.c.last.count, speed.c.last.time) == (3, interval)
 
 
-def test_reset(core: Core) -> None:
+def test_after_a_reset_the_speed_is_zero(core: Core) -> None:
     speed = Speed(core)
     speed.edge(5, 6)
     speed.edge(7, 8)
@@ -194,7 +194,7 @@ def test_no_speed_is_above_the_true_one_by_more_than_a_tick_of_the_interval(
                     assert rpm >= true * (m2 - 1 - enhanced) / m2 - 1e-5, (phase, sign, k)
 
 
-def test_reversal(core: Core) -> None:
+def test_the_sign_follows_the_first_interval_in_the_new_direction(core: Core) -> None:
     """The sign follows the first whole interval in the new direction."""
     speed = Speed(core)
     speed.edge(3998, 0)

@@ -150,7 +150,7 @@ class Commander(Node):
         return self._ask(Trigger, Trigger.Request(), name, name)
 
     def home(self, joint: str, method: str, position: float | None) -> str:
-        """Home a joint, or set its position where it is; the bridge's own parameter says to which value.
+        """Home a joint, or set its position where it is, to `position` [rad]; None: to that of the bridge's parameter.
 
         Raises
         ------
@@ -366,7 +366,7 @@ class Commander(Node):
         return next(iter(self._path_log("the board has refused points")), "")
 
     def turn(self, seconds: float) -> None:
-        """Let the executor turn for so long."""
+        """Let the executor turn for so long [s]."""
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
             self._spin()

@@ -48,6 +48,7 @@ class SessionAccess(BoardAccess):
         self._line = session.client.line
 
     def clock(self) -> float:
+        """Time of the line [s]."""
         return self._line.clock() * 1e-9
 
     @property

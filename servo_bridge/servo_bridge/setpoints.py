@@ -89,7 +89,7 @@ def from_joint_command(
     names : sequence of str
         Those of the message.
     arrays : mapping of str to sequence of float
-        Its position, velocity and effort; an empty one is not given. NaN leaves a value open.
+        Its position [rad], velocity [rad/s] and effort [N m]; an empty one is not given. NaN leaves a value open.
     interfaces : mapping of str to collection of str, optional
         Which of the arrays a joint is in, where not every joint is in all of them.
 

@@ -29,7 +29,7 @@ def connected(target: FakeTarget) -> Client:
     return client
 
 
-def test_identify() -> None:
+def test_identify_reads_the_configuration_values() -> None:
     target = FakeTarget(
         mtu=100, config={"BA": bytes.fromhex("80 80 80 80 02"), "RC": b"\x01", "NM": "Säge".encode() + b"\0"}
     )
@@ -50,7 +50,7 @@ def test_identify_a_target_that_knows_next_to_nothing() -> None:
     assert (info.mtu, info.name, info.base_address, info.scopes) == (32, "", None, 0)
 
 
-def test_flags() -> None:
+def test_byte_order_and_password_level_are_read() -> None:
     info = client_on(FakeTransport(FakeTarget(big_endian=True, passwords={1: "x"}).feed)).identify()
     assert info.big_endian
     assert info.password_level == 1
@@ -104,7 +104,7 @@ def test_nothing_to_read_asks_nothing() -> None:
     assert target.requests == []
 
 
-def test_write() -> None:
+def test_a_write_changes_the_memory() -> None:
     target = FakeTarget(tables=[[FakeEntry("x", b"\xe1", 0x1000, 2, RW)]])
     client = connected(target)
     client.write_memory(0x1000, b"\x2b\x2b")

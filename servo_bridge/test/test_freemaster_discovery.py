@@ -115,7 +115,7 @@ def test_structures_that_multiply_are_not_all_opened() -> None:
     assert 0 < len(found) < 100_000
 
 
-def test_enumerations() -> None:
+def test_constants_behind_an_enumeration_are_its_labels() -> None:
     rows = [
         FakeEntry("state_t", ENUM, 0, 2, NONE),
         FakeEntry("OFF", CONST, 0, 0, NONE),
@@ -230,7 +230,7 @@ def test_base_types(text: bytes, data: bytes, value: Number) -> None:
     assert found.encode(value) == data
 
 
-def test_arrays() -> None:
+def test_an_array_is_encoded_element_by_element() -> None:
     variable = TargetVariable("x", 0, 8, parse_type(b"\xf4:15.16", 8) or pytest.fail("no type"), True)
     assert variable.count == 2
     assert variable.decode(variable.encode([1.5, -2.25])) == [1.5, -2.25]

@@ -52,7 +52,7 @@ def test_a_board_with_passwords(fake_board: FakeServo, start_link: StartLink) ->
     assert "look" not in repr(LinkConfig("port", password="look"))
 
 
-def test_statistics(connected: Watcher) -> None:
+def test_statistics_count_samples_and_connections(connected: Watcher) -> None:
     connected.wait_samples(100)
     figures = connected.link.statistics()
     assert figures.samples >= 100

@@ -166,7 +166,7 @@ def test_clear_faults_looks_again_after_the_effect() -> None:
     assert not rig.arbiter.armed
 
 
-def test_a_lost_link_answers_everybody() -> None:
+def test_a_lost_link_answers_every_caller() -> None:
     rig = Rig().connected()
     enable, clear = rig.services.enable(True), rig.services.clear_faults()
     rig.done()

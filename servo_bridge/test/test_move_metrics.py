@@ -72,7 +72,7 @@ def test_settling_at_the_edge_of_the_band_is_inside() -> None:
     assert settling_time(np.array([0.0, 1.0]), np.array([0.5, -0.5]), 0.5) == 0.0
 
 
-def test_rms() -> None:
+def test_rms_is_the_root_of_the_mean_square() -> None:
     assert rms(np.array([3.0, -4.0])) == pytest.approx(math.sqrt(12.5))
 
 

@@ -61,7 +61,9 @@ def stranger(tmp_path: Path) -> Iterator[FakeTarget]:
 
 
 # ---- reading ------------------------------------------------------------------------------------------------------
-def test_info(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_shows_the_board_and_its_contract(
+    fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run("info") == 0
     out = capsys.readouterr().out
     assert "servo test target" in out
@@ -78,7 +80,7 @@ def test_reading_a_running_board_does_not_stop_it(
     assert fake_board.signs == []
 
 
-def test_vars(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+def test_vars_lists_the_variables_that_match(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("vars", "cmd.*") == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split() == ["NAME", "TYPE", "ACCESS", "UNIT", "LIMITS", "DESCRIPTION"]
@@ -95,7 +97,9 @@ def test_vars_without_a_match(fake_port: FakePort, run: Run, capsys: pytest.Capt
     assert "no variable matches" in capsys.readouterr().err
 
 
-def test_get(fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytest.CaptureFixture[str]) -> None:
+def test_get_prints_values_with_units_and_names(
+    fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytest.CaptureFixture[str]
+) -> None:
     fake_board.put("axis1.state", 2)
     fake_board.put("axis1.faults", 3)
     fake_board.put("cmd.position", 0, 4000)
@@ -127,7 +131,7 @@ def test_get_an_unknown_name(fake_port: FakePort, run: Run, capsys: pytest.Captu
     assert "elements 0 .. 1" in capsys.readouterr().err
 
 
-def test_watch(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+def test_watch_prints_a_line_per_sample(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("watch", "tick", "u_dc", "--rate", "200", "--count", "3") == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 3
@@ -136,7 +140,7 @@ def test_watch(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]
     assert ticks[0] < ticks[1] < ticks[2]
 
 
-def test_record(
+def test_record_writes_a_table(
     fake_port: FakePort, run: Run, fake_board: FakeServo, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fake_board.put("axis1.i_q", 16384)
@@ -159,7 +163,9 @@ def test_a_block_cannot_be_recorded(fake_port: FakePort, run: Run, tmp_path: Pat
 
 
 # ---- writing ------------------------------------------------------------------------------------------------------
-def test_set(fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytest.CaptureFixture[str]) -> None:
+def test_set_writes_and_shows_the_value_before(
+    fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run("set", "cmd.speed", "-3,2.5") == 0
     raw = fake_board.get("cmd.speed")
     assert [r / 2**31 * 523.5987756 for r in raw] == pytest.approx([-3.0, 2.5], abs=1e-6)

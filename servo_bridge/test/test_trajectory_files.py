@@ -19,7 +19,7 @@ def read(folder: File, name: str, text: str) -> Waypoints:
     return read_waypoints(file, JOINTS)
 
 
-def test_csv(tmp_path: File) -> None:
+def test_a_csv_file_gives_waypoints(tmp_path: File) -> None:
     text = "# a comment\ntime, axis2, axis1, axis1_velocity, axis2_velocity\n\n0, 1, 2, 3, 4\n0.5, 5, 6, 0, 0\n"
     waypoints = read(tmp_path, "path.csv", text)
     assert waypoints.joints == ("axis2", "axis1")
@@ -29,7 +29,7 @@ def test_csv(tmp_path: File) -> None:
     assert np.isnan(read(tmp_path, "path.csv", "time,axis1\n1,2\n").velocities).all()
 
 
-def test_json(tmp_path: File) -> None:
+def test_a_json_file_gives_waypoints(tmp_path: File) -> None:
     text = """{"joint_names": ["axis1"], "points": [
         {"time_from_start": 1, "positions": [2], "velocities": [3.5], "accelerations": [4], "effort": [0.5]},
         {"time_from_start": {"sec": 2, "nanosec": 500000000}, "positions": [3], "velocities": []}]}"""

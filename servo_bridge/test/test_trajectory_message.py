@@ -123,7 +123,7 @@ STEP = point(1.0, 0.0, 0.0)
         (message(point(0.0, 0.0, 2.0), STEP), -1, "axis1 is at 1 rad and point #0 wants 0 rad at once"),
     ],
 )
-def test_refusals(trajectory: Any, code: int, sentence: str) -> None:
+def test_a_bad_trajectory_is_refused_with_its_reason(trajectory: Any, code: int, sentence: str) -> None:
     with pytest.raises(TrajectoryError, match=f"^joint_trajectory: .*{sentence}") as caught:
         taken(trajectory)
     assert caught.value.code == ErrorCode(code)

@@ -59,7 +59,7 @@ OPERATORS = st.sampled_from([">", ">=", "<", "<="])
         ("rising falling 3", ("rising", "falling", "3")),
     ],
 )
-def test_forms(text: str, expected: tuple[str, str, str]) -> None:
+def test_every_form_of_a_trigger_is_parsed(text: str, expected: tuple[str, str, str]) -> None:
     assert parse_expression(text) == Expression(*expected)
 
 

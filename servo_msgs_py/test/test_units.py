@@ -53,7 +53,7 @@ def test_rounding_is_to_the_nearest(value: float) -> None:
     assert abs(raw * lsb - value) <= lsb / 2
 
 
-def test_rpm() -> None:
+def test_rpm_counts_turns_per_minute() -> None:
     assert units.rpm(2.0 * math.pi) == pytest.approx(60.0)
 
 

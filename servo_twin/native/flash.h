@@ -27,11 +27,11 @@ typedef enum { FLASH_NOTHING, FLASH_ERASE, FLASH_PROGRAM } flash_command_t;
 
 typedef struct {
     uint32_t word[FLASH_WORDS];
-    uint32_t erases[FLASH_SECTORS];
+    uint32_t erases[FLASH_SECTORS]; /* of each sector since it was made */
     flash_command_t command; /* under way */
     uint32_t at;             /* its sector or word */
     uint32_t value;
-    uint64_t begin_ns, end_ns;
+    uint64_t begin_ns, end_ns; /* of the command under way [ns] */
     bool failed;       /* the last command has not left what it should */
     uint32_t commands; /* begun since power-on */
     uint64_t random;

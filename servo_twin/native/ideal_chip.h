@@ -37,7 +37,7 @@ struct hal {
     uart_t uart;
     flash_t flash;
     chip_axis_t axis[HAL_AXES];
-    uint16_t bus_code;
+    uint16_t bus_code; /* ADC code of the bus voltage */
     uint64_t now_ns;     /* what the software would see on a clock */
     uint64_t grid_ns;    /* next step of the plant ends here */
     int sampled;         /* axis whose low sides are at their centre then */

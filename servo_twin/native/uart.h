@@ -13,7 +13,7 @@
 #define UART_TX_LINE 65536 /* bytes that wait for the host */
 
 typedef struct {
-    uint64_t byte_ns;
+    uint64_t byte_ns; /* a byte on the wire, start and stop bit included [ns] */
     /* host to board */
     uint8_t rx_line[UART_RX_LINE];
     size_t rx_head, rx_size;
@@ -24,7 +24,7 @@ typedef struct {
     /* board to host */
     uint8_t tx_shift, tx_wait;
     bool tx_waiting;
-    uint64_t tx_done_ns;
+    uint64_t tx_done_ns; /* when the byte in the shift register has been sent [ns] */
     uint8_t tx_line[UART_TX_LINE];
     size_t tx_head, tx_size;
     uint32_t tx_lost; /* bytes that the host did not fetch in time */

@@ -588,7 +588,7 @@ class Board:
         return self._ffi.new("board_fault_t *", (getattr(self._lib, kind), *where))
 
     def set_plant(self, name: str, value: float) -> None:
-        """Change a value of the plant from now on, by its name in the plant file: ``axis1.r_s``, ``bus.u_source``.
+        """Change a value [SI] of the plant from now on, by its name in the plant file: ``axis1.r_s``, ``bus.u_source``.
 
         Currents, speeds, angles and temperatures go on from where they are; `plant` is the new one.
 

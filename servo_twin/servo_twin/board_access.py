@@ -60,6 +60,7 @@ class VirtualBoardAccess(BoardAccess):
         return True
 
     def clock(self) -> float:
+        """Simulated time [s]."""
         return self.board.time_ns * 1e-9
 
     def wait(self, seconds: float) -> None:

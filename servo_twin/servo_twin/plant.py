@@ -466,7 +466,7 @@ class PlantConfig:
         return dataclasses.replace(self, axes=(axes[0], axes[1]))
 
     def with_value(self, name: str, value: float) -> PlantConfig:
-        """Copy with one number replaced, by its name in the plant file: ``axis1.r_s``, ``axis2.pins.brake_torque``.
+        """Copy with one number [SI] replaced, by its name in the plant file: ``axis1.r_s``, ``bus.u_source``.
 
         Raises
         ------

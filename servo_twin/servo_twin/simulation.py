@@ -64,7 +64,7 @@ def keep_set_points(board: Board) -> None:
 
 
 def enable(board: Board) -> NDArray[np.void]:
-    """Switch a fresh board on and bring both axes to SPIN; returns what was recorded meanwhile.
+    """Switch a fresh board on and bring both axes to SPIN; returns raw rows (slow ticks,) recorded meanwhile.
 
     Raises
     ------

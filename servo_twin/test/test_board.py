@@ -110,7 +110,7 @@ class TestVariables:
         assert error.value.status == 0x97
         assert board.read_raw(name) == before
 
-    def test_refusals(self, board: Board) -> None:
+    def test_a_refused_write_names_variable_and_reason(self, board: Board) -> None:
         with pytest.raises(BoardError, match=r"axis1\.position: .*access denied") as error:
             board.write_raw("axis1.position", 1)
         assert error.value.status == 0x89

@@ -45,7 +45,7 @@ class TestChoice:
         assert Board(level="registers").level == "registers"
 
     @pytest.mark.parametrize("name", ["register", ""])
-    def test_unknown(self, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    def test_an_unknown_level_is_refused(self, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
         monkeypatch.setenv("SERVO_TWIN_LEVEL", name)
         with pytest.raises(ValueError, match="a board has the levels registers, ideal"):
             Board()
@@ -235,7 +235,7 @@ class TestCore:
                 late = board.read_raw("late_loops")[0]
                 assert begin <= late <= begin + (2 if level == "registers" else 1)
 
-    def test_refusals(self) -> None:
+    def test_a_bad_core_speed_is_refused(self) -> None:
         with pytest.raises(ValueError, match="the values are"):
             CoreSpeed.parse({"entry_cycles": 10})
         with pytest.raises(ValueError, match="cycles per instruction"):

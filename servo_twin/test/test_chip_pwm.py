@@ -68,7 +68,7 @@ class TestCounter:
             65536 + HALF - 1000 + 100,
         ]
 
-    def test_prescaler(self, rig: ChipRig) -> None:
+    def test_the_prescaler_stretches_the_period(self, rig: ChipRig) -> None:
         start = prepare(rig, **{f"PWMA{n}_CTRL": 0x0810 for n in range(3)})
         rig.run(start + 4 * PERIOD)
         assert [c - start for c in rig.clocks("cycle", a=0)] == [2 * PERIOD, 4 * PERIOD]
@@ -159,7 +159,7 @@ class TestEdges:
         rig.run(start + PERIOD)
         assert gates(rig, start)[-4:] == [(HALF - 1000, 1), (HALF - 500, 3), (HALF + 500, 1), (HALF + 1000, 0)]
 
-    def test_polarity(self, rig: ChipRig) -> None:
+    def test_polarity_inverts_the_outputs(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000, PWMA0_OCTRL=0x0600)
         rig.run(start + PERIOD)
         # what should be open has both switches on
@@ -468,14 +468,14 @@ class TestFaults:
         assert gates(rig, start, 0)[-1] == (HALF + 1000, OPEN)
         assert gates(rig, start, 1)[-1] == (HALF + 1100, LOW)
 
-    def test_filter(self, rig: ChipRig) -> None:
+    def test_the_filter_ignores_short_pulses(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000, PWMA_FFILT0=0x0205)  # five samples, five clocks apart
         rig.run(start + HALF)
         rig.edges = [(start + HALF, "E8", True), (start + HALF + 24, "E8", False), (start + HALF + 100, "E8", True)]
         rig.run(start + HALF + 130)
         assert gates(rig, start)[-1] == (HALF + 125, OPEN)
 
-    def test_interrupt(self, rig: ChipRig) -> None:
+    def test_a_fault_calls_its_handler(self, rig: ChipRig) -> None:
         calls = rig.on(77, {"PWMA_FCTRL0": 0xF0F0})
         rig.write("INTC_IPR8", 3 << 8)
         start = self.trip(rig, fctrl=0xF0F1)

@@ -81,7 +81,7 @@ class TestAccess:
         assert rig.now == now
 
     @pytest.mark.parametrize("name", sorted(ADDRESS))
-    def test_names(self, rig: ChipRig, name: str) -> None:
+    def test_a_register_is_named_by_block_and_register(self, rig: ChipRig, name: str) -> None:
         block, register = name.split("_", 1)
         spoken = rig.name(ADDRESS[name])
         if block in ("XBARA", "XBARB", "INTC", "AOI") or register[:4] in ("RSLT", "OFFS"):
@@ -296,7 +296,7 @@ class TestWatchdog:
         rig.write("COP_TOUT", 390)
         rig.write("COP_CTRL", 0x0302)  # 8 MHz / 1024: 50 ms
 
-    def test_bites(self, rig: ChipRig) -> None:
+    def test_the_watchdog_resets_after_its_time(self, rig: ChipRig) -> None:
         self.start(rig)
         rig.write("GPIOC_PER", 0x1234)
         begin = rig.now
@@ -307,7 +307,7 @@ class TestWatchdog:
         assert rig.read("SIM_RSTAT") == 0x0020
         assert rig.read("GPIOC_PER") == 0
 
-    def test_served(self, rig: ChipRig) -> None:
+    def test_a_serviced_watchdog_does_not_reset(self, rig: ChipRig) -> None:
         self.start(rig)
         for _ in range(5):
             rig.step(390 * 12800)
@@ -325,7 +325,7 @@ class TestWatchdog:
         rig.step(20_000)
         assert rig.boots == 2
 
-    def test_locked(self, rig: ChipRig) -> None:
+    def test_a_write_protected_watchdog_stays_on(self, rig: ChipRig) -> None:
         self.start(rig)
         rig.write("COP_CTRL", 0x0303)
         rig.write("COP_CTRL", 0)
@@ -398,7 +398,7 @@ class TestSerial:
         assert bytes(serial.read("SCI0_DATA") for _ in range(3)) == b"xyz"
         assert not serial.read("SCI0_STAT") & 0x2000
 
-    def test_watermark(self, serial: ChipRig) -> None:
+    def test_the_receive_flag_follows_the_watermark(self, serial: ChipRig) -> None:
         serial.write("SCI0_CTRL2", 0x0020 | 1 << 6)
         serial.host_write(b"xy")
         serial.step(BYTE)
@@ -475,7 +475,7 @@ class TestSerial:
         assert rig.host_read() == b""
 
 
-def test_gpio(rig: ChipRig) -> None:
+def test_a_pin_reads_its_level_in_either_direction(rig: ChipRig) -> None:
     rig.write("GPIOF_DDR", 0x0040)
     rig.write("GPIOF_DR", 0x00C0)
     rig.pin("F7", False)

@@ -141,7 +141,7 @@ class TestPosition:
         Encoder(rig, "E4", "E5").turn(8)
         assert count(rig) == 8
 
-    def test_stopped(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_a_disabled_timer_does_not_count(self, rig: ChipRig, encoder: Encoder) -> None:
         rig.write("TMRA0_ENBL", 0x000E)
         encoder.turn(5)
         assert count(rig) == 0

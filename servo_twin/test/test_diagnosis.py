@@ -10,10 +10,11 @@ import pytest
 from numpy.typing import NDArray
 from servo_twin.diagnosis.channel import Channel, Finding, Kind
 from servo_twin.diagnosis.hypotheses import Unknowns
-from servo_twin.diagnosis.monitor import PLANT_VALUES, DiagnosisMonitor
+from servo_twin.diagnosis.monitor import BURSTS, PLANT_VALUES, DiagnosisMonitor
 from servo_twin.diagnosis.pair import BoardPair, Motion
 from servo_twin.diagnosis.report import NOTHING_CHANGED, finding_text, located_text
 from servo_twin.diagnosis.signal_watch import WATCHED, SignalWatch
+from servo_twin.diagnosis.signals import CHANGES, NEEDED, BusSignal
 from servo_twin.diagnosis.thresholds import Thresholds, ThresholdsError
 from servo_twin.diagnosis.trials import NOTHING, Change, HealthyRuns, Trials
 from servo_twin.diagnosis.window import Rows
@@ -114,7 +115,7 @@ def rows(samples: Sequence[tuple[float, NDArray[np.float64]]]) -> Rows:
 
 def test_what_no_equation_has_is_unknown() -> None:
     """Noise three times as large as that of a healthy pair."""
-    unknowns = Unknowns(("one", "two"), np.array([0.01, 0.01]), np.ones(2))
+    unknowns = Unknowns(("one", "two"), np.array([0.01, 0.01]), np.ones(2), (1, 1))
     channel = Channel(unknowns, 10.0, np.array([2.0]), np.empty(0), rows)
     draw = np.random.default_rng(1)
     said: list[Kind | None] = []
@@ -145,9 +146,7 @@ def named(channel: Simple, left: NDArray[np.float64], change: int = 0) -> int | 
 
 
 def two(*names: str) -> Simple:
-    unknowns = Unknowns(
-        names, np.array([0.01, 0.01]), np.ones(2), DiagnosisMonitor(PLANT, LEARNED).axes[0].unknowns.blocks_min
-    )
+    unknowns = Unknowns(names, np.array([0.01, 0.01]), np.ones(2), [BURSTS[CHANGES.index(name)] for name in names])
     return Channel(unknowns, 10.0, np.array([9.0]), np.empty(0), rows)
 
 
@@ -176,7 +175,7 @@ def test_a_slip_and_an_unknown_cause_have_to_last(before: float) -> None:
     assert named(two("flux", "friction"), short) is not None
     block = named(two("flux", "encoder_angle"), slip, 1)
     assert block is not None
-    assert block >= 40 + 9
+    assert block >= 40 + 5
     channel = two("flux", "friction")
     block = named(channel, noise)
     assert block is not None
@@ -185,9 +184,32 @@ def test_a_slip_and_an_unknown_cause_have_to_last(before: float) -> None:
     assert channel.finding.kind is Kind.UNKNOWN
 
 
+def test_a_lifted_bus_says_nothing_of_the_supply() -> None:
+    """Both boards have returned the same energy; standstill may use it faster on one of them."""
+    signal = BusSignal(24.0)
+    still = dict.fromkeys((f"axis{axis}.{name}" for axis in (1, 2) for name in NEEDED), 0.0)
+    braking, accelerating = (
+        still | {"axis1.i_q": -2.0, "axis1.u_q": 10.0},
+        still | {"axis1.i_q": 3.0, "axis1.u_q": 10.0},
+    )
+    tick = iter(range(0, 1_000_000, 136))
+
+    def run(values: dict[str, float], u_real: float, samples: int) -> float | None:
+        for _ in range(samples):
+            last = signal.update(next(tick), values | {"u_dc": u_real}, values | {"u_dc": 24.0})
+        return last
+
+    assert run(still, 24.0, 10) == 0.0
+    assert run(braking, 25.0, 2) is None
+    assert run(still, 25.0, 100) is None
+    assert run(accelerating, 25.2, 4) == pytest.approx(0.05)
+    signal.interrupt()
+    assert run(still, 25.2, 100) is None
+
+
 def test_what_the_motion_does_not_tell_apart_is_said_to_be_one_of_two() -> None:
     """Friction and load are the same while the shaft turns one way only."""
-    unknowns = Unknowns(("friction", "load"), np.array([0.01, 0.01]), np.ones(2))
+    unknowns = Unknowns(("friction", "load"), np.array([0.01, 0.01]), np.ones(2), (1, 1))
     channel = Channel(unknowns, 10.0, np.array([5.0]), np.empty(0), rows)
     draw = np.random.default_rng(2)
     for tick in range(0, 1_000_000, 136):

@@ -13,7 +13,7 @@ def wrong(plant: PlantConfig) -> set[str]:
     return {row.name for row in braking.run(plant, seed=3).rows if not row.agrees}
 
 
-def test_agrees() -> None:
+def test_every_figure_lies_within_its_bound() -> None:
     assert wrong(PlantConfig.load()) == set()
 
 
@@ -37,7 +37,7 @@ def test_a_forgotten_resistor_is_noticed(monkeypatch: pytest.MonkeyPatch) -> Non
     assert {"resistor: highest bus voltage", "budget: burnt until off", "budget: rest until used again"} <= names
 
 
-def test_formula() -> None:
+def test_the_short_current_follows_the_formula() -> None:
     """At 8.25 A the short is refused above some 1450 rpm, as the slide has it."""
     axis = PlantConfig.load().axes[0]
     wound = [braking.short_current(axis, 100.0, drops=drops) for drops in (False, True)]

@@ -9,7 +9,7 @@ from servo_twin.experiments.rig import TICK, Recording
 from servo_twin.plant import PlantConfig
 
 
-def test_agrees() -> None:
+def test_every_figure_lies_within_its_bound() -> None:
     outcome = bus_ripple.run(PlantConfig.load(), seed=9)
     assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
 
@@ -30,7 +30,7 @@ def test_a_steady_bus_is_no_experiment(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not bus_ripple.run(PlantConfig.load(), seed=9).row("axis1, ripple of the bus").agrees
 
 
-def test_amplitude() -> None:
+def test_the_amplitude_at_one_frequency_is_found() -> None:
     time = TICK * np.arange(1000)
     signal = 7.0 + 0.25 * np.sin(2.0 * np.pi * 100.0 * time + 1.0) + 0.5 * np.sin(2.0 * np.pi * 50.0 * time)
     assert bus_ripple.amplitude(signal, 100.0) == pytest.approx(0.25)

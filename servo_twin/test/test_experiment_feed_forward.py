@@ -25,7 +25,7 @@ def rows(**changes: float) -> dict[str, bool]:
 
 @pytest.mark.usefixtures("short", "level")
 @pytest.mark.parametrize("changes", [{}, {"inertia": 2.0}])
-def test_agrees(changes: dict[str, float]) -> None:
+def test_every_figure_lies_within_its_bound(changes: dict[str, float]) -> None:
     found = rows(**changes)
     assert len(found) == 10
     assert all(found.values()), found

@@ -16,11 +16,11 @@ from servo_twin.simulation import SimulationError
 
 from servo_twin import cli
 
-SEED = "what the reference design says"
+REFERENCE = "what the reference design says"
 
 
 def outcome(name: str, *measured: float | None) -> Outcome:
-    rows = tuple(Row(f"figure {k}", SEED, value, "rpm", Bound(most=1.0)) for k, value in enumerate(measured))
+    rows = tuple(Row(f"figure {k}", REFERENCE, value, "rpm", Bound(most=1.0)) for k, value in enumerate(measured))
     x = np.linspace(0.0, 1.0, 5)
     return Outcome(name, rows, (Panel("title", "x", "y", (Curve("line", x, x**2),)),), ("a note",))
 
@@ -49,16 +49,16 @@ class TestReport:
         text = table(outcome("a", 0.5, 3.0, None))
         assert text.count("  yes") == 1
         assert text.count("  NO") == 2
-        assert SEED in text
+        assert REFERENCE in text
         assert "never" in text
         assert "a note" in text
 
     def test_summary_keys(self) -> None:
         rows = summary([outcome("a", 0.5, math.inf)])
-        assert [set(row) for row in rows] == [{"name", "seed", "measured", "unit", "bound", "agrees", "level"}] * 2
+        assert [set(row) for row in rows] == [{"name", "reference", "measured", "unit", "bound", "agrees", "level"}] * 2
         assert rows[0] == {
-            "name": "a: figure 0", "seed": SEED, "measured": 0.5, "unit": "rpm", "bound": "<= 1", "agrees": True,
-            "level": "",
+            "name": "a: figure 0", "reference": REFERENCE, "measured": 0.5, "unit": "rpm", "bound": "<= 1",
+            "agrees": True, "level": "",
         }  # fmt: skip
         assert rows[1]["measured"] is None
         assert rows[1]["agrees"] is False
@@ -69,7 +69,7 @@ class TestReport:
         rows = json.loads(path.read_text())
         assert {row["name"]: row["agrees"] for row in rows} == {"a: figure 0": False, "b: figure 0": True}
 
-    def test_picture(self, tmp_path: Path) -> None:
+    def test_a_picture_is_written_to_a_new_folder(self, tmp_path: Path) -> None:
         draw(outcome("a", 0.5), tmp_path / "new" / "a.png")
         assert (tmp_path / "new" / "a.png").read_bytes().startswith(b"\x89PNG")
 
@@ -84,7 +84,9 @@ class TestLevels:
     @pytest.mark.parametrize(
         ("ideal", "registers", "agrees"), [(0.5, 1.0, True), (0.5, 1.1, False), (-0.5, 1.0, False), (0.5, None, False)]
     )
-    def test_agreement(self, ideal: float, registers: float | None, agrees: bool) -> None:
+    def test_two_levels_agree_within_bound_and_difference(
+        self, ideal: float, registers: float | None, agrees: bool
+    ) -> None:
         """With the bound at each level, and with each other."""
         pair = levels.pairs(outcome("a", ideal), outcome("a", registers))[0]
         assert pair.agrees is agrees
@@ -95,12 +97,13 @@ class TestLevels:
         assert levels.pairs(outcome("a", ideal), outcome("a", registers))[0].part == part
 
     def test_equal_figures_that_are_not(self) -> None:
-        exact = [Outcome("a", (Row("x", SEED, value, "", Bound(1.0, 1.0)),), ()) for value in (1.0, 0.9)]
+        exact = [Outcome("a", (Row("x", REFERENCE, value, "", Bound(1.0, 1.0)),), ()) for value in (1.0, 0.9)]
         assert levels.pairs(*exact)[0].part == math.inf
 
     def test_a_figure_may_say_itself_how_far(self) -> None:
         rows = [
-            Row("x", SEED, value, "s", Bound(most=0.01), apart=apart) for value, apart in ((-0.5, 0.1), (-0.1, 0.5))
+            Row("x", REFERENCE, value, "s", Bound(most=0.01), apart=apart)
+            for value, apart in ((-0.5, 0.1), (-0.1, 0.5))
         ]
         pair = levels.pairs(*(Outcome("a", (row,), ()) for row in rows))[0]
         assert pair.most == 0.5

@@ -18,7 +18,7 @@ def wrong() -> set[str]:
     return {row.name for row in friction.run(PlantConfig.load(), seed=5).rows if not row.agrees}
 
 
-def test_agrees() -> None:
+def test_every_figure_lies_within_its_bound() -> None:
     assert wrong() == set()
 
 

@@ -8,7 +8,7 @@ from servo_twin.experiments import homing, rig
 from servo_twin.plant import PlantConfig
 
 
-def test_agrees() -> None:
+def test_every_figure_lies_within_its_bound() -> None:
     outcome = homing.run(PlantConfig.load(), seed=6)
     assert [row for row in outcome.rows if not row.agrees] == []
 

@@ -44,7 +44,7 @@ def test_less_damping_is_noticed(recorded: tuple[Recording, float, int]) -> None
 
 
 @pytest.mark.parametrize("omega_n", [30.0, 100.0, 250.0])
-def test_fit(omega_n: float) -> None:
+def test_the_bandwidth_of_a_path_is_recovered(omega_n: float) -> None:
     time = TICK * np.arange(2000, dtype=np.float64)
     path = np.round(path_filter.analytic(time, 1e5, 0.4, omega_n))
     assert path_filter.fit_omega_n(time, path, 1e5, 0.4) == pytest.approx(omega_n, rel=1e-3)

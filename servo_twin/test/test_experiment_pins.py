@@ -10,7 +10,7 @@ from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 
 
-def test_agrees() -> None:
+def test_every_figure_lies_within_its_bound() -> None:
     assert {row.name for row in pins.run(PlantConfig.load(), seed=2).rows if not row.agrees} == set()
 
 

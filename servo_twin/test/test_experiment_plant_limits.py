@@ -96,7 +96,7 @@ class TestTopSpeed:
         assert lifted > plant_limits.OVER_VOLTAGE - 1.0
         assert top_speed(small, [0], SPEED) > speed
 
-    def test_voltage(self, plant: PlantConfig) -> None:
+    def test_a_low_supply_lowers_the_top_speed(self, plant: PlantConfig) -> None:
         low = plant.with_bus(u_source=18.0)
         speed = top_speed(low, [0], SPEED)
         emf = plant.axes[0].pole_pairs * plant.axes[0].psi_m * speed

@@ -12,7 +12,7 @@ from servo_twin.plant import PlantConfig
 
 
 @pytest.mark.usefixtures("level")
-def test_agrees() -> None:
+def test_every_figure_lies_within_its_bound() -> None:
     outcome = real_shaft.run(PlantConfig.load(), seed=5)
     assert [(row.name, row.measured, str(row.bound)) for row in outcome.rows if not row.agrees] == []
     assert len(outcome.rows) == len(outcome.panels) * 2 == 14

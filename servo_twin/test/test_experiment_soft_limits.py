@@ -13,7 +13,7 @@ def wrong() -> set[str]:
     return {row.name for row in soft_limits.run(PlantConfig.load(), seed=6).rows if not row.agrees}
 
 
-def test_agrees() -> None:
+def test_every_figure_lies_within_its_bound() -> None:
     assert wrong() == set()
 
 

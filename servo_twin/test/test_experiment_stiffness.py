@@ -14,7 +14,7 @@ def plant() -> PlantConfig:
 
 
 @pytest.mark.usefixtures("level")
-def test_agrees(plant: PlantConfig) -> None:
+def test_every_figure_lies_within_its_bound(plant: PlantConfig) -> None:
     outcome = stiffness.run(plant, seed=8)
     assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
 

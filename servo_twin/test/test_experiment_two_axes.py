@@ -19,7 +19,7 @@ def wrong(plant: PlantConfig) -> set[str]:
     return {row.name for row in two_axes.run(plant, seed=3).rows if not row.agrees}
 
 
-def test_agrees() -> None:
+def test_every_figure_lies_within_its_bound() -> None:
     assert wrong(PlantConfig.load()) == set()
 
 

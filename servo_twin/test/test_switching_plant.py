@@ -251,7 +251,7 @@ class TestShunts:
         assert passes > 3
         assert largest < 1e-3  # a quarter of a converter's step
 
-    def test_codes(self, switching_c: Native) -> None:
+    def test_amplifier_offsets_shift_the_codes(self, switching_c: Native) -> None:
         plant = plain(theta_start=0.0, i_offset=(0.5, 0.0, -0.5))
         switching = Switching(switching_c, plant)
         switching.run(vector(0, 0, [LOW, LOW, LOW]), 2000)
@@ -569,7 +569,7 @@ class TestOther:
         assert stepwise.events == at_once.events
         assert len(at_once.events) > 50
 
-    def test_temperatures(self, switching_c: Native) -> None:
+    def test_losses_warm_winding_and_power_stage(self, switching_c: Native) -> None:
         plant = plain(theta_start=0.0, winding_capacity=0.01, winding_resistance=10.0, v_drop=0.7)
         switching = Switching(switching_c, plant)
         switching.lib.switching_lock(switching.c, 0, True)

@@ -575,7 +575,7 @@ class TestFaults:
         rig.write("cmd.speed", [self.SPEED, -self.SPEED])
         rig.run(0.2)
 
-    def test_none(self, rig: TwinRig) -> None:
+    def test_without_a_fault_no_cause_is_named(self, rig: TwinRig) -> None:
         self.turning(rig)
         assert causes(rig.pairs) == [""]
         assert rig.twin.fault == ""

@@ -115,7 +115,7 @@ class TestSamples:
             ("RUN/ALIGN", Activity.SEARCHING), ("RUN/SPIN", Activity.ACTIVE),
         ],
     )  # fmt: skip
-    def test_activity(self, label: str, kind: Activity) -> None:
+    def test_a_label_names_its_activity(self, label: str, kind: Activity) -> None:
         assert activity(label) is kind
 
     @staticmethod

@@ -122,7 +122,7 @@ def test_a_table_of_no_use_is_said(line: Line) -> None:
     line.recorder.wait_for(lambda: line.recorder.pairs)
 
 
-def test_resync(line: Line) -> None:
+def test_a_resync_starts_the_twin_anew(line: Line) -> None:
     line.worker.start()
     line.rig.run(0.3)
     line.worker.resync("asked")

@@ -40,7 +40,7 @@ class TestPacer:
             reached = pacer.target(now, reached)
             assert reached == now
 
-    def test_speed(self) -> None:
+    def test_the_pacer_follows_its_speed_factor(self) -> None:
         pacer = Pacer(0, speed=0.25)
         assert pacer.target(40 * MS, 0) == 10 * MS
         assert pacer.delay(40 * MS, 11 * MS) == pytest.approx(0.004)

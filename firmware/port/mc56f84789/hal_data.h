@@ -28,7 +28,7 @@ struct hal {
     uint32_t baud; /* of the host's line, set by the owner of the board; 0: SERIAL_BAUD */
     servo_t *servo;
     port_axis_t axis[HAL_AXES];
-    uint16_t bus;
+    uint16_t bus; /* ADC code of the bus voltage */
     bool watchdog_reset;     /* the last reset was that of the watchdog */
     uint16_t losses; /* of triggers, forgotten with time */
     uint16_t late;     /* hal_late_loops() */

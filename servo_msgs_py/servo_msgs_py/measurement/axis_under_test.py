@@ -104,7 +104,7 @@ class AxisUnderTest:
         self.write_word("cmd.mode", self.access.catalogue.enums["control_mode_t"][mode])
 
     def command(self, variable: str, value: float) -> None:
-        """Write a set-point, and keep it up from now on; if the last one has expired meanwhile, that is refused."""
+        """Write a set-point [SI], and keep it up from now on; an expiry of the last one meanwhile is refused."""
         if self._set_point is not None:
             self.refuse_limits("EXPIRED")
         self.write(variable, value)
@@ -115,7 +115,7 @@ class AxisUnderTest:
         self._set_point = None
 
     def command_timeout(self, seconds: float) -> None:
-        """Another time after which set-points of the board expire."""
+        """Another time after which set-points of the board expire [s]."""
         self.access.write("param.command_timeout", [seconds])
         self._find_interval()
 
@@ -145,7 +145,7 @@ class AxisUnderTest:
             self.renew()
 
     def reached(self, condition: Callable[[], bool], seconds: float, *, guarded: bool = True) -> bool:
-        """Wait for a condition; a fault is refused if `guarded`. False if it does not come in time."""
+        """Wait for a condition, at most `seconds` [s]; a fault is refused if `guarded`. False: it has not come."""
         for _ in range(math.ceil(seconds / LOOK - 1e-6)):
             if condition():
                 return True
@@ -216,7 +216,7 @@ class AxisUnderTest:
         )
 
     def enable(self, substate: str, seconds: float) -> None:
-        """Outputs on, until a sub-state is reached."""
+        """Outputs on, until a sub-state is reached, at most `seconds` [s]."""
         self.write_word("cmd.enable", 1)
         problem = f"has not reached {substate}"
         self.until(lambda: self.substate == substate, seconds, problem, ": is the board in order?")

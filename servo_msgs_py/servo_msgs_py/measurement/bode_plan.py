@@ -60,7 +60,7 @@ class Loop:
     unit: str
 
     def signals(self, axis: int, recording: Recording, scale: float) -> tuple[NDArray[np.float64], ...]:
-        """Test signal, and input and output of the open loop."""
+        """Test signal, and input and output of the open loop, each (samples,), in `unit`; `scale`: full scale."""
         name = axis_name(axis)
         first, *others = (recording.columns[f"{name}.{column}"] for column in self.columns)
         signal = scale * recording.columns[f"{name}.test_signal"]
@@ -144,7 +144,7 @@ class Settings:
         return ("test_signal", *self.loop.columns)
 
     def signal(self, band: Band, amplitude: float) -> SweptSine:
-        """Test signal of a band."""
+        """Test signal of a band; `amplitude` in the unit of the loop."""
         return SweptSine(self.loop.point, amplitude, band.f_min, band.f_max, band.sweep_seconds)
 
     def way_turning(self, band: Band) -> float:
@@ -198,9 +198,10 @@ class Band:
 
 
 def bands_of(f_min: float, f_max: float, capacity: int, slow: bool) -> tuple[Band, ...]:
-    """Divide a band so that each part fits a recording, from low to high frequencies.
+    """Divide a band `f_min` .. `f_max` [Hz] so that each part fits a recording, from low to high frequencies.
 
     A recording has to be long enough for some turns of its lowest frequency, and sampled often enough for its highest.
+    `capacity`: samples of a recording.
 
     Raises
     ------

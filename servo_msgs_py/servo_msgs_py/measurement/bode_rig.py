@@ -97,6 +97,10 @@ class BodeRig(AxisUnderTest):
 
         Parameters
         ----------
+        band : Band
+            Frequencies of the sweep.
+        speed : float
+            Constant speed meanwhile [rad/s].
         columns : sequence of str, optional
             Variables of the axis instead of those of the loop.
         """

@@ -59,7 +59,7 @@ def inductances_of(log: MeasurementLog, r: float) -> dict[str, Estimate]:
 
 
 def inductance_at_less(log: MeasurementLog, r: float) -> Estimate | None:
-    """``l_d`` with less current along the flux, to be compared; None where that was not measured."""
+    """``l_d`` [H] with less current along the flux, to be compared; None: not measured. `r`: resistance [ohm]."""
     made = log.labelled("sweep_d_low")
     return impedance(made, _columns(log, "d"), r, BAND["d"]).inductance if made else None
 
@@ -96,13 +96,13 @@ def _speeds(recording: Recording, name: str) -> tuple[float, float]:
 
 
 def follows(recording: Recording, name: str, pairs: float) -> bool:
-    """Whether the shaft goes with a turning vector; `pairs` of poles."""
+    """Whether the shaft goes with a turning vector; `pairs`: number of pole pairs."""
     electrical, shaft = _speeds(recording, name)
     return abs(shaft * pairs - electrical) < FOLLOWS * abs(electrical)
 
 
 def flux_of(log: MeasurementLog, l_d: float, pairs: float) -> dict[str, Estimate]:
-    """A first ``psi_m`` from the voltage that a rotor induces which follows a turning vector.
+    """A first ``psi_m`` [V s] from the voltage that a rotor induces which follows a turning vector; `l_d` [H].
 
     Raises
     ------

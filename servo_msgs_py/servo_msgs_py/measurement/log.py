@@ -193,6 +193,7 @@ class LoggedAccess(BoardAccess):
         return self._access.write_words(name, words, first)
 
     def clock(self) -> float:
+        """Time of the access [s]."""
         return self._access.clock()
 
     def wait(self, seconds: float) -> None:

@@ -33,8 +33,8 @@ TICK: Final = 0.5e-3  # [s]
 SPEED_BANDWIDTHS: Final = (75.0, 60.0, 45.0, 30.0, 20.0, 12.0, 8.0, 5.0)
 """Tried in this order until the loops are stable and the tool has no warning about them [Hz]."""
 
-GENTLE_SPEED: Final = 12.0  # [Hz]
-GENTLE_CURRENT: Final = 300.0  # [Hz]
+SLOW_LOOPS_SPEED_BANDWIDTH: Final = 12.0  # [Hz]
+SLOW_LOOPS_CURRENT_BANDWIDTH: Final = 300.0  # [Hz]
 PHASE_MIN: Final = 50.0  # of the speed loop [degrees]
 
 
@@ -134,13 +134,13 @@ def tuned_axis(table: Mapping[str, Any], axis: int) -> Tuned:
 
 
 def fitted(
-    base: Mapping[str, Any], axis: int, limits: Limits, motor: Mapping[str, float], *, gentle: bool = False
+    base: Mapping[str, Any], axis: int, limits: Limits, motor: Mapping[str, float], *, slow_loops: bool = False
 ) -> dict[str, Any]:
     """The same with the bandwidths that this motor bears; its values in SI by name.
 
     Parameters
     ----------
-    gentle : bool
+    slow_loops : bool
         Slow loops, which turn less of the noise of currents and speed into voltage.
 
     Raises
@@ -150,10 +150,10 @@ def fitted(
     """
     problem: ConfigError | None = None
     for bandwidth in SPEED_BANDWIDTHS:
-        if gentle and bandwidth > GENTLE_SPEED:
+        if slow_loops and bandwidth > SLOW_LOOPS_SPEED_BANDWIDTH:
             continue
         control = {
-            "current_bandwidth": GENTLE_CURRENT if gentle else 1000.0,
+            "current_bandwidth": SLOW_LOOPS_CURRENT_BANDWIDTH if slow_loops else 1000.0,
             "speed_bandwidth": bandwidth,
             "position_gain": 0.8 * bandwidth,
             "observer_bandwidth": max(bandwidth, 10.0),

@@ -130,9 +130,9 @@ class MotorRig(AxisUnderTest):
         self._features()
 
     def fitted(self, motor: Mapping[str, float]) -> dict[str, Any]:
-        """``servo.toml`` with the bandwidths that a motor bears."""
+        """``servo.toml`` with the bandwidths that a motor bears; its values in SI by name."""
         try:
-            return fitted(self._base, self.axis, self.limits, motor, gentle=True)
+            return fitted(self._base, self.axis, self.limits, motor, slow_loops=True)
         except ConfigError as error:
             raise MeasurementError(f"the controller cannot be tuned for the test: {error}") from None
 
@@ -178,7 +178,7 @@ class MotorRig(AxisUnderTest):
         start_test_signal(self.access, self.axis, f"I_{point}")
 
     def sweep(self, label: str, point: str, amplitude: float) -> Recording:
-        """A swept sine on a current, sampled by the fast loop."""
+        """A swept sine on a current, of `amplitude` [A], sampled by the fast loop."""
         self.signal(point.upper(), amplitude, *_SWEEP_BAND, _SWEEP_CALLS * PERIOD)
         columns = (f"i_{point}", f"u_{point}", "test_signal")
         self.access.label = label
@@ -193,7 +193,7 @@ class MotorRig(AxisUnderTest):
         start: Callable[[], None] | None = None,
         lead: float = 0.0,
     ) -> Recording:
-        """A recording of the slow loop; with `start` from the beginning of a test signal on."""
+        """A recording of the slow loop; with `start` from a test signal on, at least `lead` [s] later."""
         self.access.label = label
         return self.record(columns, samples, every, True, start, triggered=start is not None, lead=lead)
 

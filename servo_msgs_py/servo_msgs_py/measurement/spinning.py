@@ -101,7 +101,7 @@ def flux(
 
 
 def friction(points: list[Steady], torque: Floats, torque_sigma: Floats) -> dict[str, Estimate]:
-    """Coulomb and viscous friction and load from the torques at constant speeds."""
+    """Coulomb [N m] and viscous [N m s/rad] friction and load [N m] from torques [N m], shape (points,)."""
     speed = np.array([point.speed for point in points])
     columns = np.column_stack([np.sign(speed), speed, np.ones_like(speed)])
     x, covariance, _ = fit_linear(columns, torque, np.maximum(torque_sigma, 1e-9))
@@ -130,7 +130,7 @@ def balance(
     motor: tuple[int, float, float, float],
     parts: tuple[float, float, float] | None,
 ) -> tuple[Estimate, Estimate]:
-    """Inertia and Coulomb friction from momentum: what the torque has given until a moment is in the shaft's speed.
+    """Inertia [kg m^2] and Coulomb friction [N m] from momentum: the integral of the torque is in the shaft's speed.
 
     Parameters
     ----------
@@ -139,9 +139,10 @@ def balance(
     axis : str
         Its name.
     motor : tuple
-        Pole pairs, ``psi_m``, ``l_d``, ``l_q``.
+        Pole pairs, ``psi_m`` [V s], ``l_d``, ``l_q`` [H].
     parts : tuple of float, optional
-        Coulomb, viscous friction and load; without them the Coulomb friction is estimated, too.
+        Coulomb [N m] and viscous [N m s/rad] friction and load [N m]; without them the Coulomb friction is
+        estimated, too.
     """
     rows: list[Floats] = []
     values: list[Floats] = []

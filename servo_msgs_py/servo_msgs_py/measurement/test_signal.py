@@ -46,7 +46,7 @@ class SweptSine:
 
     @property
     def step(self) -> float:
-        """Turns in the first call."""
+        """Turns of the sine in the first call [1]."""
         return self.f_min * self.period
 
     @property

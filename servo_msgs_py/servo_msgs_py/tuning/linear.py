@@ -38,7 +38,7 @@ def expm(a: Matrix) -> Matrix:
 
 
 def held(a: Matrix, b: Matrix, dt: float) -> tuple[Matrix, Matrix]:
-    """Step of ``x' = a x + b u`` over `dt` with `u` held: ``x(t + dt) = f x + g u``.
+    """Step of ``x' = a x + b u`` over `dt` [s] with `u` held: ``x(t + dt) = f x + g u``.
 
     Returns
     -------
@@ -134,7 +134,7 @@ class System:
         return Tracking(bandwidth, float(gains.max()))
 
     def simulate(self, u: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Outputs (samples, outputs) for inputs (samples, inputs), from rest."""
+        """Outputs of shape (samples, outputs) for inputs of shape (samples, inputs), from rest."""
         x = np.zeros(self.a.shape[0])
         y = np.empty((u.shape[0], self.c.shape[0]))
         for k, inputs in enumerate(u):

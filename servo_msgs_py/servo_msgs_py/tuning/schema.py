@@ -300,7 +300,7 @@ def _check_names(where: str, names: Iterable[str], known: Collection[str]) -> No
 
 
 def check_group(where: str, group: str, value: object, places: Mapping[str, str] | None = None) -> dict[str, float]:
-    """A group with exactly its keys, each with a number that can make sense.
+    """A group with exactly its keys, each with a number that can make sense, in the units of its entries.
 
     Parameters
     ----------

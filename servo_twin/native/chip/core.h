@@ -15,7 +15,7 @@
 #define CORE_STACK 0x40000   /* of the software and the host's code that it calls [bytes] */
 
 typedef struct {
-    double cycles_per_instruction;
+    double cycles_per_instruction; /* [1] */
     unsigned entry_clocks; /* of an interrupt: vector, registers saved and restored */
 } core_speed_t;
 

@@ -53,7 +53,7 @@ typedef enum {
 } switching_kind_t;
 
 typedef struct {
-    uint64_t clock;
+    uint64_t clock; /* bus clocks since reset */
     uint8_t kind; /* switching_kind_t */
     uint8_t axis;
     uint8_t line;

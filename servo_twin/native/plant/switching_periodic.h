@@ -6,7 +6,7 @@
 
 #include "plant/switching.h"
 
-/* End a window. The plant stops for it at fixed clocks, so that reading the means does not change its course. */
+/* End a window. The plant stops for it at fixed clocks, so that reading the means does not change its motion. */
 void switching_end_window(switching_t *plant);
 
 /* Next step of the shafts that need steps of SWITCHING_SHAFT. */

@@ -77,7 +77,7 @@ class Estimate:
 
 
 _BLOCKS_MIN: Final = {Kind.SINGLE: 1, Kind.SEVERAL: 4, Kind.UNKNOWN: 20, Kind.ONE_OF: 30}
-"""For how many blocks something has to be the most likely before it is said; `Unknowns.blocks_min` may ask for more."""
+"""For how many blocks something has to be the most likely before it is said."""
 
 
 class Channel(Generic[_Sample]):
@@ -167,8 +167,7 @@ class Channel(Generic[_Sample]):
         likely = finding.kind, finding.changes if finding.kind is Kind.SINGLE else ()
         self._likely_blocks = self._likely_blocks + 1 if likely == self._likely else 1
         self._likely = likely
-        own = self.unknowns.blocks_min.get(finding.changes[0], 0) if finding.kind is Kind.SINGLE else 0
-        return self._likely_blocks >= max(_BLOCKS_MIN[finding.kind], own)
+        return self._likely_blocks >= _BLOCKS_MIN[finding.kind]
 
     def _forget_what_is_over(self) -> None:
         """Keep only what has come since the change that is known has become another one, or none."""

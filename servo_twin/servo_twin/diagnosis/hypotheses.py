@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -25,18 +25,20 @@ def _flux_lost(sine: float | _Array) -> _Array:
     return np.asarray(np.sqrt(np.maximum(1.0 - np.square(sine), 0.0)) - 1.0)
 
 
-def _largest_part(a: _Array, b: _Array) -> float:
-    """Part of the evidence for one change that a single block contributes, from 0 to 1.
+def _burst_part(a: _Array, b: _Array, blocks: int) -> float:
+    """Part of the evidence for one change that its strongest blocks contribute, from 0 to 1.
 
     Parameters
     ----------
     a, b : ndarray, shape (blocks,)
         Its information and its right side since the beginning of each block; the first ones are of all blocks.
+    blocks : int
+        How many of them.
     """
     value = b[0] / a[0]
     since = value * b - 0.5 * value**2 * a
     alone = since - np.append(since[1:], 0.0)
-    return float(min(alone.max() / since[0], 1.0)) if since[0] > 0.0 else 1.0
+    return float(min(np.sort(alone)[-blocks:].sum() / since[0], 1.0)) if since[0] > 0.0 else 1.0
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Evidence:
     ratio : float
         Logarithm of its likelihood ratio against no change.
     rest : float
-        The same without the block that contributes most: a single outlier is no change.
+        The same without the strongest blocks, see `Unknowns.bursts`: a transient is no change.
     rival : int
         The change that explains most after it, alone.
     rival_ratio : float
@@ -62,7 +64,7 @@ class Evidence:
     second : int
         The change that explains most of what is left.
     second_ratio : float
-        How much that is, without the block that contributes most.
+        How much that is, without its strongest blocks.
     vector, joint : ndarray, shape (unknowns,)
         All unknowns at that change, and at both.
     """
@@ -93,14 +95,14 @@ class Unknowns:
         Within which the model may be wrong without anything having changed: so much explains nothing.
     spread : ndarray, shape (unknowns,)
         Standard deviation of an estimate over that of white noise.
-    blocks_min : mapping
-        For how many blocks such a change has to be the most likely before it is said; one where it is not listed.
+    bursts : sequence of int, length unknowns
+        How many blocks a transient lasts that looks like such a change. So many, the strongest, are no evidence.
     """
 
     names: tuple[str, ...]
     margins: _Array
     spread: _Array
-    blocks_min: Mapping[str, int] = field(default_factory=dict)
+    bursts: Sequence[int]
 
     def vector(self, change: int, value: float) -> _Array:
         """All unknowns (unknowns,) at a single change; an encoder that has slipped also takes flux from the q axis."""
@@ -160,7 +162,11 @@ class Unknowns:
         seconds, second_ratios = self._ratios(reduced, left)
         second = int(np.argmax(second_ratios))
         rest = sums.b[block:, second] - sums.a[block:, second] @ vector
-        second_part = _largest_part(sums.a[block:, second, second], rest) if second_ratios[second] > 0.0 else 0.0
+        second_part = (
+            _burst_part(sums.a[block:, second, second], rest, self.bursts[second])
+            if second_ratios[second] > 0.0
+            else 0.0
+        )
         rivals = np.where(np.arange(len(self.names)) == change, -1.0, ratios[block])
         rival = int(np.argmax(rivals))
         joint = vector.copy()  # of both changes together
@@ -173,7 +179,7 @@ class Unknowns:
             value,
             float(self.spread[change] / np.sqrt(a[change, change])),
             ratio,
-            ratio * (1.0 - _largest_part(sums.a[block:, change, change], sums.b[block:, change])),
+            ratio * (1.0 - _burst_part(sums.a[block:, change, change], sums.b[block:, change], self.bursts[change])),
             rival,
             float(max(rivals[rival], 0.0)),
             second,

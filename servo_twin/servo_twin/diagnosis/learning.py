@@ -13,7 +13,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.diagnosis.hypotheses import Unknowns
-from servo_twin.diagnosis.monitor import MARGINS
+from servo_twin.diagnosis.monitor import BURSTS, MARGINS
 from servo_twin.diagnosis.signal_watch import WATCHED, SignalMeans
 from servo_twin.diagnosis.signals import (
     ALIASES,
@@ -220,7 +220,7 @@ def _spans(entries: Sequence[tuple[int, AxisEquations]], noise: AxisNoise) -> tu
 
 def _maxima(spans: Sequence[_Span], spread: _Array) -> tuple[list[float], _Array]:
     """Per span the strongest likelihood ratio; per equation the largest mean square of every beginning in any."""
-    unknowns = Unknowns(CHANGES, np.array(MARGINS), spread)
+    unknowns = Unknowns(CHANGES, np.array(MARGINS), spread, BURSTS)
     ratios: list[float] = []
     squares = np.ones(len(EQUATIONS))
     for span in spans:

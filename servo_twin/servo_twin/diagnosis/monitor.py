@@ -13,7 +13,7 @@ from servo_msgs_py.units import PERIOD_NS
 from servo_twin.diagnosis.channel import Channel, Estimate, Finding, Kind
 from servo_twin.diagnosis.hypotheses import Unknowns
 from servo_twin.diagnosis.signal_watch import SignalWatch
-from servo_twin.diagnosis.signals import ANGLE, CHANGES, NEEDED, AxisEquations, AxisSignals, BusSignal
+from servo_twin.diagnosis.signals import CHANGES, NEEDED, AxisEquations, AxisSignals, BusSignal
 from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.lockstep.twin import Pair
 from servo_twin.plant import PlantConfig
@@ -34,8 +34,9 @@ PLANT_VALUES: Final[Mapping[str, str]] = {
 
 MARGINS: Final = (0.02, 0.01, 0.02, 0.02, 1e-4, 0.01)
 """Per change of an axis, see `Unknowns.margins`."""
-_BLOCKS_MIN: Final = {CHANGES[ANGLE]: 10, SUPPLY: 5}
-"""Beats of the ripple in voltage d last up to 0.5 s. The energy that a braking axis returns differs for 0.2 s."""
+BURSTS: Final = (1, 2, 2, 2, 2, 5)
+"""Per change of an axis, see `Unknowns.bursts`. A beat of the ripple in voltage d lasts up to 0.5 s; a resistance shows
+only in the few blocks with an acceleration."""
 
 _SPEED_MAX: Final = 260.0
 """Beyond the speeds of calibration nothing is judged: voltages come to their limit, which no equation has [rad/s]."""
@@ -86,7 +87,7 @@ class DiagnosisMonitor:
         self.missing = ""
         self.axes = [
             Channel(
-                Unknowns(CHANGES, np.array(MARGINS), np.array(noise.spread), _BLOCKS_MIN),
+                Unknowns(CHANGES, np.array(MARGINS), np.array(noise.spread), BURSTS),
                 thresholds.detect,
                 np.array(noise.unexplained),
                 noise.prior,
@@ -94,7 +95,7 @@ class DiagnosisMonitor:
             )
             for noise in thresholds.axes
         ]
-        bus = Unknowns((SUPPLY,), np.array([_BUS_MARGIN]), np.ones(1), _BLOCKS_MIN)
+        bus = Unknowns((SUPPLY,), np.array([_BUS_MARGIN]), np.ones(1), (1,))
         self.bus = Channel(bus, thresholds.detect, np.array([np.inf]), np.empty(0), thresholds.bus_rows)
         self.watch = SignalWatch([noise.means for noise in thresholds.axes])
         self.set_plant(plant)

@@ -40,7 +40,7 @@ ALIASES: Final = ("speed [N m s/rad]", "set-point [N m/A]", "large current [V/A]
 NEEDED: Final = ("position", "speed", "speed_ref", "i_q", "i_q_ref", "u_d", "u_q")
 """Variables of an axis that a sample has to carry."""
 
-RESISTANCE, FLUX, INERTIA, FRICTION, LOAD, ANGLE = range(len(CHANGES))
+RESISTANCE: Final = CHANGES.index("resistance")
 TORQUE, VOLTAGE_Q, VOLTAGE_D = range(len(EQUATIONS))
 
 _TIME: Final = 0.03  # time constant of F [s]
@@ -56,8 +56,8 @@ stays the same over some samples."""
 _SMALL_CURRENT: Final = 1.5
 """Volts of noise per ampere by which two small currents differ: dead time and drops change their sign there."""
 _SECOND: Final = PERIOD_NS * 1e-9
-_RETURNED_ALIKE: Final = 0.02  # energy by which boards may differ: 0.2 V in 4.7 mF at 24 V [J]
-_RETURNED_MAX: Final = 1.0  # [J]
+_RETURNED_FEEDS: Final = 0.02  # energy up to which a supply counts as feeding: 0.2 V in 4.7 mF at 24 V [J]
+_RETURNED_MAX: Final = 1.0  # more than the brake resistor lets the capacitor hold [J]
 _POWERS: Final = tuple((f"{axis_name(axis)}.u_q", f"{axis_name(axis)}.i_q") for axis in range(AXES))
 
 _Row = tuple[float, ...]
@@ -195,10 +195,10 @@ class AxisSignals:
 
 
 class BusSignal:
-    """Relative difference of the bus voltages while the supply carries both boards alike.
+    """Relative difference of the bus voltages while the supply feeds both boards.
 
-    A motor that brakes lifts its bus above the supply; where one board returns more energy than the other, what differs
-    is not the supply.
+    A motor that brakes lifts its bus above the supply, which cannot absorb energy. A lifted bus does not show the
+    voltage of the supply until the motors have used the energy.
 
     Parameters
     ----------
@@ -208,15 +208,16 @@ class BusSignal:
 
     def __init__(self, supply: float) -> None:
         self._supply = supply
-        self._returned = [0.0, 0.0]  # by the motors of board and twin, and not used up since, at most [J]
+        self._returned = [0.0, 0.0]  # by the motors of board and twin and not used since [J]
         self._tick: int | None = None
 
     def interrupt(self) -> None:
-        """The next sample has nothing to do with the last one."""
+        """The next sample has nothing to do with the last one; the energy returned meanwhile is not known."""
         self._tick = None
+        self._returned = [_RETURNED_MAX] * 2
 
     def update(self, tick: int, real: Mapping[str, float], twin: Mapping[str, float]) -> float | None:
-        """The difference at a sample; None where it is not that of the supplies."""
+        """The difference at a sample; None where a bus may be lifted."""
         before, self._tick = self._tick, tick
         if before is None:
             return None
@@ -224,6 +225,6 @@ class BusSignal:
         for k, values in enumerate((real, twin)):
             power = sum(1.5 * values[u_q] * values[i_q] for u_q, i_q in _POWERS)
             self._returned[k] = min(max(self._returned[k] - power * seconds, 0.0), _RETURNED_MAX)
-        if abs(self._returned[0] - self._returned[1]) > _RETURNED_ALIKE:
+        if max(self._returned) > _RETURNED_FEEDS:
             return None
         return (real["u_dc"] - twin["u_dc"]) / self._supply

@@ -95,13 +95,13 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     saturated = [float(np.mean(np.abs(r.i_q_ref) >= limit - 2.0 * lsb)) for r in both]
     asked, higher = AMPLITUDE / RPM, peaks[0] / RPM
     judge = Judge()
-    yield judge("peak with", higher, "rpm", 0.95 * asked, 1.1 * asked, seed="F21: almost no overshoot")
-    yield judge("lag with", lags[0], "deg", 0.0, 20.0, seed="F21: small lag")
-    yield judge("time at the limit with", saturated[0], "", 0.05, 0.8, seed="F21: at the limit while accelerating")
+    yield judge("peak with", higher, "rpm", 0.95 * asked, 1.1 * asked, reference="F21: almost no overshoot")
+    yield judge("lag with", lags[0], "deg", 0.0, 20.0, reference="F21: small lag")
+    yield judge("time at the limit with", saturated[0], "", 0.05, 0.8, reference="F21: at the limit while accelerating")
     least = HIGHER_MIN * max(higher, asked)
-    yield judge("peak without", peaks[1] / RPM, "rpm", least, seed="F22: overshoot at every peak")
-    yield judge("lag without", lags[1], "deg", LATER_MIN * lags[0], seed="F22: clear lag")
-    yield judge("time at the limit without", saturated[1], "", saturated[0], seed="F22: longer at the limit")
+    yield judge("peak without", peaks[1] / RPM, "rpm", least, reference="F22: overshoot at every peak")
+    yield judge("lag without", lags[1], "deg", LATER_MIN * lags[0], reference="F22: clear lag")
+    yield judge("time at the limit without", saturated[1], "", saturated[0], reference="F22: longer at the limit")
     yield _panel("F21: with anti-windup", with_it, frequency)
     yield _panel("F22: without anti-windup", without, frequency)
     yield f"axis {AXIS + 1}, {frequency:.3g} Hz, i_q limit {limit:.2f} A, speeds are the feedback's, as in F21 and F22"

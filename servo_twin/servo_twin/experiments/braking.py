@@ -241,8 +241,8 @@ def _returned(axis: AxisPlant, speed: float) -> float:
 
 def _rows_bus(judge: Judge, plant: PlantConfig, speed: float, it: Stop, most: float) -> Iterator[Row]:
     faults = {flag.name for flag in Catalogue.load().flags["faults"]}
-    yield judge("highest bus voltage", it.u_dc.max(), "V", plant.bus.u_source, most, seed="below the limit, 33 V")
-    yield judge.none("faults", len(it.flags & faults), seed="none")
+    yield judge("highest bus voltage", it.u_dc.max(), "V", plant.bus.u_source, most, reference="below the limit, 33 V")
+    yield judge.none("faults", len(it.flags & faults), reference="none")
     yield judge("both stand after", it.seconds, "s", 0.0, _longest(plant, speed))
 
 
@@ -271,11 +271,11 @@ def _short(plant: PlantConfig, seed: int, axis: int) -> Iterator[Row | Panel]:
     harmonics = 4.0 / math.pi * motor.v_drop * (1.0 / 5.0 + 1.0 / 7.0)
     most = AGREE + harmonics / (motor.r_s + motor.r_on) / float(formula.max())
     over, law = (current[moving] / slide[moving]).max(), "K_e w / sqrt(R^2 + w^2 L^2)"
-    yield judge.true(f"short at {below / RPM:.0f} rpm", current.max() > 0.0, seed="allowed")
-    yield judge.none(f"short at {above / RPM:.0f} rpm", beyond.max() > 0.0, seed="refused above some 1450 rpm")
-    yield judge("current off the formula", off, "of largest", most=most, seed=law)
-    yield judge("current over the slide's", over, "", 0.3, 1.02, seed="an upper bound: it has no drops")
-    yield judge("speed after the short", speeds[-1] / RPM, "rpm", 0.0, 1.0, seed="rest")
+    yield judge.true(f"short at {below / RPM:.0f} rpm", current.max() > 0.0, reference="allowed")
+    yield judge.none(f"short at {above / RPM:.0f} rpm", beyond.max() > 0.0, reference="refused above some 1450 rpm")
+    yield judge("current off the formula", off, "of largest", most=most, reference=law)
+    yield judge("current over the slide's", over, "", 0.3, 1.02, reference="an upper bound: it has no drops")
+    yield judge("speed after the short", speeds[-1] / RPM, "rpm", 0.0, 1.0, reference="rest")
     curves = (
         Curve("measured", speeds / RPM, current, "."),
         Curve("formula with drops", speeds / RPM, formula),

@@ -77,7 +77,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         speeds = [amplitude(r.omega, FREQUENCY) / RPM for r in both]
         ratio, part = currents[0] / max(currents[1], 1e-9), 100.0 * currents[0] / NOMINAL
         judge = Judge(f"{name}, ", "F7: compensated")
-        yield judge("ripple of the bus", bus, "%", 80.0 * SWING, 110.0 * SWING, seed="10 %")
+        yield judge("ripple of the bus", bus, "%", 80.0 * SWING, 110.0 * SWING, reference="10 %")
         yield judge("current ripple, with over without", ratio, most=LEFT_MAX)
         yield judge("current ripple with", part, "% of 2 A", most=100.0 * RIPPLE_MAX)
         yield (

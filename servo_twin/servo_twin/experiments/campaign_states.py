@@ -115,7 +115,7 @@ class Bench:
         rig.command_speed(self.board, self.axis, speed)
 
     def turn(self, turns: float) -> None:
-        """Move by so many turns, in position mode."""
+        """Move by so many turns of the shaft [1], in position mode."""
         self.wanted = self.speed_limit
         rig.choose_mode(self.board, self.axis, "POSITION")
         rig.command_position(self.board, self.axis, rig.position_of(self.board, self.axis) + round(4000.0 * turns))

@@ -122,7 +122,7 @@ def _speed(judge: Judge, recording: Recording, aim: float) -> Row:
     """Mean speed against the one on paper [rad/s]."""
     says, aim = f"{BEYOND}; {aim / RPM:.0f} rpm on paper", aim / RPM
     speed = float(recording.omega.mean()) / RPM
-    return judge("speed", speed, "rpm", (1.0 - FORMULA) * aim, (1.0 + FORMULA) * aim, seed=says)
+    return judge("speed", speed, "rpm", (1.0 - FORMULA) * aim, (1.0 + FORMULA) * aim, reference=says)
 
 
 def _free(judge: Judge, recording: Recording, most: float | None = None) -> Row:

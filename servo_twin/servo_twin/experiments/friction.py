@@ -55,7 +55,7 @@ class Shaft:
 
 
 def left(times: float) -> float:
-    """Part of the friction that compensation leaves or adds when it is `times` the nominal one."""
+    """Part of the friction [1] that compensation leaves or adds when it is `times` the nominal one."""
     return abs(times - 1.0) / times
 
 

@@ -25,7 +25,7 @@ _HEAD: Final = ("figure", *LEVELS, "difference", "unit", "bound", "agrees")
 
 
 def reach(bound: Bound) -> float:
-    """How far apart two values may be that agree with a bound."""
+    """How far apart two values may be that agree with a bound, in its unit."""
     if bound.least is not None and bound.most is not None:
         return bound.most - bound.least
     return math.inf if bound.most is None else abs(bound.most)
@@ -49,14 +49,14 @@ class Pair:
 
     @property
     def difference(self) -> float | None:
-        """Registers less ideal."""
+        """Registers less ideal, in the unit of the figure."""
         first = self.ideal.measured if self.ideal is not None else None
         second = self.registers.measured if self.registers is not None else None
         return None if first is None or second is None else second - first
 
     @property
     def most(self) -> float | None:
-        """How large the difference may be: a bound of the plant's own imperfections is wider where it has them."""
+        """How large the difference may be, in the same unit: wider where the plant has imperfections."""
         rows = [row for row in (self.ideal, self.registers) if row is not None]
         if len(rows) < len(LEVELS):
             return None

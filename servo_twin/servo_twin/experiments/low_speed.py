@@ -44,7 +44,7 @@ def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced:
 
 
 def deviation(recording: Recording, speed: float) -> float:
-    """Root mean square of the true speed's deviation from the set-point, over the set-point."""
+    """Root mean square of the true speed's deviation from the set-point, over the set-point [1]."""
     return float(np.sqrt(np.mean((recording.omega - speed) ** 2)) / speed)
 
 
@@ -64,7 +64,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             says = "2.4.6: better" if rpm < RARE else "2.4.6: no difference when edges come often"
             lost = abs(means[1] - speed) * MEASURED / COUNT
             judge = Judge(f"{what}, ", NOT_SHOWN)
-            yield judge("deviation enhanced over plain", ratio, most=CHANCE, seed=says)
+            yield judge("deviation enhanced over plain", ratio, most=CHANCE, reference=says)
             yield judge("way lost with enhanced", lost, "counts", most=WAY_MAX)
             yield (
                 f"{what}: deviation {100 * rms[0]:.3g} % plain, {100 * rms[1]:.3g} % enhanced; true mean "

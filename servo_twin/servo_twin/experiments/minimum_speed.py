@@ -115,11 +115,11 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             what = f"{name}, load {100.0 * load:.0f} %" if load else f"{name}, no load"
             judge, says = Judge(f"{what}, ", NOT_SHOWN), "5 % of the maximum"
             if not it.speeds:
-                yield judge("lowest speed", None, "% of limit", most=SEED_MAX, seed=says)
+                yield judge("lowest speed", None, "% of limit", most=SEED_MAX, reference=says)
                 continue
             limit, lowest, r = it.speeds[0] / STEPS[0], it.speeds[-1], it.trace
             part = 100.0 * lowest / limit
-            yield judge("lowest speed", part, "% of limit", most=_lowest_speed_max(plant, axis, limit), seed=says)
+            yield judge("lowest speed", part, "% of limit", most=_lowest_speed_max(plant, axis, limit), reference=says)
             yield judge("largest speed", it.fastest / it.speeds[0], most=AWAY_MAX)
             yield (
                 f"{what}: down to {lowest / RPM:.3g} rpm, ripple {100.0 * float(r.omega.std()) / lowest:.2g} %, "

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 BEYOND: Final = "beyond the reference design"
-"""`Row.seed` of what it does not have."""
+"""`Row.reference` of what it does not have."""
 
 NOT_SHOWN: Final = "not shown"
-"""`Row.seed` of what it has, without a figure."""
+"""`Row.reference` of what it has, without a figure."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Bound:
     most: float | None = None
 
     def holds(self, value: float | None) -> bool:
-        """Whether a value lies within; None (there was nothing to measure) and NaN never do."""
+        """Whether a value in the unit of the bound lies within; None (nothing to measure) and NaN never do."""
         if value is None or math.isnan(value):
             return False
         return (self.least is None or value >= self.least) and (self.most is None or value <= self.most)
@@ -59,7 +59,7 @@ class Row:
     ----------
     name : str
         What was measured.
-    seed : str
+    reference : str
         What the reference design states or shows about it.
     measured : float or None
         None: it did not happen, which never agrees.
@@ -72,7 +72,7 @@ class Row:
     """
 
     name: str
-    seed: str
+    reference: str
     measured: float | None
     unit: str
     bound: Bound
@@ -87,7 +87,7 @@ class Row:
         usable = self.measured is not None and math.isfinite(self.measured)
         return {
             "name": f"{experiment}: {self.name}",
-            "seed": self.seed,
+            "reference": self.reference,
             "measured": float(self.measured) if usable and self.measured is not None else None,
             "unit": self.unit,
             "bound": str(self.bound),
@@ -104,12 +104,12 @@ class Judge:
     ----------
     subject : str
         With the punctuation that separates it, such as ``"axis1, "``.
-    seed : str
+    reference : str
         What the reference design says, where a row says nothing else.
     """
 
     subject: str = ""
-    seed: str = BEYOND
+    reference: str = BEYOND
 
     def __call__(
         self,
@@ -119,24 +119,33 @@ class Judge:
         least: float | None = None,
         most: float | None = None,
         *,
-        seed: str | None = None,
+        reference: str | None = None,
         apart: float | None = None,
     ) -> Row:
         """A figure that has to lie within least .. most, both in `unit`; None leaves an end open."""
         value = None if measured is None else float(measured)
-        return Row(self.subject + name, self.seed if seed is None else seed, value, unit, Bound(least, most), apart)
+        return Row(
+            self.subject + name,
+            self.reference if reference is None else reference,
+            value,
+            unit,
+            Bound(least, most),
+            apart,
+        )
 
-    def near(self, name: str, measured: float, unit: str, aim: float, off: float, *, seed: str | None = None) -> Row:
+    def near(
+        self, name: str, measured: float, unit: str, aim: float, off: float, *, reference: str | None = None
+    ) -> Row:
         """A figure that may be `off` from `aim`, both in `unit`."""
-        return self(name, measured, unit, aim - off, aim + off, seed=seed)
+        return self(name, measured, unit, aim - off, aim + off, reference=reference)
 
-    def none(self, name: str, count: float, *, seed: str | None = None) -> Row:
+    def none(self, name: str, count: float, *, reference: str | None = None) -> Row:
         """A number of events that has to be zero."""
-        return self(name, count, "", 0.0, 0.0, seed=seed)
+        return self(name, count, "", 0.0, 0.0, reference=reference)
 
-    def true(self, name: str, holds: bool, *, seed: str | None = None) -> Row:
+    def true(self, name: str, holds: bool, *, reference: str | None = None) -> Row:
         """A condition that has to hold."""
-        return self(name, holds, "", 1.0, 1.0, seed=seed)
+        return self(name, holds, "", 1.0, 1.0, reference=reference)
 
 
 @dataclass(frozen=True)

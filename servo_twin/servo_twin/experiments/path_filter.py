@@ -89,15 +89,17 @@ def figures(recording: Recording, speed: float, distance: int, axis_limit: float
     jumps, jump = (_jump(which, speed) for which in (ramp, path))
     judge, slow_loop = Judge(), "speed per slow loop"
     yield judge(
-        f"largest jump of the ramp's {slow_loop}", jumps, "of v", 0.5, 1.0 + 1e-6, seed="F24: steps at both ends"
+        f"largest jump of the ramp's {slow_loop}", jumps, "of v", 0.5, 1.0 + 1e-6, reference="F24: steps at both ends"
     )
-    yield judge(f"largest jump of the S curve's {slow_loop}", jump, "of v", most=0.1, seed="F24: changes evenly")
-    yield judge("S curve against E38", misfit, "of the way", most=0.01, seed="E38, damping 1")
-    yield judge("overshoot of the S curve", over, "counts", 0.0, 0.0, seed="E38: damping 1")
-    yield judge("end of the S curve", abs(path[-1] - distance), "counts", 0.0, 0.0, seed="F23: arrives")
-    yield judge.none("steps backwards", backwards, seed="F23: monotonous")
-    yield judge("highest speed of the S curve", slope.max() / speed, "of v", 0.95, 1.02, seed="F24: that of the ramp")
-    yield judge("acceleration asked for", asked, "of the drive's", most=1.0, seed="E38: v omega_n / e")
+    yield judge(f"largest jump of the S curve's {slow_loop}", jump, "of v", most=0.1, reference="F24: changes evenly")
+    yield judge("S curve against E38", misfit, "of the way", most=0.01, reference="E38, damping 1")
+    yield judge("overshoot of the S curve", over, "counts", 0.0, 0.0, reference="E38: damping 1")
+    yield judge("end of the S curve", abs(path[-1] - distance), "counts", 0.0, 0.0, reference="F23: arrives")
+    yield judge.none("steps backwards", backwards, reference="F23: monotonous")
+    yield judge(
+        "highest speed of the S curve", slope.max() / speed, "of v", 0.95, 1.02, reference="F24: that of the ramp"
+    )
+    yield judge("acceleration asked for", asked, "of the drive's", most=1.0, reference="E38: v omega_n / e")
 
 
 def _jump(path: NDArray[np.float64], speed: float) -> float:

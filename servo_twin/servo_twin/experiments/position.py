@@ -106,8 +106,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             for axis, (move, settle) in enumerate(zip(moves, settles, strict=True)):
                 judge, within = Judge(f"{axis_name(axis)} {how}, ", SEED_NONE), COUNTS_MAX + move.swerve
                 calm = COUNTS_MAX + move.swing
-                yield judge("overshoot", move.overshoot, "counts", most=within, seed=SEED_OVERSHOOT)
-                yield judge("limit cycle", move.cycle, "counts", most=calm, seed=SEED_CYCLE)
+                yield judge("overshoot", move.overshoot, "counts", most=within, reference=SEED_OVERSHOOT)
+                yield judge("limit cycle", move.cycle, "counts", most=calm, reference=SEED_CYCLE)
                 yield judge("steady-state error", move.error, "counts", most=within)
                 yield judge("settling", move.settling, "s", most=settle)
             if not ramp:

@@ -34,7 +34,7 @@ def table(outcome: Outcome) -> str:
     lines = [
         _HEAD,
         *(
-            (r.name, _number(r.measured), r.unit, str(r.bound), "yes" if r.agrees else "NO", r.seed)
+            (r.name, _number(r.measured), r.unit, str(r.bound), "yes" if r.agrees else "NO", r.reference)
             for r in outcome.rows
         ),
     ]

@@ -280,7 +280,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     first = find(start_at(plant, START_F16), seed, trace=True)
     for axis, search in enumerate(first):
         judge, halvings = Judge(f"{axis_name(axis)} from 30 degrees, "), search.searches - VERIFICATIONS
-        yield judge("searches", halvings, "", 1.0, SEARCHES_F16, seed="F16: 8")
+        yield judge("searches", halvings, "", 1.0, SEARCHES_F16, reference="F16: 8")
         yield from _rows("from 30 degrees", plant, axis, [search])
     for axis, search in enumerate(find(plant, seed)):
         yield from _rows("from the plant's own angle", plant, axis, [search])
@@ -325,12 +325,12 @@ def _rows(
     errors = [s.error for s in searches if s.error is not None]
     worst = max(map(abs, errors)) if len(errors) == len(searches) else None
     bound = error_bound(plant.axes[axis], max(s.current for s in searches))
-    yield judge("error", worst, "deg el", most=bound, seed="F16: theta_M is the rotor's angle")
-    yield judge("time", max(s.time for s in searches), "s", most=time_max, seed="F16: within 1.2 s")
+    yield judge("error", worst, "deg el", most=bound, reference="F16: theta_M is the rotor's angle")
+    yield judge("time", max(s.time for s in searches), "s", most=time_max, reference="F16: within 1.2 s")
     # The longest movement; but if one is too long for the number of its vectors, that one.
     longest = max(searches, key=lambda s: (s.movement > movement_bound(s.searches), s.movement))
-    gentle = movement_bound(longest.searches)
-    yield judge("movement", longest.movement, "deg", most=gentle, seed="2.4.3: a tiny shift")
+    movement_max = movement_bound(longest.searches)
+    yield judge("movement", longest.movement, "deg", most=movement_max, reference="2.4.3: a tiny shift")
 
 
 def _rows_fault(plant: PlantConfig, seed: int) -> Iterator[Row]:

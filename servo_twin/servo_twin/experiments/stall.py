@@ -94,7 +94,7 @@ def variance_tells(trace: Trace, since: float) -> float | None:
 
 
 def stall(plant: PlantConfig, seed: int, axis: int, part: float, frequency: float | None) -> Stall:
-    """Catch the shaft of an axis; with a frequency it oscillates.
+    """Catch the shaft of an axis; with a frequency [Hz] it oscillates.
 
     A first run tells how soon the drive notices, a second one, in which it may not, what the variance says.
     """
@@ -224,7 +224,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             time = None if it.noticed is None else 1e3 * it.noticed
             yield judge("outputs off after", time, "ms", most=1e3 * most)
             named, error = it.faults == "SPEED_FEEDBACK", "error on speed feedback"
-            yield judge.true("is called SPEED_FEEDBACK", named, seed=error)
+            yield judge.true("is called SPEED_FEEDBACK", named, reference=error)
             alone = f"nothing in {WATCHED:g} s" if it.by_variance is None else f"after {1e3 * it.by_variance:.0f} ms"
             yield f"{name}, {what}: {it.faults or 'nothing'}; the variance alone tells {alone}"
             shown["held fast" if frequency is None else f"{frequency:g} Hz"] = it.trace

@@ -234,7 +234,7 @@ def run(plant: PlantConfig, seed: int, count: int | None = None, runner: Runner 
         judge, found = Judge(f"{axis_name(axis)}, "), examine(trace, startup, spin)
         for name, _, _, most, value in TIMES:
             seconds, says = value(found), f"{1e3 * most:.0f} ms on the waveforms"
-            yield judge(name, None if seconds is None else 1e3 * seconds, "ms", most=1e3 * most, seed=says)
+            yield judge(name, None if seconds is None else 1e3 * seconds, "ms", most=1e3 * most, reference=says)
         time = 1e3 * trace.time
         waveforms = (
             Curve("error of the angle [deg]", time, trace.error),
@@ -253,7 +253,7 @@ def run(plant: PlantConfig, seed: int, count: int | None = None, runner: Runner 
     for name, label, done, most, value in TIMES:
         times = np.sort([1e3 * seconds for s in good if (seconds := value(s)) is not None])
         usual = np.median(times) if times.size else None
-        yield judge(f"median, {name}", usual, "ms", most=1e3 * most, seed="as above")
+        yield judge(f"median, {name}", usual, "ms", most=1e3 * most, reference="as above")
         if times.size:
             tenth, half, late = (float(np.percentile(times, q)) for q in (10, 50, 95))
             yield f"{label}: 10 % within {tenth:.0f} ms, half within {half:.0f} ms, 95 % within {late:.0f} ms"

@@ -66,4 +66,4 @@ def _rows(judge: Judge, motor: AxisPlant, r: Recording) -> Iterator[Row]:
     yield judge("recovery", arrives(loaded, target, ARRIVED, LEAD), "s", TICK, RECOVERY_MAX)
     yield judge("recovery after the load", arrives(after, target, ARRIVED, LEAD + LOADED), "s", TICK, RECOVERY_MAX)
     yield judge("steady-state error under load", error, "counts", most=ARRIVED)
-    yield judge("largest i_q*", np.abs(r.i_q_ref).max(), "A", NOMINAL, LIMIT + 1e-3, seed="4 A limit")
+    yield judge("largest i_q*", np.abs(r.i_q_ref).max(), "A", NOMINAL, LIMIT + 1e-3, reference="4 A limit")

@@ -42,7 +42,7 @@ class Trace:
         self.entries = entries
 
     def of(self, kind: Kind, a: int | None = None, b: int | None = None) -> NDArray[np.void]:
-        """Entries of one kind, with these marks if they are given."""
+        """Entries of one kind, shape (entries,), with these marks if they are given."""
         chosen = self.entries["kind"] == int(kind)
         if a is not None:
             chosen &= self.entries["a"] == a

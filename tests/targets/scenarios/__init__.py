@@ -25,7 +25,7 @@ def server(rig: Rig) -> None:
 
 SCENARIOS: Final = (
     Scenario("start-to-stop", plant((math.pi / 8, -3 * math.pi / 8)), moves.start_to_stop),
-    Scenario("second-thoughts", plant(), moves.second_thoughts),
+    Scenario("reenabled", plant(), moves.reenabled),
     Scenario("once-more", plant(), moves.once_more),
     Scenario("extremes", plant(capacitance=0.05, i_break=100.0), moves.extremes),
     Scenario("random-inputs", plant(capacitance=0.05, i_break=100.0), faults.random_inputs),

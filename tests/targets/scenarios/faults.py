@@ -288,7 +288,7 @@ def broken_phases(rig: Rig) -> None:
 
 
 def broken_encoders(rig: Rig) -> None:
-    """A line dead, both lines dead, and a core that stands still: once for a moment, once until the watchdog barks."""
+    """A line dead, both lines dead, and a core that stands still: for a moment, then until the watchdog resets it."""
     spin(rig)
     rig.set("param.faults_enabled", ALL_FAULTS)
     rig.set("cmd.mode", SPEED)

@@ -24,7 +24,7 @@ def start_to_stop(rig: Rig) -> None:
     rig.run(0.004)
 
 
-def second_thoughts(rig: Rig) -> None:
+def reenabled(rig: Rig) -> None:
     """Off and on again in every sub-state that has a way back."""
     ready(rig)
     rig.set("cmd.enable", 1)
