@@ -42,6 +42,13 @@ def _unexpected_skips(config: pytest.Config) -> list[str]:
     return sorted(reasons - set(ALLOWED))
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Where processes share the work, files with slow tests come first: no long one is left for the end."""
+    if hasattr(config, "workerinput"):
+        slow = {item.path for item in items if item.get_closest_marker("slow") is not None}
+        items.sort(key=lambda item: item.path not in slow)
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: Any, error: object) -> None:
     """A process of pytest-xdist has ended; with an error, some tests may not have been run."""

@@ -32,6 +32,8 @@ from targets.machines import QemuProgram, missing_text
 from targets.sources import Sources
 from targets.toolchain import TargetError, run
 
+pytestmark = pytest.mark.slow
+
 CALL_AND_RETURN = 4
 """Most instructions that the clock counts around a function and the trace does not count within it."""
 

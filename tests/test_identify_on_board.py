@@ -24,6 +24,8 @@ from servo_twin.plant import PlantConfig
 
 from servo_bridge import tool_identify
 
+pytestmark = pytest.mark.slow
+
 BAUD = 115_200
 
 

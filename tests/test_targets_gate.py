@@ -15,6 +15,8 @@ from targets.recording import Arithmetic, Recorder, Recording
 from targets.sources import Sources
 from targets.toolchain import TargetError
 
+pytestmark = pytest.mark.slow
+
 Needs = Callable[[Target], None]
 
 HOST = Host("host", "gcc", ("-O0",), "for these tests", ("gcc",))

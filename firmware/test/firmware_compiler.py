@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +21,31 @@ Sources = Sequence["str | Path"]
 
 
 def run_compiler(output: Path, sources: Sources, options: Sequence[str], compiler: str) -> Path:
-    """Compile and link `sources` (relative ones are relative to the firmware folder) into `output`.
+    """Compile and link `sources` (relative ones are relative to the firmware folder, absolute ones may be objects).
 
     A missing compiler skips the test, a warning fails it.
     """
     if shutil.which(compiler) is None:
         pytest.skip(f"{compiler} is not installed")
     command = [compiler, *STRICT, f"-I{FIRMWARE}", f"-I{TEST}", *options]
-    command += [str(FIRMWARE / source) for source in sources]  # an absolute path stays as it is
-    result = subprocess.run([*command, "-o", str(output)], capture_output=True, text=True, check=False)
+    _run([*command, *(str(FIRMWARE / source) for source in sources), "-o", str(output)])
+    return output
+
+
+def compile_objects(folder: Path, sources: Sources, options: Sequence[str], compiler: str) -> list[Path]:
+    """Compile each source by itself into a new folder: only so does ccache know it, and every core takes part."""
+    folder.mkdir()
+    jobs = [(folder / f"{number}.o", source) for number, source in enumerate(sources)]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(lambda job: run_compiler(job[0], [job[1]], [*options, "-MMD", "-c"], compiler), jobs))
+
+
+def _run(command: Sequence[str]) -> None:
+    # What is loaded before the tests, as the address sanitizer, makes a compiler take twice as long.
+    environment = {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"}
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if result.returncode != 0:
         pytest.fail(f"{' '.join(command)}\n{result.stderr}", pytrace=False)
-    return output
 
 
 def defined(defines: Sequence[str]) -> list[str]:
@@ -50,9 +64,11 @@ class CompileC:
         key = (name, tuple(map(str, sources)), cdef, tuple(defines))
         if key not in self._loaded:
             extra = os.environ.get("FIRMWARE_CFLAGS", "").split()  # coverage, for example
-            options = ["-O1", "-g", "-fPIC", "-shared", *extra, *defined(defines)]
+            options = ["-O1", "-g", "-fPIC", *extra, *defined(defines)]
             output = self._folder / f"lib{name}_{len(self._loaded)}.so"
-            path = run_compiler(output, sources, options, os.environ.get("CC", "gcc"))
+            compiler = os.environ.get("CC", "gcc")
+            objects = compile_objects(output.with_suffix(""), sources, options, compiler)
+            path = run_compiler(output, objects, [*options, "-shared"], compiler)
             ffi = cffi.FFI()
             ffi.cdef(cdef)
             self._loaded[key] = (ffi, ffi.dlopen(str(path)))

@@ -1,4 +1,4 @@
-"""The core on other targets: sanitizers on the host, and a 16-bit int."""
+"""The core with sanitizers; no state of files, no floating point."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import pytest
 from core_library import CORE_SOURCES
 from firmware_compiler import FIRMWARE, STRICT, CompileProgram, has_library
 
-AVR = ["-mmcu=atmega1284p", "-Os"]
 SANITIZE = "-O0 -g1 -fsanitize=undefined,address -fno-sanitize-recover=all"
 INSIDE = "FIRMWARE_TESTS_SANITIZED"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(INSIDE in os.environ, reason="this is the sanitized run")
 def test_state_machine_tests_pass_with_sanitizers() -> None:
     """Every board test once more on a library with address and undefined-behaviour checks."""
@@ -62,16 +62,6 @@ def test_sanitizers_find_an_overflow(compile_program: CompileProgram, tmp_path: 
     result = subprocess.run([str(program)], capture_output=True, text=True, check=False)
     assert result.returncode != 0
     assert "signed integer overflow" in result.stderr
-
-
-def test_compiles_with_16_bit_int(tmp_path: Path) -> None:
-    """All of the core, warnings as errors."""
-    if not has_library("avr-gcc", "libc.a"):
-        pytest.skip("avr-gcc with avr-libc is not installed")
-    command = ["avr-gcc", *STRICT, *AVR, f"-I{FIRMWARE}", "-c", *(str(FIRMWARE / s) for s in CORE_SOURCES)]
-    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stderr
-    assert len(list(tmp_path.glob("*.o"))) == len(CORE_SOURCES)
 
 
 def test_no_file_scope_state(tmp_path: Path) -> None:

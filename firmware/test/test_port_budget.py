@@ -11,6 +11,8 @@ from chip_budget import CALL_WORDS, INTERRUPT_WORDS, LIBRARY_WORDS, POINTERS, Bu
 from firmware_compiler import FIRMWARE
 from port_board import PORT
 
+pytestmark = pytest.mark.slow
+
 STACK_MARGIN = 1.5  # frames of the chip's own compiler are not known
 LIBRARY_ROOM = 512  # words of the run-time library, which runs from RAM, too
 OTHERS = {"test", "port/avr", "port/cortex_m3"}  # folders that are not flashed

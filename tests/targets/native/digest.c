@@ -35,35 +35,42 @@ static bool in_snapshot(const tsa_entry_t *entry)
     return entry->kind == TSA_KIND_RO && entry->address >= begin && entry->address < begin + sizeof(snapshot_t);
 }
 
-bool digest_snapshot_field(const servo_t *servo, uint16_t i, uint32_t *value)
+/* Where a scalar of the snapshot is; false for other variables and for the block as a whole. */
+static bool find_field(uint16_t i, digest_field_t *field)
 {
     const tsa_entry_t entry = tsa_entry(&servo_variables, i);
-    if (!in_snapshot(&entry)) {
-        return false;
-    }
-    const uint8_t *at = (const uint8_t *)servo + (size_t)(entry.address - TSA_VARIABLES_BASE);
+    field->at = (uint16_t)(entry.address - TSA_VARIABLES_BASE);
+    field->wide = entry.size == sizeof(uint32_t);
+    return in_snapshot(&entry) && (field->wide || entry.size == sizeof(uint16_t));
+}
+
+static uint32_t value_of(const servo_t *servo, const digest_field_t *field)
+{
+    const uint8_t *at = (const uint8_t *)servo + field->at;
     uint16_t narrow;
     uint32_t wide;
-    if (entry.size == sizeof narrow) {
-        memcpy(&narrow, at, sizeof narrow);
-        *value = narrow;
-        return true;
-    }
-    if (entry.size == sizeof wide) {
+    if (field->wide) {
         memcpy(&wide, at, sizeof wide);
-        *value = wide;
-        return true;
+        return wide;
     }
-    return false; /* the block as a whole */
+    memcpy(&narrow, at, sizeof narrow);
+    return narrow;
+}
+
+bool digest_snapshot_field(const servo_t *servo, uint16_t i, uint32_t *value)
+{
+    digest_field_t field;
+    if (!find_field(i, &field)) {
+        return false;
+    }
+    *value = value_of(servo, &field);
+    return true;
 }
 
 static uint32_t fold_snapshot(const digest_t *digest, uint32_t crc, const servo_t *servo)
 {
-    for (uint16_t i = digest->first; i < digest->end; i++) {
-        uint32_t value;
-        if (digest_snapshot_field(servo, i, &value)) {
-            crc = digest_long(crc, value);
-        }
+    for (uint16_t i = 0; i < digest->fields; i++) {
+        crc = digest_long(crc, value_of(servo, &digest->field[i]));
     }
     return crc;
 }
@@ -73,14 +80,9 @@ void digest_init(digest_t *digest)
     digest->value = DIGEST_START;
     digest->tick = 0;
     digest->periods = 0;
-    digest->first = 0;
-    digest->end = 0;
-    for (uint16_t i = 0; i < servo_variables.entries; i++) {
-        const tsa_entry_t entry = tsa_entry(&servo_variables, i);
-        if (in_snapshot(&entry)) {
-            digest->first = (digest->end == 0U) ? i : digest->first;
-            digest->end = (uint16_t)(i + 1U);
-        }
+    digest->fields = 0;
+    for (uint16_t i = 0; i < servo_variables.entries && digest->fields < DIGEST_FIELDS_MAX; i++) {
+        digest->fields = (uint16_t)(digest->fields + (find_field(i, &digest->field[digest->fields]) ? 1U : 0U));
     }
 }
 

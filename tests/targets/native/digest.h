@@ -10,12 +10,19 @@
 uint32_t digest_word(uint32_t value, uint16_t word);
 uint32_t digest_long(uint32_t value, uint32_t word);
 
+#define DIGEST_FIELDS_MAX 256
+
+typedef struct {
+    uint16_t at; /* offset in servo_t */
+    bool wide;   /* 32 bits, else 16 */
+} digest_field_t;
+
 typedef struct {
     uint32_t value;
     uint32_t tick;    /* of the last snapshot that was taken in */
     uint32_t periods; /* M2 calls so far */
-    uint16_t first;   /* the table's entries of the snapshot lie from here */
-    uint16_t end;     /* to before here */
+    digest_field_t field[DIGEST_FIELDS_MAX]; /* the scalars of the snapshot: a look at the table takes its time */
+    uint16_t fields;
 } digest_t;
 
 void digest_init(digest_t *digest);
