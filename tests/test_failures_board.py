@@ -145,7 +145,7 @@ def comes_back_by_command_only(world: World) -> None:
     world.turn(SPEED)
 
 
-def test_cable_noise(world: World) -> None:
+def test_frames_damaged_by_noise_change_nothing(world: World) -> None:
     """Frames with a wrong checksum are no sign of life, and change nothing."""
     world.turn(SPEED)
     start = world.now
@@ -174,7 +174,7 @@ def test_board_restarted(world: World) -> None:
     assert world.fastest(0.0) < 0.1
 
 
-def test_quick_stop(world: World) -> None:
+def test_a_quick_stop_stops_within_its_ramp(world: World) -> None:
     renew = world.turn(SPEED)
     start = world.now
     world.host.command("QUICK_STOP")

@@ -5,7 +5,7 @@
 #include "app/blocks.h"
 #include "drive/axis.h"
 
-/* What the points are checked against. To be called under hold: nothing else is put into a queue meanwhile. */
+/* What the points are checked against. To be called while the server is locked: nothing else is put into a queue meanwhile. */
 typedef struct {
     const axis_t *axes;
     const snapshot_t *snapshot;

@@ -16,7 +16,7 @@ typedef struct {
 } ranges_memory_t;
 
 /* May `size` bytes at `offset` become `data` where `mask` (NULL: everywhere) has ones? Position set-points have to be
- * within POSITION_REACH of the shaft as well. To be called under hold. */
+ * within POSITION_REACH of the shaft as well. To be called while the server is locked. */
 bool ranges_accept(const ranges_memory_t *in, uint16_t offset, const uint8_t *data, const uint8_t *mask, uint16_t size);
 
 /* An element of a variable as a number of its bits, and whether it may have a value. */

@@ -61,7 +61,7 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->monitoring = false;
     servo->applied_tick = 0;
     servo->applied_count = 0;
-    servo->held = false;
+    servo->locked = false;
     latch_reset(&servo->marks);
     servo->marks.parameters = true;
     servo->host_commands = 0;
@@ -98,7 +98,7 @@ static void take_blocks(servo_t *servo)
 
 static void latch_commands(servo_t *servo)
 {
-    if (servo->held) {
+    if (servo->locked) {
         return;
     }
     if (servo->configure.pending != 0U) { /* commands are latched one tick later: one slot is too short for both */
@@ -191,7 +191,7 @@ static void publish_estimate(const axis_t *axis, axis_estimate_t *view)
 
 static void publish_snapshot(servo_t *servo)
 {
-    if (servo->held) {
+    if (servo->locked) {
         return;
     }
     snapshot_t *snapshot = &servo->snapshot;
@@ -229,7 +229,7 @@ static void age_events(axis_t *axis)
 #define LATE UINT16_C(64)
 #define LATENESS_MAX UINT16_C(128)
 
-static void come_late(servo_t *servo, uint16_t loops)
+static void count_late_loops(servo_t *servo, uint16_t loops)
 {
     servo->late_loops = (uint16_t)(servo->late_loops + loops);
     servo->lateness =
@@ -249,7 +249,7 @@ static void supervise_loops(servo_t *servo)
     servo->hal_late_loops = loops;
     servo->lateness = (uint16_t)(servo->lateness - ((servo->lateness > 0U) ? 1U : 0U));
     if (fresh != 0U) {
-        come_late(servo, fresh);
+        count_late_loops(servo, fresh);
     }
 }
 
@@ -320,7 +320,7 @@ void servo_m1_isr(servo_t *servo)
     axis_fast(&servo->axis[MOTOR_1]);
     hal_duties_done(servo->hal, MOTOR_1);
     if (servo->m2_awaited) {
-        come_late(servo, 1); /* M2 was omitted */
+        count_late_loops(servo, 1); /* M2 was omitted */
     }
     servo->m2_awaited = true;
     run_axis_slot(&servo->axis[MOTOR_2], servo->tick);
@@ -340,7 +340,7 @@ void servo_m2_isr(servo_t *servo)
         run_axis_slot(&servo->axis[MOTOR_1], servo->tick);
         run_board_slot(servo, period_of(servo->tick));
     } else {
-        come_late(servo, 1); /* M1 was omitted */
+        count_late_loops(servo, 1); /* M1 was omitted */
     }
 }
 

@@ -57,7 +57,7 @@ typedef struct servo {
     bool monitoring;     /* a monitor output shows something */
     uint32_t applied_tick; /* tick at which the last write took effect */
     uint16_t applied_count; /* writes that have taken effect, modulo 65536 */
-    volatile bool held; /* the server is copying: neither latch commands nor publish a snapshot */
+    volatile bool locked; /* the server is copying: neither latch commands nor publish a snapshot */
     latch_marks_t marks;
     uint16_t points_refused; /* writes of timed points since reset */
     uint16_t point_refusal;  /* point_refusal_t of the last one */

@@ -13,15 +13,15 @@
 #define RESULT_UNKNOWN 1u /* unknown command code */
 #define RESULT_LEVEL 2u /* the client has not logged in to the level *command* */
 
-static void hold(void *context, bool on)
+static void lock(void *context, bool on)
 {
     servo_t *servo = (servo_t *)context;
-    servo->held = on;
+    servo->locked = on;
 }
 
 /* Masks the interrupts through the server's function pointer: the compiler cannot inline the call, so it cannot move
  * the protected accesses out of the section. */
-static void server_hold(servo_t *servo, bool on) { servo->freemaster.app.hold(servo, on); }
+static void server_lock(servo_t *servo, bool on) { servo->freemaster.app.lock(servo, on); }
 
 static bool accepts_points(servo_t *servo, bool whole, const uint8_t *data, uint16_t size)
 {
@@ -103,13 +103,13 @@ static uint8_t level_to_write(void *context, uint16_t offset, uint16_t size)
 
 static void write_to_all(servo_t *servo, uint16_t *field, uint16_t value)
 {
-    server_hold(servo, true);
+    server_lock(servo, true);
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         field[i] = value;
     }
     const uint16_t offset = (uint16_t)((uint8_t *)field - (uint8_t *)&servo->command);
     latch_mark(&servo->marks, offset, (uint16_t)(HAL_AXES * sizeof field[0]));
-    server_hold(servo, false);
+    server_lock(servo, false);
 }
 
 static uint8_t put_u32(uint8_t *to, uint32_t value)
@@ -145,10 +145,10 @@ static uint8_t app_command(void *context, uint8_t code, const uint8_t *args, uin
         servo->host_commands++;
         return 0;
     case COMMAND_IDENTIFY:
-        server_hold(servo, true);
+        server_lock(servo, true);
         *result_size = put_u32(result, servo->catalogue_hash);
         *result_size = (uint16_t)(*result_size + put_u32(result + 4, servo->snapshot.tick));
-        server_hold(servo, false);
+        server_lock(servo, false);
         return 0;
     default:
         return RESULT_UNKNOWN;
@@ -171,7 +171,7 @@ void servo_host_init(servo_t *servo)
         .description = "dual-axis PMSM servo",
         .version = "servo FreeMASTER 4",
         .build = "reproducible",
-        .hold = hold,
+        .lock = lock,
         .accepts = accepts,
         .written = written,
         .command = app_command,

@@ -11,7 +11,7 @@
 static bool is_newer(uint32_t sequence, uint32_t other) { return (int32_t)(sequence - other) > 0; }
 
 /* Rank of a copy: 2 intact; 1 complete, but of another layout or out of range; 0 unusable. */
-static uint16_t worth(uint16_t copy)
+static uint16_t copy_rank(uint16_t copy)
 {
     switch ((stored_copy_t)copy) {
     case STORED_COPY_INTACT:
@@ -33,8 +33,8 @@ static void look(storage_t *storage, storage_status_t *status, const storage_boa
     for (uint16_t i = 0; i < STORAGE_COPIES; i++) {
         status->copy[i] = (uint16_t)stored_check(board->hal, i, &board->values, &sequence[i]);
         const uint16_t kept = storage->kept;
-        const uint16_t before = (kept != NO_COPY) ? worth(status->copy[kept]) : 0U;
-        const uint16_t now = worth(status->copy[i]);
+        const uint16_t before = (kept != NO_COPY) ? copy_rank(status->copy[kept]) : 0U;
+        const uint16_t now = copy_rank(status->copy[i]);
         if (now > before || (now == before && now != 0U && is_newer(sequence[i], sequence[kept]))) {
             storage->kept = i;
         }
@@ -204,7 +204,7 @@ static bool has_changed(const storage_t *storage, const storage_board_t *board)
 }
 
 /* Erase the other copy next. The kept copy is erased last: until then a reset restores it. */
-static bool goes_on_with_other(storage_t *storage)
+static bool continue_with_other_copy(storage_t *storage)
 {
     if (storage->kind == STORAGE_REQUEST_SAVE || storage->copy == last_copy(storage)) {
         return false;
@@ -227,7 +227,7 @@ void storage_step(storage_t *storage, storage_status_t *status, const storage_bo
         }
         storage->step++;
     }
-    if (storage->step == steps(storage) && !goes_on_with_other(storage)) {
+    if (storage->step == steps(storage) && !continue_with_other_copy(storage)) {
         finish(storage, status, board, STORAGE_REFUSAL_NONE);
     } else if (!at_rest(board->axes)) {
         finish(storage, status, board, STORAGE_REFUSAL_MOTION);

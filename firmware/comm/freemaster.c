@@ -24,11 +24,11 @@ static void copy_out(freemaster_t *server, const tsa_place_t *place, uint8_t *da
 {
     const bool live = place->region == TSA_REGION_VARIABLES;
     if (live) {
-        server->app.hold(server->app.context, true);
+        server->app.lock(server->app.context, true);
     }
     tsa_copy(&server->space, place, data);
     if (live) {
-        server->app.hold(server->app.context, false);
+        server->app.lock(server->app.context, false);
     }
 }
 
@@ -53,7 +53,7 @@ static uint8_t copy_in(freemaster_t *server, const tsa_place_t *place, const uin
     const freemaster_app_t *app = &server->app;
     const uint16_t offset = (uint16_t)(place->offset + first);
     const uint16_t size = (uint16_t)(end - first);
-    app->hold(app->context, true);
+    app->lock(app->context, true);
     const bool accepted = app->accepts(app->context, offset, data + first, mask != NULL ? mask + first : NULL, size);
     if (accepted) {
         for (uint16_t i = first; i < end; i++) {
@@ -62,7 +62,7 @@ static uint8_t copy_in(freemaster_t *server, const tsa_place_t *place, const uin
         }
         app->written(app->context, offset, size);
     }
-    app->hold(app->context, false);
+    app->lock(app->context, false);
     return accepted ? FM_OK : FM_OUT_OF_RANGE;
 }
 
@@ -199,9 +199,9 @@ static uint8_t read_scope(freemaster_t *server, payload_reader_t *request, paylo
 {
     uint8_t status = check_scope(request);
     if (!fm_is_error(status)) {
-        server->app.hold(server->app.context, true); /* one section: all slots are of one moment */
+        server->app.lock(server->app.context, true); /* one section: all slots are of one moment */
         status = scope_read(&server->scope, &server->space, reply);
-        server->app.hold(server->app.context, false);
+        server->app.lock(server->app.context, false);
     }
     return status;
 }

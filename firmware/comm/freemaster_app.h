@@ -26,13 +26,13 @@ typedef struct {
     const char *name, *description, *version, *build;
 
     /* Freeze the snapshot and the command latch while bytes are copied. Never nested. */
-    void (*hold)(void *context, bool on);
+    void (*lock)(void *context, bool on);
 
-    /* Before each write, inside hold: may `size` bytes at `offset` become `data`, where `mask` (NULL: everywhere) has
+    /* Before each write, while locked: may `size` bytes at `offset` become `data`, where `mask` (NULL: everywhere) has
      * ones? The range is the one that written() would get; a refusal changes nothing and answers FM_OUT_OF_RANGE. */
     bool (*accepts)(void *context, uint16_t offset, const uint8_t *data, const uint8_t *mask, uint16_t size);
 
-    /* After each accepted write, still inside hold: the smallest range that contains all bytes written (the bytes that
+    /* After each accepted write, still locked: the smallest range that contains all bytes written (the bytes that
      * a mask leaves alone at either end do not count, and nothing is reported when none was written). */
     void (*written)(void *context, uint16_t offset, uint16_t size);
 

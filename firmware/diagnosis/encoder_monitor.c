@@ -49,7 +49,7 @@ static uint16_t size_of(int32_t moved)
     return (size > UINT16_MAX) ? UINT16_MAX : (uint16_t)size;
 }
 
-static void watch_count(encoder_monitor_t *m, int32_t position, evidence_t *evidence)
+static void check_count(encoder_monitor_t *m, int32_t position, evidence_t *evidence)
 {
     const int32_t away = i32_sub_wrap(position, m->anchor);
     const int32_t moved = i32_sub_wrap(position, m->last);
@@ -131,8 +131,8 @@ static frac16_t test_size(const winding_config_t *config, const observation_t *o
     return (wanted < o->current_limit) ? (frac16_t)wanted : o->current_limit;
 }
 
-static void ask(const encoder_monitor_t *m, const winding_config_t *config, const observation_t *o,
-                evidence_t *evidence)
+static void request_test_current(const encoder_monitor_t *m, const winding_config_t *config, const observation_t *o,
+                                 evidence_t *evidence)
 {
     const frac16_t size = test_size(config, o);
     if (m->along_q) {
@@ -150,7 +150,7 @@ static frac16_t current_along(const encoder_monitor_t *m, const observation_t *o
 /* A back-EMF persists under the test current, integrator wind-up does not. A quarter of it is enough: the resistive
  * drop has changed and the resistance may be wrong. If the drop happens to cancel the back-EMF, the rotor turns on and
  * the next test is at another angle. */
-static bool remains(const encoder_monitor_t *m)
+static bool emf_persists(const encoder_monitor_t *m)
 {
     return 4 * length_about(m->rest.d, m->rest.q) >= length_about(m->emf.d, m->emf.q);
 }
@@ -182,7 +182,7 @@ static void test_emf(encoder_monitor_t *m, const winding_config_t *config, const
         return;
     }
     m->turning = 0;
-    if (remains(m)) {
+    if (emf_persists(m)) {
         evidence->confirmed |= FOUND((more >= 3 * size) ? FINDING_EMF_CONFIRMED : FINDING_EMF_WITHOUT_COUNT);
     }
 }
@@ -249,7 +249,7 @@ static void judge(encoder_monitor_t *m, const winding_config_t *config, const ob
 }
 
 /* A voltage that rotates is a back-EMF. A voltage that grows in a constant direction means that no current can flow. */
-static void watch_voltage(encoder_monitor_t *m, const winding_config_t *config, gain_t kp, const observation_t *o,
+static void check_voltage(encoder_monitor_t *m, const winding_config_t *config, gain_t kp, const observation_t *o,
                           evidence_t *evidence)
 {
     const bool stepped = steps(m, config, kp, o);
@@ -273,8 +273,8 @@ static void watch_voltage(encoder_monitor_t *m, const winding_config_t *config, 
 }
 
 /* Shorted windings: current flows only if the shaft turns. */
-static void watch_short(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o,
-                        evidence_t *evidence)
+static void check_shorted(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o,
+                          evidence_t *evidence)
 {
     const bool flows = o->current_size > 2 * (int32_t)config->silent;
     m->turning = (m->calm >= CALM_TICKS && flows) ? (uint16_t)(m->turning + 1U) : 0U;
@@ -286,15 +286,15 @@ static void watch_short(encoder_monitor_t *m, const winding_config_t *config, co
 void encoder_monitor_step(encoder_monitor_t *m, const winding_config_t *config, gain_t kp, observation_t *o,
                           evidence_t *evidence)
 {
-    watch_count(m, o->position, evidence);
+    check_count(m, o->position, evidence);
     o->calm = m->calm;
     if (o->spins) {
-        watch_voltage(m, config, kp, o, evidence);
+        check_voltage(m, config, kp, o, evidence);
         if (m->testing != 0U || m->probing != 0U) {
-            ask(m, config, o, evidence);
+            request_test_current(m, config, o, evidence);
         }
     } else if (o->shorted) {
-        watch_short(m, config, o, evidence);
+        check_shorted(m, config, o, evidence);
     }
 }
 

@@ -12,7 +12,7 @@ static fault_rule_t rule_of(uint16_t finding)
 
 /* A silent phase whose converter repeats its code is no evidence of a lost phase; with a suspected converter no silent
  * phase is. */
-static uint16_t suspicions(const evidence_t *evidence)
+static uint16_t suspected_causes(const evidence_t *evidence)
 {
     const bool sound = (evidence->suspected & SUSPECT_SENSOR) == 0U;
     const bool silent = (evidence->silent & ~(uint32_t)evidence->repeating) != 0U;
@@ -54,7 +54,7 @@ bool fault_relevant(finding_set_t findings, fault_set_t enabled)
 
 fault_verdict_t fault_isolate(const evidence_t *evidence, fault_set_t enabled)
 {
-    const uint16_t suspected = suspicions(evidence);
+    const uint16_t suspected = suspected_causes(evidence);
     fault_verdict_t verdict = {0, 0};
     for (finding_set_t findings = evidence->confirmed; findings != 0U; findings &= findings - 1U) {
         const fault_rule_t rule = rule_of(fault_lowest(findings));

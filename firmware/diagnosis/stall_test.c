@@ -75,7 +75,7 @@ static finding_set_t turn_step(stall_test_t *test, const rotor_search_config_t *
 
 /* Movement against the torque: rotate the vector on, to the largest angle error at which it may still produce
  * torque. */
-static bool turned_out(stall_test_t *test, const rotor_follow_config_t *config)
+static bool turn_outward(stall_test_t *test, const rotor_follow_config_t *config)
 {
     const int32_t max = (int32_t)config->ticks * config->step;
     const int32_t phi = test->phi + ((test->phi > 0) ? (int32_t)config->step : -(int32_t)config->step);
@@ -101,7 +101,7 @@ static finding_set_t mirrored_step(stall_test_t *test, const rotor_search_config
         return FOUND(FINDING_STALL_ELSEWHERE);
     }
     if (!test->ahead) {
-        return turned_out(test, &config->follow) ? FOUND(FINDING_SHAFT_HELD) : 0U;
+        return turn_outward(test, &config->follow) ? FOUND(FINDING_SHAFT_HELD) : 0U;
     }
     if (test->ticks >= STOPS_TICKS) {
         return (way >= move_min) ? FOUND(FINDING_SHAFT_HELD) : FOUND(FINDING_STALL_ELSEWHERE);

@@ -343,7 +343,7 @@ static void rest_at_end(axis_t *axis)
 }
 
 /* The points have run out at a speed other than 0. */
-static void starve(axis_t *axis)
+static void stop_starved(axis_t *axis)
 {
     enter(axis, MOTION_STOP, axis->motion.shaped_speed);
     axis->motion.starved = true;
@@ -363,7 +363,7 @@ static frac32_t trajectory_controller(axis_t *axis)
         if (t->end.speed == 0) {
             rest_at_end(axis);
         } else {
-            starve(axis);
+            stop_starved(axis);
         }
     }
     return speed;

@@ -332,7 +332,7 @@ static void align_slow(axis_t *axis)
 /* ---- SPIN: field-oriented control ---------------------------------------------------------------------------------- */
 
 /* Sensorless: at the lower speed limit of the observer the current fades out, then the outputs go off. */
-static void leave_slowly(axis_t *axis)
+static void fade_out(axis_t *axis)
 {
     axis->fading_out = axis->fading_out || motion_too_slow(axis);
     if (axis->fading_out) {
@@ -442,7 +442,7 @@ static void spin_slow(axis_t *axis)
     }
     if (axis->sensorless) {
         axis->current_ref.d = f16_add(axis->current_ref.d, startup_fade(axis));
-        leave_slowly(axis);
+        fade_out(axis);
     }
     bound_current(axis);
     if (axis->current_loop.limited) {

@@ -54,7 +54,7 @@ POINTERS: Final[Mapping[str, str]] = {
     "state_machine.c:stop_run": "stop_run",
     "state_machine.c:run_stop": "run_stop",
     # the server and its application
-    "hold": "hold",
+    "lock": "lock",
     "accepts": "accepts",
     "written": "written",
     "nonce": "nonce",

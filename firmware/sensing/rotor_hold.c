@@ -128,7 +128,7 @@ static void rise(rotor_search_t *search, const rotor_search_config_t *config, fr
     }
 }
 
-static void weaken(rotor_search_t *search, const rotor_search_config_t *config, frac32_t half)
+static void reduce_hold_current(rotor_search_t *search, const rotor_search_config_t *config, frac32_t half)
 {
     if (search->current > half) {
         const frac32_t less = search->current - config->current_step;
@@ -175,7 +175,7 @@ void rotor_hold_step(rotor_search_t *search, const rotor_search_config_t *config
         }
         break;
     default:
-        weaken(search, config, limit / 2);
+        reduce_hold_current(search, config, limit / 2);
         break;
     }
 }

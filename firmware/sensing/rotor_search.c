@@ -110,7 +110,7 @@ static void verify(rotor_search_t *search, int32_t position)
 }
 
 /* The assumed position is wrong and there is no other candidate: try from the side, or give up. */
-static void doubt(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
+static void reject_position(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     if (search->escapes >= ESCAPES_MAX) {
         finish(search, ROTOR_SEARCH_REVERSED);
@@ -126,7 +126,7 @@ static void doubt(rotor_search_t *search, const rotor_search_config_t *config, i
 
 /* No movement at full current. After a twitch the rotor should lie on the vector. Without one it may also lie opposite
  * to it: vectors at either side decide, one after the other, because the shaft may be against an end stop. */
-static void nothing_moved(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
+static void handle_no_movement(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     if (search->side == 0 && search->reach <= QUARTER_TURN) {
         search->theta_m = f16_add_wrap(search->theta_m, shift_of(search, config, position));
@@ -174,7 +174,7 @@ static void pull_step(rotor_search_t *search, const rotor_search_config_t *confi
     }
     search->held++;
     if (search->timer >= config->hold_ticks || search->held >= (uint32_t)HELD_OVER_HOLD * config->hold_ticks) {
-        nothing_moved(search, config, position);
+        handle_no_movement(search, config, position);
     }
 }
 
@@ -269,7 +269,7 @@ static void verify_step(rotor_search_t *search, const rotor_search_config_t *con
     const int64_t gone = (int64_t)distance(search->origin, position) * config->angle_per_count;
     if (gone > (int64_t)config->verify_angle << 14) { /* a quarter of the largest turn: not held by the vector */
         search->escapes++;
-        doubt(search, config, position);
+        reject_position(search, config, position);
         return;
     }
     if (search->current < limit || search->timer < config->hold_ticks) {
@@ -287,7 +287,7 @@ static void verify_step(rotor_search_t *search, const rotor_search_config_t *con
             search->direction = -1;
         } else {
             search->refusals++;
-            doubt(search, config, position);
+            reject_position(search, config, position);
         }
     } else if (!search->follows) {
         search->follows = true;
@@ -304,7 +304,7 @@ static void turn_step(rotor_search_t *search, const rotor_search_config_t *confi
 {
     if (distance(search->origin, position) >= config->move_counts) { /* free again, and counted */
         search->refusals++;
-        doubt(search, config, position);
+        reject_position(search, config, position);
         return;
     }
     const bool back = rotor_follow_step(&search->follow, &config->follow);

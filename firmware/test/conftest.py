@@ -14,7 +14,7 @@ if TEST not in sys.path:
     sys.path.insert(0, TEST)
 
 from core_library import Core, load_core  # noqa: E402
-from firmware_compiler import CompileC, CompileProgram, LibraryCompiler, ProgramCompiler  # noqa: E402
+from firmware_compiler import CompileC, CompileProgram  # noqa: E402
 from freemaster_board import CDEF, Board  # noqa: E402
 from freemaster_model import COMM_SOURCES, SERVO, SHEET, Layout  # noqa: E402
 from servo_bench import Bench  # noqa: E402
@@ -23,7 +23,7 @@ from servo_bench import Bench  # noqa: E402
 @pytest.fixture(scope="session")
 def compile_c(tmp_path_factory: pytest.TempPathFactory) -> CompileC:
     """``compile_c(name, sources, cdef, defines=()) -> (ffi, lib)``: some C files as a library of the host."""
-    return LibraryCompiler(tmp_path_factory.mktemp("lib"))
+    return CompileC(tmp_path_factory.mktemp("lib"))
 
 
 @pytest.fixture(scope="session")
@@ -32,7 +32,7 @@ def compile_program(tmp_path_factory: pytest.TempPathFactory) -> CompileProgram:
 
     Skips the test when the compiler is missing.
     """
-    return ProgramCompiler(tmp_path_factory.mktemp("program"))
+    return CompileProgram(tmp_path_factory.mktemp("program"))
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,7 @@ import subprocess
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import cffi
 import pytest
@@ -18,25 +18,6 @@ TEST = FIRMWARE / "test"
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror")
 
 Sources = Sequence["str | Path"]
-
-
-class CompileC(Protocol):
-    """Build a host library and load it; see the fixture of the same name."""
-
-    def __call__(self, name: str, sources: Sources, cdef: str, defines: Sequence[str] = ()) -> tuple[cffi.FFI, Any]: ...
-
-
-class CompileProgram(Protocol):
-    """Build an executable; see the fixture of the same name."""
-
-    def __call__(
-        self,
-        name: str,
-        sources: Sources,
-        options: Sequence[str] = (),
-        defines: Sequence[str] = (),
-        compiler: str = "gcc",
-    ) -> Path: ...
 
 
 def run_compiler(output: Path, sources: Sources, options: Sequence[str], compiler: str) -> Path:
@@ -72,7 +53,7 @@ def defined(defines: Sequence[str]) -> list[str]:
     return [f"-D{define}" for define in defines]
 
 
-class LibraryCompiler:
+class CompileC:
     """``compile_c``: equal requests share one build."""
 
     def __init__(self, folder: Path) -> None:
@@ -94,7 +75,7 @@ class LibraryCompiler:
         return self._loaded[key]
 
 
-class ProgramCompiler:
+class CompileProgram:
     """``compile_program``: for the host or, with a cross compiler, for a target."""
 
     def __init__(self, folder: Path) -> None:

@@ -15,7 +15,7 @@ EVENTS = 64
 
 CDEF = declarations("freemaster_harness.h")
 
-EVENT_NAMES = ("hold", "release", "written", "command")
+EVENT_NAMES = ("lock", "unlock", "written", "command")
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ struct harness {
     uint8_t *memory;
     uint8_t *live;
     uint32_t *samples;
-    bool held;
+    bool locked;
     bool refusing;
     uint16_t accepted_offset, accepted_size;
     uint16_t violations;
@@ -71,16 +71,16 @@ static void scramble(harness_t *harness)
     }
 }
 
-static void hold(void *context, bool on)
+static void lock(void *context, bool on)
 {
     harness_t *harness = context;
-    if (harness->held == on) {
+    if (harness->locked == on) {
         harness->violations++;
         return;
     }
-    harness->held = on;
+    harness->locked = on;
     scramble(harness);
-    note(harness, on ? EVENT_HOLD : EVENT_RELEASE, 0, 0);
+    note(harness, on ? EVENT_LOCK : EVENT_UNLOCK, 0, 0);
 }
 
 /* Accesses every byte that it is given, so that a sanitizer detects an access beyond them. */
@@ -92,7 +92,7 @@ static bool accepts(void *context, uint16_t offset, const uint8_t *data, const u
         const uint8_t select = mask != NULL ? mask[i] : 0xFFu;
         selected = (uint8_t)(selected | select | (data[i] & select));
     }
-    if (!harness->held || selected == 0 || offset >= fixture_memory_size || size > fixture_memory_size - offset) {
+    if (!harness->locked || selected == 0 || offset >= fixture_memory_size || size > fixture_memory_size - offset) {
         harness->violations++;
     }
     harness->accepted_offset = offset;
@@ -103,7 +103,7 @@ static bool accepts(void *context, uint16_t offset, const uint8_t *data, const u
 static void written(void *context, uint16_t offset, uint16_t size)
 {
     harness_t *harness = context;
-    if (!harness->held || harness->refusing || offset != harness->accepted_offset || size != harness->accepted_size) {
+    if (!harness->locked || harness->refusing || offset != harness->accepted_offset || size != harness->accepted_size) {
         harness->violations++;
     }
     note(harness, EVENT_WRITTEN, offset, size);
@@ -115,7 +115,7 @@ static uint8_t command(void *context, uint8_t code, const uint8_t *arguments, ui
 {
     harness_t *harness = context;
     note(harness, EVENT_COMMAND, code, size);
-    if (harness->held || *result_size < size) {
+    if (harness->locked || *result_size < size) {
         harness->violations++;
     }
     if (code != 0x11) {
@@ -157,7 +157,7 @@ static void start(harness_t *harness, const access_passwords_t *passwords)
         .description = "two axes in memory, nothing turns",
         .version = "4.0",
         .build = "2026-01-01",
-        .hold = hold,
+        .lock = lock,
         .accepts = accepts,
         .written = written,
         .command = command,
@@ -243,7 +243,7 @@ void harness_poll(harness_t *harness)
 {
     harness->hal.put_left = harness->hal.put_room;
     freemaster_poll(&harness->server, &harness->hal);
-    if (harness->held) {
+    if (harness->locked) {
         harness->violations++;
     }
 }

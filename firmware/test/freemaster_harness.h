@@ -17,7 +17,7 @@ extern const uint16_t fixture_live_size;
 
 #define HARNESS_EVENTS 64
 
-typedef enum { EVENT_HOLD, EVENT_RELEASE, EVENT_WRITTEN, EVENT_COMMAND } harness_event_t;
+typedef enum { EVENT_LOCK, EVENT_UNLOCK, EVENT_WRITTEN, EVENT_COMMAND } harness_event_t;
 
 typedef struct harness harness_t;
 

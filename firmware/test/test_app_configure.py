@@ -163,7 +163,7 @@ def test_nothing_is_taken_that_has_not_come(bench: BlockBench, axes: int) -> Non
 def test_while_blocks_wait_to_be_taken_no_others_come(bench: BlockBench) -> None:
     block = read_block(bench, 0)
     send_block(bench, 0, block)
-    bench.servo.held = True  # the latch is left out
+    bench.servo.locked = True  # the latch is left out
     assert bench.write_words("config.take", [1])
     for name, words in (("config.window", [0, 0, 1, 5]), ("config.header", header(0, block)), ("config.take", [1])):
         assert not bench.write_words(name, words)

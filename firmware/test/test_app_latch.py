@@ -131,11 +131,11 @@ def test_held_block_is_not_read_and_not_lost(bench: Bench) -> None:
     """While the server copies, nothing is latched and no snapshot published; afterwards the write still counts."""
     tick = bench.servo.snapshot.tick
     bench.write(0, enable=1)
-    bench.servo.held = True
+    bench.servo.locked = True
     bench.slow(3)
     assert not bench.axis(0).requested
     assert bench.servo.snapshot.tick == tick
-    bench.servo.held = False
+    bench.servo.locked = False
     bench.slow()
     assert bench.axis(0).requested
     assert bench.servo.snapshot.tick == bench.servo.snapshot.applied_tick == tick + 32
@@ -145,7 +145,7 @@ def test_held_parameters_of_the_board_are_not_read_and_pending_faults_not_publis
     """The server may be in the middle of a number; what it copies next is latched or published whole."""
     bench.slow()
     before = bench.servo.settings.host_timeout
-    bench.servo.held = True
+    bench.servo.locked = True
     bench.servo.parameter.host_timeout = before + 1
     bench.servo.parameter.monitor[0] = 1
     bench.servo.parameter.brake = 1
@@ -155,7 +155,7 @@ def test_held_parameters_of_the_board_are_not_read_and_pending_faults_not_publis
     assert bench.servo.record[0].pending == 0
     settings = bench.servo.settings
     assert (settings.host_timeout, settings.monitor[0], settings.brake_fitted) == (before, 0, False)
-    bench.servo.held = False
+    bench.servo.locked = False
     bench.slow(2)
     assert bench.servo.record[0].pending & FAULTS.OVER_CURRENT
     assert (settings.host_timeout, settings.monitor[0], settings.brake_fitted) == (before + 1, 1, True)
@@ -177,11 +177,11 @@ def test_held_tick_does_not_repeat_a_fresh_write(bench: Bench) -> None:
     command = bench.axis(0).command
     assert command.fresh == sum(1 << bit for field, bit in BITS.items() if field != "home")
     bench.core.lib.probe_run(bench.servo, 1)
-    bench.servo.held = True
+    bench.servo.locked = True
     bench.slow()
     assert command.quick_stop
     assert command.fresh == 0
-    bench.servo.held = False
+    bench.servo.locked = False
 
 
 def test_parameter_counts_from_the_tick_after_it_was_written(bench: Bench, core: Core) -> None:

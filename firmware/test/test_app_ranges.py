@@ -44,7 +44,7 @@ def memory(bench: Bench) -> bytes:
     """Command and parameter block, the marks, and what the supervision counts."""
     servo, buffer = bench.servo, bench.core.ffi.buffer
     parts = (servo.command, servo.parameter, servo.marks)
-    counts = bytes([servo.host_commands & 0xFF, servo.held])
+    counts = bytes([servo.host_commands & 0xFF, servo.locked])
     return b"".join(bytes(buffer(bench.core.ffi.addressof(part))) for part in parts) + counts
 
 

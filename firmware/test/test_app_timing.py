@@ -141,7 +141,7 @@ def test_snapshot_counts_pwm_periods(bench: Bench) -> None:
         assert bench.servo.snapshot.tick == 8 * k == bench.servo.tick
 
 
-def test_tick_wraps(bench: Bench, core: Core) -> None:
+def test_the_tick_wraps_without_a_change_of_state(bench: Bench, core: Core) -> None:
     bench.to_spin(M1)
     bench.servo.tick = 2**32 - 16
     bench.slow(4)

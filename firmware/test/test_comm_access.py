@@ -91,7 +91,7 @@ def test_only_whole_writable_entries_are_written(servo: Board, offset: int, size
     assert servo.ask(WRITE, write(offset, data)) == (Answer(0) if allowed else DENIED)
     expected = before[:offset] + data + before[offset + size :] if allowed else before
     assert servo.memory() == expected
-    events = [("hold", 0, 0), ("written", offset, size), ("release", 0, 0)] if allowed else []
+    events = [("lock", 0, 0), ("written", offset, size), ("unlock", 0, 0)] if allowed else []
     assert servo.events() == events
 
 
@@ -132,7 +132,7 @@ def test_what_the_application_does_not_take_changes_nothing(servo: Board, mask: 
     assert servo.ask(WRITE, write(0x58, b"\x11" * 8, mask)) == Answer(0x97)
     assert servo.write(SERVO.variables + 0x58, b"\x11" * 8, mask) == 0x97
     assert servo.memory() == before
-    assert servo.events() == [("hold", 0, 0), ("release", 0, 0)] * 2
+    assert servo.events() == [("lock", 0, 0), ("unlock", 0, 0)] * 2
     assert servo.ask(WRITE, write(0x58, b"\x11" * 8, bytes(8))) == Answer(0), "nothing to be asked for"
     assert servo.ask(WRITE, write(0x2A, b"\x11")) == DENIED, "the table comes first"
     assert servo.events() == []
@@ -164,7 +164,7 @@ def test_read_with_missing_fields(servo: Board) -> None:
 
 def test_reading_holds_once(servo: Board) -> None:
     servo.ask(READ, at(0x54) + b"\x10")
-    assert servo.events() == [("hold", 0, 0), ("release", 0, 0)]
+    assert servo.events() == [("lock", 0, 0), ("unlock", 0, 0)]
 
 
 def test_direct_access_follows_the_same_rules(servo: Board) -> None:

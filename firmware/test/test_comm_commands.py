@@ -40,7 +40,7 @@ def test_configuration_key_is_cut_to_three_characters(servo: Board) -> None:
 
 
 @pytest.mark.parametrize("key", [b"", b"mtu", b"MT", b"P", b"VSX", b"Z" * 200])
-def test_unknown_keys(servo: Board, key: bytes) -> None:
+def test_an_unknown_key_is_refused(servo: Board, key: bytes) -> None:
     assert servo.ask(CONFIG, b"\x00" + key + b"\0") == Answer(0x89)
 
 
@@ -76,7 +76,7 @@ def test_scope_of_28_slots_in_one_answer(servo: Board) -> None:
     servo.events()
     memory = servo.memory()
     assert servo.ask(READ_SCOPE, b"\x00") == Answer(0, memory[0x100 : 0x100 + 224])
-    assert servo.events() == [("hold", 0, 0), ("release", 0, 0)], "all slots under one hold: of one moment"
+    assert servo.events() == [("lock", 0, 0), ("unlock", 0, 0)], "all slots under one lock: of one moment"
 
 
 def test_scope_delivers_new_values(servo: Board) -> None:
@@ -119,7 +119,7 @@ def test_slots_never_set_give_no_bytes(servo: Board) -> None:
         (b"\x02\x04\x00\x20\x02", 0x86),
     ],
 )
-def test_scope_operations(servo: Board, operations: bytes, status: int) -> None:
+def test_a_scope_operation_gets_its_status(servo: Board, operations: bytes, status: int) -> None:
     servo.ask(SET_SCOPE, b"\x00" + slots(2) + slot(0, 0x24, 4))
     assert servo.ask(SET_SCOPE, b"\x00" + operations).status == status
     if status != 0:
@@ -133,7 +133,7 @@ def test_operations_before_an_error_stay_done(servo: Board) -> None:
 
 
 @pytest.mark.parametrize(("payload", "status"), [(b"", 0x86), (b"\x01", 0x94), (b"\xff\x01\x01\x01", 0x94)])
-def test_scope_index(servo: Board, payload: bytes, status: int) -> None:
+def test_only_scope_0_exists(servo: Board, payload: bytes, status: int) -> None:
     assert servo.ask(SET_SCOPE, payload) == Answer(status)
     assert servo.ask(READ_SCOPE, payload) == Answer(status)
 
@@ -153,7 +153,7 @@ def test_command_runs_once_inside_the_first_status_request(servo: Board) -> None
     assert servo.events() == []
 
 
-def test_command_data(servo: Board) -> None:
+def test_result_data_are_read_in_parts(servo: Board) -> None:
     servo.ask(SEND, b"\x11" + bytes(range(32)))
     servo.ask(STATUS)
     result = bytes(255 - i for i in range(32))
@@ -180,14 +180,14 @@ def test_no_data_before_the_first_command(servo: Board) -> None:
     assert servo.ask(DATA, b"\x01\x00") == Answer(0x86)
 
 
-def test_command_arguments(servo: Board) -> None:
+def test_missing_or_too_many_arguments_are_refused(servo: Board) -> None:
     assert servo.ask(SEND) == Answer(0x86)
     assert servo.ask(SEND, b"\x11" + bytes(33)) == Answer(0x85)
     assert servo.ask(STATUS) == Answer(0, b"\xff"), "refused commands are not pending"
     assert servo.ask(SEND, b"\x11" + bytes(32)) == OK
 
 
-def test_reserved_codes(servo: Board) -> None:
+def test_reserved_result_codes_are_not_passed_on(servo: Board) -> None:
     assert servo.ask(SEND, b"\xff") == Answer(0x81), "would look pending for ever"
     for code, result in ((0xF7, 0xF7), (0xF8, 0xF7), (0xFD, 0xF7)):
         assert servo.ask(SEND, bytes([code])) == OK

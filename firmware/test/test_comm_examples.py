@@ -29,7 +29,7 @@ def test_configuration_dialogue_matches_the_recorded_frames(sheet: Board) -> Non
     )
 
 
-def test_read_memory(sheet: Board) -> None:
+def test_read_dialogue_matches_the_recorded_frames(sheet: Board) -> None:
     dialogue(
         sheet,
         """
@@ -48,7 +48,7 @@ def test_read_memory(sheet: Board) -> None:
     assert (adjacent.status, adjacent.data) == (0, memory[0x54 : 0x54 + 16])
 
 
-def test_write_memory(sheet: Board) -> None:
+def test_write_dialogue_matches_the_recorded_frames(sheet: Board) -> None:
     dialogue(sheet, "2B 23 09 00 A0 80 80 80 02 02 78 56 9C -> 2B 00 00")
     assert sheet.memory()[0x20:0x22] == b"\x78\x56"
     dialogue(sheet, "2B 23 09 00 A0 80 80 80 02 02 2B 2B 2B 2B DB -> 2B 00 00")
@@ -88,7 +88,7 @@ def test_target_side_addressing(sheet: Board) -> None:
     assert entry.data == bytes.fromhex("15 F1 04 08  1F F1 04 08  20 00 00 20  0B 00 00 00")
 
 
-def test_application_command(sheet: Board) -> None:
+def test_command_dialogue_matches_the_recorded_frames(sheet: Board) -> None:
     dialogue(
         sheet,
         """

@@ -44,7 +44,7 @@ def test_gap_inside_a_frame_does_not_matter(servo: Board) -> None:
     assert servo.send(MTU_REQUEST[-1:]) == mtu_answer(servo)
 
 
-def test_wrong_checksum(servo: Board) -> None:
+def test_a_wrong_checksum_is_answered_with_its_error(servo: Board) -> None:
     damaged = MTU_REQUEST[:-1] + bytes([MTU_REQUEST[-1] ^ 1])
     assert servo.send(damaged) == bytes.fromhex("2B 82 87")
     assert servo.send(MTU_REQUEST) == mtu_answer(servo)
@@ -52,7 +52,7 @@ def test_wrong_checksum(servo: Board) -> None:
 
 
 @pytest.mark.parametrize("board_name", ["sheet", "servo"])
-def test_largest_request(board_name: str, request: pytest.FixtureRequest) -> None:
+def test_the_largest_request_fits_and_a_longer_one_is_refused(board_name: str, request: pytest.FixtureRequest) -> None:
     board: Board = request.getfixturevalue(board_name)
     largest = board.layout.mtu - 2
     fits = bytes([0x20, largest]) + b"\x01" + bytes(largest - 1)
@@ -77,7 +77,9 @@ def test_empty_payload_is_a_complete_frame(servo: Board) -> None:
 
 
 @pytest.mark.parametrize(("board_name", "good", "bad"), [("sheet", 240, (241,)), ("servo", 252, (253, 254, 255))])
-def test_largest_answer(board_name: str, good: int, bad: tuple[int, ...], request: pytest.FixtureRequest) -> None:
+def test_the_largest_answer_fits_and_a_longer_one_is_refused(
+    board_name: str, good: int, bad: tuple[int, ...], request: pytest.FixtureRequest
+) -> None:
     board: Board = request.getfixturevalue(board_name)
     assert board.ask(0x21, uleb(large(board)) + uleb(good)).data == board.memory()[0x100 : 0x100 + good]
     for size in bad:
@@ -98,7 +100,7 @@ def double_read(address: int, size: int) -> bytes:
     return request(0x21, uleb(address) + uleb(size))
 
 
-def test_smallest_buffer(new_board: Callable[[Layout], Board]) -> None:
+def test_the_smallest_buffer_answers_short_requests(new_board: Callable[[Layout], Board]) -> None:
     board = new_board(TINY)
     assert board.ask(0x21, uleb(large(board)) + uleb(32)).data == board.memory()[0x100 : 0x100 + 32]
     assert board.ask(0x21, uleb(large(board)) + uleb(33)) == Answer(0x84)

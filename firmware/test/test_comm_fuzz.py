@@ -174,13 +174,13 @@ def frames(commands: list[tuple[int, bytes]]) -> bytes:
 
 @given(data=st.binary(max_size=2000))
 @examples(150)
-def test_random_bytes(server: Server, data: bytes) -> None:
+def test_random_bytes_break_no_rule(server: Server, data: bytes) -> None:
     server.run(b"\0" + raw(data))
 
 
 @given(tokens=st.lists(st.sampled_from([b"\x2b", b"\x2b\x2b", b"\x21", b"\x23", b"\x00", b"\x27", b"\xfe", b"\xff"])))
 @examples(150)
-def test_sequences_of_special_bytes(server: Server, tokens: list[bytes]) -> None:
+def test_sequences_of_special_bytes_break_no_rule(server: Server, tokens: list[bytes]) -> None:
     server.run(b"\0" + raw(b"".join(tokens)))
 
 
@@ -195,7 +195,9 @@ def test_any_well_formed_request_gets_one_answer(server: Server, commands: list[
     places=st.lists(st.tuples(st.integers(0, 2000), st.integers(0, 255)), min_size=1, max_size=4),
 )
 @examples(200)
-def test_damaged_requests(server: Server, commands: list[tuple[int, bytes]], places: list[tuple[int, int]]) -> None:
+def test_the_second_request_after_damaged_ones_is_answered(
+    server: Server, commands: list[tuple[int, bytes]], places: list[tuple[int, int]]
+) -> None:
     damaged = damage(b"".join(request(code, payload) for code, payload in commands), places)
     # Two requests bring any receiver back: the first may be taken for the rest of a frame.
     sent = server.run(b"\0" + raw(damaged) + frames([(0x20, b"\x01")] * 2))

@@ -152,7 +152,7 @@ def test_level_0_is_a_question_that_changes_nothing(servo: Board) -> None:
     assert may(servo) == 3
 
 
-def test_incomplete_logins(servo: Board) -> None:
+def test_an_incomplete_login_is_refused(servo: Board) -> None:
     servo.set_passwords(b"v", None, None)
     assert servo.ask(AUTH1) == BAD_SIZE
     key = key_for(challenge(servo, 1), b"v")

@@ -69,7 +69,7 @@ def test_crc_equals_bitwise_form(numbers: Numbers) -> None:
         ("A0 80 80 80 02", 0x2000_0020),
     ],
 )
-def test_unsigned_examples(numbers: Numbers, text: str, value: int) -> None:
+def test_unsigned_examples_are_written_and_read(numbers: Numbers, text: str, value: int) -> None:
     data = bytes.fromhex(text)
     assert numbers.put(value) == data
     assert numbers.get(data, "unsigned") == (len(data), value)
@@ -78,7 +78,7 @@ def test_unsigned_examples(numbers: Numbers, text: str, value: int) -> None:
 @pytest.mark.parametrize(
     ("text", "value"), [("7F", -1), ("7C", -4), ("20", 32), ("C0 00", 64), ("9C 7F", -100), ("8080808078", -(2**31))]
 )
-def test_signed_examples(numbers: Numbers, text: str, value: int) -> None:
+def test_signed_examples_are_read(numbers: Numbers, text: str, value: int) -> None:
     data = bytes.fromhex(text)
     assert numbers.get(data, "signed") == (len(data), value)
 
@@ -100,7 +100,7 @@ def test_padded_forms_and_what_follows(numbers: Numbers, value: int, padding: in
 
 @given(value=I32, tail=st.binary(max_size=3))
 @examples(100)
-def test_signed_values(numbers: Numbers, value: int, tail: bytes) -> None:
+def test_any_signed_value_is_read(numbers: Numbers, value: int, tail: bytes) -> None:
     data = sleb(value)
     assert numbers.get(data + tail, "signed") == (len(data), value)
 

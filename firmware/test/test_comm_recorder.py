@@ -273,7 +273,7 @@ def test_a_wrong_operation_gets_its_own_status(servo: Board, payload: bytes, exp
     ("payload", "expected"),
     [(b"", 0x86), (b"\x00", 0x86), (b"\x02\x84", 0x94), (b"\x02", 0x94), (b"\x00\x80", 0x95), (b"\x00\x85", 0x95)],
 )
-def test_wrong_queries(servo: Board, payload: bytes, expected: int) -> None:
+def test_a_wrong_query_is_refused(servo: Board, payload: bytes, expected: int) -> None:
     assert servo.ask(GET, payload) == Answer(expected)
 
 
@@ -365,7 +365,7 @@ BEGIN = st.builds(
 
 @given(begin=BEGIN, steps=STEPS)
 @examples(300)
-def test_random_exchanges(
+def test_board_and_model_answer_alike_to_random_requests(
     new_board: Callable[[Layout], Board], begin: list[tuple[str, int, bytes]], steps: list[tuple[str, int, bytes | int]]
 ) -> None:
     """Board and model get the same requests and see the same memory; every answer is the same."""

@@ -104,7 +104,7 @@ def test_table_larger_than_one_read(library: tuple[cffi.FFI, Any]) -> None:
     assert tsa.place("readable", TABLE, 65_536 + 16) is None, "a size of 16 bits would take it for 16 bytes"
 
 
-def test_empty_table(library: tuple[cffi.FFI, Any]) -> None:
+def test_an_empty_table_makes_nothing_readable(library: tuple[cffi.FFI, Any]) -> None:
     ffi, lib = library
     tsa = Tsa(ffi, lib, [], b"")
     assert tsa.table_size() == 0

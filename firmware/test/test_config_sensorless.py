@@ -84,7 +84,7 @@ def test_slide_damping_is_that_of_its_two_gains() -> None:
         assert slide_damping(omega_e) == pytest.approx(damping, rel=2e-3)
 
 
-def test_start_up(constants: dict[str, Any]) -> None:
+def test_start_up_constants_follow_from_motor_and_load(constants: dict[str, Any]) -> None:
     k_t, inertia = 3.0 * PSI, 0.8e-5
     swing = math.sqrt(P * k_t * 2.0 / inertia)
     ramp = 6.0 * 2.0 * math.pi / swing

@@ -122,7 +122,7 @@ def test_help_names_the_options_and_exits_with_0(arguments: list[str], capsys: p
 
 
 @pytest.mark.parametrize("arguments", [["tune"], ["report", "--check"], ["--plot", "x.png"], ["generate", "more"]])
-def test_wrong_usage(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_usage_exits_with_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main(arguments)
     assert end.value.code == 2
@@ -165,7 +165,7 @@ def test_report_as_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert "tuning.xyz" in capsys.readouterr().err
 
 
-def test_without_matplotlib(
+def test_without_matplotlib_a_picture_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
@@ -223,7 +223,7 @@ def test_limits_and_sensing(axes: Any) -> None:
     assert axis.path_step_per_speed / 65536 == pytest.approx(W_FS * 0.5e-3 * 4000 / 2 / math.pi, rel=1e-6)
 
 
-def test_feed_forward(axes: Any) -> None:
+def test_feed_forward_constants_follow_from_friction_and_inertia(axes: Any) -> None:
     axis, k_t = axes[0], 3.0 * 0.0154
     assert axis.friction.coulomb / Q31 * I_FS == pytest.approx(2e-3 / k_t, rel=1e-6)
     assert axis.friction.viscous / GAIN * I_FS / W_FS == pytest.approx(1e-5 / k_t, rel=1e-5)

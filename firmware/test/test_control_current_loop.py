@@ -118,7 +118,7 @@ def check_controller(
     modulation_limit=st.one_of(st.none(), edges(0, LINEAR)),
 )
 @settings(max_examples=400)
-def test_whole_range(
+def test_a_step_stays_close_to_reals_over_the_whole_range(
     core: Core,
     phases: tuple[int, int, int],
     reference: tuple[int, int],
@@ -251,7 +251,7 @@ SAMPLE = st.tuples(st.tuples(I16, I16, I16), st.tuples(I16, I16), I16, I16, I16)
     dead_time=st.booleans(),
 )
 @settings(max_examples=300)
-def test_every_bit(
+def test_agrees_with_integers_in_every_bit(
     core: Core,
     gains: tuple[tuple[int, ...], tuple[int, ...]],
     couplings: tuple[int, int, int],
@@ -358,7 +358,7 @@ def test_a_reset_clears_currents_voltages_and_integrators(core: Core) -> None:
     omega=st.floats(-OMEGA_FS, OMEGA_FS),
     bus=st.integers(0, 32767),
 )
-def test_voltage_limit(
+def test_the_voltage_stays_within_a_circle(
     core: Core, i: tuple[float, float], reference: tuple[float, float], theta: float, omega: float, bus: int
 ) -> None:
     """A circle below the linear range, whatever is asked; and duties that leave two low sides time for a sample."""

@@ -29,7 +29,7 @@ def compensated(core: Core, config: tuple[int, int, int], duty: list[int], curre
 )
 @example(config=(0, 4096, 4 * SLOPE_ONE), duty=(1, 16384, MAX16), current=(MAX16, -1, 1), bus=16385)  # a half, upwards
 @settings(max_examples=300)
-def test_every_bit(
+def test_agrees_with_integers_in_every_bit(
     core: Core, config: tuple[int, int, int], duty: tuple[int, ...], current: tuple[int, ...], bus: int
 ) -> None:
     """Drop over bus rounded to an LSB, sign of the current downwards, their product rounded; duties in 0..100 %."""

@@ -100,7 +100,7 @@ INPUTS = st.builds(Input, d=I16, q=I16, u_max=FRACTION16, emf=I16, current=FRACT
 
 @given(config=CONFIGS, inputs=st.lists(INPUTS, min_size=1, max_size=20), current=FRACTION16)
 @settings(max_examples=400)
-def test_every_bit(core: Core, config: Config, inputs: list[Input], current: int) -> None:
+def test_agrees_with_integers_in_every_bit(core: Core, config: Config, inputs: list[Input], current: int) -> None:
     """Over the whole range of everything, with a current limit that stays and one that changes."""
     for keeps in (True, False):
         weakening = Weakening(core, config)

@@ -49,7 +49,9 @@ def in_integers(coulomb: int, viscous: int, smooth: int, slope: int, speed: int)
 
 @given(coulomb=FRACTION32, viscous=I32, smooth=edges(2**17, FULL - 1), speed=I32, part=st.floats(-1.1, 1.1))
 @settings(max_examples=300)
-def test_every_bit(core: Core, coulomb: int, viscous: int, smooth: int, speed: int, part: float) -> None:
+def test_agrees_with_integers_in_every_bit(
+    core: Core, coulomb: int, viscous: int, smooth: int, speed: int, part: float
+) -> None:
     """Over the whole range, on both sides of `smooth`, saturation included."""
     slope = min(round(FULL / smooth * 2**16), 2**31 - 1)
     for at in (speed, clip32(round(part * smooth)), smooth - 1, smooth, -smooth, 1 - smooth):
@@ -58,7 +60,7 @@ def test_every_bit(core: Core, coulomb: int, viscous: int, smooth: int, speed: i
 
 
 @given(coulomb=st.integers(0, FULL - 1), smooth=st.integers(2**17, FULL - 1), speed=st.integers(0, FULL - 1))
-def test_is_odd(core: Core, coulomb: int, smooth: int, speed: int) -> None:
+def test_both_directions_are_treated_alike(core: Core, coulomb: int, smooth: int, speed: int) -> None:
     """No direction is favoured: not by a single bit."""
     forward, back = current(core, coulomb, 0, smooth, speed), current(core, coulomb, 0, smooth, -speed)
     assert forward == -back >= 0

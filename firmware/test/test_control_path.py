@@ -152,7 +152,7 @@ def state_of(path: Path) -> tuple[int, int, int, int]:
     ticks=st.lists(st.tuples(st.one_of(I32, st.none()), STEP, ACCELERATION, st.integers(1, 6)), min_size=1, max_size=8),
 )
 @settings(max_examples=300)
-def test_every_bit(
+def test_agrees_with_integers_in_every_bit(
     core: Core, omega: int, start: tuple[int, int], ticks: list[tuple[int | None, int, int, int]]
 ) -> None:
     """Any start, targets over all 32 bits, all limits; None stays where the output is."""

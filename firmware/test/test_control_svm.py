@@ -66,7 +66,7 @@ def in_integers(alpha: int, beta: int) -> tuple[tuple[int, int, int], int]:
 @example(alpha=0, beta=-16384)
 @example(alpha=MIN16, beta=MIN16)
 @example(alpha=MIN16, beta=MAX16)
-def test_every_bit(core: Core, alpha: int, beta: int) -> None:
+def test_agrees_with_integers_in_every_bit(core: Core, alpha: int, beta: int) -> None:
     assert duties(core, alpha, beta) == in_integers(alpha, beta)
 
 

@@ -52,7 +52,7 @@ def test_state_machine_tests_pass_with_sanitizers() -> None:
     assert re.search(r"\d{3} passed", result.stdout)
 
 
-def test_sanitizers_bite(compile_program: CompileProgram, tmp_path: Path) -> None:
+def test_sanitizers_find_an_overflow(compile_program: CompileProgram, tmp_path: Path) -> None:
     """The options above do find an overflow: without this, a run without findings proves nothing."""
     if not has_library("gcc", "libasan.so"):
         pytest.skip("gcc has no address sanitizer")

@@ -122,7 +122,9 @@ def test_calibration_averages_noise(core: Core, sense: Any) -> None:
     ("codes", "plausible"),
     [([1948, 2148, 2048], True), ([1947, 2048, 2048], False), ([2048, 2048, 2149], False), ([0, 4095, 2048], False)],
 )
-def test_plausible_offsets(core: Core, sense: Any, codes: list[int], plausible: bool) -> None:
+def test_offsets_far_from_the_middle_are_not_plausible(
+    core: Core, sense: Any, codes: list[int], plausible: bool
+) -> None:
     calibrate(core, sense, codes)
     assert bool(core.lib.current_sense_offsets_plausible(sense, 100)) is plausible
 
@@ -234,7 +236,7 @@ def test_every_bit_of_the_bus_filter(core: Core, codes: list[int]) -> None:
         assert axis.u_dc == narrow(filtered)
 
 
-def test_bus_filter(core: Core) -> None:
+def test_the_bus_voltage_is_filtered_with_first_order(core: Core) -> None:
     """First order, 16 PWM periods; the full scale does not wrap."""
     bench = Bench(core)
     bench.to_stop()

@@ -282,7 +282,7 @@ def test_bus_faults_stop_both(bench: Bench) -> None:
 @pytest.mark.parametrize(
     ("volts", "state"), [(16.3, STATE.STOP), (15.7, STATE.FAULT), (32.7, STATE.STOP), (33.3, STATE.FAULT)]
 )
-def test_voltage_limits(bench: Bench, volts: float, state: int) -> None:
+def test_a_bus_voltage_outside_its_limits_is_a_fault(bench: Bench, volts: float, state: int) -> None:
     bench.to_stop()
     bench.hal.bus_code = bus_code(volts)
     bench.slow(50)

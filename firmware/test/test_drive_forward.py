@@ -48,7 +48,7 @@ def test_move_with_feed_forward_ends_on_target_without_overshoot(bench: Bench) -
 
 
 def test_switching_in_motion_waits_for_rest(bench: Bench) -> None:
-    """The whole speed added at once would be a blow; the next move has it."""
+    """The whole speed added at once would be a shock; the next move has it."""
     bench.set_parameter("speed_limit", 100.0)
     bench.write(0, position=20_000)
     before = [rad_s(bench.view(0).speed_ref) for _ in range(200) if bench.follow(1)]

@@ -289,7 +289,7 @@ def test_speed_set_point_is_limited_and_says_so(bench: Bench) -> None:
     assert not bench.view(0).limits & LIMITS.SPEED
 
 
-def test_current_limit(bench: Bench) -> None:
+def test_the_current_set_point_stays_within_its_limit(bench: Bench) -> None:
     bench.set_parameter("i_q_limit", 1.0)
     bench.write(0, mode=MODE.SPEED, speed=speed(200.0))
     bench.slow(100)  # the shaft does not obey

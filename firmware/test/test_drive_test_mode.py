@@ -77,7 +77,7 @@ def test_current_and_speed_of_the_vector_ramp_to_their_set_points(testing: Bench
     assert turned == pytest.approx(30.0 * pairs * 0.05 / 6.2831853 % 1.0, abs=0.002)
 
 
-def test_limits_hold(testing: Bench) -> None:
+def test_limits_hold_in_test_mode(testing: Bench) -> None:
     testing.set_parameter("i_q_limit", 1.0)
     testing.set_parameter("speed_limit", 10.0)
     testing.write(0, i_q=amps(3.0), speed=speed(30.0))

@@ -56,7 +56,7 @@ def test_saturation_of_a_shifted_number_and_of_the_upper_half(c: Any, x: int, n:
 
 
 @given(x=I32, limit=FRACTION16, y=I64, wide=FRACTION32, beside=st.integers(-2, 2))
-def test_symmetric_limit(c: Any, x: int, limit: int, y: int, wide: int, beside: int) -> None:
+def test_a_symmetric_limit_clips_both_signs(c: Any, x: int, limit: int, y: int, wide: int, beside: int) -> None:
     for at in (x, limit + beside, -limit + beside):
         assert c.probe_f16_limit(at, limit) == clip(at, -limit, limit)
     for at in (y, wide + beside, -wide + beside):

@@ -29,7 +29,7 @@ def test_at_most_one_lsb_off_at_every_angle(waves: Waves) -> None:
         assert abs(np.mean(wave - ideal)) < 0.01
 
 
-def test_every_bit(waves: Waves) -> None:
+def test_agrees_with_integers_in_every_bit(waves: Waves) -> None:
     """A quarter wave of 257 nearest numbers, 1.0 being 32767, and between them the straight line, halves upwards."""
     table = np.minimum(np.round(32768.0 * np.sin(np.pi / 2.0 * np.arange(257) / 256.0)), 32767).astype(np.int64)
     step, part = np.divmod(np.arange(16384), 64)

@@ -78,7 +78,7 @@ def test_arming_repeats_when_an_edge_slips_in_between(board: FakeBoard) -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_edge_interrupt(board: FakeBoard, axis: int) -> None:
+def test_an_edge_interrupt_calls_the_edge_handler(board: FakeBoard, axis: int) -> None:
     board.chip.takes_edge = True
     board.lib.hal_capture_arm(board.hal, axis)
     edge(board, axis, 321, 654)
@@ -187,7 +187,7 @@ def test_sends_while_the_fifo_has_room(board: FakeBoard, waiting: int) -> None:
     ("baud", "rate"),
     [(0, 434), (115200, 434), (921600, 54), (1_000_000, 50), (1200, 41667), (300, 0xFFFF), (9_000_000, 8)],
 )
-def test_another_rate(compile_c: CompileC, baud: int, rate: int) -> None:
+def test_the_owner_of_the_board_sets_the_line_speed(compile_c: CompileC, baud: int, rate: int) -> None:
     """For whom the owner of the board sets it; out of range, the nearest that there is."""
     board = FakeBoard(compile_c, initialised=False)
     board.lib.fake_baud(board.chip, baud)

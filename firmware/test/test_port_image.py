@@ -23,7 +23,7 @@ def table() -> list[tuple[str, str, int]]:
     return [(instruction, target, int(number)) for instruction, target, number in found]
 
 
-def test_vector_table() -> None:
+def test_every_vector_jumps_to_its_handler() -> None:
     assert [number for _, _, number in table()] == list(range(111))
     assert [line[:2] for line in table()[:2]] == [("JMP", "startup_entry")] * 2
     for number, (instruction, target, _) in enumerate(table()[2:], start=2):

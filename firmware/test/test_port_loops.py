@@ -113,7 +113,7 @@ PHASE = {0: "a", 1: "b", 8: "b", 9: "c", 4: "a", 5: "b", 12: "b", 13: "c"}
 
 @pytest.mark.parametrize(("pair", "phases"), [(0, "ab"), (1, "bc"), (2, "ca")])
 @pytest.mark.parametrize("axis", [0, 1])
-def test_pair_selection(board: FakeBoard, axis: int, pair: int, phases: str) -> None:
+def test_every_selected_phase_is_sampled(board: FakeBoard, axis: int, pair: int, phases: str) -> None:
     """Every selected phase arrives where hal.h says, through whichever converter it goes."""
     board.lib.hal_adc_select(board.hal, axis, pair)
     lists = [board[0xE504 + n] for n in range(4)]
@@ -326,7 +326,7 @@ def test_unknown_vectors_do_nothing(board: FakeBoard) -> None:
     assert all(board.isr(vector) == [] for vector in range(111) if vector not in known)
 
 
-def test_watchdog_service(board: FakeBoard) -> None:
+def test_the_watchdog_is_serviced_with_both_words(board: FakeBoard) -> None:
     board.lib.hal_watchdog_service(board.hal)
     assert board.writes == [(0xE322, 0x5555), (0xE322, 0xAAAA)]
 

@@ -105,7 +105,7 @@ def values(compile_c: CompileC, tmp_path_factory: pytest.TempPathFactory) -> Any
     return build
 
 
-def test_reference_configuration(values: Any) -> None:
+def test_settings_have_the_reference_values(values: Any) -> None:
     found = values()
     assert {name: f"{found[name]:04X}" for name in REFERENCE} == {name: f"{v:04X}" for name, v in REFERENCE.items()}
 
@@ -186,7 +186,7 @@ def test_slower_bus_moves_everything_that_counts_clocks(values: Any) -> None:
 @pytest.mark.parametrize(
     ("baud", "rate"), [(115200, 0x01B2), (230400, 0x00D9), (460800, 0x006D), (921600, 0x0036), (1000000, 0x0032)]
 )
-def test_baud_rates(values: Any, baud: int, rate: int) -> None:
+def test_a_baud_rate_is_met_within_half_a_percent(values: Any, baud: int, rate: int) -> None:
     found = values(f"SERIAL_BAUD={baud}UL")["SET_QSCI_RATE"]
     assert found == rate
     assert abs(100e6 / (2 * found) / baud - 1) < 0.005

@@ -42,7 +42,7 @@ PWM_SM = {
 
 
 @pytest.mark.parametrize(("axis", "ctrl2"), [(0, (0x0000, 0x0204, 0x0204)), (1, (0x0300, 0x0304, 0x0304))])
-def test_pwm_submodules(board: FakeBoard, axis: int, ctrl2: tuple[int, int, int]) -> None:
+def test_start_up_sets_the_pwm_submodules(board: FakeBoard, axis: int, ctrl2: tuple[int, int, int]) -> None:
     for sm in range(3):
         base = PWM[axis] + 0x30 * sm
         found = {offset: board[base + offset] for offset in PWM_SM}
@@ -63,7 +63,7 @@ def test_only_the_start_interrupt_waits(board: FakeBoard) -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_pwm_module(board: FakeBoard, axis: int) -> None:
+def test_start_up_sets_the_pwm_module(board: FakeBoard, axis: int) -> None:
     module = PWM[axis]
     assert board[module + 0xC0] == 0  # the application switches the outputs on
     assert board[module + 0xC4] & 0x0F00 == 0x0700
@@ -105,7 +105,7 @@ def test_start_up_sets_the_crossbars(board: FakeBoard) -> None:
     assert (board[0xE360], board[0xE380], board[0xE381], board[0xE346]) == (0x1609, 0x7FDF, 0, 0x2E2E)
 
 
-def test_interrupt_levels(board: FakeBoard) -> None:
+def test_start_up_sets_the_interrupt_levels(board: FakeBoard) -> None:
     """Field of the peripheral with vector v: number v - 9, two bits each; codes are one above the level."""
     codes = {
         v: board[0xE300 + (v - 9) // 8] >> 2 * ((v - 9) % 8) & 3
@@ -167,7 +167,7 @@ def test_interrupts_come_last(board: FakeBoard) -> None:
     assert board.accesses[-1].kind == INTERRUPTS
 
 
-def test_pll_order(board: FakeBoard) -> None:
+def test_the_clock_is_switched_to_a_locked_pll_only(board: FakeBoard) -> None:
     """Crystal, reference, divider, lock detector, power, and the switch only on a locked PLL."""
     ctrl = [value for address, value in board.writes if address == 0xE2B0]
     assert ctrl == [0x0010, 0x0014, 0x0094, 0x0084, 0x0085]
@@ -175,7 +175,7 @@ def test_pll_order(board: FakeBoard) -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_pwm_order(board: FakeBoard, axis: int) -> None:
+def test_the_pwm_runs_after_everything_else_is_set(board: FakeBoard, axis: int) -> None:
     """Outputs off, values, LDOK, FORCE, faults, RUN; a pin is the PWM's only when its outputs are off."""
     module = PWM[axis]
     force = first(board, module + 0x02, board[module + 0x02])

@@ -286,7 +286,7 @@ class Model:
     actions=st.lists(st.sampled_from(["update"] * 8 + ["resync", "preset"]), min_size=1, max_size=12),
 )
 @settings(max_examples=300)
-def test_every_bit(
+def test_agrees_with_integers_in_every_bit(
     core: Core, data: st.DataObject, lines: int, index: int, far: tuple[int, ...], actions: list[str]
 ) -> None:
     """Any counts and index pulses, from anywhere, over the wrap of 32 bits too."""

@@ -44,7 +44,7 @@ def test_every_entry_width_and_buffer_size(width: int, mtu: int, safety: bool) -
     assert [(v.address, v.size, v.writable) for v in found.values()] == [(e.address, 2, e.kind == RW) for e in table]
 
 
-def test_several_tables() -> None:
+def test_all_tables_are_read() -> None:
     target = FakeTarget(tables=[[FakeEntry(f"t{t}.x", b"\xe0", 16 * t, 1, RO)] for t in range(4)])
     assert list(find_all(target)) == ["t0.x", "t1.x", "t2.x", "t3.x"]
 
@@ -222,7 +222,7 @@ def test_a_password_is_reported_as_such() -> None:
         (b"\xfb", struct.pack("<d", 1e300), 1e300),
     ],
 )
-def test_base_types(text: bytes, data: bytes, value: Number) -> None:
+def test_every_base_type_is_decoded_and_encoded(text: bytes, data: bytes, value: Number) -> None:
     found = parse_type(text, len(data))
     assert found is not None
     assert found.size == len(data)

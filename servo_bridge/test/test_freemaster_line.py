@@ -95,7 +95,7 @@ def test_a_lost_answer_is_asked_for_again() -> None:
     assert transport.requests == [READ.frame] * 3
 
 
-def test_retries_end() -> None:
+def test_after_its_retries_a_request_times_out() -> None:
     transport = answers()
     with pytest.raises(AnswerTimeoutError):
         line_on(transport, retries=2).exchange(READ)

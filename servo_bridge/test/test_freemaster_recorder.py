@@ -117,7 +117,7 @@ def test_a_level_fires_at_once_and_an_edge_does_not() -> None:
     assert rows[0][1] == 60
 
 
-def test_stopping_early() -> None:
+def test_a_recording_may_be_stopped_early() -> None:
     _, client = a_target()
     recorder = client.recorder()
     with pytest.raises(StatusError, match="not initialised"):

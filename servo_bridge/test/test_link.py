@@ -155,7 +155,7 @@ def test_without_a_link_jobs_fail_at_once(start_link: StartLink) -> None:
 
 
 # ---- the end ------------------------------------------------------------------------------------------------------
-def test_last_words(connected: Watcher, fake_board: FakeServo) -> None:
+def test_the_final_writes_are_sent_before_the_link_closes(connected: Watcher, fake_board: FakeServo) -> None:
     connected.wait_samples(1)
     begin = time.monotonic()
     assert connected.link.close([("cmd.quick_stop", [1.0, 1.0]), ("cmd.enable", [0.0, 0.0])])

@@ -74,7 +74,9 @@ def test_a_board_that_never_answers(fake_port: FakePort, start_link: StartLink) 
 @pytest.mark.parametrize(
     ("device", "text"), [(FakeTargetV3(), "no table of variables"), (NoiseDevice(), "not in FreeMASTER")]
 )
-def test_another_device(tmp_path: Path, start_link: StartLink, device: Device, text: str) -> None:
+def test_a_device_of_another_protocol_is_named(
+    tmp_path: Path, start_link: StartLink, device: Device, text: str
+) -> None:
     with FakePort(tmp_path / "ttyFAKE", device):
         watcher = start_link()
         status = watcher.wait_state(LinkState.FAILED)

@@ -147,7 +147,7 @@ def test_a_link_that_is_older_than_its_terminal_is_not_followed(pty: Pty, tmp_pa
         pass
 
 
-def test_closing_twice(pty: Pty) -> None:
+def test_a_port_may_be_closed_twice(pty: Pty) -> None:
     port = SerialPort(pty.path, 115_200)
     port.close()
     port.close()
@@ -194,7 +194,7 @@ USER = 4321
         ),
     ],
 )
-def test_no_permission(
+def test_a_port_without_permission_is_named_with_its_remedy(
     pty: Pty, monkeypatch: pytest.MonkeyPatch, mode: int, owner: int, group: int, remedy: str
 ) -> None:
     """Tests may run as root, whom nothing is forbidden: what the system says is made up."""
@@ -227,7 +227,7 @@ def test_impossible_baud_rate(pty: Pty) -> None:
         SerialPort(pty.path, -5)
 
 
-def test_network_port() -> None:
+def test_a_url_opens_a_network_port() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         url = f"socket://127.0.0.1:{server.getsockname()[1]}"
         with SerialPort(url, 115_200) as port:

@@ -212,7 +212,7 @@ def test_set_flags_by_name(fake_port: FakePort, run: Run, fake_board: FakeServo)
         (["axis1.speed", "1"], "can only be read"),
     ],
 )
-def test_set_refuses(
+def test_set_refuses_a_bad_value_with_its_reason(
     fake_port: FakePort,
     run: Run,
     fake_board: FakeServo,
@@ -379,7 +379,7 @@ def test_a_missing_file(fake_port: FakePort, run: Run, tmp_path: Path, capsys: p
     assert "no.toml: No such file" in capsys.readouterr().err
 
 
-def test_save_nothing(fake_port: FakePort, run: Run, tmp_path: Path) -> None:
+def test_save_without_a_match_writes_no_file(fake_port: FakePort, run: Run, tmp_path: Path) -> None:
     assert run("save", str(tmp_path / "x.toml"), "--match", "axis*") == 1
     assert not (tmp_path / "x.toml").exists()
 
@@ -563,14 +563,14 @@ def test_a_servo_board_of_another_version_is_not_written(
 
 
 # ---- trouble ------------------------------------------------------------------------------------------------------
-def test_no_port(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_port_is_named_in_one_line(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("info", "--port", "/dev/ttyNOPE") == 1
     err = capsys.readouterr().err
     assert "there is no port /dev/ttyNOPE" in err
     assert err.count("\n") == 1
 
 
-def test_another_device(tmp_path: Path, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_device_of_another_protocol_is_named(tmp_path: Path, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     with FakePort(tmp_path / "ttyFAKE", NoiseDevice()):
         assert run("info") == 1
     assert "not in FreeMASTER" in capsys.readouterr().err

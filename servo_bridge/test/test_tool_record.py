@@ -153,7 +153,7 @@ def test_what_cannot_be_recorded_is_said(
 @pytest.mark.parametrize(
     "arguments", [["--before", "130%"], ["--before", "some"], ["--fast", "--slow"], ["--points", "-1"]]
 )
-def test_wrong_options(run: Run, arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_options_show_the_usage(run: Run, arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         run("record", "x", "-o", "x.csv", *arguments)
     assert "usage: servo-tool" in capsys.readouterr().err

@@ -100,7 +100,7 @@ def test_a_board_without_a_recorder(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "no recorder 0; recorders: none" in capsys.readouterr().err
 
 
-def test_wrong_options(capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_options_show_the_reason(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         tool.main(["scope", "x", "--count", "0"])
     assert "0 is not above 0" in capsys.readouterr().err

@@ -54,7 +54,7 @@ def test_a_json_file_gives_waypoints(tmp_path: File) -> None:
         ("time,axis1\n0,1\n0,2\n", "line 3: time 0 s is not after 0 s; order the lines by time"),
     ],
 )
-def test_wrong_csv(tmp_path: File, text: str, sentence: str) -> None:
+def test_a_wrong_csv_file_is_refused(tmp_path: File, text: str, sentence: str) -> None:
     with pytest.raises(TrajectoryError, match=f"path.csv: {sentence}"):
         read(tmp_path, "path.csv", text)
 
@@ -85,7 +85,7 @@ def test_wrong_csv(tmp_path: File, text: str, sentence: str) -> None:
         ),
     ],
 )
-def test_wrong_json(tmp_path: File, text: str, sentence: str) -> None:
+def test_a_wrong_json_file_is_refused(tmp_path: File, text: str, sentence: str) -> None:
     with pytest.raises(TrajectoryError, match=f"path.json: {sentence}"):
         read(tmp_path, "path.json", text)
 

@@ -149,7 +149,7 @@ def test_a_waypoint_at_the_start_gives_way_to_the_state() -> None:
         ((JOINTS, [0, 1], [[0, 0], [1, 1]], None, [None, [0, 0]]), "point #1 has accelerations but no velocities"),
     ],
 )
-def test_wrong_waypoints(arguments: Any, sentence: str) -> None:
+def test_wrong_waypoints_are_refused(arguments: Any, sentence: str) -> None:
     with pytest.raises(TrajectoryError, match=sentence):
         Waypoints.of(*arguments)
 

@@ -219,7 +219,7 @@ def test_wrong_messages_change_nothing(arguments: Any, sentence: str) -> None:
     assert stream.points(10.0) == {}
 
 
-def test_wrong_limits() -> None:
+def test_wrong_limits_are_refused() -> None:
     for wrong in (0.0, math.nan):
         with pytest.raises(ValueError, match="limits must be above 0"):
             Stream(["axis1"], State.at_rest([0.0]), [wrong])

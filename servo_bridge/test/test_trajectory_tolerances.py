@@ -43,7 +43,7 @@ def test_zero_is_the_default_and_minus_one_none() -> None:
         (requested("elbow"), -2, "tolerance of 'elbow', which the trajectory does not move"),
     ],
 )
-def test_illegal_tolerances(tolerance: SimpleNamespace, code: int, sentence: str) -> None:
+def test_illegal_tolerances_are_refused(tolerance: SimpleNamespace, code: int, sentence: str) -> None:
     with pytest.raises(TrajectoryError, match=sentence) as caught:
         tolerances_from([tolerance], JOINTS, {})
     assert caught.value.code == code

@@ -133,7 +133,7 @@ def test_damaged_applied_commands_are_refused(data: list[float]) -> None:
 
 
 # ---- words
-def test_state_labels() -> None:
+def test_a_state_label_has_the_sub_state_in_run_only() -> None:
     assert convert.state_label(CATALOGUE, 3, 2) == "RUN/ALIGN"
     assert convert.state_label(CATALOGUE, 2, 3) == "STOP"
     assert convert.state_label(CATALOGUE, 7, 0) == "7"

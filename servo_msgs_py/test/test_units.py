@@ -66,7 +66,7 @@ def test_rpm_counts_turns_per_minute() -> None:
         (0x8000_0000 - 1, 0, 0x8000_0000 - 1),
     ],
 )
-def test_unwrap_examples(raw: int, previous: int, expected: int) -> None:
+def test_a_wrapped_counter_is_unwrapped(raw: int, previous: int, expected: int) -> None:
     assert units.unwrap_u32(raw, previous) == expected
 
 

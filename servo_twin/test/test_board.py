@@ -263,7 +263,7 @@ class TestPlant:
             torques.append(board.truth(0).torque_e)
         assert any(torques)
 
-    def test_another_plant(self) -> None:
+    def test_a_board_has_the_plant_that_it_is_given(self) -> None:
         with Board(PlantConfig.load().with_axis(0, theta_start=1.0).with_bus(u_source=20.0)) as board:
             board.run(0.01)
             assert board.truth(0).theta_m == 1.0
@@ -284,7 +284,7 @@ class TestLife:
             board.truth(axis)
 
     @pytest.mark.parametrize("options", [{"seed": -1}, {"seed": 1 << 64}, {"baud": 0.0}])
-    def test_impossible_options(self, options: dict[str, float]) -> None:
+    def test_impossible_options_are_refused(self, options: dict[str, float]) -> None:
         with pytest.raises(ValueError, match="is not within"):
             Board(**options)  # type: ignore[arg-type]
 

@@ -263,7 +263,7 @@ class TestScanEnd:
 
 
 class TestConditions:
-    def test_powered_down(self, rig: ChipRig) -> None:
+    def test_a_converter_without_power_takes_no_sample(self, rig: ChipRig) -> None:
         run_triggered(rig, ADC_PWR=0x01A7)
         assert rig.events("sample") == []
         assert rig.read("ADC_PWR") & 0x0C00 == 0x0C00
@@ -277,7 +277,7 @@ class TestConditions:
         rig.step(1)
         assert rig.read("ADC_PWR") & 0x0C00 == 0
 
-    def test_gated_off(self, rig: ChipRig) -> None:
+    def test_a_converter_without_clock_takes_no_sample(self, rig: ChipRig) -> None:
         run_triggered(rig)
         rig.clear()
         rig.write("SIM_PCE2", 0)

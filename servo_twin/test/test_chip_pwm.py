@@ -325,7 +325,7 @@ class TestForce:
         assert gates(rig, start) == [(10, OPEN), (110, HIGH)]
         assert rig.read("PWMA0_CTRL2") == 0
 
-    def test_inverted_source(self, rig: ChipRig) -> None:
+    def test_the_inverted_source_swaps_the_levels(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000)
         rig.run(start + 10)
         rig.write("PWMA_DTSRCSEL", 0x0004)

@@ -45,7 +45,7 @@ class TestClocks:
         rig.write("OCCS_CTRL", 0x0094)
 
     @pytest.mark.parametrize(("divby", "mhz"), [(0x2030, "98.000"), (0x2131, "50.000")])
-    def test_wrong_divider(self, registers_c: Native, divby: int, mhz: str) -> None:
+    def test_a_wrong_divider_is_an_error(self, registers_c: Native, divby: int, mhz: str) -> None:
         rig = ChipRig(registers_c, start=False)
         rig.write("SIM_PCE0", 0xFFFF)
         rig.write("OCCS_DIVBY", divby)
@@ -337,7 +337,7 @@ class TestWatchdog:
         rig.step(65536 * 12800 + 10)
         assert rig.boots == 2
 
-    def test_software_reset(self, rig: ChipRig) -> None:
+    def test_a_software_reset_opens_all_switches(self, rig: ChipRig) -> None:
         rig.write_all(PWM_PINS | pwm_module("A"))
         start_pwm(rig, "A")
         rig.step(HALF)
@@ -459,7 +459,7 @@ class TestSerial:
     @pytest.mark.parametrize(
         "broken", [{"SIM_GPSCL": 0, "SIM_GPSCH": 0}, {"GPIOC_PER": 0}, {"SCI0_CTRL1": 0}, {"SCI0_RATE": 0}]
     )
-    def test_not_connected(self, rig: ChipRig, broken: dict[str, int]) -> None:
+    def test_a_line_that_is_not_connected_transfers_nothing(self, rig: ChipRig, broken: dict[str, int]) -> None:
         rig.write_all(SERIAL | broken)
         rig.host_write(b"x")
         rig.write("SCI0_DATA", ord("y"))

@@ -96,7 +96,7 @@ class TestPosition:
         encoder.turn(4100, 10)
         assert count(rig) == 4100
 
-    def test_lines_swapped(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_swapped_lines_count_backwards(self, rig: ChipRig, encoder: Encoder) -> None:
         rig.write("TMRA0_CTRL", 0x80A5 & ~0x1E80 | 1 << 9)  # primary input 1, secondary input 0
         encoder.turn(7)
         assert count(rig) == -7
@@ -146,7 +146,7 @@ class TestPosition:
         encoder.turn(5)
         assert count(rig) == 0
 
-    def test_both_encoders(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_both_encoders_count_independently(self, rig: ChipRig, encoder: Encoder) -> None:
         other = Encoder(rig, "C2", "F8")
         encoder.turn(5)
         other.turn(-6)
@@ -482,7 +482,7 @@ def test_an_output_reaches_an_input_through_its_filter(rig: ChipRig) -> None:
     assert [c - start for c in rig.clocks("capture", a=6)] == [99 + 20]
 
 
-def test_gated_off(rig: ChipRig) -> None:
+def test_access_without_clock_is_an_error(rig: ChipRig) -> None:
     rig.write_all(LINES | timer("A"))
     rig.write("SIM_PCE0", 0x7F7F)  # TA0
     with pytest.raises(ChipError, match="TMRA0 CNTR is accessed while its clock is gated off"):

@@ -34,7 +34,9 @@ class TestBounds:
             (Bound(1.0, 2.0), [1.0, 1.5, 2.0], [0.9, 2.1]),
         ],
     )
-    def test_both_sides(self, bound: Bound, inside: list[float], outside: list[float | None]) -> None:
+    def test_a_bound_holds_inside_and_not_outside(
+        self, bound: Bound, inside: list[float], outside: list[float | None]
+    ) -> None:
         assert all(bound.holds(value) for value in inside)
         assert not any(bound.holds(value) for value in outside)
 
@@ -53,7 +55,7 @@ class TestReport:
         assert "never" in text
         assert "a note" in text
 
-    def test_summary_keys(self) -> None:
+    def test_every_row_of_the_summary_has_the_same_keys(self) -> None:
         rows = summary([outcome("a", 0.5, math.inf)])
         assert [set(row) for row in rows] == [{"name", "reference", "measured", "unit", "bound", "agrees", "level"}] * 2
         assert rows[0] == {

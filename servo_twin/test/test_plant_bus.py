@@ -26,7 +26,7 @@ def make(plant_c: Native, bus_plant: BusPlant) -> Any:
     return bus
 
 
-def test_begins_charged(plant_c: Native, bus_plant: BusPlant) -> None:
+def test_the_bus_begins_charged(plant_c: Native, bus_plant: BusPlant) -> None:
     bus = make(plant_c, bus_plant)
     assert bus.u == 24.0
     plant_c.lib.supply_advance(bus, STEP, 0.0)

@@ -106,7 +106,7 @@ def test_agrees_with_the_flux_equations_of_the_stator_frame(plant_c: Native, iro
 
 
 @pytest.mark.parametrize("iron", [0.0, 1.5], ids=["linear", "saturated"])
-def test_energy_balance(plant_c: Native, iron: float) -> None:
+def test_energy_is_conserved(plant_c: Native, iron: float) -> None:
     """Electrical energy in = heat + friction + kinetic + magnetic energy."""
     axis = plain(friction=2e-3, viscous=1e-5, i_saturation_d=iron, i_saturation_q=iron).axes[0]
     motor = make(plant_c, axis)

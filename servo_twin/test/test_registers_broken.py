@@ -106,7 +106,7 @@ def resets_by_watchdog(board: Board) -> bool:
 # ---- as it should be ------------------------------------------------------------------------------------------------
 
 
-def test_nothing_wrong(board: Board) -> None:
+def test_without_a_mistake_the_loops_run_on_time(board: Board) -> None:
     events = trace(board, 10 * PERIOD_S)
     assert abs(lag(events) - HALF) <= 3
     assert loops(events) in ([M1, M2] * 10, [M2, M1] * 10)

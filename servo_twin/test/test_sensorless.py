@@ -134,7 +134,7 @@ def test_hand_over_has_no_jump() -> None:
 
 @pytest.mark.parametrize("speed", [60.0, 250.0, -200.0])
 def test_turning_shaft_is_caught(speed: float) -> None:
-    """Outputs off at speed, and enabled again: no ramp, no blow, within 100 ms."""
+    """Outputs off at speed, and enabled again: no ramp, no jerk, within 100 ms."""
     with sensorless((speed, 0.0)) as board:
         until(board, SPIN, 0.5)
         board.run(0.4)
@@ -160,7 +160,7 @@ def test_turning_shaft_is_caught(speed: float) -> None:
         assert board.truth(0).omega_m == pytest.approx(speed, abs=4.0)
 
 
-def test_load_step(running: Board) -> None:
+def test_a_load_step_does_not_stop_the_shaft(running: Board) -> None:
     running.set_load(0, 0.04)
     running.run(0.3)
     assert running.truth(0).omega_m == pytest.approx(100.0, abs=3.0)

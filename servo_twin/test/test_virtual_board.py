@@ -383,7 +383,7 @@ def test_a_bad_plant_file_is_explained(tmp_path: Path, capsys: pytest.CaptureFix
     assert "axis1.r_s: -1 is not above 0" in capsys.readouterr().err
 
 
-def test_help_helps(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_names_every_option(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main(["--help"])
     assert stop.value.code == 0

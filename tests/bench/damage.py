@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / "servo_bridge" / "test"), str(ROOT / "firmware" / "test")]
 
 from fake_transport import client_on  # noqa: E402
-from firmware_compiler import LibraryCompiler  # noqa: E402
+from firmware_compiler import CompileC  # noqa: E402
 from freemaster_board import CDEF, Board  # noqa: E402
 from freemaster_model import COMM_SOURCES, ENTRIES, SERVO  # noqa: E402
 from lossy_line import LossyLine  # noqa: E402
@@ -60,7 +60,7 @@ def new_server(folder: Path) -> Board:
     table = folder / "table.c"
     table.write_text(SERVO.c_source(), encoding="ascii")
     sources: list[str | Path] = [*COMM_SOURCES, "test/freemaster_harness.c", table]
-    ffi, lib = LibraryCompiler(folder)("freemaster_damage", sources, CDEF, SERVO.defines)
+    ffi, lib = CompileC(folder)("freemaster_damage", sources, CDEF, SERVO.defines)
     return Board(ffi, lib, SERVO)
 
 

@@ -134,7 +134,7 @@ class Bench:
         self.torque_of_load = part * self.current * self.motor.torque_constant
         self.board.set_load(self.axis, self.torque_of_load)
 
-    def blow(self, part: float) -> None:
+    def load_pulse(self, part: float) -> None:
         """The same against the motion, if the bus can take it; the bus need not take what drives a shaft."""
         if self.place() == "SPIN":
             self.load(math.copysign(part, self.board.truth(self.axis).omega_m))
@@ -430,7 +430,7 @@ def _order(bench: Bench, rng: random.Random) -> Callable[[], None]:
 
 
 def _manoeuvres(bench: Bench, rng: random.Random) -> Script:
-    """One order after the other, whether the last one has been carried out or not, and blows of the load."""
+    """One order after the other, whether the last one has been carried out or not, and load pulses."""
     bench.boot()
     bench.hold()
     events, moment = _ripple(bench, rng), 0.0
@@ -438,23 +438,23 @@ def _manoeuvres(bench: Bench, rng: random.Random) -> Script:
         events.append((moment, _order(bench, rng)))
         events.append((moment + 1e-3, bench.enable))  # the one that has withdrawn the drive, too
         events.append((moment + 1e-3, lambda: rig.set_axis(bench.board, "cmd.quick_stop", bench.axis, 0.0)))
-        blow, length = rng.uniform(-0.4, 0.4), rng.uniform(0.005, 0.1)
-        events.append((moment + 0.01, lambda blow=blow: bench.blow(blow)))  # type: ignore[misc]
+        torque, length = rng.uniform(-0.4, 0.4), rng.uniform(0.005, 0.1)
+        events.append((moment + 0.01, lambda torque=torque: bench.load_pulse(torque)))  # type: ignore[misc]
         events.append((moment + 0.01 + length, lambda: bench.load(0.0)))
         moment += rng.uniform(0.12, 0.5)
     return Script(0.0, events, LENGTH)
 
 
 def _observed_manoeuvres(bench: Bench, rng: random.Random) -> Script:
-    """Speeds of either sign, stops among them, and small blows."""
+    """Speeds of either sign, stops among them, and small load pulses."""
     bench.boot()
     bench.turning(_part(bench, rng, 0.1, 0.9))
     events, moment = _ripple(bench, rng), 0.0
     while moment < LENGTH:
         speed = rng.choice((_part(bench, rng, 0.2, 0.95), _part(bench, rng, 0.2, 0.95), 0.0))
-        blow, length = rng.uniform(-0.1, 0.1), rng.uniform(0.005, 0.1)
+        torque, length = rng.uniform(-0.1, 0.1), rng.uniform(0.005, 0.1)
         events.append((moment, lambda speed=speed: bench.speed(speed)))  # type: ignore[misc]
-        events.append((moment + 0.3, lambda blow=blow: bench.blow(blow)))  # type: ignore[misc]
+        events.append((moment + 0.3, lambda torque=torque: bench.load_pulse(torque)))  # type: ignore[misc]
         events.append((moment + 0.3 + length, lambda: bench.load(0.0)))
         moment += rng.uniform(0.45, 1.5)
     return Script(0.0, events, LENGTH)

@@ -243,8 +243,8 @@ def _break(trial: Trial, bench: Bench, watch: _Watch, sign: float) -> Result:
     gained = watch.speed_max - before if found else 0.0
     name = bench.first_fault()
     right = damage.names(Seen(watch.u_min, watch.u_max))
-    blows = damage.kind == NO_DAMAGE  # of a load, which may well drive a light shaft beyond its limit
-    most = np.inf if blows else RUNAWAY_MARGIN + max(at_first, bench.speed_limit) + driven
+    load_pulses = damage.kind == NO_DAMAGE  # of a load, which may well drive a light shaft beyond its limit
+    most = np.inf if load_pulses else RUNAWAY_MARGIN + max(at_first, bench.speed_limit) + driven
     complaints = [
         *([] if name in right else [f"{name or 'no fault'} instead of {' or '.join(n or 'none' for n in right)}"]),
         *([] if fastest <= most else [f"{fastest:.0f} rad/s"]),
