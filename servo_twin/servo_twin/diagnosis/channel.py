@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from servo_twin.diagnosis.hypotheses import Evidence, Unknowns
 from servo_twin.diagnosis.window import Rows, Sums, Window
 
-__all__ = ["Channel", "Estimate", "Finding", "Kind"]
-
 _INTERVAL: Final = 1.96  # of 95 %
 _SEPARATE: Final = 6.0  # by which the likelihood of the change that is named exceeds that of any other,
 _SEPARATE_PART: Final = 0.1  # and by which part of itself

@@ -19,8 +19,6 @@ from servo_twin.level import FAST_LEVEL, chosen_level
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import Runner, run_in_order
 
-__all__ = ["add_parser", "summary"]
-
 _DEFAULT: Final = tuple(
     Change(name, size) for name in PLANT_VALUES for size in ((1e-3, -1e-3) if name == "load" else (1.15, 0.85))
 )

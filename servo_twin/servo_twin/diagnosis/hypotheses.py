@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from servo_twin.diagnosis.window import Sums
 
-__all__ = ["Evidence", "Unknowns"]
-
 _TRANSIENT: Final = 3  # blocks after a change in which the loops may still settle: what they show does not count later
 
 _Array = NDArray[np.float64]

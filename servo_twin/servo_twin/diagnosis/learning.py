@@ -31,8 +31,6 @@ from servo_twin.diagnosis.window import BLOCK, Window
 from servo_twin.lockstep.twin import Pair
 from servo_twin.plant import PlantConfig
 
-__all__ = ["FALSE_ALARM_HOURS", "Learner"]
-
 FALSE_ALARM_HOURS: Final = 48.0
 """Mean time between false alarms that is aimed at [h of motion]."""
 

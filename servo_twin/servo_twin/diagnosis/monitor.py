@@ -18,8 +18,6 @@ from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.lockstep.twin import Pair
 from servo_twin.plant import PlantConfig
 
-__all__ = ["MARGINS", "PLANT_VALUES", "SUPPLY", "DiagnosisMonitor", "Located"]
-
 SUPPLY: Final = "supply"
 
 PLANT_VALUES: Final[Mapping[str, str]] = {

@@ -22,8 +22,6 @@ from servo_twin.lockstep.replica import Replica
 from servo_twin.lockstep.twin import Pair, Twin
 from servo_twin.plant import PlantConfig
 
-__all__ = ["SAMPLE_TICKS", "BoardPair", "Motion"]
-
 SAMPLE_TICKS: Final = 17
 """Slow ticks between two samples: 8.5 ms, what a line of 115200 baud carries of the default telemetry."""
 

@@ -12,8 +12,6 @@ from servo_msgs_py.units import PERIOD_NS
 from servo_twin.diagnosis.channel import Estimate, Finding, Kind
 from servo_twin.diagnosis.monitor import SUPPLY, Located
 
-__all__ = ["NOTHING_CHANGED", "estimate_numbers", "estimate_text", "finding_text", "located_text"]
-
 NOTHING_CHANGED: Final = "nothing has changed"
 
 _WORDS: Final = {

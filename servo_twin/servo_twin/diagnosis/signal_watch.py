@@ -13,8 +13,6 @@ from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.lockstep.twin import Pair
 
-__all__ = ["WATCHED", "SignalMeans", "SignalWatch"]
-
 WATCHED: Final = {"position": "rad", "speed": "rad/s", "i_q": "A", "u_q": "V", "u_d": "V"}
 """Variables of an axis, in the motor's units."""
 

@@ -27,8 +27,6 @@ from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.plant import AxisPlant
 
-__all__ = ["ALIASES", "CHANGES", "EQUATIONS", "NEEDED", "AxisEquations", "AxisSignals", "BusSignal"]
-
 CHANGES: Final = ("resistance", "flux", "inertia", "friction", "load", "encoder_angle")
 """Unknowns of an axis: relative changes, a torque [N m] and an electrical angle [rad]."""
 

@@ -27,8 +27,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["AxisNoise", "Thresholds", "ThresholdsError"]
-
 _PACKAGED: Final[Mapping[Level, Path]] = {
     "registers": Path(__file__).with_name("thresholds.toml"),
     "ideal": Path(__file__).with_name("thresholds_ideal.toml"),

@@ -20,8 +20,6 @@ from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 
-__all__ = ["NOTHING", "Answer", "Change", "HealthyRuns", "Trials", "confusion"]
-
 NOTHING: Final = "nothing"
 
 _BEFORE: Final = (3.0, 6.0)  # of motion, until the change comes [s]

@@ -8,8 +8,6 @@ from typing import Final, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BLOCK", "Rows", "Sums", "Window"]
-
 BLOCK: Final = 0.1
 """Time in motion that a block holds [s]."""
 
