@@ -30,9 +30,17 @@ def random_path(seed: int, *, quintic: bool = False) -> Path:
 
 
 def sampled(path: Path, name: str) -> tuple[Array, Array]:
-    """Times and magnitude, both sides of every breakpoint included."""
+    """Times and magnitude, both sides of every breakpoint and of every reversal (Coulomb friction jumps) included."""
     inside = [np.linspace(a, b, 4001)[:-1] for a, b in zip(path.times[:-1], path.times[1:], strict=True)]
     t = np.sort(np.concatenate((*inside, path.times[1:] - 1e-12)))
+    sign = np.sign(path.continued(t).velocity[:, 0])
+    reverses = np.flatnonzero(sign[:-1] * sign[1:] < 0.0)
+    low, high = t[reverses], t[reverses + 1]
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        before = np.sign(path.continued(middle).velocity[:, 0]) == sign[reverses]
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    t = np.sort(np.concatenate((t, low, high)))
     s = path.continued(t)
     p, v, a, e = (x[:, 0] for x in (s.position, s.velocity, s.acceleration, s.effort))
     torque = MODEL.inertia * a + MODEL.viscous * v + MODEL.coulomb * np.sign(v) + e
