@@ -185,7 +185,7 @@ class TestCommand:
         assert {row["level"] for row in json.loads((tmp_path / "summary.json").read_text())} == {chosen or "registers"}
         assert f"level {chosen or 'registers'}" in capsys.readouterr().out
 
-    def test_both_levels(
+    def test_levels_compares_every_figure_at_both_levels(
         self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
     ) -> None:
         def run(plant: PlantConfig, seed: int) -> Outcome:
