@@ -161,7 +161,7 @@ def worlds(request: pytest.FixtureRequest) -> Iterator[Callable[[], World]]:
 
 
 @pytest.mark.parametrize("reach", STATES, ids=lambda function: function.__name__)
-def test_writing_a_parameter_moves_no_shaft(worlds: Callable[[], World], reach: Callable[[World], None]) -> None:
+def test_parameter_written(worlds: Callable[[], World], reach: Callable[[World], None]) -> None:
     faster = FASTER_SENSORLESS if reach is sensorless_turning else FASTER
     world: World | None = None
     for variable in parameters(CATALOGUE):
