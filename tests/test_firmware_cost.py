@@ -96,9 +96,9 @@ def test_fast_loop_reaches_its_aim(measurement: Measurement) -> None:
 
 def test_sensorless_fast_loop_reaches_its_aim(measurement: Measurement) -> None:
     """The same with observer and PLL instead of the encoder."""
-    most = measurement.sensorless[OBSERVED_PHASE, FAST].most
-    assert most <= 1.02 * SENSORLESS_AIM, "missed by 1 % since the gains of the observer may change while it runs"
-    assert most > dearest(measurement.counts[REFERENCE], FAST) + 50, "the observer runs"
+    maximum = measurement.sensorless[OBSERVED_PHASE, FAST].maximum
+    assert maximum <= 1.02 * SENSORLESS_AIM, "missed by 1 % since the gains of the observer may change while it runs"
+    assert maximum > dearest(measurement.counts[REFERENCE], FAST) + 50, "the observer runs"
 
 
 def test_numbers_are_those_of_the_measurement(measurement: Measurement) -> None:
@@ -106,7 +106,7 @@ def test_numbers_are_those_of_the_measurement(measurement: Measurement) -> None:
     numbers = plain(measurement)
     for phase in PHASES:
         fast = numbers["instructions"][REFERENCE][phase]["fast loop"]
-        assert f"{fast['least']} {fast['mean']:.1f} {fast['most']}" in table(measurement)
+        assert f"{fast['min']} {fast['mean']:.1f} {fast['max']}" in table(measurement)
     control = numbers["bytes"][REFERENCE]["control"]
     assert f"{control['text']} + {control['rodata']}" in table(measurement)
 
@@ -121,7 +121,7 @@ def test_the_same_every_time(measurement: Measurement, programs: Programs) -> No
 def test_clock_and_trace_agree(measurement: Measurement, programs: Programs) -> None:
     """Two ways to count the same loops: the simulated timer, and every instruction looked up."""
     program = QemuProgram(cost_program(programs, loops=True), COUNTING)
-    counts = parse(program.run(image(phases=1 << PHASES.index(PHASE), most=PERIODS)))
+    counts = parse(program.run(image(phases=1 << PHASES.index(PHASE), maximum=PERIODS)))
     for kind, parts in ((FAST, measurement.stages.fast), (SLOW, measurement.stages.slow)):
         assert 0 <= counts[PHASE, kind].mean - sum(parts.values()) <= CALL_AND_RETURN
 
@@ -137,7 +137,7 @@ def test_seven_instructions_more_are_seven_more(measurement: Measurement, c_sour
     more = count(Programs.compile(sources, tmp_path / "build", REFERENCE))
     for key, before in measurement.counts[REFERENCE].items():
         extra = 0 if key[1] == SLOW else 7
-        assert (more[key].least, more[key].most) == (before.least + extra, before.most + extra)
+        assert (more[key].minimum, more[key].maximum) == (before.minimum + extra, before.maximum + extra)
 
 
 def test_everything_is_included(measurement: Measurement) -> None:
@@ -154,7 +154,7 @@ def test_axes_move(measurement: Measurement) -> None:
     counts = measurement.counts[REFERENCE]
     assert counts["voltage limit", FAST].mean > counts["speed", FAST].mean + 20
     for phase in PHASES[1:]:
-        assert counts[phase, SLOW].most > counts[phase, SLOW].least
+        assert counts[phase, SLOW].maximum > counts[phase, SLOW].minimum
         assert counts[phase, FAST].number == 16 * counts[phase, SLOW].number / 2
 
 

@@ -93,10 +93,10 @@ def test_text_goes_out_in_parts_that_fit(new_board: Callable[[Layout], Board]) -
     board = new_board(TINY)
     text = bytes(range(0x30, 0x30 + 70))
     board.print(text)
-    most = TINY.mtu - 3
-    assert board.ask(PIPE, even()).data == b"\x01\x00" + text[:most]
-    assert board.ask(PIPE, odd(most)).data == b"\x81\x00" + text[most : 2 * most]
-    assert board.ask(PIPE, even(most)).data == b"\x01\x00" + text[2 * most :]
+    maximum = TINY.mtu - 3
+    assert board.ask(PIPE, even()).data == b"\x01\x00" + text[:maximum]
+    assert board.ask(PIPE, odd(maximum)).data == b"\x81\x00" + text[maximum : 2 * maximum]
+    assert board.ask(PIPE, even(maximum)).data == b"\x01\x00" + text[2 * maximum :]
 
 
 @given(seed=st.integers(0, 2**32 - 1))

@@ -29,14 +29,16 @@ class Motor(NamedTuple):
 MOTOR = Motor()
 
 
-@given(speed=st.floats(10.0, 500.0), volts=st.floats(5.0, 15.0), most=st.floats(0.0, 3.5), fraction=st.floats(0.0, 1.0))
+@given(
+    speed=st.floats(10.0, 500.0), volts=st.floats(5.0, 15.0), maximum=st.floats(0.0, 3.5), fraction=st.floats(0.0, 1.0)
+)
 def test_the_torque_that_is_left_is_within_voltage_and_current(
-    speed: float, volts: float, most: float, fraction: float
+    speed: float, volts: float, maximum: float, fraction: float
 ) -> None:
     """And no other current within them gives more, to what the steps of i_d leave."""
-    best = reserve_at(MOTOR, 4.0, speed, volts, -most)
-    omega, i_d = 2.0 * speed, -fraction * most
-    assert -most <= best.i_d <= 0.0
+    best = reserve_at(MOTOR, 4.0, speed, volts, -maximum)
+    omega, i_d = 2.0 * speed, -fraction * maximum
+    assert -maximum <= best.i_d <= 0.0
     assert math.hypot(best.i_d, best.i_q) <= 4.0 + 1e-9
     if best.torque > 0.0:
         assert voltage(omega, best.i_d, best.i_q) <= volts + 1e-9

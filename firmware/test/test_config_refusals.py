@@ -74,8 +74,8 @@ def test_what_no_entry_can_be(place: str, name: str, entry: Entry) -> None:
         wrong.append((0.0, "too small"))
     if entry.whole:
         wrong.append((2.5, "not a whole number"))
-    if math.isfinite(entry.most):
-        wrong.append((entry.most * 1.001 if not entry.whole else entry.most + 1.0, "too large"))
+    if math.isfinite(entry.maximum):
+        wrong.append((entry.maximum * 1.001 if not entry.whole else entry.maximum + 1.0, "too large"))
     for value, reason in wrong:
         with pytest.raises(ConfigError) as refusal:
             compute(**{place: value})

@@ -90,7 +90,7 @@ def test_back_emf_has_no_bias(core: Core, omega: float, i_q: float) -> None:
 
 
 @pytest.mark.parametrize(("r", "l_s", "most"), [(0.5, 1.0, 1.0), (1.5, 1.0, 1.0), (1.0, 0.5, 4.0), (1.0, 1.5, 4.0)])
-def test_a_wrong_nominal_value_turns_the_angle_as_on_paper(core: Core, r: float, l_s: float, most: float) -> None:
+def test_a_wrong_nominal_value_turns_the_angle_as_on_paper(core: Core, r: float, l_s: float, maximum: float) -> None:
     """ST slide "控制性能介绍": low sensitivity to R_s, moderate to L_s.
 
     With i_d = 0, R changes only the size of e, and L turns it by delta_L i_q / psi.
@@ -101,7 +101,7 @@ def test_a_wrong_nominal_value_turns_the_angle_as_on_paper(core: Core, r: float,
     for _ in range(16000):  # the PLL has to learn first what the size is off by
         rig.step(lambda t: omega * t, i_q)
     error = math.degrees(rig.angle_error(lambda t: omega * t))
-    assert abs(error) < most
+    assert abs(error) < maximum
     assert error == pytest.approx(math.degrees(L * (l_s - 1.0) * i_q / PSI), abs=0.4)
 
 

@@ -73,10 +73,10 @@ def beyond(x: int, target: int) -> int:
     return (x - target * ONE + 2**55) % 2**56 - 2**55
 
 
-def braking_speed(distance: int, acceleration: int, most: int) -> int:
+def braking_speed(distance: int, acceleration: int, maximum: int) -> int:
     if distance <= acceleration:
-        return min(distance, most)
-    return min(math.isqrt(2 * acceleration * distance) - (acceleration + 1) // 2, most)
+        return min(distance, maximum)
+    return min(math.isqrt(2 * acceleration * distance) - (acceleration + 1) // 2, maximum)
 
 
 def stopping_distance(speed: int, acceleration: int) -> Fraction:
@@ -113,8 +113,8 @@ class Integers:
 
     def retune(self, target: int, acceleration: int, omega: int) -> None:
         step, excess = self.times(self.filter), self.ramp + self.speed - self.output - 2 * self.filter
-        most = towards_zero(towards_zero(acceleration * 2**32, omega), omega)
-        pull = clip(self.over(excess, omega), -most, most)
+        maximum = towards_zero(towards_zero(acceleration * 2**32, omega), omega)
+        pull = clip(self.over(excess, omega), -maximum, maximum)
         ramp, speed = self.ramp, self.speed
         self.filter, self.omega = self.over(self.filter, omega), omega
         following = self.times(self.times(pull))
@@ -208,16 +208,16 @@ def test_every_bit_of_a_new_omega(
         assert state_of(path) == model.state
 
 
-@given(distance=DISTANCE, acceleration=ACCELERATION, most=STEP)
+@given(distance=DISTANCE, acceleration=ACCELERATION, maximum=STEP)
 @settings(max_examples=2000)
-def test_braking_speed_suffices_and_wastes_little(core: Core, distance: int, acceleration: int, most: int) -> None:
+def test_braking_speed_suffices_and_wastes_little(core: Core, distance: int, acceleration: int, maximum: int) -> None:
     """An eighth of the acceleration is what the constant deceleration is worth over steps that end on the target."""
-    speed = core.lib.braking_speed(distance, acceleration, most)
-    assert speed == braking_speed(distance, acceleration, most)
-    assert 0 <= speed <= most
+    speed = core.lib.braking_speed(distance, acceleration, maximum)
+    assert speed == braking_speed(distance, acceleration, maximum)
+    assert 0 <= speed <= maximum
     assert stopping_distance(speed, acceleration) <= distance
     higher = speed + acceleration // 8 + 2
-    assert higher > most or stopping_distance(higher, acceleration) > distance
+    assert higher > maximum or stopping_distance(higher, acceleration) > distance
 
 
 def moved(path: Path, target: int, ticks: int, *limits: int) -> NDArray[np.int64]:
@@ -358,9 +358,9 @@ def test_stop_where_the_ramp_can_stop(core: Core, step: int, acceleration: int, 
     """Neither passed nor far behind where full braking ends, and no nearer when asked for again on the way."""
     path = Path(core, 3276, 0, way * step)
     stop = core.lib.path_stop(path.c, acceleration)
-    least = stopping_distance(max(step - acceleration, 0), acceleration) if step > acceleration else Fraction(0)
-    beyond_min = way * (stop * ONE - path.c.ramp) - least
-    assert 0 <= beyond_min <= 2 * ONE + acceleration // 4 + least / 2**14
+    minimum = stopping_distance(max(step - acceleration, 0), acceleration) if step > acceleration else Fraction(0)
+    beyond_min = way * (stop * ONE - path.c.ramp) - minimum
+    assert 0 <= beyond_min <= 2 * ONE + acceleration // 4 + minimum / 2**14
     log = moved(path, stop, again, SPEED_LIMIT, acceleration)
     assert (way * log[:, 0]).max() <= way * stop * ONE
     assert way * core.lib.path_stop(path.c, acceleration) >= way * stop

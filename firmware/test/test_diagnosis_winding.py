@@ -71,10 +71,10 @@ class Model:
         self.state.squares = round(i_q * AMPERE) ** 2 // STEP_TICKS * STEP_TICKS
         self._lib.winding_model_step(self.state, self.config, True)
 
-    def limit(self, most: float = 4.0) -> float:
+    def limit(self, maximum: float = 4.0) -> float:
         """What is left of a limit [A]."""
-        winding = self._lib.winding_model_limit(self.state, self.config, round(most * AMPERE))
-        return min(float(winding) / AMPERE, most)
+        winding = self._lib.winding_model_limit(self.state, self.config, round(maximum * AMPERE))
+        return min(float(winding) / AMPERE, maximum)
 
 
 def exact(it: Winding, begin: float, current: float, seconds: float) -> float:
@@ -146,10 +146,10 @@ def test_no_configuration_that_a_board_takes_leaves_the_formats(rig: Diagnosis, 
         model.steps(current[0] / AMPERE, current[1] / AMPERE)
         raised = (model.state.temperature >> 16) - lowest
         assert raised >= -1, "neither heating nor cooling wraps"
-        most = data.draw(st.integers(0, 2**15 - 1))
-        limit = model._lib.winding_model_limit(model.state, model.config, most)
-        assert min(most, block[GROUP + "rated_current"]) <= limit <= 2**15 - 1
-        assert limit <= most or limit == 2**15 - 1
+        maximum = data.draw(st.integers(0, 2**15 - 1))
+        limit = model._lib.winding_model_limit(model.state, model.config, maximum)
+        assert min(maximum, block[GROUP + "rated_current"]) <= limit <= 2**15 - 1
+        assert limit <= maximum or limit == 2**15 - 1
 
 
 def test_the_largest_losses_saturate(rig: Diagnosis) -> None:

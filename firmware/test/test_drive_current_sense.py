@@ -145,18 +145,23 @@ def test_drift_is_followed_slowly(core: Core, sense: Any) -> None:
     codes=st.tuples(edges(0, 4095), edges(0, 4095)),
     pair=st.integers(0, 2),
     duty=st.tuples(I16, I16, I16),
-    least=edges(0, MAX16),
+    minimum=edges(0, MAX16),
 )
 @settings(max_examples=300)
 def test_every_bit_of_tracking(
-    core: Core, offsets: tuple[int, int, int], codes: tuple[int, int], pair: int, duty: tuple[int, int, int], least: int
+    core: Core,
+    offsets: tuple[int, int, int],
+    codes: tuple[int, int],
+    pair: int,
+    duty: tuple[int, int, int],
+    minimum: int,
 ) -> None:
     """A 256th of the error, towards minus infinity, and only for the phases of this pair with a long high side."""
     sense = core.ffi.new("current_sense_t *", {"offset": offsets, "pair": pair, "duty": duty})
-    core.lib.current_sense_track(sense, codes, least)
+    core.lib.current_sense_track(sense, codes, minimum)
     expected = list(offsets)
     for code, phase in zip(codes, PHASES[pair], strict=True):
-        if duty[phase] >= least:
+        if duty[phase] >= minimum:
             expected[phase] += ((code << 16) - offsets[phase]) >> 8
     assert list(sense.offset) == expected
 

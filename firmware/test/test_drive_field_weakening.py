@@ -54,10 +54,10 @@ def test_does_nothing_without_the_feature(bench: Bench) -> None:
 def test_motoring_current_gives_way_and_braking_current_does_not(bench: Bench) -> None:
     """Beside 3 A of 4 A there are 2.6 A; motoring, none where the voltage never suffices."""
     weakened(bench)
-    for wanted, most in ((4.0, 0.0), (-4.0, 2.645)):
+    for wanted, maximum in ((4.0, 0.0), (-4.0, 2.645)):
         bench.write(0, mode=MODE.TORQUE, i_q=amps(wanted))
         bench.slow(5)
-        assert abs(int(bench.axis(0).current_ref.q)) == pytest.approx(amps(most), abs=2)
+        assert abs(int(bench.axis(0).current_ref.q)) == pytest.approx(amps(maximum), abs=2)
         assert bench.axis(0).motion.current_reduced
 
 

@@ -123,10 +123,10 @@ def test_failure_has_a_name(bench: Bench) -> None:
     to_ready(bench)
     bench.write(0, speed=speed(100.0))
     bench.to_substate(0, SUBSTATE.STARTUP, 3)
-    most = bench.axis(0).config.startup.duration_ticks + bench.axis(0).config.startup.catch_ticks
-    ticks = bench.until(lambda: bench.view(0).state == STATE.FAULT, most + 20)
+    maximum = bench.axis(0).config.startup.duration_ticks + bench.axis(0).config.startup.catch_ticks
+    ticks = bench.until(lambda: bench.view(0).state == STATE.FAULT, maximum + 20)
     assert bench.view(0).faults == FAULTS.START_UP
-    assert ticks == pytest.approx(most, abs=4)
+    assert ticks == pytest.approx(maximum, abs=4)
     assert not bench.hal.axis[0].outputs_on
     bench.slow(2)
     bench.clear(0)

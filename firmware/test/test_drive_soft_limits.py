@@ -280,11 +280,11 @@ def test_limit_moved_onto_a_turning_shaft_is_ramped_down_to(bench: Bench, sign: 
     here=st.one_of(st.integers(-(10**9), 10**9), st.none()),
     near=st.floats(0.0, 17.0),
     omega=st.integers(1, 16384),
-    most=st.floats(0.1, 419.0),
+    maximum=st.floats(0.1, 419.0),
     acceleration=st.floats(0.0, math.log(50_000.0)).map(math.exp),
 )
 def test_allowed_speeds_over_every_limit(
-    core: Core, low: int, high: int, here: int | None, near: float, omega: int, most: float, acceleration: float
+    core: Core, low: int, high: int, here: int | None, near: float, omega: int, maximum: float, acceleration: float
 ) -> None:
     """v <= (omega_n / e) distance up to the tangent of a parabola of half the acceleration limit.
 
@@ -295,7 +295,7 @@ def test_allowed_speeds_over_every_limit(
     axis.features = FEATURES.POSITION_LIMITS
     here = high - round(math.exp(near)) if here is None else here
     axis.limits.position_min, axis.limits.position_max = low, high
-    axis.limits.speed = speed(most)
+    axis.limits.speed = speed(maximum)
     axis.limits.acceleration = speed(acceleration * TICK)
     axis.feedback.position = here
     axis.path_limits = core.lib.soft_limits_path(axis.config, core.ffi.addressof(axis.limits), omega)
@@ -305,8 +305,8 @@ def test_allowed_speeds_over_every_limit(
         k, a = omega / 65536 / TICK / math.e, 0.5 * acceleration
         distance = max(counts * COUNT, 0.0)
         if distance > a / k**2:
-            return min(most, math.sqrt(2.0 * a * (distance - 0.5 * a / k**2)) - 0.5 * a * TICK)
-        return min(most, k * distance)
+            return min(maximum, math.sqrt(2.0 * a * (distance - 0.5 * a / k**2)) - 0.5 * a * TICK)
+        return min(maximum, k * distance)
 
     assert rad_s(allowed.max) == pytest.approx(expected(high - here), rel=1e-3, abs=0.1 * acceleration * TICK)
     assert rad_s(allowed.min) == pytest.approx(-expected(here - low), rel=1e-3, abs=0.1 * acceleration * TICK)

@@ -55,8 +55,8 @@ def test_constants_are_those_of_the_motor(core: Core, axis: int) -> None:
     angle = config.step * config.ticks / 65536 * 360
     assert config.ticks * PERIODS * PERIOD == pytest.approx(0.1)
     assert angle == pytest.approx(120.0, rel=0.01)
-    least = 0.3 * PSI[axis] * math.radians(120.0) / FULL_VOLTAGE * 32768 / PERIOD
-    assert config.flux_min == pytest.approx(least, abs=1)
+    minimum = 0.3 * PSI[axis] * math.radians(120.0) / FULL_VOLTAGE * 32768 / PERIOD
+    assert config.flux_min == pytest.approx(minimum, abs=1)
     omega = math.radians(120.0) / 0.1
     assert config.inductive == pytest.approx(omega * INDUCTANCE[axis] * CURRENT / FULL_VOLTAGE * 32768, abs=1)
 

@@ -79,11 +79,11 @@ def test_found_with_another_inertia_than_nominal(core: Core, axis: int, inertia:
 def test_found_with_another_friction_than_usual(core: Core, axis: int, friction: float) -> None:
     """The error is the friction's of both currents, at most."""
     torque = friction * SHAFTS[axis][1]
-    most = FRICTION_ANGLE + 3.0 * math.degrees(torque / (K_T[axis] * SEARCH_CURRENT))
+    maximum = FRICTION_ANGLE + 3.0 * math.degrees(torque / (K_T[axis] * SEARCH_CURRENT))
     for degrees in range(-170, 180, 20):
         result = search(core, axis, degrees, 0.02, friction=torque)
         assert result.phase == FOUND, degrees
-        assert abs(result.error) < most, degrees
+        assert abs(result.error) < maximum, degrees
 
 
 def test_a_load_beyond_half_the_torque_ends_the_search(core: Core) -> None:

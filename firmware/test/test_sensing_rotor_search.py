@@ -96,9 +96,9 @@ class Stepped:
         for position in positions:
             self.lib.rotor_search_step(self.state, self.config, position)
 
-    def until(self, phase: int, position: int = 0, most: int = 500) -> None:
+    def until(self, phase: int, position: int = 0, maximum: int = 500) -> None:
         """So many slow ticks at one position at most."""
-        for _ in range(most):
+        for _ in range(maximum):
             if self.state.phase == phase:
                 return
             self.step(position)
@@ -445,9 +445,9 @@ def test_verification_turns_to_both_sides(stepped: Stepped) -> None:
     while s.phase == VERIFY:
         angles.append(wrapped(s.vector))
         stepped.step(0)
-    most = config.verify_angle + config.verify_step
-    assert config.verify_angle <= max(angles) < most
-    assert config.verify_angle <= -min(angles) < most
+    maximum = config.verify_angle + config.verify_step
+    assert config.verify_angle <= max(angles) < maximum
+    assert config.verify_angle <= -min(angles) < maximum
     assert (s.phase, s.side, s.refusals) == (REST, 1, 1)
 
 
@@ -694,7 +694,7 @@ def test_a_shaft_that_does_not_follow_three_times_is_held(stepped: Stepped, befo
 
 
 def test_a_shaft_comes_free_by_three_counts(stepped: Stepped) -> None:
-    stepped.until(TURN, most=2000)
+    stepped.until(TURN, maximum=2000)
     stepped.step(2)
     assert (stepped.state.phase, stepped.state.refusals) == (TURN, 0)
     stepped.step(3)

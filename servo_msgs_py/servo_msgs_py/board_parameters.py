@@ -141,11 +141,11 @@ def contradiction(values: RawParameters, catalogue: Catalogue) -> str:
     """What does not go together in a set of parameters, empty if everything does."""
     for low_name, high_name in _ORDERED:
         low, high = catalogue[low_name], catalogue[high_name]
-        for k, (least, most) in enumerate(zip(values.get(low_name, ()), values.get(high_name, ()), strict=False)):
-            if least > most:
+        for k, (minimum, maximum) in enumerate(zip(values.get(low_name, ()), values.get(high_name, ()), strict=False)):
+            if minimum > maximum:
                 return (
-                    f"{low_name}[{k}] {low.scale(least):.6g} {low.unit} would be above {high_name}[{k}] "
-                    f"{high.scale(most):.6g} {high.unit}: nothing could move"
+                    f"{low_name}[{k}] {low.scale(minimum):.6g} {low.unit} would be above {high_name}[{k}] "
+                    f"{high.scale(maximum):.6g} {high.unit}: nothing could move"
                 )
     return ""
 

@@ -403,11 +403,11 @@ class PlantConfig:
                 f"pwm_frequency: {self.pwm_frequency!r} Hz does not divide into quarter periods of whole nanoseconds"
             )
         for name, axis in zip(AXIS_NAMES, self.axes, strict=True):
-            most = STIFFEST * axis.inertia * self.pwm_frequency**2
-            if axis.stop_stiffness > most:
+            maximum = STIFFEST * axis.inertia * self.pwm_frequency**2
+            if axis.stop_stiffness > maximum:
                 raise PlantError(
                     f"{name}.stop_stiffness: {axis.stop_stiffness!r} N m/rad swings faster than a PWM period shows;"
-                    f" with this inertia the most is {most:.3g}"
+                    f" with this inertia the most is {maximum:.3g}"
                 )
 
     @classmethod

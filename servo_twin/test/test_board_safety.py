@@ -149,10 +149,10 @@ def test_less_current_makes_moves_slower_and_never_overshoot(board: Board, i_q: 
     board.write("param.i_q_limit", [i_q, i_q])
     board.run(0.01)
     results, log = move(board, {0: 20000, 1: -20000}, 4.0)
-    most = 2 if board.level == "ideal" else 5  # of 32 boards with 0.3 A one came 4 counts off
+    maximum = 2 if board.level == "ideal" else 5  # of 32 boards with 0.3 A one came 4 counts off
     for result in results:
-        assert result.overshoot <= most
-        assert result.steady_state <= most
+        assert result.overshoot <= maximum
+        assert result.steady_state <= maximum
     assert np.abs(board.si(log)["axis1.i_q_ref"]).max() <= i_q + 1e-3
 
 

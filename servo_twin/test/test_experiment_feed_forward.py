@@ -62,5 +62,5 @@ def test_figures_of_a_shaft_that_stays() -> None:
 
 
 def test_bounds_go_with_the_inertia() -> None:
-    most = [feed_forward.error_bound(100.0, Mismatch(there, 1.0)) for there in (0.5, 1.0, 2.0)]
-    assert most == pytest.approx([253.0, 78.0, 128.0])
+    maximum = [feed_forward.error_bound(100.0, Mismatch(there, 1.0)) for there in (0.5, 1.0, 2.0)]
+    assert maximum == pytest.approx([253.0, 78.0, 128.0])

@@ -20,7 +20,7 @@ REFERENCE = "what the reference design says"
 
 
 def outcome(name: str, *measured: float | None) -> Outcome:
-    rows = tuple(Row(f"figure {k}", REFERENCE, value, "rpm", Bound(most=1.0)) for k, value in enumerate(measured))
+    rows = tuple(Row(f"figure {k}", REFERENCE, value, "rpm", Bound(maximum=1.0)) for k, value in enumerate(measured))
     x = np.linspace(0.0, 1.0, 5)
     return Outcome(name, rows, (Panel("title", "x", "y", (Curve("line", x, x**2),)),), ("a note",))
 
@@ -29,8 +29,8 @@ class TestBounds:
     @pytest.mark.parametrize(
         ("bound", "inside", "outside"),
         [
-            (Bound(most=2.0), [2.0, -9.0], [2.01, math.nan, None, math.inf]),
-            (Bound(least=1.0), [1.0, 7.0], [0.99, math.nan, None]),
+            (Bound(maximum=2.0), [2.0, -9.0], [2.01, math.nan, None, math.inf]),
+            (Bound(minimum=1.0), [1.0, 7.0], [0.99, math.nan, None]),
             (Bound(1.0, 2.0), [1.0, 1.5, 2.0], [0.9, 2.1]),
         ],
     )
@@ -78,7 +78,7 @@ class TestReport:
 
 class TestLevels:
     @pytest.mark.parametrize(
-        ("bound", "reach"), [(Bound(most=2.0), 2.0), (Bound(1.0, 2.5), 1.5), (Bound(least=3.0), math.inf)]
+        ("bound", "reach"), [(Bound(maximum=2.0), 2.0), (Bound(1.0, 2.5), 1.5), (Bound(minimum=3.0), math.inf)]
     )
     def test_how_far_apart_values_may_be(self, bound: Bound, reach: float) -> None:
         assert levels.reach(bound) == reach
@@ -104,11 +104,11 @@ class TestLevels:
 
     def test_a_figure_may_say_itself_how_far(self) -> None:
         rows = [
-            Row("x", REFERENCE, value, "s", Bound(most=0.01), apart=apart)
+            Row("x", REFERENCE, value, "s", Bound(maximum=0.01), apart=apart)
             for value, apart in ((-0.5, 0.1), (-0.1, 0.5))
         ]
         pair = levels.pairs(*(Outcome("a", (row,), ()) for row in rows))[0]
-        assert pair.most == 0.5
+        assert pair.maximum == 0.5
         assert pair.agrees
 
     def test_overview_names_the_figure_that_differs_most(self) -> None:

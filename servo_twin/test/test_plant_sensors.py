@@ -107,8 +107,8 @@ def test_codes_do_not_depend_on_when_or_how_often_they_are_read(plant_c: Native)
         both.set_phases(5.0, 1.0)
         late = both.read(first)
         assert late == both.read(first)
-        most = 4.9 * 0.05  # of the noise [A]
-        assert (np.array(late) - 2048) * 8.25 / 2048 == pytest.approx([0.1 * n, -0.2 * n], abs=most)
+        maximum = 4.9 * 0.05  # of the noise [A]
+        assert (np.array(late) - 2048) * 8.25 / 2048 == pytest.approx([0.1 * n, -0.2 * n], abs=maximum)
         assert both.read(second) == one.read(one.sample())
         read.append(late)
     assert len({tuple(codes) for codes in read}) > 15

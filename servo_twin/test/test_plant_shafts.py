@@ -177,12 +177,12 @@ def test_two_masses_against_an_integration_in_fine_steps(level: Level) -> None:
         deep = math.copysign(max(abs(twist) - 0.5 * gap, 0.0), twist)
         push = k * deep + d * speed
         push = push if push * deep > 0.0 else 0.0
-        for place, free_torque, inertia, most, b in (
+        for place, free_torque, inertia, maximum, b in (
             (1, -push, rotor, friction, viscous),
             (3, push + torque, load, load_friction, 0.0),
         ):
             omega = x[place] + h * (free_torque - b * x[place]) / inertia
-            brake = h * most / inertia
+            brake = h * maximum / inertia
             x[place] = math.copysign(max(abs(omega) - brake, 0.0), omega)
         x[0] += h * x[1]
         x[2] += h * x[3]

@@ -99,8 +99,8 @@ def test_the_times_of_the_samples_are_those_at_which_the_shaft_was_there(board: 
     wrong = column(it, "theta_e") - pole_pairs * np.interp(time, moment, theta)
     wrong = (wrong + math.pi) % (2.0 * math.pi) - math.pi
     # An angle is read in the middle of its period; axis 2 is watched before it is read again.
-    most = pole_pairs * (2.0 * PERIOD * 100.0 * 1.05 + 2.0 * math.pi / COUNTS_PER_TURN)
-    np.testing.assert_array_less(np.abs(wrong[seen]), most)
+    maximum = pole_pairs * (2.0 * PERIOD * 100.0 * 1.05 + 2.0 * math.pi / COUNTS_PER_TURN)
+    np.testing.assert_array_less(np.abs(wrong[seen]), maximum)
     np.testing.assert_allclose(column(it, "speed")[seen], np.interp(time, moment, omega)[seen], atol=3.0)
     np.testing.assert_allclose(column(it, "u_dc")[seen], np.interp(time, moment, u_dc)[seen], atol=0.25)
 

@@ -323,13 +323,13 @@ def fault_of_offset(board: Board, degrees: float, seconds: float) -> tuple[float
     return until_fault(board, seconds)
 
 
-@pytest.mark.parametrize(("degrees", "most"), [(45.0, 90.0), (135.0, 90.0), (180.0, 100.0)])
-def test_wrong_offset_is_caught_before_the_shaft_runs_away(degrees: float, most: float) -> None:
+@pytest.mark.parametrize(("degrees", "maximum"), [(45.0, 90.0), (135.0, 90.0), (180.0, 100.0)])
+def test_wrong_offset_is_caught_before_the_shaft_runs_away(degrees: float, maximum: float) -> None:
     with with_encoders() as board:
         time, names = fault_of_offset(board, degrees, 0.3)
         assert names == ["ANGLE_MISMATCH"]
         assert time < 0.05
-        assert abs(board.truth(0).omega_m) < most
+        assert abs(board.truth(0).omega_m) < maximum
 
 
 def test_offset_of_90_degrees_moves_nothing_and_is_told_by_a_turning_vector() -> None:

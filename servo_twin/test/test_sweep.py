@@ -201,12 +201,12 @@ def test_a_value_that_the_board_refuses_is_a_problem() -> None:
     ("measured", "bound", "slack"),
     [
         (5.0, Bound(), None),
-        (5.0, Bound(most=10.0), 0.5),
-        (15.0, Bound(most=10.0), -0.5),
+        (5.0, Bound(maximum=10.0), 0.5),
+        (15.0, Bound(maximum=10.0), -0.5),
         (5.0, Bound(4.0, 10.0), 0.25),
         (-1.0, Bound(0.0, 0.0), -1.0),
         (None, Bound(), -math.inf),
-        (math.nan, Bound(most=1.0), -math.inf),
+        (math.nan, Bound(maximum=1.0), -math.inf),
     ],
 )
 def test_slack_is_the_distance_to_the_nearer_end(measured: float | None, bound: Bound, slack: float | None) -> None:

@@ -789,7 +789,7 @@ def test_what_was_written_during_a_gap_is_not_taken_for_known(rig: TwinRig) -> N
 def test_what_was_discarded_is_still_remembered(rig: TwinRig) -> None:
     rig.up()
     step = rig.twin.step
-    rig.twin.step = lambda most=64: []  # type: ignore[method-assign]
+    rig.twin.step = lambda maximum=64: []  # type: ignore[method-assign]
     rig.write("cmd.mode", [1, 1])
     rig.run(0.3)
     rig.twin.step = step  # type: ignore[method-assign]

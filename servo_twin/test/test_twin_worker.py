@@ -133,7 +133,7 @@ def test_a_resync_starts_the_twin_anew(line: Line) -> None:
 
 
 def test_a_failure_is_told_and_ends_the_thread(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(most: int) -> list[Pair]:
+    def broken(maximum: int) -> list[Pair]:
         raise ZeroDivisionError("broken")
 
     monkeypatch.setattr(line.twin, "step", broken)

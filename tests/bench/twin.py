@@ -83,13 +83,13 @@ def factors(level: Level) -> dict[str, float]:
         boards = {state.__name__: stack.enter_context(Board(seed=1, level=level)) for state in STATES}
         for state in STATES:
             state(boards[state.__name__])
-        least = dict.fromkeys(boards, math.inf)
+        minimum = dict.fromkeys(boards, math.inf)
         for _ in range(ROUNDS):
             for name, board in boards.items():
                 begin = time.thread_time()
                 board.run(SIMULATED[level])
-                least[name] = min(least[name], time.thread_time() - begin)
-    return {name: SIMULATED[level] / seconds for name, seconds in least.items()}
+                minimum[name] = min(minimum[name], time.thread_time() - begin)
+    return {name: SIMULATED[level] / seconds for name, seconds in minimum.items()}
 
 
 @dataclass(frozen=True)

@@ -60,8 +60,8 @@ class Count:
     """Instructions of one interrupt or loop, call and return included."""
 
     number: int
-    least: int
-    most: int
+    minimum: int
+    maximum: int
     total: int
 
     @property
@@ -73,7 +73,7 @@ Counts = Mapping[tuple[str, Kind], Count]
 """By phase and kind."""
 
 
-def image(*, setup: Setup = Setup.CONFIGURED, phases: int = EVERY_PHASE, most: int = WHOLE_PHASES) -> bytes:
+def image(*, setup: Setup = Setup.CONFIGURED, phases: int = EVERY_PHASE, maximum: int = WHOLE_PHASES) -> bytes:
     """What cost.c reads at its start.
 
     Parameters
@@ -82,10 +82,10 @@ def image(*, setup: Setup = Setup.CONFIGURED, phases: int = EVERY_PHASE, most: i
         With what the phases run.
     phases : int
         A bit for each phase that is to run.
-    most : int
+    maximum : int
         Longest phase, in units of 16 PWM periods.
     """
-    return bytes([setup, phases, most])
+    return bytes([setup, phases, maximum])
 
 
 def cost_program(programs: Programs, *, loops: bool) -> Path:
@@ -126,9 +126,9 @@ def parse(text: str) -> Counts:
             if int(words[2], 16) != _SPIN or int(words[3], 16) != 0:
                 raise TargetError(f"an axis does not spin at the end of the run: {line}")
             continue
-        phase, kind, number, least, most, total = (int(word, 16) for word in words)
+        phase, kind, number, minimum, maximum, total = (int(word, 16) for word in words)
         if number:
-            result[PHASES[phase], kind] = Count(number, least, most, total)
+            result[PHASES[phase], kind] = Count(number, minimum, maximum, total)
     if axes == 0:
         raise TargetError(f"the run did not come to its end:\n{text[-1000:]}")
     return result

@@ -124,7 +124,7 @@ def plain(measurement: Measurement) -> dict[str, Any]:
 def _counts(counts: Counts) -> dict[str, dict[str, dict[str, float]]]:
     result: dict[str, dict[str, dict[str, float]]] = {}
     for (phase, kind), one in counts.items():
-        numbers = {"number": one.number, "least": one.least, "mean": one.mean, "most": one.most}
+        numbers = {"number": one.number, "min": one.minimum, "mean": one.mean, "max": one.maximum}
         result.setdefault(phase, {})[name_of(kind)] = numbers
     return result
 

@@ -36,8 +36,8 @@ def recorder_costs(programs: Programs) -> Mapping[str, Count]:
     text = QemuProgram(programs.link("recorder", files), COUNTING).run(b"")
     found: dict[str, Count] = {}
     for line in text.splitlines():
-        case, least, most, total, number = (int(word, 16) for word in line.split())
-        found[CASES[case]] = Count(number, least, most, total)
+        case, minimum, maximum, total, number = (int(word, 16) for word in line.split())
+        found[CASES[case]] = Count(number, minimum, maximum, total)
     if len(found) != len(CASES):
         raise TargetError(f"the run did not come to its end:\n{text[-1000:]}")
     return found

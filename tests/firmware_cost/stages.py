@@ -54,7 +54,7 @@ def stages(programs: Programs) -> Stages:
     entries = {_address(elf, name): name for name in _LOOPS}
     seen: dict[str, list[Counter[str]]] = {name: [] for name in _LOOPS}
     current: Counter[str] | None = None
-    for address in _executed(elf, image(phases=1 << PHASES.index(PHASE), most=PERIODS)):
+    for address in _executed(elf, image(phases=1 << PHASES.index(PHASE), maximum=PERIODS)):
         if address == start:
             for loops in seen.values():
                 loops.clear()

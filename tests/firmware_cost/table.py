@@ -69,7 +69,7 @@ def _rows(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def _against_others(measurement: Measurement) -> str:
     counts = measurement.counts[REFERENCE]
     sizes = measurement.sizes[REFERENCE]
-    mean, most = _per_period(counts)
+    mean, maximum = _per_period(counts)
     sensorless = measurement.sensorless[OBSERVED_PHASE, FAST]
     rows = [
         ("fast loop with encoder, everything included", *_aimed(dearest(counts, FAST), FAST_AIM)),
@@ -81,7 +81,7 @@ def _against_others(measurement: Measurement) -> str:
         ("control code of two axes, bytes", *_aimed(sizes.control.text, CONTROL_AIM)),
         ("the same with the FreeMASTER server, bytes", f"{sizes.complete.text}", ""),
         ("both interrupts of a PWM period, mean", f"{mean:.0f}", "DRM: 6250 cycles for the period at 100 MHz"),
-        ("both interrupts of a PWM period, most", f"{most}", "the same"),
+        ("both interrupts of a PWM period, max", f"{maximum}", "the same"),
     ]
     others = [
         ("plain Q15 loop: sin/cos, Clarke, Park, 2 PI, inverse Park, SVM", "270", "349", ""),
@@ -103,8 +103,8 @@ def core_errors(measurement: Measurement) -> dict[tuple[Setup, str, Kind], tuple
     for setup, counts in measurement.by_setup.items():
         for (phase, kind), count in counts.items():
             charged = measurement.charged[setup][phase, kind]
-            most = charged.most / UNITS / count.most - 1.0
-            result[setup, phase, kind] = (charged.mean / UNITS / count.mean - 1.0, most)
+            maximum = charged.maximum / UNITS / count.maximum - 1.0
+            result[setup, phase, kind] = (charged.mean / UNITS / count.mean - 1.0, maximum)
     return result
 
 
@@ -114,10 +114,10 @@ def _virtual_core(measurement: Measurement) -> str:
     for setup, counts in measurement.by_setup.items():
         for phase in dict.fromkeys(phase for phase, _ in counts):
             found = [errors[setup, phase, kind] for kind in KINDS]
-            mean, most = (max((each[k] for each in found), key=abs) for k in (0, 1))
+            mean, maximum = (max((each[k] for each in found), key=abs) for k in (0, 1))
             typical = sum(abs(each[0]) for each in found) / len(found)
             lines.append(
-                [f"{_about(setup)}{phase}", f"{100 * typical:.1f}", f"{100 * mean:+.1f}", f"{100 * most:+.1f}"]
+                [f"{_about(setup)}{phase}", f"{100 * typical:.1f}", f"{100 * mean:+.1f}", f"{100 * maximum:+.1f}"]
             )
     return (
         f"## The virtual core against these counts, {REFERENCE}\n\n"
@@ -137,10 +137,12 @@ def _aimed(measured: float, aim: int) -> tuple[str, str]:
 
 
 def _per_period(counts: Counts) -> tuple[float, int]:
-    """Instructions of both interrupts in a PWM period: mean over the slow ticks of the dearest phase, and the most."""
+    """Instructions of both interrupts in a PWM period: mean over slow ticks of the dearest phase, and maximum."""
 
-    most = max(counts[phase, 2 * k].most + counts[phase, 2 * k + 1].most for phase in PHASES for k in range(PERIODS))
-    return max(_both(counts, phase) for phase in PHASES), most
+    maximum = max(
+        counts[phase, 2 * k].maximum + counts[phase, 2 * k + 1].maximum for phase in PHASES for k in range(PERIODS)
+    )
+    return max(_both(counts, phase) for phase in PHASES), maximum
 
 
 def _both(counts: Counts, phase: str) -> float:
@@ -150,13 +152,13 @@ def _both(counts: Counts, phase: str) -> float:
 
 def _instructions(title: str, counts: Counts) -> str:
     def cell(count: Count) -> str:
-        return f"{count.least} {count.mean:.1f} {count.most}"
+        return f"{count.minimum} {count.mean:.1f} {count.maximum}"
 
     def longest(phase: str, second: int) -> str:
-        kind = max(range(second, 2 * PERIODS, 2), key=lambda kind: counts[phase, kind].most)
-        return f"{counts[phase, kind].most} ({kind // 2})"
+        kind = max(range(second, 2 * PERIODS, 2), key=lambda kind: counts[phase, kind].maximum)
+        return f"{counts[phase, kind].maximum} ({kind // 2})"
 
-    head = ("least, mean, most", "fast loop", "slow loop", "longest M1 (period)", "longest M2 (period)", "mean M1 + M2")
+    head = ("min, mean, max", "fast loop", "slow loop", "longest M1 (period)", "longest M2 (period)", "mean M1 + M2")
     rows = [
         (
             phase,
@@ -171,9 +173,9 @@ def _instructions(title: str, counts: Counts) -> str:
 
 
 def _recorder(measurement: Measurement) -> str:
-    rows = [(case, str(one.least), f"{one.mean:.1f}", str(one.most)) for case, one in measurement.recorder.items()]
+    rows = [(case, str(one.minimum), f"{one.mean:.1f}", str(one.maximum)) for case, one in measurement.recorder.items()]
     text = "What a call adds to the interrupt of its loop; both axes together have one recorder.\n\n"
-    return f"## Recorder, {REFERENCE}\n\n" + text + _rows(("instructions", "least", "mean", "most"), rows)
+    return f"## Recorder, {REFERENCE}\n\n" + text + _rows(("instructions", "min", "mean", "max"), rows)
 
 
 def _parts(measurement: Measurement) -> str:

@@ -212,10 +212,11 @@ def _refuse_voltage(access: BoardAccess, axis: int, board: BoardValues, recordin
     limit = board.voltage_max
     if any(flag.name == "BUS_COMPENSATION" for flag in access.catalogue.active("features", word)):
         limit *= access.read("u_dc")[0] / board("nominal_voltage")
-    most = float(np.hypot(d, q).max())
-    if most >= _LIMIT_PART * limit:
+    maximum = float(np.hypot(d, q).max())
+    if maximum >= _LIMIT_PART * limit:
         raise MeasurementError(
-            f"the voltage of {axis_name(axis)} reaches {most:.3g} V with the test signal, the bus gives {limit:.3g} V; "
+            f"the voltage of {axis_name(axis)} reaches {maximum:.3g} V with the test signal, "
+            f"the bus gives {limit:.3g} V; "
             "give a smaller amplitude, lower param.i_q_limit, or look at the supply"
         )
 
@@ -226,9 +227,9 @@ def _refuse_saturation(access: BoardAccess, settings: Settings, error: NDArray[n
     if not loop.slow:
         return
     variable = "param.speed_limit" if loop.name == "position" else "param.i_q_limit"
-    limit, most = access.read(variable)[settings.axis], float(np.abs(error).max())
-    if most >= _LIMIT_PART * limit:
+    limit, maximum = access.read(variable)[settings.axis], float(np.abs(error).max())
+    if maximum >= _LIMIT_PART * limit:
         raise MeasurementError(
-            f"the set-point reaches {most:.3g} {loop.unit} with the test signal, {variable} is {limit:.3g}; "
+            f"the set-point reaches {maximum:.3g} {loop.unit} with the test signal, {variable} is {limit:.3g}; "
             "give a smaller amplitude"
         )

@@ -303,11 +303,11 @@ def refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Ban
             f"{fastest:.4g} rad/s with the test signal are above the limit of {name}, "
             f"{speed_limit:.4g} rad/s (param.speed_limit); give a lower speed"
         )
-    most = (0.5 if loop.slow else BASE_PART / _BASE_OVER) * current_limit
-    if loop.name != "position" and settings.amplitude > most:
+    maximum = (0.5 if loop.slow else BASE_PART / _BASE_OVER) * current_limit
+    if loop.name != "position" and settings.amplitude > maximum:
         raise MeasurementError(
             f"an amplitude of {settings.amplitude:.4g} A is too much for the limit of {name}, {current_limit:.4g} A "
-            f"(param.i_q_limit); give at most {most:.4g} A"
+            f"(param.i_q_limit); give at most {maximum:.4g} A"
         )
     if settings.speed and not loop.slow:
         raise MeasurementError("a current loop is measured without a speed; leave it away")

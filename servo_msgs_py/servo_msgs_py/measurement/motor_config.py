@@ -113,8 +113,8 @@ def configured(
         own["rotor_search"]["verify_angle"] = min(4.2 * move * interval, 45.0)
     if "sensing" not in own:
         sign = 1.33 * limits.voltage * board["dead_time"] / min(motor["l_d"], motor["l_q"])
-        least = {**defaults.get("sensing", {})}.get("sign_current", 0.08)
-        if sign > least:
+        minimum = {**defaults.get("sensing", {})}.get("sign_current", 0.08)
+        if sign > minimum:
             own["sensing"] = {"sign_current": min(sign, 0.5 * current)}
     for group, entries in groups.items():
         own[group] = {**own.get(group, {}), **entries}

@@ -244,9 +244,9 @@ class MotorTest:
             except (ValueError, np.linalg.LinAlgError):
                 found = Estimate(kp / (2.0 * math.pi * LOOP), math.inf)
             known = found.part < 0.3
-            least = found.value - 2.0 * found.sigma if known else kp / (2.0 * math.pi * LOOP)
+            minimum = found.value - 2.0 * found.sigma if known else kp / (2.0 * math.pi * LOOP)
             wanted = 2.0 * math.pi * LOOP * found.value
-            gain = wanted if known else min(3.0 * kp, 2.0 * math.pi * LOOP * max(least, kp / 1e4))
+            gain = wanted if known else min(3.0 * kp, 2.0 * math.pi * LOOP * max(minimum, kp / 1e4))
             rig.configure(gain, gain / max(found.value, 1e-6) * r, live=True)
             if known and wanted < 4.0 * kp:
                 return
@@ -370,14 +370,14 @@ class MotorTest:
             raise MeasurementError("torque pulses give no inertia: the shaft is held, or something else turns it")
         return found.value, coulomb.value
 
-    def _brake(self, gain: float, most: float) -> None:
+    def _brake(self, gain: float, maximum: float) -> None:
         """Bring the shaft to rest by torque.
 
         Parameters
         ----------
         gain : float
             Current over speed [A s/rad].
-        most : float
+        maximum : float
             Largest current [A].
         """
         rig = self._rig
@@ -385,7 +385,7 @@ class MotorTest:
             speed = rig.value("speed")
             if abs(speed) < 2.0 * REST_SPEED:
                 break
-            rig.command("cmd.i_q", -math.copysign(min(gain * abs(speed), most), speed))
+            rig.command("cmd.i_q", -math.copysign(min(gain * abs(speed), maximum), speed))
             rig.wait(0.005)
         rig.command("cmd.i_q", 0.0)
         rig.stand()
@@ -393,20 +393,20 @@ class MotorTest:
     def _speeds(self, limits: Mapping[str, float], inertia: float) -> None:
         rig = self._rig
         acceleration = limits["acceleration"]
-        most = min(limits["speed"], self._speed_max(), rig.limits.speed / OVERSHOOT)
+        maximum = min(limits["speed"], self._speed_max(), rig.limits.speed / OVERSHOOT)
         # a reversal returns the energy of the shaft to the bus
-        most = min(most, math.sqrt(2.0 * rig.limits.energy / inertia))
-        most = min(most, APPROACH_MAX * acceleration)
+        maximum = min(maximum, math.sqrt(2.0 * rig.limits.energy / inertia))
+        maximum = min(maximum, APPROACH_MAX * acceleration)
         # each recording begins and ends at rest, and those to both sides take turns
         room = ROOM_USE * rig.room
         longest = max(SETTLE + PLAIN, SETTLE_HOLD + ALONG_TIME) + LATENCY
-        while most * longest + most**2 / acceleration > room:
-            most *= 0.95
+        while maximum * longest + maximum**2 / acceleration > room:
+            maximum *= 0.95
         r = self._values["r_s"].value + rig.limits.r_on
         along = min(ALONG * rig.limits.current, ALONG_VOLTAGE * rig.limits.voltage / math.sqrt(3.0) / r)
         before = 0.0
         for part in SPEEDS:
-            speeds = [way * part * most for way in (1.0, -1.0)]
+            speeds = [way * part * maximum for way in (1.0, -1.0)]
             for speed in speeds:
                 seconds = abs(speed - before) / acceleration + SETTLE
                 every = math.ceil(seconds / TICK / rig.capacity(_SPIN))

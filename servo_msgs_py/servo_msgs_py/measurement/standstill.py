@@ -62,13 +62,13 @@ def ohmic(current: Floats, voltage: Floats, sigma: Floats) -> Ohmic:
         Means of each level, and the standard uncertainty of the voltages [A], [V].
     """
     best: Ohmic | None = None
-    least = np.inf
+    minimum = np.inf
     for band in np.linspace(0.02, 0.6, 59) * float(np.abs(current).max()):
         # mean of leg a against the mean of b and c, times 2/3
         shape = (2.0 / 3.0) * (switching_share(current / band) + switching_share(0.5 * current / band))
         (r, lost), covariance, rms = fit_linear(np.column_stack([current, shape]), voltage, sigma)
-        if rms < least:
-            least = rms
+        if rms < minimum:
+            minimum = rms
             errors = np.sqrt(np.diag(covariance))
             best = Ohmic(Estimate(r, errors[0]), Estimate(lost, errors[1]), float(band), rms)
     assert best is not None

@@ -317,9 +317,9 @@ def _top_speed(it: Tuned, current: float) -> float:
     """Where (R i + p psi w)^2 + (p L_q i w)^2 reaches the square of the voltage [rad/s]."""
     p = it.axis("motor.pole_pairs")
     flux, coupling = p * it.axis("motor.psi_m"), p * it.axis("motor.l_q") * current
-    drop, most = it.axis("motor.r_s") * current, it.board.voltage_max
+    drop, maximum = it.axis("motor.r_s") * current, it.board.voltage_max
     square, half = flux**2 + coupling**2, drop * flux
-    rest = half**2 + square * (most**2 - drop**2)
+    rest = half**2 + square * (maximum**2 - drop**2)
     return max((math.sqrt(rest) - half) / square, 0.0) if rest > 0.0 else 0.0
 
 

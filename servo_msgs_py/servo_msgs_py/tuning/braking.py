@@ -39,16 +39,16 @@ def stop_constants(to: Converter) -> dict[str, Field]:
     """Fields of ``axis_config_t`` that have to do with braking and stopping."""
     axis, s, stops = to.axis, to.s, to.axis.stops
     names = {"shorted": "short", "ramp": "ramp", "hold": "hold"}
-    most = 1.0 - 2.0**-31
+    maximum = 1.0 - 2.0**-31
     return {
         **{f"stop.{command}": Category(category) for command, category in stops.commands.items()},
         **{f"stop.{field}": FaultSet(stops.answered(category)) for field, category in names.items()},
-        "stop.short_speed": to.of(FRAC32, "speed of the short", min(short_speed(axis) / s.speed, most), _MOTOR),
+        "stop.short_speed": to.of(FRAC32, "speed of the short", min(short_speed(axis) / s.speed, maximum), _MOTOR),
         "stop.short_current": to.at(FRAC16, "stop.short_current", 1.0 / s.i * (1.0 - 2.0**-15)),
         "stop.ticks_max": to.ticks("stop.time_max"),
         "stop.hold_ticks": to.ticks("stop.hold_time"),
         "regeneration_speed": to.of(
-            FRAC32, "speed of regeneration", min(regeneration_speed(axis) / s.speed, most), _MOTOR
+            FRAC32, "speed of regeneration", min(regeneration_speed(axis) / s.speed, maximum), _MOTOR
         ),
         "copper_current": to.at(FRAC16, "stop.copper_use", axis("limits.current") / s.i),
     }

@@ -94,9 +94,9 @@ def _axis(axis: Axis) -> None:
 
 
 def _voltage(axis: Axis, board: Board) -> None:
-    most = idle_speed(axis, board)
-    if axis("limits.speed") > most:
-        reason = f"{board('nominal_voltage'):g} V reach {most:.4g} rad/s without load"
+    maximum = idle_speed(axis, board)
+    if axis("limits.speed") > maximum:
+        reason = f"{board('nominal_voltage'):g} V reach {maximum:.4g} rad/s without load"
         remedy = (
             "lower it, switch field_weakening on, or correct motor.psi_m, motor.pole_pairs or board.nominal_voltage"
         )
@@ -116,18 +116,18 @@ def _order(axis: Axis, board: Board) -> None:
     if 2.0 * axis("control.current_bandwidth") >= board("pwm_frequency"):
         reason = f"{board('pwm_frequency'):g} Hz is too low a sampling rate for it"
         raise axis.refused("control.current_bandwidth", reason, "write a tenth of that or less")
-    least, most = axis("control.position_gain") / math.pi, 0.5 / board.tick
-    if not least <= axis("control.observer_bandwidth") < most:
-        reason = f"not within {least:.4g} .. {most:.4g} Hz: twice the position loop, half the slow loop"
+    minimum, maximum = axis("control.position_gain") / math.pi, 0.5 / board.tick
+    if not minimum <= axis("control.observer_bandwidth") < maximum:
+        reason = f"not within {minimum:.4g} .. {maximum:.4g} Hz: twice the position loop, half the slow loop"
         raise axis.refused("control.observer_bandwidth", reason, "write that of the speed loop, or twice that")
 
 
 def _search(axis: Axis) -> None:
     """The search has to be able to see what it looks for, to end in time, and to spare the motor."""
-    most = axis("limits.current")
-    if axis("rotor_search.current") > most:
-        reason = f"more than the motor may carry, {most:g} A (limits.current)"
-        raise axis.refused("rotor_search.current", reason, f"write {most:g} A or less")
+    maximum = axis("limits.current")
+    if axis("rotor_search.current") > maximum:
+        reason = f"more than the motor may carry, {maximum:g} A (limits.current)"
+        raise axis.refused("rotor_search.current", reason, f"write {maximum:g} A or less")
     count = 360.0 * axis("motor.pole_pairs") / axis.counts
     if not count <= axis("rotor_search.interval") < 60.0:
         reason = f"a count is {count:.3g} degrees, and 60 would leave the torque to chance"

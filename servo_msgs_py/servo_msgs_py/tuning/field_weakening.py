@@ -214,8 +214,8 @@ def field_weakening_loops(axis: Axis, board: Board, block: Mapping[str, int]) ->
     s = Scales.of(Catalogue.load())
     per_volt = INT16_Q8.value(block["field_weakening.gain"]) * s.i / s.u_s**2 * 2.0 * board.voltage_max
     q_share = FRAC16.value(block["field_weakening.q_share"])
-    limit, most = axis("limits.current"), i_d_max(axis)
-    giving_way = most / math.sqrt(max(limit**2 - most**2, (0.01 * limit) ** 2))
+    limit, maximum = axis("limits.current"), i_d_max(axis)
+    giving_way = maximum / math.sqrt(max(limit**2 - maximum**2, (0.01 * limit) ** 2))
     gains = {"by i_d": by_d, "by i_d on the circle": by_d + giving_way * by_q, "by i_q": q_share * by_q}
     return {name: Loop(per_volt * gain, board.tick) for name, gain in gains.items()}
 
@@ -223,9 +223,13 @@ def field_weakening_loops(axis: Axis, board: Board, block: Mapping[str, int]) ->
 def field_weakening_text(axis: Axis, board: Board, block: Mapping[str, int]) -> Iterator[str]:
     """The part of the report: loop, and torque over speed. `block` are the integers of the axis."""
     yield "  field weakening"
-    most, margin = i_d_max(axis), axis("field_weakening.margin")
+    maximum, margin = i_d_max(axis), axis("field_weakening.margin")
     rows = [
-        ("i_d at most", f"{most:.2f} A", f"lowers the back-EMF by {_lowered(axis, most):.2f} V at the rated speed"),
+        (
+            "i_d at most",
+            f"{maximum:.2f} A",
+            f"lowers the back-EMF by {_lowered(axis, maximum):.2f} V at the rated speed",
+        ),
         ("voltage kept free", f"{margin:g} V", f"of {board.voltage_max:.2f} V at {board('nominal_voltage'):g} V"),
     ]
     for name, loop in field_weakening_loops(axis, board, block).items():

@@ -151,10 +151,10 @@ def _rounding(it: Tuned) -> Iterator[str]:
 def _sign(it: Tuned) -> Iterator[str]:
     """While both switches are open the bus alone drives the current: below that its direction may change meanwhile."""
     axis, board = it.axis, it.board
-    least = board("nominal_voltage") * board("dead_time") / min(axis("motor.l_d"), axis("motor.l_q"))
-    if axis("sensing.sign_current") < least:
-        what = f"a dead time lets the current of this winding change by {least:.3g} A and turn its sign"
-        yield f"{_entry(it, 'sensing.sign_current')}: {what}; write some {SIGN * least:.2g}"
+    minimum = board("nominal_voltage") * board("dead_time") / min(axis("motor.l_d"), axis("motor.l_q"))
+    if axis("sensing.sign_current") < minimum:
+        what = f"a dead time lets the current of this winding change by {minimum:.3g} A and turn its sign"
+        yield f"{_entry(it, 'sensing.sign_current')}: {what}; write some {SIGN * minimum:.2g}"
 
 
 def _follows(it: Tuned) -> Iterator[str]:

@@ -147,13 +147,13 @@ def _poles(figures: Assessment, name: str) -> Iterator[str]:
 def _rule(figures: Assessment) -> Iterator[str]:
     rule = figures.rule
     verdict = "no overshoot" if rule.k_v_t <= K_V_T_MAX else "will overshoot"
-    most = f"at most {K_V_T_MAX / rule.t_n_tuned:.4g} 1/s keep K_v T <= {K_V_T_MAX:g}"
+    maximum = f"at most {K_V_T_MAX / rule.t_n_tuned:.4g} 1/s keep K_v T <= {K_V_T_MAX:g}"
     rows = [
         ("T_N of E43, rotor alone", f"{1e3 * rule.t_n_rotor:.2f} ms", "speed from 0 to rated at rated torque"),
         ("T_N of E43, whole shaft", f"{1e3 * rule.t_n_shaft:.2f} ms", ""),
         ("Kp of E45 from that", f"{rule.k_p:.2f} rpm/rad", f"K_v = {rule.k_v_rule:.2f} 1/s, Kv T = 0.5: damping 0.707"),
         ("T_N of the tuned speed loop", f"{1e3 * rule.t_n_tuned:.2f} ms", "1 / crossover"),
-        ("K_v chosen", f"{rule.k_v:.4g} 1/s", most),
+        ("K_v chosen", f"{rule.k_v:.4g} 1/s", maximum),
         ("K_v T", f"{rule.k_v_t:.3f}", verdict),
     ]
     return notes(rows)

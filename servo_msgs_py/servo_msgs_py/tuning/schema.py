@@ -31,7 +31,7 @@ class Entry:
         Whether 0 makes sense; less never does.
     whole : bool
         Whether it counts something.
-    most : float
+    maximum : float
         Largest value that makes sense.
     signed : bool
         Whether it may be negative.
@@ -43,7 +43,7 @@ class Entry:
     meaning: str
     zero: bool = False
     whole: bool = False
-    most: float = math.inf
+    maximum: float = math.inf
     signed: bool = False
     optional: bool = False
 
@@ -67,7 +67,7 @@ class Entry:
         size = abs(number) if self.signed else number
         if size < LEAST and not (size == 0.0 and self.zero):
             raise refused(name, number, "too small", f"write {wanted}")
-        if size > min(self.most, MOST):
+        if size > min(self.maximum, MOST):
             raise refused(name, number, "too large", f"write {wanted}")
         if self.whole and number % 1.0 != 0.0:
             raise refused(name, number, "not a whole number", f"write {wanted}")
@@ -75,10 +75,10 @@ class Entry:
 
     def _wanted(self) -> str:
         kind = "a whole number" if self.whole else "a number"
-        least = "of either sign" if self.signed else "from 0" if self.zero else "above 0"
-        most = f" up to {self.most:g}" if math.isfinite(self.most) else ""
+        minimum = "of either sign" if self.signed else "from 0" if self.zero else "above 0"
+        maximum = f" up to {self.maximum:g}" if math.isfinite(self.maximum) else ""
         unit = f" [{self.unit}]" if self.unit else ""
-        return f"{kind} {least}{most}{unit}: {self.meaning}"
+        return f"{kind} {minimum}{maximum}{unit}: {self.meaning}"
 
 
 BOARD: Final[Mapping[str, Entry]] = {
@@ -92,7 +92,7 @@ BOARD: Final[Mapping[str, Entry]] = {
     "command_timeout": Entry("s", "age at which a velocity or torque set-point expires; 0: never", zero=True),
     "dead_time": Entry("s", "both switches of a leg are open at every edge", zero=True),
     "switch_drop": Entry("V", "switch or diode", zero=True),
-    "voltage_use": Entry("", "part of the linear range of the modulation that is used", most=1.0),
+    "voltage_use": Entry("", "part of the linear range of the modulation that is used", maximum=1.0),
 }
 """Keys of the group [board]."""
 
@@ -141,7 +141,7 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "current_bandwidth": Entry("Hz", "of both current loops"),
         "speed_bandwidth": Entry("Hz", "of the speed loop"),
         "speed_ratio": Entry("", "bandwidth over corner frequency of the integral part"),
-        "anti_windup": Entry("", "Kc of DRM E35, below 1", most=1.0),
+        "anti_windup": Entry("", "Kc of DRM E35, below 1", maximum=1.0),
         "position_gain": Entry("1/s", "K_v: speed set-point per position error"),
         "observer_bandwidth": Entry("Hz", "of the speed observer; twice the position gain over 2 pi at least"),
         "path_current_use": Entry("", "fraction of the current limit used by shaped set-points"),
@@ -154,29 +154,31 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "move_counts": Entry("", "movement that counts as a twitch", whole=True),
         "interval": Entry("deg electrical", "remaining interval at which the search ends"),
         "verify_angle": Entry(
-            "deg electrical", "largest turn until the shaft follows where the rotor was found", most=45.0
+            "deg electrical", "largest turn until the shaft follows where the rotor was found", maximum=45.0
         ),
         "verify_time": Entry("s", "of that turn"),
         "turn_angle": Entry(
-            "deg electrical", "turn of the vector that tells a held shaft from a dead encoder", most=180.0
+            "deg electrical", "turn of the vector that tells a held shaft from a dead encoder", maximum=180.0
         ),
         "turn_time": Entry("s", "of that turn, and again of the way back"),
-        "follow_flux": Entry("", "part of the flux of a rotor that follows; more has moved", most=1.0),
+        "follow_flux": Entry("", "part of the flux of a rotor that follows; more has moved", maximum=1.0),
         "time_max": Entry("s", "for the whole search"),
     },
     "observer": {
         "bandwidth": Entry("Hz", "of the poles, beyond half the decay of a current", optional=True),
-        "damping": Entry("", "of that", most=10.0, optional=True),
+        "damping": Entry("", "of that", maximum=10.0, optional=True),
         "k_1": Entry("1/s", "K1 of the slide, below 0, instead of bandwidth and damping", signed=True, optional=True),
         "k_2": Entry("V/(A s)", "K2 of the slide, above 0; together with k_1", signed=True, optional=True),
         "pll_i": Entry("", "number in the rule of the slide for the I gain, 1506742"),
-        "pll_damping": Entry("", "of the phase-locked loop", most=10.0),
+        "pll_damping": Entry("", "of the phase-locked loop", maximum=10.0),
         "pll_torque": Entry(
-            "", "fraction of the acceleration by the current fed forward to the phase-locked loop", True, most=2
+            "", "fraction of the acceleration by the current fed forward to the phase-locked loop", True, maximum=2
         ),
-        "pll_size": Entry("Hz", "how quickly its speed follows the size of the back-EMF", True, most=250.0),
-        "pll_load": Entry("", "acceleration that it learns from the angle, per time, over omega_n^3", True, most=1.0),
-        "speed_part": Entry("", "speed loop of a sensorless axis, part of control.speed_bandwidth", most=1.0),
+        "pll_size": Entry("Hz", "how quickly its speed follows the size of the back-EMF", True, maximum=250.0),
+        "pll_load": Entry(
+            "", "acceleration that it learns from the angle, per time, over omega_n^3", True, maximum=1.0
+        ),
+        "speed_part": Entry("", "speed loop of a sensorless axis, part of control.speed_bandwidth", maximum=1.0),
     },
     "reliability": {
         "period": Entry("", "slow ticks between two of the 64 speeds", whole=True),
@@ -186,26 +188,28 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
     "emf_check": {
         "floor": Entry("V", "by which the back-EMF may be off at any speed: dead time"),
         "spin_floor": Entry("V", "the same after the filter of a sensorless axis"),
-        "resistance": Entry("", "part by which r_s may be off", True, most=2.0),
-        "part": Entry("", "part of the back-EMF by which it may be off", most=1.0),
+        "resistance": Entry("", "part by which r_s may be off", True, maximum=2.0),
+        "part": Entry("", "part of the back-EMF by which it may be off", maximum=1.0),
         "spin_time": Entry("s", "of that until a sensorless axis has lost its rotor"),
         "stand_time": Entry("s", "below half of start_up.minimum_speed until a sensorless axis is held fast"),
         "check_time": Entry("s", "of that until encoder and observer disagree"),
     },
     "start_up": {
-        "current_first": Entry("", "FIRST_I_STARTUP, part of limits.current", most=1.0),
-        "current_final": Entry("", "FINAL_I_STARTUP, part of limits.current", most=1.0),
+        "current_first": Entry("", "FIRST_I_STARTUP, part of limits.current", maximum=1.0),
+        "current_final": Entry("", "FINAL_I_STARTUP, part of limits.current", maximum=1.0),
         "current_time": Entry("s", "I_START_UP_DURATION: from the first to the final current"),
-        "speed_final": Entry("", "FINAL_START_UP_SPEED, part of limits.speed", most=1.0),
+        "speed_final": Entry("", "FINAL_START_UP_SPEED, part of limits.speed", maximum=1.0),
         "swings": Entry("", "FREQ_START_UP_DURATION in periods of the rotor's swing about the turning current"),
         "speed_time": Entry("s", "FREQ_START_UP_DURATION, instead of swings", optional=True),
         "wait_max": Entry("s", "after that ramp until the start-up has failed"),
         "consecutive_tests": Entry("", "NB_CONSECUTIVE_TESTS", whole=True),
-        "minimum_speed": Entry("", "MINIMUM_SPEED_RPM, part of limits.speed", most=1.0),
-        "mean_min": Entry("", "part of the forced speed that the observed mean must reach", most=1.0),
-        "mean_max": Entry("", "part of the forced speed that it must not pass", most=3.9),
-        "swing_damping": Entry("", "of the swing about the turning current, by the current across it", True, most=2.0),
-        "swing_current": Entry("", "part of the final current that this may take", True, most=1.0),
+        "minimum_speed": Entry("", "MINIMUM_SPEED_RPM, part of limits.speed", maximum=1.0),
+        "mean_min": Entry("", "part of the forced speed that the observed mean must reach", maximum=1.0),
+        "mean_max": Entry("", "part of the forced speed that it must not pass", maximum=3.9),
+        "swing_damping": Entry(
+            "", "of the swing about the turning current, by the current across it", True, maximum=2.0
+        ),
+        "swing_current": Entry("", "part of the final current that this may take", True, maximum=1.0),
         "catch_time": Entry("s", "to see whether the shaft turns already"),
         "fade_time": Entry("s", "from the current limit to 0, for the rest of the start-up current"),
     },
@@ -225,7 +229,7 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
         "hold_time": Entry("s", "that an axis holds its position without a drive"),
         "short_current": Entry("A", "steady current that shorted windings may carry"),
         "copper_use": Entry(
-            "", "part of the current limit for i_d while braking current is folded back", zero=True, most=1.0
+            "", "part of the current limit for i_d while braking current is folded back", zero=True, maximum=1.0
         ),
     },
     "winding": {
@@ -241,8 +245,10 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
     },
     "field_weakening": {
         "margin": Entry("V", "stator voltage that stays free below its limit", zero=True),
-        "bandwidth": Entry("Hz", "of the voltage's controller, where the back-EMF takes the whole voltage", most=250.0),
-        "current_use": Entry("", "part of limits.current for the current against the flux", most=1.0),
+        "bandwidth": Entry(
+            "Hz", "of the voltage's controller, where the back-EMF takes the whole voltage", maximum=250.0
+        ),
+        "current_use": Entry("", "part of limits.current for the current against the flux", maximum=1.0),
         "magnet_current": Entry("A", "largest current against the flux for hot magnets, peak"),
     },
     "home": {
@@ -260,7 +266,7 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
     "sensing": {
         "sign_current": Entry("A", "above it the direction of a phase current is certain"),
         "offset_tolerance": Entry("", "ADC codes that an offset may lie off mid-scale", whole=True),
-        "offset_duty": Entry("", "shortest high side for a true offset sample", most=1.0),
+        "offset_duty": Entry("", "shortest high side for a true offset sample", maximum=1.0),
     },
 }
 """Keys of the groups of an axis; [defaults] may hold any of them."""

@@ -141,10 +141,10 @@ def _ramps(axis: Axis, it: StartUp) -> None:
         raise axis.refused("start_up.swing_current", reason, remedy)
     entry = "start_up.speed_time" if axis.given("start_up.speed_time") else "start_up.swings"
     friction = axis("friction.coulomb") + axis("friction.viscous") * it.speed_final
-    least = axis.torque_constant * min(it.current_first, it.current_final)
-    if friction >= least:
+    minimum = axis.torque_constant * min(it.current_first, it.current_final)
+    if friction >= minimum:
         key = "first" if it.current_first <= it.current_final else "final"
-        reason = f"its torque of {least:.3g} N m does not overcome the friction, {friction:.3g} N m"
+        reason = f"its torque of {minimum:.3g} N m does not overcome the friction, {friction:.3g} N m"
         raise axis.refused(f"start_up.current_{key}", reason, "raise it, or limits.current, or correct friction")
     if it.torque >= 1.0:
         asked = f"{it.speed_final:.3g} rad/s in {it.speed_time:.3g} s ask for {it.acceleration:.4g} rad/s^2"

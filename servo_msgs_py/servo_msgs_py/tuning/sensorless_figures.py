@@ -143,8 +143,8 @@ def _speed_of(it: Tuned, back_emf: float) -> float:
 
 
 def _speeds(it: Tuned) -> list[float]:
-    least, most = it.sensorless.start_up.minimum_speed, it.axis("limits.speed")
-    return [*(factor * least for factor in SPEEDS if factor * least < most), most]
+    minimum, maximum = it.sensorless.start_up.minimum_speed, it.axis("limits.speed")
+    return [*(factor * minimum for factor in SPEEDS if factor * minimum < maximum), maximum]
 
 
 def _poles(it: Tuned) -> Iterator[ObserverPoles]:

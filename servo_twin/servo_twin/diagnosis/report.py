@@ -30,10 +30,10 @@ _ABSOLUTE: Final = {"load": (1e3, "mN m"), "encoder_angle": (180.0 / math.pi, "d
 def _size(name: str, value: float, low: float, high: float) -> str:
     if name in _ABSOLUTE:
         scale, unit = _ABSOLUTE[name]
-        middle, least, most = (_rounded(scale * x, scale * (high - low)) for x in (value, low, high))
-        return f"{middle} {unit} ({least}..{most})"
-    middle, least, most = (_rounded(max(1.0 + x, 0.0), high - low, sign=False) for x in (value, low, high))
-    return f"{middle} times ({least}..{most})"
+        middle, minimum, maximum = (_rounded(scale * x, scale * (high - low)) for x in (value, low, high))
+        return f"{middle} {unit} ({minimum}..{maximum})"
+    middle, minimum, maximum = (_rounded(max(1.0 + x, 0.0), high - low, sign=False) for x in (value, low, high))
+    return f"{middle} times ({minimum}..{maximum})"
 
 
 def _rounded(value: float, width: float, *, sign: bool = True) -> str:

@@ -239,9 +239,11 @@ def _returned(axis: AxisPlant, speed: float) -> float:
     return 1.5 * CURRENT * max(emf - lost, 0.0)
 
 
-def _rows_bus(judge: Judge, plant: PlantConfig, speed: float, it: Stop, most: float) -> Iterator[Row]:
+def _rows_bus(judge: Judge, plant: PlantConfig, speed: float, it: Stop, maximum: float) -> Iterator[Row]:
     faults = {flag.name for flag in Catalogue.load().flags["faults"]}
-    yield judge("highest bus voltage", it.u_dc.max(), "V", plant.bus.u_source, most, reference="below the limit, 33 V")
+    yield judge(
+        "highest bus voltage", it.u_dc.max(), "V", plant.bus.u_source, maximum, reference="below the limit, 33 V"
+    )
     yield judge.none("faults", len(it.flags & faults), reference="none")
     yield judge("both stand after", it.seconds, "s", 0.0, _longest(plant, speed))
 
@@ -269,11 +271,11 @@ def _short(plant: PlantConfig, seed: int, axis: int) -> Iterator[Row | Panel]:
     off = float(np.abs(current - formula)[moving].max() / formula.max())
     # Deviation that is allowed: the drops are square waves; 5th and 7th harmonic add up.
     harmonics = 4.0 / math.pi * motor.v_drop * (1.0 / 5.0 + 1.0 / 7.0)
-    most = AGREE + harmonics / (motor.r_s + motor.r_on) / float(formula.max())
+    maximum = AGREE + harmonics / (motor.r_s + motor.r_on) / float(formula.max())
     over, law = (current[moving] / slide[moving]).max(), "K_e w / sqrt(R^2 + w^2 L^2)"
     yield judge.true(f"short at {below / RPM:.0f} rpm", current.max() > 0.0, reference="allowed")
     yield judge.none(f"short at {above / RPM:.0f} rpm", beyond.max() > 0.0, reference="refused above some 1450 rpm")
-    yield judge("current off the formula", off, "of largest", most=most, reference=law)
+    yield judge("current off the formula", off, "of largest", maximum=maximum, reference=law)
     yield judge("current over the slide's", over, "", 0.3, 1.02, reference="an upper bound: it has no drops")
     yield judge("speed after the short", speeds[-1] / RPM, "rpm", 0.0, 1.0, reference="rest")
     curves = (

@@ -228,9 +228,9 @@ def _sign(rng: random.Random) -> float:
     return rng.choice((-1.0, 1.0))
 
 
-def _part(bench: Bench, rng: random.Random, least: float, most: float) -> float:
-    slowest = max(least, bench.slowest) if bench.sensorless else least
-    return _sign(rng) * rng.uniform(slowest, most) * bench.speed_limit
+def _part(bench: Bench, rng: random.Random, minimum: float, maximum: float) -> float:
+    slowest = max(minimum, bench.slowest) if bench.sensorless else minimum
+    return _sign(rng) * rng.uniform(slowest, maximum) * bench.speed_limit
 
 
 def _power_on(bench: Bench, rng: random.Random) -> Script:
@@ -268,12 +268,12 @@ def _move(bench: Bench, rng: random.Random) -> Script:
     return Script(0.6, [(0.0, lambda: bench.turn(turns))])
 
 
-def _constant(least: float, most: float, load: float = 0.0) -> Callable[[Bench, random.Random], Script]:
+def _constant(minimum: float, maximum: float, load: float = 0.0) -> Callable[[Bench, random.Random], Script]:
     """At a speed between parts of the limit. A load brakes: what drives the shaft for long, no bus would take back."""
 
     def begin(bench: Bench, rng: random.Random) -> Script:
         bench.boot()
-        speed = _part(bench, rng, least, most)
+        speed = _part(bench, rng, minimum, maximum)
         bench.turning(speed)
         part = math.copysign(rng.uniform(0.5 * load, load), speed)
         for k in range(LOAD_STEPS):

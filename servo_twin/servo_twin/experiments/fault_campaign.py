@@ -244,10 +244,10 @@ def _break(trial: Trial, bench: Bench, watch: _Watch, sign: float) -> Result:
     name = bench.first_fault()
     right = damage.names(Seen(watch.u_min, watch.u_max))
     load_pulses = damage.kind == NO_DAMAGE  # of a load, which may well drive a light shaft beyond its limit
-    most = np.inf if load_pulses else RUNAWAY_MARGIN + max(at_first, bench.speed_limit) + driven
+    maximum = np.inf if load_pulses else RUNAWAY_MARGIN + max(at_first, bench.speed_limit) + driven
     complaints = [
         *([] if name in right else [f"{name or 'no fault'} instead of {' or '.join(n or 'none' for n in right)}"]),
-        *([] if fastest <= most else [f"{fastest:.0f} rad/s"]),
+        *([] if fastest <= maximum else [f"{fastest:.0f} rad/s"]),
         *(
             []
             if gained <= _gain(bench.motor, trial.plant, damage)
@@ -266,8 +266,8 @@ def _others(bench: Bench, name: str) -> list[str]:
     if theirs or bench.place(bench.other) != "SPIN":
         return []  # it was never asked to turn
     error = abs(bench.board.truth(bench.other).omega_m - bench.other_speed)
-    most = OTHER_OFF * bench.other_limit
-    return [] if error <= most else [f"the other axis is {error:.3g} rad/s off its speed"]
+    maximum = OTHER_OFF * bench.other_limit
+    return [] if error <= maximum else [f"the other axis is {error:.3g} rad/s off its speed"]
 
 
 # ---- all of them

@@ -162,21 +162,21 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
 
 def _rows(judge: Judge, moves: Mapping[str, Move], inertia: Mismatch, friction: Mismatch) -> Iterator[Row]:
     none, speed = moves["none"], moves["speed"]
-    left, most = speed.error / max(none.error, 1e-9), SPEED_LEFT_MAX * inertia.heavier
-    yield judge("following error, speed over none", left, most=most, reference=SEED_LAG)
+    left, maximum = speed.error / max(none.error, 1e-9), SPEED_LEFT_MAX * inertia.heavier
+    yield judge("following error, speed over none", left, maximum=maximum, reference=SEED_LAG)
     for choice in ("speed, acceleration", "all"):
-        most = error_bound(speed.error, inertia)
-        yield judge(f"following error, {choice}", moves[choice].error, "counts", most=most)
+        maximum = error_bound(speed.error, inertia)
+        yield judge(f"following error, {choice}", moves[choice].error, "counts", maximum=maximum)
     forward = [move for choice, move in moves.items() if choice != "none"]
     pushed = OVERSHOOT_OF_FRICTION * (friction.lighter - 1.0)
     swerve = max(move.swerve for move in forward)
-    most = ARRIVED + swerve + OVERSHOOT_OF_WRONG * inertia.wrong * speed.error + pushed
+    maximum = ARRIVED + swerve + OVERSHOOT_OF_WRONG * inertia.wrong * speed.error + pushed
     beyond = max(move.overshoot for move in forward)
-    yield judge("overshoot, worst", beyond, "counts", most=most, reference=SEED_OVERSHOOT)
+    yield judge("overshoot, worst", beyond, "counts", maximum=maximum, reference=SEED_OVERSHOOT)
     later = _later(none.settling, [move.settling for move in forward])
     lag = none.error * COUNT / max(float(np.abs(none.recording.omega).max()), 1e-9)
     apart = SETTLE_WORSE_MAX + lag * math.log(max(move.window for move in moves.values()) / ARRIVED)
-    yield judge("settling, latest less none", later, "s", most=SETTLE_WORSE_MAX, apart=apart)
+    yield judge("settling, latest less none", later, "s", maximum=SETTLE_WORSE_MAX, apart=apart)
 
 
 def _later(without: float | None, forward: list[float | None]) -> float | None:

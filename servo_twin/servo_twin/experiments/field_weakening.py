@@ -125,8 +125,8 @@ def _speed(judge: Judge, recording: Recording, aim: float) -> Row:
     return judge("speed", speed, "rpm", (1.0 - FORMULA) * aim, (1.0 + FORMULA) * aim, reference=says)
 
 
-def _free(judge: Judge, recording: Recording, most: float | None = None) -> Row:
-    return judge("voltage kept free", free_voltage(recording).mean(), "V", MARGIN - FREE, most)
+def _free(judge: Judge, recording: Recording, maximum: float | None = None) -> Row:
+    return judge("voltage kept free", free_voltage(recording).mean(), "V", MARGIN - FREE, maximum)
 
 
 def _wandering(judge: Judge, recording: Recording) -> Iterator[Row]:
@@ -224,8 +224,8 @@ def _sag_rows(judge: Judge, axis: AxisPlant, recording: Recording, volts: float)
     yield _free(judge, low)
     yield from _wandering(judge, low)
     yield judge("back after its return", time, "s", 0.0, RETURN)
-    most = (1.0 + 2.0 * REACHED) * RATED / RPM
-    yield judge("highest speed then", float(after.omega.max()) / RPM, "rpm", 0.0, most)
+    maximum = (1.0 + 2.0 * REACHED) * RATED / RPM
+    yield judge("highest speed then", float(after.omega.max()) / RPM, "rpm", 0.0, maximum)
 
 
 # ---- a fault ---------------------------------------------------------------------------------------------------------
@@ -249,8 +249,8 @@ def _fault_rows(plant: PlantConfig, seed: int) -> Iterator[Row]:
         yield judge.true("noticed", found.size > 0)
         yield judge.none("in RUN in that tick", after.state[0] == recording.state[0])
         yield judge("current from the next tick on", np.hypot(after.i_d, after.i_q)[1:].max(), "A", 0.0, 0.1)
-        most = min(max(charged, emf) + NOISE, OVER_VOLTAGE)
-        yield judge("highest bus voltage", after.u_dc.max(), "V", 0.0, most)
+        maximum = min(max(charged, emf) + NOISE, OVER_VOLTAGE)
+        yield judge("highest bus voltage", after.u_dc.max(), "V", 0.0, maximum)
 
 
 # ---- other motors ----------------------------------------------------------------------------------------------------

@@ -319,16 +319,16 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         found = [c for trial in range(TRIALS) for c in contacts(plant, seed, kind, trial)]
         judge = Judge(f"{kind}: ")
         yield judge.none("homings that fail", sum(not c.done for c in found))
-        yield judge("spread", max(c.spread for c in found), "counts", most=SPREAD_MAX)
-        yield judge("repeats within", max(c.repeats for c in found), "counts", most=PLACE_MAX)
-        yield judge("place", max(c.place for c in found), "counts", most=PLACE_MAX)
-        yield judge("largest current", max(c.current for c in found), "of the limit", most=CURRENT_MAX)
+        yield judge("spread", max(c.spread for c in found), "counts", maximum=SPREAD_MAX)
+        yield judge("repeats within", max(c.repeats for c in found), "counts", maximum=PLACE_MAX)
+        yield judge("place", max(c.place for c in found), "counts", maximum=PLACE_MAX)
+        yield judge("largest current", max(c.current for c in found), "of the limit", maximum=CURRENT_MAX)
         yield judge("largest force", max(c.force for c in found), "of an ideal spring", 0.3, 1.0)
         places.append(_places(kind, [c.place for c in found], "o"))
     switches = [one for trial in range(TRIALS) for one in to_switches(plant, seed, trial)]
     judge, off = Judge("switch: "), [s.place for s in switches]
     yield judge.none("homings that fail", sum(not s.done for s in switches))
-    yield judge("spread", max(s.spread for s in switches), "counts", most=SWITCH_SPREAD)
+    yield judge("spread", max(s.spread for s in switches), "counts", maximum=SWITCH_SPREAD)
     yield judge("earliest beyond its edge", min(off), "counts", *BEYOND_EDGE)
     yield judge("latest beyond its edge", max(off), "counts", *BEYOND_EDGE)
     places.append(_places("switch", off, "x"))
@@ -338,7 +338,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     for axis, (still, turning) in enumerate(zip(it.still.values(), it.turning.values(), strict=True)):
         judge, way = Judge(f"{axis_name(axis)}, not homed: "), turning.shaft - it.here[axis]
         named = still.limits[-1] & turning.limits[-1] & it.mask
-        yield judge("moves for a far set-point", np.ptp(still.shaft), "counts", most=2.0)
+        yield judge("moves for a far set-point", np.ptp(still.shaft), "counts", maximum=2.0)
         yield judge("turns by a speed", way.max(), "counts", 0.9 * it.reach, it.reach + 4.0)
         yield judge.true("names itself", bool(named))
         curves.append(Curve(axis_name(axis), turning.time, way / COUNTS_PER_TURN))

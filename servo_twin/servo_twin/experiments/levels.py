@@ -26,9 +26,9 @@ _HEAD: Final = ("figure", *LEVELS, "difference", "unit", "bound", "agrees")
 
 def reach(bound: Bound) -> float:
     """How far apart two values may be that agree with a bound, in its unit."""
-    if bound.least is not None and bound.most is not None:
-        return bound.most - bound.least
-    return math.inf if bound.most is None else abs(bound.most)
+    if bound.minimum is not None and bound.maximum is not None:
+        return bound.maximum - bound.minimum
+    return math.inf if bound.maximum is None else abs(bound.maximum)
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Pair:
         return None if first is None or second is None else second - first
 
     @property
-    def most(self) -> float | None:
+    def maximum(self) -> float | None:
         """How large the difference may be, in the same unit: wider where the plant has imperfections."""
         rows = [row for row in (self.ideal, self.registers) if row is not None]
         if len(rows) < len(LEVELS):
@@ -65,20 +65,20 @@ class Pair:
     @property
     def part(self) -> float | None:
         """Difference over how large it may be: 0 for equal figures, infinite for others that ought to be equal."""
-        difference, most = self.difference, self.most
-        if difference is None or most is None or math.isnan(difference):
+        difference, maximum = self.difference, self.maximum
+        if difference is None or maximum is None or math.isnan(difference):
             return None
         if difference == 0.0:
             return 0.0
-        return abs(difference) / most if most > 0.0 else math.inf
+        return abs(difference) / maximum if maximum > 0.0 else math.inf
 
     @property
     def agrees(self) -> bool:
         rows = (self.ideal, self.registers)
-        difference, most = self.difference, self.most
-        if difference is None or most is None:
+        difference, maximum = self.difference, self.maximum
+        if difference is None or maximum is None:
             return False
-        return all(row is not None and row.agrees for row in rows) and abs(difference) <= most
+        return all(row is not None and row.agrees for row in rows) and abs(difference) <= maximum
 
     def as_dict(self) -> dict[str, Any]:
         """Entry of ``levels.json``."""
@@ -94,7 +94,7 @@ class Pair:
             "ideal": side(self.ideal),
             "registers": side(self.registers),
             "difference": _finite(self.difference),
-            "difference_max": _finite(self.most),
+            "difference_max": _finite(self.maximum),
             "agrees": self.agrees,
         }
 

@@ -64,8 +64,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             says = "2.4.6: better" if rpm < RARE else "2.4.6: no difference when edges come often"
             lost = abs(means[1] - speed) * MEASURED / COUNT
             judge = Judge(f"{what}, ", NOT_SHOWN)
-            yield judge("deviation enhanced over plain", ratio, most=CHANCE, reference=says)
-            yield judge("way lost with enhanced", lost, "counts", most=WAY_MAX)
+            yield judge("deviation enhanced over plain", ratio, maximum=CHANCE, reference=says)
+            yield judge("way lost with enhanced", lost, "counts", maximum=WAY_MAX)
             yield (
                 f"{what}: deviation {100 * rms[0]:.3g} % plain, {100 * rms[1]:.3g} % enhanced; true mean "
                 f"{means[0] / RPM:.3g} and {means[1] / RPM:.3g} rpm"
@@ -73,7 +73,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             if axis == 0:
                 yield _panel(what, rpm, plain, better)
         judge = Judge(f"{axis_name(axis)}, where it helps most, ", "2.4.6: better when edges are rare")
-        yield judge("deviation enhanced over plain", min(rare), most=BETTER_MAX)
+        yield judge("deviation enhanced over plain", min(rare), maximum=BETTER_MAX)
 
 
 def _panel(title: str, rpm: float, plain: Recording, better: Recording) -> Panel:

@@ -101,8 +101,8 @@ def _not_held(trace: Trace, speed: float) -> str:
 
 def _lowest_speed_max(plant: PlantConfig, axis: int, limit: float) -> float:
     """The reference design's figure, or what a weak back-EMF allows [% of the limit of the speed, in rad/s]."""
-    least = LOST * dead_voltage(plant, axis) / back_emf(plant.axes[axis], limit)
-    return max(SEED_MAX, 100.0 * least)
+    minimum = LOST * dead_voltage(plant, axis) / back_emf(plant.axes[axis], limit)
+    return max(SEED_MAX, 100.0 * minimum)
 
 
 @experiment(NAME)
@@ -115,12 +115,14 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             what = f"{name}, load {100.0 * load:.0f} %" if load else f"{name}, no load"
             judge, says = Judge(f"{what}, ", NOT_SHOWN), "5 % of the maximum"
             if not it.speeds:
-                yield judge("lowest speed", None, "% of limit", most=SEED_MAX, reference=says)
+                yield judge("lowest speed", None, "% of limit", maximum=SEED_MAX, reference=says)
                 continue
             limit, lowest, r = it.speeds[0] / STEPS[0], it.speeds[-1], it.trace
             part = 100.0 * lowest / limit
-            yield judge("lowest speed", part, "% of limit", most=_lowest_speed_max(plant, axis, limit), reference=says)
-            yield judge("largest speed", it.fastest / it.speeds[0], most=AWAY_MAX)
+            yield judge(
+                "lowest speed", part, "% of limit", maximum=_lowest_speed_max(plant, axis, limit), reference=says
+            )
+            yield judge("largest speed", it.fastest / it.speeds[0], maximum=AWAY_MAX)
             yield (
                 f"{what}: down to {lowest / RPM:.3g} rpm, ripple {100.0 * float(r.omega.std()) / lowest:.2g} %, "
                 f"angle error up to {float(np.abs(r.error).max()):.2g} deg; ended by {it.end}"

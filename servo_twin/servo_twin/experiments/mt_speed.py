@@ -340,24 +340,24 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     judge, exact_edges = Judge(), "E33: time stamps of one tick, edges in their places"
     mt, enhanced = max(s.mt_times for s in found.values()), max(s.enhanced_times for s in found.values())
     yield judge(f"M, {at_low}", 100 * low.m, "%", 100.0, reference="2.4.4: M is poor at low speed")
-    yield judge(f"M, {at_high}", 100 * high.m, "%", most=m_floor, reference="2.4.4: M is good at high speed")
-    yield judge(f"T, {at_low}", 100 * low.t, "%", most=0.1, reference="2.4.4: T is good at low speed")
+    yield judge(f"M, {at_high}", 100 * high.m, "%", maximum=m_floor, reference="2.4.4: M is good at high speed")
+    yield judge(f"T, {at_low}", 100 * low.t, "%", maximum=0.1, reference="2.4.4: T is good at low speed")
     yield judge(f"T, {at_high}", 100 * high.t, "%", 5.0, reference="2.4.4: T is poor at high speed")
-    yield judge("M/T, largest error over 1/M2", mt, "1/M2", most=FLOOR, reference=exact_edges)
+    yield judge("M/T, largest error over 1/M2", mt, "1/M2", maximum=FLOOR, reference=exact_edges)
     yield judge(
-        "enhanced M/T, largest error over 1/M2", enhanced, "1/M2", most=FLOOR, reference="as M/T at steady speed"
+        "enhanced M/T, largest error over 1/M2", enhanced, "1/M2", maximum=FLOOR, reference="as M/T at steady speed"
     )
     m2_says = "781.25 kHz, 1000 lines: 46875"
     yield judge(f"M2 at {SPEEDS[0]:g} rpm", low.m2, "ticks", 46874.0, 46876.0, reference=m2_says)
     exact = sum(a == b for a, b in zip(worked_example(), F19_FACTORS, strict=True))
     yield judge("F19, values exact", exact, "of 5", 5.0, 5.0, reference="1, 4/5, 4/8, 4/11, then 1/3")
     brake, slow = methods(plant, seed, braking, 0.1 + BRAKE_TIME + BRAKE_REST)
-    it, what, most = slowing(brake, slow), "firmware against E33 and F19 while braking", 1e3 * TICK
-    yield judge(what, it.deviation, "ticks", most=2.0, reference="F19: M2 / TMR3")
+    it, what, maximum = slowing(brake, slow), "firmware against E33 and F19 while braking", 1e3 * TICK
+    yield judge(what, it.deviation, "ticks", maximum=2.0, reference="F19: M2 / TMR3")
     yield judge("T, stagnation", 1e3 * it.t, "ms", 5.0, reference="2.4.5: until the next pulse")
     yield judge("M/T, stagnation", 1e3 * it.mt, "ms", 5.0, reference="F18: until the next pulse")
     says = "F19: none beyond the slow loop"
-    yield judge("enhanced M/T, stagnation", 1e3 * it.enhanced, "ms", most=most, reference=says)
+    yield judge("enhanced M/T, stagnation", 1e3 * it.enhanced, "ms", maximum=maximum, reference=says)
     yield _error_panel(found)
     yield _brake_panel(brake, slow)
     yield f"axis {AXIS + 1}; M over {1e3 * TICK:g} ms, {COUNTS_PER_TURN} counts"

@@ -145,7 +145,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         name = axis_name(axis)
         points = measure(plant, seed, axis, SPEEDS, CURRENTS)
         beyond, allowed = _worst(plant, axis, points)
-        yield Judge(f"{name}, ", NOT_SHOWN)("largest mean error", beyond, "deg", most=allowed)
+        yield Judge(f"{name}, ", NOT_SHOWN)("largest mean error", beyond, "deg", maximum=allowed)
         for point in points.values():
             yield (
                 f"{name} at {point.speed / RPM:.0f} rpm, {point.i_q:.2f} A: mean error {point.mean:+.2f} deg, "
@@ -156,7 +156,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         what = f"{name} at {slow.speed / RPM:.0f} rpm"
         judge = Judge(f"{what}, ", NOT_SHOWN)
         ratio = doubled.amplitude / max(slow.amplitude, 1e-9)
-        yield judge("amplitude, made up", slow.amplitude, "deg", most=RIPPLE)
+        yield judge("amplitude, made up", slow.amplitude, "deg", maximum=RIPPLE)
         yield judge("amplitude, not made up over made up", ratio, "", BETTER)
         yield f"{what}, not made up: amplitude {doubled.amplitude:.3g} deg"
         yield _over_speed(name, points)
@@ -205,8 +205,8 @@ def _sensitivity(
             what, says = f"Rs x {r_s:g}", "not very sensitive to Rs"
         judge = Judge(f"{axis_name(axis)}, {what}, ", says)
         if r_s != 1.0:
-            yield judge("error changes by", largest, "deg", most=PAPER_MAX)
-        yield judge("change less that on paper", away, "deg", most=PAPER_MAX)
+            yield judge("error changes by", largest, "deg", maximum=PAPER_MAX)
+        yield judge("change less that on paper", away, "deg", maximum=PAPER_MAX)
 
 
 def _observable(motor: AxisPlant, point: Point) -> bool:

@@ -29,26 +29,26 @@ class Bound:
 
     Attributes
     ----------
-    least, most : float or None
+    minimum, maximum : float or None
         Smallest and largest value that agrees, in the unit of the row.
     """
 
-    least: float | None = None
-    most: float | None = None
+    minimum: float | None = None
+    maximum: float | None = None
 
     def holds(self, value: float | None) -> bool:
         """Whether a value in the unit of the bound lies within; None (nothing to measure) and NaN never do."""
         if value is None or math.isnan(value):
             return False
-        return (self.least is None or value >= self.least) and (self.most is None or value <= self.most)
+        return (self.minimum is None or value >= self.minimum) and (self.maximum is None or value <= self.maximum)
 
     def __str__(self) -> str:
-        if self.least is None and self.most is None:
+        if self.minimum is None and self.maximum is None:
             return "none"
-        if self.least is not None and self.most is not None:
-            same = self.least == self.most
-            return f"= {self.most:.6g}" if same else f"{self.least:.6g} .. {self.most:.6g}"
-        return f">= {self.least:.6g}" if self.least is not None else f"<= {self.most:.6g}"
+        if self.minimum is not None and self.maximum is not None:
+            same = self.minimum == self.maximum
+            return f"= {self.maximum:.6g}" if same else f"{self.minimum:.6g} .. {self.maximum:.6g}"
+        return f">= {self.minimum:.6g}" if self.minimum is not None else f"<= {self.maximum:.6g}"
 
 
 @dataclass(frozen=True)
@@ -116,8 +116,8 @@ class Judge:
         name: str,
         measured: float | np.floating[Any] | None,
         unit: str = "",
-        least: float | None = None,
-        most: float | None = None,
+        minimum: float | None = None,
+        maximum: float | None = None,
         *,
         reference: str | None = None,
         apart: float | None = None,
@@ -129,7 +129,7 @@ class Judge:
             self.reference if reference is None else reference,
             value,
             unit,
-            Bound(least, most),
+            Bound(minimum, maximum),
             apart,
         )
 

@@ -91,15 +91,17 @@ def figures(recording: Recording, speed: float, distance: int, axis_limit: float
     yield judge(
         f"largest jump of the ramp's {slow_loop}", jumps, "of v", 0.5, 1.0 + 1e-6, reference="F24: steps at both ends"
     )
-    yield judge(f"largest jump of the S curve's {slow_loop}", jump, "of v", most=0.1, reference="F24: changes evenly")
-    yield judge("S curve against E38", misfit, "of the way", most=0.01, reference="E38, damping 1")
+    yield judge(
+        f"largest jump of the S curve's {slow_loop}", jump, "of v", maximum=0.1, reference="F24: changes evenly"
+    )
+    yield judge("S curve against E38", misfit, "of the way", maximum=0.01, reference="E38, damping 1")
     yield judge("overshoot of the S curve", over, "counts", 0.0, 0.0, reference="E38: damping 1")
     yield judge("end of the S curve", abs(path[-1] - distance), "counts", 0.0, 0.0, reference="F23: arrives")
     yield judge.none("steps backwards", backwards, reference="F23: monotonous")
     yield judge(
         "highest speed of the S curve", slope.max() / speed, "of v", 0.95, 1.02, reference="F24: that of the ramp"
     )
-    yield judge("acceleration asked for", asked, "of the drive's", most=1.0, reference="E38: v omega_n / e")
+    yield judge("acceleration asked for", asked, "of the drive's", maximum=1.0, reference="E38: v omega_n / e")
 
 
 def _jump(path: NDArray[np.float64], speed: float) -> float:
@@ -114,8 +116,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     axis = plant.axes[AXIS]
     speeds, lowered = move_speeds(plant, seed, together=False)
     r, speed, distance = record(plant, seed, speeds[AXIS])
-    most = current_limits(plant, seed)[AXIS]
-    able = (axis.torque_constant * most - axis.friction) / axis.inertia / COUNT
+    maximum = current_limits(plant, seed)[AXIS]
+    able = (axis.torque_constant * maximum - axis.friction) / axis.inertia / COUNT
     yield from figures(r, speed, distance, able)
     start, turn = r.position_ref[-1] - distance, float(COUNTS_PER_TURN)
     ramp, path = np.minimum(speed * r.time, float(distance)), r.position_ref - start

@@ -271,10 +271,10 @@ def _drives(plant: PlantConfig, axis: int, speed: float, demand: Demand | None, 
     """Whether current and voltage suffice."""
     entry = plant.axes[axis]
     acceleration = 0.0 if demand is None else demand.acceleration * speed
-    most = (entry.inertia * acceleration + entry.friction) / entry.torque_constant
+    maximum = (entry.inertia * acceleration + entry.friction) / entry.torque_constant
     # E38 accelerates early: nine tenths of the speed have been reached when a fifth of the acceleration is left.
     at_speed = (0.2 * entry.inertia * acceleration + entry.friction + entry.viscous * speed) / entry.torque_constant
-    return (demand is None or most <= share * demand.current) and _voltage(entry, speed, at_speed) <= (
+    return (demand is None or maximum <= share * demand.current) and _voltage(entry, speed, at_speed) <= (
         MODULATION * plant.bus.u_source
     )
 

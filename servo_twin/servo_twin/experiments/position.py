@@ -106,10 +106,10 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             for axis, (move, settle) in enumerate(zip(moves, settles, strict=True)):
                 judge, within = Judge(f"{axis_name(axis)} {how}, ", SEED_NONE), COUNTS_MAX + move.swerve
                 calm = COUNTS_MAX + move.swing
-                yield judge("overshoot", move.overshoot, "counts", most=within, reference=SEED_OVERSHOOT)
-                yield judge("limit cycle", move.cycle, "counts", most=calm, reference=SEED_CYCLE)
-                yield judge("steady-state error", move.error, "counts", most=within)
-                yield judge("settling", move.settling, "s", most=settle)
+                yield judge("overshoot", move.overshoot, "counts", maximum=within, reference=SEED_OVERSHOOT)
+                yield judge("limit cycle", move.cycle, "counts", maximum=calm, reference=SEED_CYCLE)
+                yield judge("steady-state error", move.error, "counts", maximum=within)
+                yield judge("settling", move.settling, "s", maximum=settle)
             if not ramp:
                 yield from _panels(how, [move.recording for move in moves])
     yield "settling: after the end of the speed-limited set-point"

@@ -286,9 +286,9 @@ def set_up(
 
 def largest(board: Board, parameter: str) -> float:
     """The most that a parameter can be set to [SI]."""
-    most = board.catalogue[f"param.{parameter}"].maximum
-    assert most is not None
-    return most
+    maximum = board.catalogue[f"param.{parameter}"].maximum
+    assert maximum is not None
+    return maximum
 
 
 def at(events: Mapping[float, Callable[[], object]]) -> Callable[[int], None]:

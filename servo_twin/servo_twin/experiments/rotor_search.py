@@ -66,7 +66,7 @@ class Damage:
     """Name that the firmware has to give it."""
     do: Callable[[Board, int], None]
     """Does it to an axis of a board."""
-    most: float = NAMED_MAX
+    maximum: float = NAMED_MAX
     """Time until the fault is named [s]."""
 
 
@@ -325,12 +325,12 @@ def _rows(
     errors = [s.error for s in searches if s.error is not None]
     worst = max(map(abs, errors)) if len(errors) == len(searches) else None
     bound = error_bound(plant.axes[axis], max(s.current for s in searches))
-    yield judge("error", worst, "deg el", most=bound, reference="F16: theta_M is the rotor's angle")
-    yield judge("time", max(s.time for s in searches), "s", most=time_max, reference="F16: within 1.2 s")
+    yield judge("error", worst, "deg el", maximum=bound, reference="F16: theta_M is the rotor's angle")
+    yield judge("time", max(s.time for s in searches), "s", maximum=time_max, reference="F16: within 1.2 s")
     # The longest movement; but if one is too long for the number of its vectors, that one.
     longest = max(searches, key=lambda s: (s.movement > movement_bound(s.searches), s.movement))
     movement_max = movement_bound(longest.searches)
-    yield judge("movement", longest.movement, "deg", most=movement_max, reference="2.4.3: a tiny shift")
+    yield judge("movement", longest.movement, "deg", maximum=movement_max, reference="2.4.3: a tiny shift")
 
 
 def _rows_fault(plant: PlantConfig, seed: int) -> Iterator[Row]:
@@ -352,7 +352,7 @@ def _rows_fault(plant: PlantConfig, seed: int) -> Iterator[Row]:
         bound = error_bound(plant.axes[axis], max(s.current for s in searches))
         true = [s.faults == {TWITCHING.fault} or (s.error is not None and abs(s.error) <= bound) for s in searches]
         yield judge("held or found true", sum(true) / len(true), "of all", 1.0, 1.0)
-        yield judge("time", max(s.time for s in searches), "s", most=TWITCHING.most)
+        yield judge("time", max(s.time for s in searches), "s", maximum=TWITCHING.maximum)
 
 
 def _rows_named(damage: Damage, when: str, found: Sequence[Sequence[Search]]) -> Iterator[Row]:
@@ -361,7 +361,7 @@ def _rows_named(damage: Damage, when: str, found: Sequence[Sequence[Search]]) ->
         judge = Judge(f"{axis_name(axis)} {damage.name}{when}: ", NOT_SHOWN)
         share = sum(s.faults == {damage.fault} and s.error is None for s in searches) / len(searches)
         yield judge(damage.fault, share, "of all", 1.0, 1.0)
-        yield judge("named", max(s.time for s in searches), "s", most=damage.most)
+        yield judge("named", max(s.time for s in searches), "s", maximum=damage.maximum)
 
 
 def _panel_f16(title: str, label: str, lines: Sequence[NDArray[np.float64]]) -> Panel:

@@ -104,11 +104,11 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     for axis in range(AXES):
         name, motor = axis_name(axis), plant.axes[axis]
         found = [bear(plant, seed, axis, part, STEPS) for part in SPEEDS]
-        most = 1e3 * HELD * currents[axis] * motor.torque_constant
+        maximum = 1e3 * HELD * currents[axis] * motor.torque_constant
         paper = [1e3 * it.speed / lost_on_paper(motor, 1.0) for it in found]
         for it, step in zip(found, paper, strict=True):
             where = f"{name} at {it.speed / RPM:.0f} rpm"
-            yield Judge(f"{where}, ", NOT_SHOWN)("step borne", 1e3 * it.torque, "mN m", min(step, most))
+            yield Judge(f"{where}, ", NOT_SHOWN)("step borne", 1e3 * it.torque, "mN m", min(step, maximum))
             after = f"the next one: {it.end}" if it.end else "the largest that was tried"
             yield (
                 f"{where}: {1e3 * it.torque:.0f} mN m take {it.lost / RPM:.0f} rpm, on paper "

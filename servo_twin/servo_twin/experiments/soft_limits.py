@@ -188,45 +188,45 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     for mode in MODES:
         free, limited = (visit(plant, seed, mode, on, speeds) for on in (False, True))
         for name, *pair in zip(names, free, limited, strict=True):
-            most = BEYOND_MAX if mode == "POSITION" else BEYOND_UNHELD_MAX
-            yield from _rows_visit(Judge(f"{name}, position, {mode.lower()} mode: "), most, *pair)
+            maximum = BEYOND_MAX if mode == "POSITION" else BEYOND_UNHELD_MAX
+            yield from _rows_visit(Judge(f"{name}, position, {mode.lower()} mode: "), maximum, *pair)
         yield _panel(f"limit of the position, {mode.lower()} mode", free, limited)
     for name, way, limited_way in zip(names, lean(plant, seed, False), lean(plant, seed, True), strict=True):
         judge = Judge(f"{name}, position, a load leans on it: ")
         yield judge("beyond without", way, "counts", PASSES_MIN)
-        yield judge("beyond with", limited_way, "counts", most=BEYOND_UNHELD_MAX)
+        yield judge("beyond with", limited_way, "counts", maximum=BEYOND_UNHELD_MAX)
     alone, farther, nearer = set_behind(plant, seed)
     for axis, name in enumerate(names):
         judge, back = Judge(f"{name}, limit set behind the shaft"), nearer[axis].shaft
         moved, off = 2.0 * BEHIND * COUNTS_PER_TURN, BEYOND_MAX + 1.0
-        yield judge(": moves", np.ptp(alone[axis].shaft), "counts", most=BEYOND_MAX)
-        yield judge(", target farther out: moves", np.ptp(farther[axis].shaft), "counts", most=BEYOND_MAX)
+        yield judge(": moves", np.ptp(alone[axis].shaft), "counts", maximum=BEYOND_MAX)
+        yield judge(", target farther out: moves", np.ptp(farther[axis].shaft), "counts", maximum=BEYOND_MAX)
         yield judge.near(", target inside: moves", back[0] - back[-1], "counts", moved, off)
     for mode in ("SPEED", "TORQUE"):
         free, limited = (turn(plant, seed, mode, limit) for limit in (None, SPEED_LIMIT))
         for name, *pair in zip(names, free, limited, strict=True):
-            most, least = SPEED_MAX * SPEED_LIMIT, 1.2 * SPEED_LIMIT
+            maximum, minimum = SPEED_MAX * SPEED_LIMIT, 1.2 * SPEED_LIMIT
             without, with_it = (float(np.abs(it.out.omega).max()) for it in pair)
             judge = Judge(f"{name}, speed, {mode.lower()} mode: ")
-            yield judge("highest without", without, "rad/s", least)
-            yield judge("highest with", with_it, "rad/s", most=most)
+            yield judge("highest without", without, "rad/s", minimum)
+            yield judge("highest with", with_it, "rad/s", maximum=maximum)
             yield judge("names itself", pair[1].named, "of the time", 1.0, 1.0)
     free, limited = (push(plant, seed, limit) for limit in (None, CURRENT_LIMIT))
     for axis, name in enumerate(names):
         judge, pair = Judge(f"{name}, current, torque mode: "), [free[axis], limited[axis]]
         without, with_it = (float(np.abs(it.out.i_q_true).max()) for it in pair)
-        most = CURRENT_MAX * CURRENT_LIMIT + ripple(plant, axis, CURRENT_LIMIT)
+        maximum = CURRENT_MAX * CURRENT_LIMIT + ripple(plant, axis, CURRENT_LIMIT)
         yield judge("largest without", without, "A", 1.5 * CURRENT_LIMIT)
-        yield judge("largest with", with_it, "A", most=most)
+        yield judge("largest with", with_it, "A", maximum=maximum)
         yield judge("names itself", pair[1].named, "of the time", 0.9, 1.0)
 
 
-def _rows_visit(judge: Judge, most: float, free: Run, limited: Run) -> Iterator[Row]:
+def _rows_visit(judge: Judge, maximum: float, free: Run, limited: Run) -> Iterator[Row]:
     assert limited.back is not None
     last = limited.out.shaft[-1]
     yield judge("beyond without", free.beyond, "counts", PASSES_MIN)
-    yield judge("beyond with", limited.beyond, "counts", most=most, apart=most + NEAR_MAX)
-    yield judge("stops before", limited.limit - last, "counts", -most, NEAR_MAX)
+    yield judge("beyond with", limited.beyond, "counts", maximum=maximum, apart=maximum + NEAR_MAX)
+    yield judge("stops before", limited.limit - last, "counts", -maximum, NEAR_MAX)
     yield judge("names itself", limited.named, "of the time", 1.0, 1.0)
     yield judge("comes back", last - limited.back.shaft[-1], "counts", BACK_MIN)
 

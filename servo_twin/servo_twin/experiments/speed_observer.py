@@ -143,14 +143,14 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             without, observed = creep(known, seed, axis, speed)
             error = 100.0 * abs(float(observed.omega.mean()) / speed - 1.0)
             better = BETTER + chance(without, known.axes[axis], speed)
-            yield judge("error of the true mean", error, "%", most=MEAN_MAX)
-            yield judge("deviation with over without", rms(observed, speed) / rms(without, speed), most=better)
+            yield judge("error of the true mean", error, "%", maximum=MEAN_MAX)
+            yield judge("deviation with over without", rms(observed, speed) / rms(without, speed), maximum=better)
             if axis == 0:
                 yield _creep_panel(f"{name} at {rpm:g} rpm", without, observed, rpm)
         judge = Judge(f"{name}, ")
         moved = without, observed = move(known, seed, axis)
         ratio = following(observed) / following(without)
-        yield judge("following error with over without", ratio, most=BETTER)
+        yield judge("following error with over without", ratio, maximum=BETTER)
         if axis == 0:
             yield _move_panel(name, without, observed)
         for inertia, friction in HOLDS:
@@ -159,7 +159,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             pushed_max = whole_counts(observed, other.axes[axis], ARRIVED, inertia)
             calm = max(CYCLE_MAX + 2.0 * pushed_max, held(without))
             what = f"{name} holds, inertia x {inertia:g}, friction x {friction:g}, "
-            yield Judge(what)("movement", held(observed), "counts", most=calm)
+            yield Judge(what)("movement", held(observed), "counts", maximum=calm)
         yield from _costs(known, seed, axis, moved)
 
 

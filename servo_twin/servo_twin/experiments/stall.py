@@ -219,10 +219,10 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             *((f"held fast from {100.0 * p:.0f} %", p, None, "a fault by the variance", NOTICED_MAX) for p in SPEEDS),
             *((f"oscillating with {f:g} Hz", SPEEDS[1], f, "not noticed", OSCILLATING_MAX) for f in FREQUENCIES),
         ]
-        for what, part, frequency, says, most in cases:
+        for what, part, frequency, says, maximum in cases:
             it, judge = stall(plant, seed, axis, part, frequency), Judge(f"{name}, {what}, ", says)
             time = None if it.noticed is None else 1e3 * it.noticed
-            yield judge("outputs off after", time, "ms", most=1e3 * most)
+            yield judge("outputs off after", time, "ms", maximum=1e3 * maximum)
             named, error = it.faults == "SPEED_FEEDBACK", "error on speed feedback"
             yield judge.true("is called SPEED_FEEDBACK", named, reference=error)
             alone = f"nothing in {WATCHED:g} s" if it.by_variance is None else f"after {1e3 * it.by_variance:.0f} ms"
@@ -234,6 +234,6 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             curves.append(Curve(f"observed, {label}", 1e3 * (trace.time[late] - BEFORE), trace.speed[late] / RPM))
         yield Panel(f"{name}: observed speed until the outputs are off", "time [ms]", "speed [rpm]", curves)
     long = operate(plant, seed, LONG if level() == "ideal" else LONG_SLOWLY)
-    yield Judge("", NOT_SHOWN)("false alarms of both axes, random operation", len(long.false), most=0.0)
+    yield Judge("", NOT_SHOWN)("false alarms of both axes, random operation", len(long.false), maximum=0.0)
     yield f"random operation for {long.ran:.3g} s: false alarms {', '.join(long.false) or 'none'}"
     yield from (f"there the load brought a shaft to a stand: {fault}" for fault in long.true)

@@ -232,9 +232,9 @@ def run(plant: PlantConfig, seed: int, count: int | None = None, runner: Runner 
     startup, spin = (Catalogue.load().enums["substate_t"][name] for name in ("STARTUP", "SPIN"))
     for axis, trace in nominal(plant, seed).items():
         judge, found = Judge(f"{axis_name(axis)}, "), examine(trace, startup, spin)
-        for name, _, _, most, value in TIMES:
-            seconds, says = value(found), f"{1e3 * most:.0f} ms on the waveforms"
-            yield judge(name, None if seconds is None else 1e3 * seconds, "ms", most=1e3 * most, reference=says)
+        for name, _, _, maximum, value in TIMES:
+            seconds, says = value(found), f"{1e3 * maximum:.0f} ms on the waveforms"
+            yield judge(name, None if seconds is None else 1e3 * seconds, "ms", maximum=1e3 * maximum, reference=says)
         time = 1e3 * trace.time
         waveforms = (
             Curve("error of the angle [deg]", time, trace.error),
@@ -248,12 +248,12 @@ def run(plant: PlantConfig, seed: int, count: int | None = None, runner: Runner 
     judge = Judge("", NOT_SHOWN)
     yield judge("random starts, success", 100.0 * len(good) / len(starts), "%", RATE_MIN)
     lost = sum(s.criterion is not None and not s.end.isupper() for s in failed)  # faults have names in capitals
-    yield judge("of them turning wrongly without a fault", lost, most=0.0)
+    yield judge("of them turning wrongly without a fault", lost, maximum=0.0)
     distributions: list[Curve] = []
-    for name, label, done, most, value in TIMES:
+    for name, label, done, maximum, value in TIMES:
         times = np.sort([1e3 * seconds for s in good if (seconds := value(s)) is not None])
         usual = np.median(times) if times.size else None
-        yield judge(f"median, {name}", usual, "ms", most=1e3 * most, reference="as above")
+        yield judge(f"median, {name}", usual, "ms", maximum=1e3 * maximum, reference="as above")
         if times.size:
             tenth, half, late = (float(np.percentile(times, q)) for q in (10, 50, 95))
             yield f"{label}: 10 % within {tenth:.0f} ms, half within {half:.0f} ms, 95 % within {late:.0f} ms"

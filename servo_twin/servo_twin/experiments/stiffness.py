@@ -65,5 +65,5 @@ def _rows(judge: Judge, motor: AxisPlant, r: Recording) -> Iterator[Row]:
     yield judge("stiffness", torque / max(away, COUNT), "N m/rad", torque / DEFLECTION_MAX)
     yield judge("recovery", arrives(loaded, target, ARRIVED, LEAD), "s", TICK, RECOVERY_MAX)
     yield judge("recovery after the load", arrives(after, target, ARRIVED, LEAD + LOADED), "s", TICK, RECOVERY_MAX)
-    yield judge("steady-state error under load", error, "counts", most=ARRIVED)
+    yield judge("steady-state error under load", error, "counts", maximum=ARRIVED)
     yield judge("largest i_q*", np.abs(r.i_q_ref).max(), "A", NOMINAL, LIMIT + 1e-3, reference="4 A limit")

@@ -156,7 +156,7 @@ class Cause:
     prepare: Do
     """What the axis does until then."""
     do: Do
-    most: Callable[[Bench, int], float] = lambda bench, axis: OVER_SPEED_LASTS + ANSWER
+    maximum: Callable[[Bench, int], float] = lambda bench, axis: OVER_SPEED_LASTS + ANSWER
     """Time until the outputs are off [s]; with OVER_SPEED from when the true speed passes the limit."""
 
     def accidents(self, bench: Bench, on: bool) -> list[Accident]:
@@ -238,9 +238,9 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             what, (without, supervised) = f"{axis_name(axis)}, {cause.name}: ", pair
             judge, time = Judge(what), supervised.time
             sooner = math.inf if without.time is None else without.time
-            yield judge("outputs off after", time, "s", 0.0, cause.most(bench, axis))
+            yield judge("outputs off after", time, "s", 0.0, cause.maximum(bench, axis))
             yield judge.true("the fault's name is right", supervised.fault == masks[cause.fault])
-            yield judge("time with over without", None if time is None else time / sooner, most=SOONER_MAX)
+            yield judge("time with over without", None if time is None else time / sooner, maximum=SOONER_MAX)
             yield f"{what}without {_story(without, masks)}; with {_story(supervised, masks)}"
             ends = {"without": without, "with": supervised}
             curves += [_until_off(f"{axis_name(axis)} {how}", it) for how, it in ends.items()]

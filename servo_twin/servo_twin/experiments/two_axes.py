@@ -142,11 +142,13 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         held = hold(plant, seed, watched, reversals)
         away = np.abs(held.position - held.position_ref).max()
         more = 100.0 * (deviation(together) - deviation(alone)) / EVEN
-        swing, least = np.ptp(together.u_dc), BUS_SWING * reversals.lift(plant, 1 - watched)
+        swing, minimum = np.ptp(together.u_dc), BUS_SWING * reversals.lift(plant, 1 - watched)
         reached, unfelt = np.ptp(other.omega) / (2.0 * reversals.speed), "2.3: the bus must not be felt"
-        yield judge(", the other reverses: bus swing", swing, "V", least, OVER_VOLTAGE - UNDER_VOLTAGE)
-        yield judge(" turns, the other reverses: more deviation", more, "% of speed", most=EVEN_MAX, reference=unfelt)
-        yield judge(" holds, the other reverses: deviation", away, "counts", most=HOLD_MAX, reference=unfelt)
+        yield judge(", the other reverses: bus swing", swing, "V", minimum, OVER_VOLTAGE - UNDER_VOLTAGE)
+        yield judge(
+            " turns, the other reverses: more deviation", more, "% of speed", maximum=EVEN_MAX, reference=unfelt
+        )
+        yield judge(" holds, the other reverses: deviation", away, "counts", maximum=HOLD_MAX, reference=unfelt)
         yield judge(", the other reaches its speed", reached, "of set-point", 0.9, 1.2)
         yield (
             f"{name} at {EVEN / RPM:g} rpm, largest deviation: {deviation(alone) / RPM:.3g} rpm alone, "
@@ -162,11 +164,11 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     speed = top_speed(plant, range(AXES), BRAKE_FROM)
     stop, judge = brake(plant, seed, speed), Judge("both brake: ", NOT_SHOWN)
     limit, faults = "not shown; the drive's limit is 33 V", np.bitwise_or.reduce(stop[0].faults | stop[1].faults)
-    yield judge("highest bus voltage", stop[0].u_dc.max(), "V", most=OVER_VOLTAGE, reference=limit)
+    yield judge("highest bus voltage", stop[0].u_dc.max(), "V", maximum=OVER_VOLTAGE, reference=limit)
     yield judge.none("faults", faults, reference="none")
     for axis, r in stop.items():
         left = np.abs(r.omega[-100:]).max() / RPM
-        yield judge(f"{axis_name(axis)} stands", left, "rpm", most=STANDS * speed / RPM)
+        yield judge(f"{axis_name(axis)} stands", left, "rpm", maximum=STANDS * speed / RPM)
     yield f"both brake from {speed / RPM:.4g} rpm"
     speeds = [Curve(f"{axis_name(axis)} [100 rpm]", r.time, r.omega / RPM / 100.0) for axis, r in stop.items()]
     bus = Curve("bus [V]", stop[0].time, stop[0].u_dc)

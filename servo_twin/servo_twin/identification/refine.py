@@ -457,8 +457,8 @@ def _corrected(
 
     close: list[Recording] = []
     # without friction a simulated shaft would swing about the vector for ever
-    least = FRICTION_MIN * 1.5 * first["pole_pairs"] * first["psi_m"] * limits["current"]
-    values["friction"], values["viscous"] = max(values["friction"], least), max(values["viscous"], 0.0)
+    minimum = FRICTION_MIN * 1.5 * first["pole_pairs"] * first["psi_m"] * limits["current"]
+    values["friction"], values["viscous"] = max(values["friction"], minimum), max(values["viscous"], 0.0)
     begun = dict(values)
     for at in (QUICK, level, level, level):
         begun = dict(values)
@@ -473,7 +473,7 @@ def _corrected(
                 values[name] += first[name] - seen
             else:
                 values[name] *= min(max(first[name] / seen, 0.8), 1.25) if seen > 0.0 else 1.0
-        values["friction"], values["viscous"] = max(values["friction"], least), max(values["viscous"], 0.0)
+        values["friction"], values["viscous"] = max(values["friction"], minimum), max(values["viscous"], 0.0)
     if level == QUICK:
         return _Start(values, close, close)
     values, refined = begun, values

@@ -113,8 +113,8 @@ def summary(trials: Sequence[tuple[int, Trial]]) -> list[str]:
         covered = np.mean([trial.covered[name] for trial in done if name in trial.covered])
         aim = AIMS.get(name)
         within = "" if aim is None else f"{100 * np.mean(errors <= aim):.1f} % < {100 * aim:g} %"
-        half, most = np.percentile(errors, (50, 95))
-        figures = f"{100 * half:12.2f} % {100 * most:7.2f} % {100 * errors.max():7.2f} % {100 * covered:10.1f} %"
+        half, maximum = np.percentile(errors, (50, 95))
+        figures = f"{100 * half:12.2f} % {100 * maximum:7.2f} % {100 * errors.max():7.2f} % {100 * covered:10.1f} %"
         lines.append(f"{name:10} {within:>15}  {figures}")
     seconds = np.array([trial.seconds for _, trial in trials])
     lines.append(

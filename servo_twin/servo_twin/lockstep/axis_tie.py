@@ -166,10 +166,10 @@ class AxisTie:
             self._hold = sample.position_ref[self._number]
         return not (self._aligned or self._chased or self.controls(replica))
 
-    def catch_up(self, replica: Replica, most: int) -> None:
-        """Run the twin's board ahead until this axis is under control or has failed, at most `most` ticks."""
+    def catch_up(self, replica: Replica, maximum: int) -> None:
+        """Run the twin's board ahead until this axis is under control or has failed, at most `maximum` ticks."""
         self._chased = True
-        replica.run_until(lambda: self.controls(replica) or replica.label(self._number) == "FAULT", most)
+        replica.run_until(lambda: self.controls(replica) or replica.label(self._number) == "FAULT", maximum)
 
     def controls(self, replica: Replica) -> bool:
         """Whether the twin's axis is under control."""

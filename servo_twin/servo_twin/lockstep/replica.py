@@ -95,7 +95,7 @@ class Replica:
         self.raw = dict(zip(log.dtype.names or (), log[-1].tolist(), strict=True))
         assert self.raw["tick"] == tick % _WRAP
 
-    def run_until(self, condition: Callable[[], bool], most: int) -> bool:
+    def run_until(self, condition: Callable[[], bool], maximum: int) -> bool:
         """Run until the condition holds, at most `most` ticks; returns whether it does.
 
         Parameters
@@ -105,7 +105,7 @@ class Replica:
         most : int
             Longest run [PWM periods].
         """
-        end = self.tick + most
+        end = self.tick + maximum
         while not condition():
             if self.tick >= end:
                 return False

@@ -281,7 +281,7 @@ class Twin:
         return [] if replica is None else [replica.label(axis) for axis in range(AXES)]
 
     # ---- following
-    def step(self, most: int = 64) -> list[Pair]:
+    def step(self, maximum: int = 64) -> list[Pair]:
         """Deal with waiting samples, at most so many; fewer when one waits for its commands.
 
         Returns
@@ -290,7 +290,7 @@ class Twin:
             One per sample while the twin follows.
         """
         pairs: list[Pair] = []
-        for _ in range(most):
+        for _ in range(maximum):
             if not self._queue:
                 break
             sample = self._queue[0]

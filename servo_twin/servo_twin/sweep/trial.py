@@ -78,7 +78,7 @@ class Figure:
         value = row.measured if row.measured is not None and math.isfinite(row.measured) else None
         if value is None:
             return cls(None, row.unit, -math.inf)
-        ends = ((row.bound.least, 1.0), (row.bound.most, -1.0))
+        ends = ((row.bound.minimum, 1.0), (row.bound.maximum, -1.0))
         slacks = [sign * (value - end) / (abs(end) or 1.0) for end, sign in ends if end is not None]
         return cls(float(value), row.unit, float(min(slacks)) if slacks else None)
 

@@ -74,14 +74,14 @@ def _samples(trace: Trace) -> list[Row]:
     rows: list[Row] = []
     for number, (motor, phases) in enumerate(zip(MOTORS, PHASES, strict=True)):
         own, foreign = number * PAIRS, (1 - number) * PAIRS + 1
-        for what, sample, switch, side, most in (
+        for what, sample, switch, side, maximum in (
             ("currents", own, 1, "low", CENTRE_MAX),
             ("offsets", foreign, 0, "high", CENTRE_MAX + CONVERSION + SKEW_MAX),
         ):
             instants = trace.clocks(Kind.SAMPLE, sample)
             offsets = [_from_centre(trace.intervals(phase, switch), instants) for phase in phases]
             both = np.concatenate(offsets) * CLOCK if offsets else np.empty(0)
-            within = Bound(-SKEW_MAX * 1e6 if side == "high" else 0.0, most * 1e6)
+            within = Bound(-SKEW_MAX * 1e6 if side == "high" else 0.0, maximum * 1e6)
             text = f"F34: {side}-side centre"
             rows.append(Row(f"{motor}: {what} after the centre, least", text, _scaled(_min(both)), "us", within))
             rows.append(Row(f"{motor}: {what} after the centre, most", text, _scaled(_max(both)), "us", within))
@@ -147,9 +147,9 @@ def _interrupts(trace: Trace) -> list[Row]:
         about_one = Bound(1.0 - 2.0 / max(periods.size, 1), 1.0 + 2.0 / max(periods.size, 1))
         rows.append(Row(f"{name} per PWM period", "F38: once", per_period, "", about_one))
         since = _scaled(_min(_before(data, runs[:, 0]) * CLOCK))
-        least = CONVERSION if vector == VECTOR_M1 else 0.0
+        minimum = CONVERSION if vector == VECTOR_M1 else 0.0
         text = "t1: after three conversions" if vector == VECTOR_M1 else "t3: after the scan"
-        rows.append(Row(f"{name} begins after its data, least", text, since, "us", Bound(least * 1e6, SOON * 1e6)))
+        rows.append(Row(f"{name} begins after its data, least", text, since, "us", Bound(minimum * 1e6, SOON * 1e6)))
     order = _order(trace)
     rows.append(Row("periods with t0, t1, t2, t3 in order", "F34", order, "of all", Bound(1.0, 1.0)))
     overlap = _overlap(trace.handlers(VECTOR_M1), trace.handlers(VECTOR_M2))
