@@ -145,7 +145,7 @@ def comes_back_by_command_only(world: World) -> None:
     world.turn(SPEED)
 
 
-def test_frames_damaged_by_noise_change_nothing(world: World) -> None:
+def test_cable_noise(world: World) -> None:
     """Frames with a wrong checksum are no sign of life, and change nothing."""
     world.turn(SPEED)
     start = world.now
@@ -174,7 +174,7 @@ def test_board_restarted(world: World) -> None:
     assert world.fastest(0.0) < 0.1
 
 
-def test_a_quick_stop_stops_within_its_ramp(world: World) -> None:
+def test_quick_stop(world: World) -> None:
     renew = world.turn(SPEED)
     start = world.now
     world.host.command("QUICK_STOP")
@@ -191,7 +191,7 @@ class TestOneLine:
     def baud(self, request: pytest.FixtureRequest) -> int:
         return int(request.param)
 
-    def test_a_reading_client_does_not_disturb_the_set_points(self, baud: int) -> None:
+    def test_reader(self, baud: int) -> None:
         """A client that reads comes and goes."""
         world = World(chosen_level(), baud)
         world.enable()

@@ -57,7 +57,7 @@ class Learner:
 
     def __init__(self, plant: PlantConfig) -> None:
         self._signals = [AxisSignals(axis, entry) for axis, entry in enumerate(plant.axes)]
-        self._bus = BusSignal(plant.bus.u_source)
+        self._bus = BusSignal(plant.bus)
         self._equations: list[list[tuple[int, AxisEquations]]] = [[] for _ in range(AXES)]
         self._means = SignalMeans()
         self._mean_maxima: list[_Array] = []
@@ -142,6 +142,8 @@ class Learner:
             )
         span_hours = _SPAN * BLOCK / 3600.0
         voltages = np.array(self._voltages)
+        if len(voltages) < _FEW:
+            raise ThresholdsError("the bus is lifted above its supply all the time: move with less braking")
         return Thresholds(
             axes=tuple(axes),
             bus_noise=float(voltages.std()),

@@ -103,7 +103,7 @@ class DiagnosisMonitor:
         self.plant = plant
         self.watch.interrupt()
         self._signals = [AxisSignals(axis, entry) for axis, entry in enumerate(plant.axes)]
-        self._bus_signal = BusSignal(plant.bus.u_source)
+        self._bus_signal = BusSignal(plant.bus)
         self._tick: int | None = None
         for _, channel in self._places():
             channel.clear()

@@ -25,7 +25,7 @@ from typing import Final, NamedTuple
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import PERIOD_NS
 
-from servo_twin.plant import AxisPlant
+from servo_twin.plant import AxisPlant, BusPlant
 
 CHANGES: Final = ("resistance", "flux", "inertia", "friction", "load", "encoder_angle")
 """Unknowns of an axis: relative changes, a torque [N m] and an electrical angle [rad]."""
@@ -54,8 +54,7 @@ stays the same over some samples."""
 _SMALL_CURRENT: Final = 1.5
 """Volts of noise per ampere by which two small currents differ: dead time and drops change their sign there."""
 _SECOND: Final = PERIOD_NS * 1e-9
-_RETURNED_FEEDS: Final = 0.02  # energy up to which a supply counts as feeding: 0.2 V in 4.7 mF at 24 V [J]
-_RETURNED_MAX: Final = 1.0  # more than the brake resistor lets the capacitor hold [J]
+_LIFTED: Final = 0.2  # from which on a bus is lifted above its supply [V]
 _POWERS: Final = tuple((f"{axis_name(axis)}.u_q", f"{axis_name(axis)}.i_q") for axis in range(AXES))
 
 _Row = tuple[float, ...]
@@ -200,29 +199,35 @@ class BusSignal:
 
     Parameters
     ----------
-    supply : float
-        The twin's model of the bus [V].
+    bus : BusPlant
+        The twin's model of it.
     """
 
-    def __init__(self, supply: float) -> None:
-        self._supply = supply
+    def __init__(self, bus: BusPlant) -> None:
+        self._supply, self._capacitance = bus.u_source, bus.capacitance
+        self._feeds = self._energy(self._supply + _LIFTED)
+        self._highest = self._energy(bus.u_full_scale)
         self._returned = [0.0, 0.0]  # by the motors of board and twin and not used since [J]
         self._tick: int | None = None
 
+    def _energy(self, volts: float) -> float:
+        """What the capacitor holds more than at the voltage of the supply [J]."""
+        return 0.5 * self._capacitance * max(volts**2 - self._supply**2, 0.0)
+
     def interrupt(self) -> None:
-        """The next sample has nothing to do with the last one; the energy returned meanwhile is not known."""
+        """The next sample has nothing to do with the last one."""
         self._tick = None
-        self._returned = [_RETURNED_MAX] * 2
 
     def update(self, tick: int, real: Mapping[str, float], twin: Mapping[str, float]) -> float | None:
         """The difference at a sample; None where a bus may be lifted."""
         before, self._tick = self._tick, tick
-        if before is None:
+        if before is None:  # what lies above the twin's supply may have been returned
+            self._returned = [self._energy(values["u_dc"]) for values in (real, twin)]
             return None
         seconds = (tick - before) * _SECOND
         for k, values in enumerate((real, twin)):
             power = sum(1.5 * values[u_q] * values[i_q] for u_q, i_q in _POWERS)
-            self._returned[k] = min(max(self._returned[k] - power * seconds, 0.0), _RETURNED_MAX)
-        if max(self._returned) > _RETURNED_FEEDS:
+            self._returned[k] = min(max(self._returned[k] - power * seconds, 0.0), self._highest)
+        if max(self._returned) > self._feeds:
             return None
         return (real["u_dc"] - twin["u_dc"]) / self._supply
