@@ -149,7 +149,7 @@ def test_everything_is_included(measurement: Measurement) -> None:
     }
 
 
-def test_axes_move(measurement: Measurement) -> None:
+def test_instruction_counts_vary_in_every_phase(measurement: Measurement) -> None:
     """In every phase the ways through the slow loop differ, and at the voltage limit those through the fast loop."""
     counts = measurement.counts[REFERENCE]
     assert counts["voltage limit", FAST].mean > counts["speed", FAST].mean + 20

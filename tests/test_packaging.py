@@ -160,7 +160,7 @@ def test_make_without_a_target_lists_every_target() -> None:
         (("up", "PORT=/dev/ttyUSB0", "BAUD=1000000"), "servo-up --port '/dev/ttyUSB0' --baud '1000000'"),
     ],
 )
-def test_make_starts(arguments: tuple[str, ...], command: str) -> None:
+def test_make_starts_servo_up_with_its_variables(arguments: tuple[str, ...], command: str) -> None:
     plan = run("make", "--dry-run", *arguments)
     assert plan.returncode == 0, plan.stderr
     assert plan.stdout.splitlines()[-1].split() == f".venv/bin/{command}".split()

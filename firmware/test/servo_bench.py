@@ -25,7 +25,7 @@ STATE, SUBSTATE, MODE, TEST_POINT, STOP_CATEGORY = (
 )
 FAULTS, LIMITS, FEATURES, INPUTS = map(_masks, ("faults", "limits", "features", "inputs"))
 ALL_FAULTS: Final = sum(vars(FAULTS).values())
-SEED_FEATURES: Final = 0b1111
+REFERENCE_FEATURES: Final = 0b1111
 """Those of the reference design, which are on after reset."""
 PULL, BRAKE, REST, VERIFY, TURN, FOUND, HELD, BLIND, REVERSED, STARVED = range(10)  # rotor_search_phase_t
 PERIODS: Final = 8
@@ -222,7 +222,7 @@ class Bench:
 
     def switch_on(self, axis: int, features: int) -> None:
         """Add features of one axis to those of the reference design; the other axis keeps the latter."""
-        words = [SEED_FEATURES, SEED_FEATURES]
+        words = [REFERENCE_FEATURES, REFERENCE_FEATURES]
         words[axis] |= features
         self.write_raw("param.features", words)
 

@@ -127,7 +127,7 @@ def test_writes_between_two_slow_ticks_take_effect_together(bench: Bench, core: 
     assert [bench.axis(i).command.position for i in range(2)] == [7, 8]
 
 
-def test_held_block_is_not_read_and_not_lost(bench: Bench) -> None:
+def test_locked_block_is_not_read_and_not_lost(bench: Bench) -> None:
     """While the server copies, nothing is latched and no snapshot published; afterwards the write still counts."""
     tick = bench.servo.snapshot.tick
     bench.write(0, enable=1)
@@ -141,7 +141,7 @@ def test_held_block_is_not_read_and_not_lost(bench: Bench) -> None:
     assert bench.servo.snapshot.tick == bench.servo.snapshot.applied_tick == tick + 32
 
 
-def test_held_parameters_of_the_board_are_not_read_and_pending_faults_not_published(bench: Bench) -> None:
+def test_locked_parameters_of_the_board_are_not_read_and_pending_faults_not_published(bench: Bench) -> None:
     """The server may be in the middle of a number; what it copies next is latched or published whole."""
     bench.slow()
     before = bench.servo.settings.host_timeout
@@ -170,7 +170,7 @@ def test_a_latch_that_is_left_out_does_not_repeat_a_fresh_write(bench: Bench) ->
     assert bench.axis(0).command.fresh == 0
 
 
-def test_held_tick_does_not_repeat_a_fresh_write(bench: Bench) -> None:
+def test_locked_tick_does_not_repeat_a_fresh_write(bench: Bench) -> None:
     bench.to_spin(0)
     bench.write(0, enable=1, mode=MODE.SPEED, position=1, speed=2, i_q=3, quick_stop=1, clear_faults=1)
     bench.core.lib.probe_run(bench.servo, TO_LATCH)

@@ -162,7 +162,7 @@ def test_read_with_missing_fields(servo: Board) -> None:
             assert servo.ask(code, payload) == Answer(0x86)
 
 
-def test_reading_holds_once(servo: Board) -> None:
+def test_reading_locks_the_server_once(servo: Board) -> None:
     servo.ask(READ, at(0x54) + b"\x10")
     assert servo.events() == [("lock", 0, 0), ("unlock", 0, 0)]
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 from core_library import Core
-from servo_bench import COUNT, FEATURES, LIMITS, MODE, SEED_FEATURES, STATE, SUBSTATE, Bench, amps, rad_s, speed
+from servo_bench import COUNT, FEATURES, LIMITS, MODE, REFERENCE_FEATURES, STATE, SUBSTATE, Bench, amps, rad_s, speed
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def held_by_soft_limit(bench: Bench) -> None:
     "widen",
     [
         pytest.param(lambda bench: bench.set_parameter("position_max", 1000.0), id="limit"),
-        pytest.param(lambda bench: bench.write_raw("param.features", [SEED_FEATURES] * 2), id="feature"),
+        pytest.param(lambda bench: bench.write_raw("param.features", [REFERENCE_FEATURES] * 2), id="feature"),
     ],
 )
 def test_shaft_held_by_a_soft_limit_stays_when_the_limit_goes(bench: Bench, widen: Callable[[Bench], None]) -> None:

@@ -66,7 +66,7 @@ class Machine:
         return list(self.called), self.sm.state
 
 
-def test_numbers_are_those_of_the_seed(core: Core) -> None:
+def test_numbers_are_those_of_the_reference_design(core: Core) -> None:
     text = (FIRMWARE / "drive/state_machine.h").read_text(encoding="utf-8")
     found = {name: int(value, 16) for name, value in re.findall(r"#define SM_CTRL_(\w+) UINT16_C\((0x\w+)\)", text)}
     assert found == FLAGS

@@ -117,7 +117,7 @@ def test_sum_and_extremes_are_exact(core: Core, periods: list[tuple[int, bool]])
 
 
 @pytest.mark.parametrize("voltage", [-32768, 32767])
-def test_extremes_saturate(core: Core, voltage: int) -> None:
+def test_extremes_of_the_flux_saturate_at_32_bits(core: Core, voltage: int) -> None:
     """Longer than any turn can last: the sum stays within 32 bits, and the span is compared in more."""
     config, follow = config_of(core), started(core)
     for extreme in (voltage, -1 - voltage):

@@ -439,7 +439,7 @@ def _parameter(text: str) -> tuple[Variable, int | None]:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="servo-command", description="Send one command to the servo over ROS.")
-    parser.add_argument("--namespace", default="/servo", help="of the bridge (default: %(default)s)")
+    parser.add_argument("--namespace", default="/servo", help="namespace of the bridge (default: %(default)s)")
     parser.add_argument("--wait", type=float, default=10.0, metavar="S", help="time to wait (default: %(default)s)")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="COMMAND")
     for verb, text in (
@@ -490,7 +490,7 @@ def _parser() -> argparse.ArgumentParser:
                 type=argument.not_negative,
                 default=1.0,
                 metavar="S",
-                help="repeat for so long (default: 1)",
+                help="time to repeat them (default: 1)",
             )
     add_path_verbs(verbs, _target)
     return parser

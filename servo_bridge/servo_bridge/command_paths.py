@@ -57,12 +57,14 @@ class PathUser(Protocol):
 
 def add_path_verbs(verbs: argparse._SubParsersAction[argparse.ArgumentParser], target: Callable[[str], object]) -> None:
     """Add the commands that follow a path."""
-    mover = verbs.add_parser("move", help="to positions [rad] in a given time, or as fast as the limits allow")
+    mover = verbs.add_parser("move", help="move to positions [rad] in a given time, or as fast as the limits allow")
     mover.add_argument("targets", nargs="+", type=target, metavar="JOINT=VALUE")
     mover.add_argument("--time", type=argument.positive, metavar="S", help="default: the shortest within the limits")
-    follower = verbs.add_parser("follow", help="a path from a .csv (time, joints, <joint>_velocity) or .json file")
+    follower = verbs.add_parser(
+        "follow", help="follow a path from a .csv (time, joints, <joint>_velocity) or .json file"
+    )
     follower.add_argument("file", metavar="FILE")
-    waver = verbs.add_parser("sine", help="a sine about where the joint is, faded in and out")
+    waver = verbs.add_parser("sine", help="follow a sine about where the joint is, faded in and out")
     waver.add_argument("joint", metavar="JOINT")
     waver.add_argument("--amplitude", type=argument.positive, required=True, metavar="RAD")
     waver.add_argument("--frequency", type=argument.positive, required=True, metavar="HZ")

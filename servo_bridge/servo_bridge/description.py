@@ -67,7 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         prog="servo_bridge.description", description="Print the robot description (URDF) of a bridge."
     )
     parser.add_argument("--params", default="", metavar="FILE", help="parameter file (default: the bridge's defaults)")
-    parser.add_argument("--namespace", default="", metavar="NS", help="of the launch, before `servo`")
+    parser.add_argument("--namespace", default="", metavar="NS", help="namespace of the launch, before `servo`")
     args = parser.parse_args(argv)
     try:
         print(description_from_file(args.params, args.namespace), end="")

@@ -85,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
         type=_password,
         default=argparse.SUPPRESS,
         metavar="TEXT",
-        help=f"for boards that require one (default: ${PASSWORD_VARIABLE}, or asked for)",
+        help=f"password, for boards that require one (default: ${PASSWORD_VARIABLE}, or asked for)",
     )
     parser = argparse.ArgumentParser(
         prog="servo-tool",
@@ -147,9 +147,9 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("names", nargs="+", metavar="NAME", help="variable of the bursts")
     tool_scope.add_options(command)
     command = add("snapshot", tool_faults.snapshot, "print what led to the first fault of each axis")
-    command.add_argument("axis", nargs="?", choices=("1", "2"), help="only this one (default: both)")
+    command.add_argument("axis", nargs="?", choices=("1", "2"), help="only this axis (default: both)")
     command.add_argument("--json", action="store_true", help="print a JSON array, one object per axis with a fault")
-    command.add_argument("--plot", metavar="FILE", help="draw it, as .png, .svg or .pdf")
+    command.add_argument("--plot", metavar="FILE", help="draw the snapshot, as .png, .svg or .pdf")
     command = commands.add_parser(
         _PROJECT,
         help="write a project for NXP's desktop tool: all variables with units, SI scales and limits; needs no board",

@@ -37,12 +37,21 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     command.add_argument("axis", choices=_AXES)
     command.add_argument("loop", choices=list(LOOPS), help="current is the loop of i_q, current_d that of i_d")
-    command.add_argument("--amplitude", type=argument.positive, metavar="A", help="[A]; of the position loop [rad/s]")
+    command.add_argument(
+        "--amplitude",
+        type=argument.positive,
+        metavar="A",
+        help="amplitude of the test signal [A]; of the position loop: [rad/s]",
+    )
     command.add_argument("--from", dest="f_min", type=argument.positive, metavar="HZ", help="lowest frequency")
     command.add_argument("--to", dest="f_max", type=argument.positive, metavar="HZ", help="highest frequency")
-    command.add_argument("--speed", type=argument.finite, metavar="RAD/S", help="constant speed meanwhile")
+    command.add_argument("--speed", type=argument.finite, metavar="RAD/S", help="constant speed while measuring")
     command.add_argument(
-        "--range", type=argument.positive, default=math.inf, metavar="RAD", help="that the shaft may turn"
+        "--range",
+        type=argument.positive,
+        default=math.inf,
+        metavar="RAD",
+        help="largest angle that the shaft may turn to each side",
     )
     command.add_argument("--repeat", type=_count, default=4, metavar="N", help="sweeps per band (default: 4)")
     command.add_argument("--enable", action="store_true", help="enable the axis, and disable it afterwards")

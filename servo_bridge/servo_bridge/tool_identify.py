@@ -43,13 +43,13 @@ _INTERRUPTED: Final = 130
 def add_arguments(command: argparse.ArgumentParser) -> None:
     """Arguments of the command."""
     command.add_argument("--axis", type=int, choices=range(1, AXES + 1), default=1, help="default: %(default)s")
-    command.add_argument("--voltage", type=float, required=True, help="of the bus [V]")
-    command.add_argument("--current", type=float, required=True, help="that the motor bears [A, peak]")
+    command.add_argument("--voltage", type=float, required=True, help="voltage of the bus [V]")
+    command.add_argument("--current", type=float, required=True, help="current that the motor bears [A, peak]")
     defaults = {field.name: field.default for field in fields(Limits)}
     for name, text in (
         ("speed", "largest speed [rad/s]"),
         ("turns", "turns to both sides within which the shaft stays"),
-        ("energy", "that the bus takes from a braking shaft [J]"),
+        ("energy", "energy that the bus takes from a braking shaft [J]"),
     ):
         command.add_argument(f"--{name}-max", type=float, default=defaults[name], help=f"{text} (default: %(default)s)")
     command.add_argument(

@@ -49,7 +49,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
         "boards those of the burst)",
     )
     command.add_argument(
-        "--count", type=argument.count, metavar="N", help="end after so many bursts (default: at Ctrl-C)"
+        "--count", type=argument.count, metavar="N", help="end after this number of bursts (default: at Ctrl-C)"
     )
     command.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a recording instead of opening a viewer")
     command.add_argument(

@@ -28,7 +28,9 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     way.add_argument("--dry-run", action="store_true", help="only show what would change")
     way.add_argument("--diff", action="store_true", help="only compare; exit status 1 when file and board differ")
     way.add_argument("--from-board", action="store_true", help="write what the board has as such a file")
-    command.add_argument("-o", "--output", metavar="FILE.toml", help="with --from-board: where to (default: print it)")
+    command.add_argument(
+        "-o", "--output", metavar="FILE.toml", help="file to write with --from-board (default: print it)"
+    )
 
 
 def tune(context: Context) -> int:

@@ -159,7 +159,7 @@ def test_the_description_and_flags_of_the_reference_target() -> None:
     assert (limits.memory, limits.period_ns) == (512, 1_000_000)
 
 
-def test_application_commands() -> None:
+def test_application_commands_return_the_answer_of_the_board() -> None:
     target = FakeTargetV3(commands={0x11: lambda arguments: 0x42 if arguments == b"\x01\x02\xd4" else 0})
     client = connected(target)
     assert client.run_command(0x11, b"\x01\x02\xd4") == 0x42

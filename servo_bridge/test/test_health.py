@@ -33,7 +33,7 @@ def test_counters_that_have_not_been_read_are_unknown() -> None:
     assert {value.key: value.value for value in found.values}["late loops"] == "unknown"
 
 
-def test_counters_wrap() -> None:
+def test_late_loops_are_counted_across_the_wrap_of_the_counter() -> None:
     health = Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"])
     status(health, 0xFFFF, 0)
     assert status(health, 1, 0).message == "in the last second: 2 late loops"

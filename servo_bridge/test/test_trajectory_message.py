@@ -129,7 +129,7 @@ def test_a_bad_trajectory_is_refused_with_its_reason(trajectory: Any, code: int,
     assert caught.value.code == ErrorCode(code)
 
 
-def test_real_messages() -> None:
+def test_messages_of_ros_become_a_path() -> None:
     messages = pytest.importorskip("trajectory_msgs.msg")
     interfaces = pytest.importorskip("builtin_interfaces.msg")
     trajectory = messages.JointTrajectory(joint_names=["axis2"])

@@ -63,7 +63,7 @@ def test_only_commands_blocks_and_parameters_can_be_written() -> None:
     assert writable == {"cmd", "config", "param", "storage"}
 
 
-def test_numbers_of_states_are_those_of_the_seed() -> None:
+def test_numbers_of_states_are_those_of_the_reference_design() -> None:
     assert CATALOGUE.enums["state_t"] == {"FAULT": 0, "INIT": 1, "STOP": 2, "RUN": 3}
     substates = CATALOGUE.enums["substate_t"]
     assert [substates[n] for n in ("CALIB", "READY", "ALIGN", "SPIN", "FREEWHEEL", "STARTUP", "TEST")] == list(range(7))
@@ -77,7 +77,7 @@ def test_flags_have_a_bit_each_and_faults_a_remedy() -> None:
     assert all(fault.remedy for fault in CATALOGUE.flags["faults"])
 
 
-def test_bus_voltage_of_the_seed() -> None:
+def test_bus_voltage_is_scaled_as_in_the_reference_design() -> None:
     assert CATALOGUE["u_dc"].to_raw(24.0) == 21665  # DRM E47
     assert CATALOGUE["u_dc"].decode((21665).to_bytes(2, "little")) == pytest.approx(24.0, abs=1e-3)
 

@@ -30,7 +30,7 @@ VALUES = {
 
 
 @given(st.integers(0, 2**62))
-def test_stamps_survive(nanoseconds: int) -> None:
+def test_a_stamp_converts_back_to_the_same_nanoseconds(nanoseconds: int) -> None:
     if nanoseconds // 10**9 < 2**31:
         assert convert.from_stamp(convert.to_stamp(nanoseconds)) == nanoseconds
 

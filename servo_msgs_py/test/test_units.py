@@ -1,4 +1,4 @@
-"""Fractional formats and counters against values that the seeds or a calculator give."""
+"""Fractional formats and counters against values of the reference design or a calculator."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from servo_msgs_py import units
 
 
-def test_bus_voltage_of_the_seed() -> None:
+def test_bus_voltage_is_scaled_as_in_the_reference_design() -> None:
     """DRM E46, E47: 24 V of 36.3 V is 21665."""
     lsb = units.frac_lsb(36.3, 16)
     assert units.to_raw(24.0, lsb, -32768, 32767) == 21665

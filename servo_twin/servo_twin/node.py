@@ -61,7 +61,7 @@ PARAMETERS: Final = {
         "servo is /a/servo for a twin in /a/twin",
     ),
     "plant": Spec("", "TOML file with what differs from the packaged plant.toml; empty: nothing"),
-    "seed": Spec(1, "of the sensor noise of the twin's board", 0, 2**31 - 1),
+    "seed": Spec(1, "seed of the sensor noise of the twin's board", 0, 2**31 - 1),
     "position_tolerance": Spec(0.05, "largest position residual of a healthy twin [rad of the joint]", 1e-4, 1e3),
     "velocity_tolerance": Spec(10.0, "largest velocity residual of a healthy twin [rad/s of the joint]", 1e-3, 1e4),
     "effort_tolerance": Spec(0.05, "largest effort residual of a healthy twin [N m at the joint]", 1e-5, 1e3),

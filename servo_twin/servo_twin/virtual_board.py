@@ -367,7 +367,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--baud", type=float, default=115200.0, help="speed of the line in bit/s (default: %(default)g)"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of the sensor noise; the same seed gives the same board")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed of the sensor noise; the same seed gives the same board"
+    )
     parser.add_argument("--plant", type=Path, help="TOML file with what differs from the packaged plant.toml")
     parser.add_argument(
         "--flash",

@@ -188,7 +188,7 @@ def test_edge_interrupt_follows_an_armed_capture_only(make: Callable[..., Chip])
     assert not chip.lib.hal_capture_take(chip.hal, 1, chip.ffi.new("edge_capture_t *"))
 
 
-def test_encoder_preset(make: Callable[..., Chip]) -> None:
+def test_presetting_an_encoder_leaves_the_other_alone(make: Callable[..., Chip]) -> None:
     chip = make()
     chip.lib.hal_encoder_preset(chip.hal, 0, 777)
     assert chip.lib.hal_encoder_count(chip.hal, 0) == 777

@@ -145,7 +145,7 @@ def test_a_result_read_too_early_is_the_old_one(rig: ChipRig) -> None:
 
 
 class TestPhaseOfTheSamples:
-    def test_trigger_position(self, rig: ChipRig) -> None:
+    def test_the_first_sample_follows_the_trigger_value(self, rig: ChipRig) -> None:
         t0 = run_triggered(rig, PWMA1_VAL4=-HALF + 1000)
         assert samples(rig, t0)[0] == (align(t0 + 900) + HOLD - t0, 0)
 
@@ -244,7 +244,7 @@ class TestScanEnd:
         assert len(enters) >= 10
         assert enters[1:] == leaves[: len(enters) - 1]  # again and again without a gap
 
-    def test_sample_interrupt(self, rig: ChipRig) -> None:
+    def test_a_sample_calls_its_handler_once(self, rig: ChipRig) -> None:
         """SCHLTEN asks after sample 9 until its result has been read."""
         calls = []
 
@@ -310,7 +310,7 @@ class TestConditions:
         with pytest.raises(ChipError, match="a clock of 20 MHz with SPEEDA = 0"):
             rig.write("ADC_CTRL1", 0x2001)
 
-    def test_slower_clock(self, rig: ChipRig) -> None:
+    def test_a_slower_clock_lengthens_the_scan(self, rig: ChipRig) -> None:
         configure(rig, arm=0x5005, ADC_SDIS=0xF0F0, ADC_SCTRL=0)
         rig.write("ADC_CTRL2", 0x0049)  # / 10
         rig.clear()
@@ -319,7 +319,7 @@ class TestConditions:
         rig.step(1000)
         assert rig.clocks("scan_end") == [begin + 265]
 
-    def test_independent_converters(self, rig: ChipRig) -> None:
+    def test_independent_converters_end_their_own_scans(self, rig: ChipRig) -> None:
         """SIMULT = 0: B obeys its own SYNC and divider, and has its own end of scan."""
         configure(rig, arm=0x5005, ADC_SDIS=0xF0F0, ADC_SCTRL=0)
         rig.write("ADC_CTRL2", 0x2004)  # START1

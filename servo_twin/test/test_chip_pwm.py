@@ -154,7 +154,7 @@ class TestEdges:
         rig.run(start + 2 * PERIOD)
         assert gates(rig, start) == []
 
-    def test_independent_outputs(self, rig: ChipRig) -> None:
+    def test_independent_outputs_switch_at_their_own_values(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000, PWMA0_CTRL2=0x2000, PWMA0_VAL4=-500, PWMA0_VAL5=500)
         rig.run(start + PERIOD)
         assert gates(rig, start)[-4:] == [(HALF - 1000, 1), (HALF - 500, 3), (HALF + 500, 1), (HALF + 1000, 0)]
@@ -196,7 +196,7 @@ class TestLoading:
             PERIOD + HALF + 500,
         ]
 
-    def test_both_reloads(self, rig: ChipRig) -> None:
+    def test_values_are_loaded_at_half_and_full_cycle(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000, **{f"PWMA{n}_CTRL": 0x0C00 for n in range(3)})
         for clock in (10, HALF + 10):
             rig.run(start + clock)
@@ -256,7 +256,7 @@ class TestLoading:
         assert gates(rig, start, 0)[2] == (HALF + 1000, OPEN)
         assert gates(rig, start, 1)[2] == (HALF + 500, OPEN)
 
-    def test_cldok_cancels(self, rig: ChipRig) -> None:
+    def test_cldok_cancels_a_pending_load(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000)
         rig.run(start + 10)
         set_duty(rig, 500)
@@ -453,13 +453,13 @@ class TestFaults:
         rig.run(start + 2 * PERIOD)
         assert gates(rig, start)[-1] == (2 * PERIOD, LOW)
 
-    def test_level_wrong(self, rig: ChipRig) -> None:
+    def test_outputs_stay_off_with_the_wrong_fault_level(self, rig: ChipRig) -> None:
         """FLVL = 0 where high is the fault: the outputs never come on."""
         start = prepare(rig, 1000, PWMA_FCTRL0=0x00F0)
         rig.run(start + 3 * PERIOD)
         assert rig.gates == []
 
-    def test_disable_mapping(self, rig: ChipRig) -> None:
+    def test_a_fault_opens_only_the_mapped_outputs(self, rig: ChipRig) -> None:
         start = self.trip(rig, PWMA0_DISMAP0=0xFF10, PWMA1_DISMAP0=0xFF00)
         # submodule 0: fault 0 opens B only; submodule 1: nothing
         assert gates(rig, start, 0)[-1] != (HALF, OPEN)
@@ -483,7 +483,7 @@ class TestFaults:
         rig.step(10)
         assert calls == [start + HALF]
 
-    def test_simulated_fault(self, rig: ChipRig) -> None:
+    def test_a_simulated_fault_opens_the_outputs(self, rig: ChipRig) -> None:
         start = prepare(rig)
         rig.run(start + HALF)
         rig.write("PWMA_FTST0", 1)
@@ -577,7 +577,7 @@ def test_a_compare_that_is_watched_too_late_comes_with_the_next_cycle(rig: ChipR
     assert [c - start for c in rig.clocks("match", a=1, b=4)] == [PERIOD + 100]
 
 
-def test_compare_interrupt(rig: ChipRig) -> None:
+def test_a_compare_event_calls_its_handler_every_period(rig: ChipRig) -> None:
     calls = rig.on(85, {"PWMA1_STS": 0x0020})
     rig.write("INTC_IPR9", 2 << 8)
     rig.interrupts()

@@ -367,7 +367,7 @@ class TestSerial:
         assert serial.host_read() == b"bcd"
         assert serial.read("SCI0_STAT") & 0xC000 == 0xC000  # TDRE, TIDLE
 
-    def test_transmitter_full(self, serial: ChipRig) -> None:
+    def test_writing_to_a_full_transmitter_is_refused(self, serial: ChipRig) -> None:
         for k in range(5):  # one on the wire, four wait
             serial.write("SCI0_DATA", k)
         assert not serial.read("SCI0_STAT") & 0x8000

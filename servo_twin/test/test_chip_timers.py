@@ -204,7 +204,7 @@ class TestIndex:
         encoder.turn(-3 * 4000 - 3998 - 1, 5)
         assert signed(rig.read("TMRA2_CNTR")) == -1
 
-    def test_wrong_source(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_a_counter_with_the_wrong_source_does_not_count(self, rig: ChipRig, encoder: Encoder) -> None:
         rig.write("TMRA2_CTRL", 0x2A00)  # output of counter 1
         encoder.turn(3999 + 4000, 5)
         assert rig.read("TMRA2_CNTR") == 0
@@ -310,7 +310,7 @@ class TestTime:
         rig.write("TMRA3_CNTR", 1000)
         assert (age >= 100, 500 <= rig.read("TMRA3_HOLD") < 520) == (True, True)
 
-    def test_edge_interrupt(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_a_captured_edge_calls_its_handler(self, rig: ChipRig, encoder: Encoder) -> None:
         calls = rig.on(28, {"TMRA0_SCTRL": 0x00C0}, read="TMRA0_CAPT")
         rig.write("INTC_IPR2", 1 << 6)
         rig.write("TMRA0_SCTRL", 0x04C0)

@@ -71,6 +71,14 @@ class TestReport:
         rows = json.loads(path.read_text())
         assert {row["name"]: row["agrees"] for row in rows} == {"a: figure 0": False, "b: figure 0": True}
 
+    def test_summary_drops_rows_without_a_reference(self, tmp_path: Path) -> None:
+        path = update_summary(tmp_path, [outcome("a", 0.5), outcome("b", 0.5)])
+        old = json.loads(path.read_text())
+        old[1]["seed"] = old[1].pop("reference")
+        path.write_text(json.dumps(old))
+        update_summary(tmp_path, [outcome("c", 0.5)])
+        assert [row["name"] for row in json.loads(path.read_text())] == ["a: figure 0", "c: figure 0"]
+
     def test_a_picture_is_written_to_a_new_folder(self, tmp_path: Path) -> None:
         draw(outcome("a", 0.5), tmp_path / "new" / "a.png")
         assert (tmp_path / "new" / "a.png").read_bytes().startswith(b"\x89PNG")
@@ -177,7 +185,7 @@ class TestCommand:
         assert {row["level"] for row in json.loads((tmp_path / "summary.json").read_text())} == {chosen or "registers"}
         assert f"level {chosen or 'registers'}" in capsys.readouterr().out
 
-    def test_both_levels(
+    def test_levels_compares_every_figure_at_both_levels(
         self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
     ) -> None:
         def run(plant: PlantConfig, seed: int) -> Outcome:

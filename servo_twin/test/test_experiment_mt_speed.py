@@ -23,7 +23,7 @@ def test_agrees_with_the_reference_design(plant: PlantConfig) -> None:
     assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
 
 
-def test_worked_example() -> None:
+def test_worked_example_gives_exact_fractions() -> None:
     assert mt_speed.worked_example() == (Fraction(1), Fraction(4, 5), Fraction(1, 2), Fraction(4, 11), Fraction(1, 3))
     assert mt_speed.enhanced_factor(7, 7) == 1
 

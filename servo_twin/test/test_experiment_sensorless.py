@@ -58,7 +58,7 @@ def short_observer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(observer, "WINDINGS", ((1.5, 1.0), (1.0, 0.5)))
 
 
-def test_observer_agrees(short_observer: None) -> None:
+def test_observer_agrees_with_the_reference_design(short_observer: None) -> None:
     assert wrong(run(observer)) == []
 
 

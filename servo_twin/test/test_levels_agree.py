@@ -23,7 +23,7 @@ PLANT = PlantConfig.load()
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["path-filter", "mt-speed", "anti-windup"])
-def test_experiments_agree(name: str) -> None:
+def test_experiments_agree_at_both_levels(name: str) -> None:
     ideal, registers = (run_experiments([name], PLANT, 1, quiet=True, level=level)[0] for level in LEVELS)
     pairs = levels.pairs(ideal, registers)
     assert len(pairs) >= 6

@@ -33,7 +33,7 @@ def test_codes_are_the_nearest(plant_c: Native, value: float, code: int) -> None
 
 
 @pytest.mark.parametrize(("volts", "code"), [(1e6, 4095), (-1e6, 0), (36.3, 4095), (0.0, 0)])
-def test_codes_saturate(plant_c: Native, volts: float, code: int) -> None:
+def test_codes_saturate_at_the_ends_of_the_converter(plant_c: Native, volts: float, code: int) -> None:
     assert plant_c.lib.plant_code_unipolar(volts, 36.3) == code
 
 

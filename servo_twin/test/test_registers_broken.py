@@ -176,7 +176,7 @@ def test_only_one_motor_triggers(board: Board, term: int) -> None:
     assert resets_by_watchdog(board)
 
 
-def test_slower_converter(board: Board) -> None:
+def test_a_slower_converter_clock_is_set_right_again(board: Board) -> None:
     """The pairs are four times as far apart; M1 finds the scan unfinished and starts anew with the right divider."""
     board.poke(ADC_CTRL2, 0x0053)
     events = trace(board, 3 * PERIOD_S)
@@ -202,7 +202,7 @@ def test_full_cycle_reload(board: Board) -> None:
     assert reload() == 0
 
 
-def test_channel_list(spinning: Board) -> None:
+def test_a_wrong_channel_causes_a_fault_of_its_axis_only(spinning: Board) -> None:
     """The bus voltage in place of a current."""
     set_speed(spinning, 20.0)
     spinning.run(0.1)
@@ -254,7 +254,7 @@ def blanking(events: list[Event]) -> set[int]:
 
 
 @pytest.mark.parametrize("dead_time", [100, 250])
-def test_dead_time(board: Board, dead_time: int) -> None:
+def test_gates_keep_the_dead_time_of_the_registers(board: Board, dead_time: int) -> None:
     for submodule in range(3):
         board.poke(sm(PWMA, submodule, DTCNT0), dead_time)
         board.poke(sm(PWMA, submodule, DTCNT1), dead_time)
@@ -290,7 +290,7 @@ def test_a_fault_that_is_not_mapped_waits_for_software(board: Board) -> None:
     assert faults(board, 0) == {"OVER_CURRENT"}  # by asking
 
 
-def test_fault_level(board: Board) -> None:
+def test_a_wrong_fault_level_is_an_over_current_of_its_axis(board: Board) -> None:
     board.poke(PWMA + FCTRL0, 0x0011)
     board.run(0.005)
     assert faults(board, 0) == {"OVER_CURRENT"}
@@ -386,7 +386,7 @@ def answer(board: Board) -> bytes:
     return board.serial_out()
 
 
-def test_baud_rate(board: Board) -> None:
+def test_a_wrong_baud_rate_gives_no_answer(board: Board) -> None:
     assert answer(board)[:1] == b"+"
     board.poke(0xE080, 0x01B2 + 30)  # 7 %
     assert answer(board)[:1] != b"+"

@@ -99,7 +99,7 @@ class TestEnergy:
             before = switching.bus.e_source
         assert switching.bus.u_dc > 24.5
 
-    def test_brake_resistor(self, switching_c: Native) -> None:
+    def test_brake_resistor_discharges_the_bus_while_it_is_on(self, switching_c: Native) -> None:
         plant = PlantConfig.load().with_bus(r_brake=4.7)
         switching = Switching(switching_c, plant)
         switching.charge(30.0)
@@ -166,7 +166,7 @@ class TestMeans:
             assert truth.theta == pytest.approx(motor.theta, abs=2e-3)
         assert switching.bus.u_dc == pytest.approx(averaged.bus.u, abs=0.01)
 
-    def test_mean_voltages(self, switching_c: Native) -> None:
+    def test_mean_voltages_follow_the_duties(self, switching_c: Native) -> None:
         """Of a held axis with constant duties, over whole periods."""
         switching = Switching(switching_c, plain(dead_time_min=0.0))
         switching.lib.switching_lock(switching.c, 0, True)

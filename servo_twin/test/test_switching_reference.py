@@ -74,7 +74,7 @@ def modulated(duty: Callable[[int, int], Sequence[float]], periods: int, dead: i
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_random_duties(switching_c: Native, seed: int) -> None:
+def test_random_duties_give_the_currents_of_the_reference(switching_c: Native, seed: int) -> None:
     rnd = random.Random(seed)
     edges = modulated(lambda period, axis: [rnd.uniform(0.25, 0.75) for _ in range(3)], 10)
     reference = Reference(plant())
@@ -188,7 +188,9 @@ def any_run(seed: int, longest: int | None) -> AnyRun:
     ],
 )
 @pytest.mark.parametrize("linear", [True, False])
-def test_any_gates(request: pytest.FixtureRequest, linear: bool, seed: int, longest: int | None) -> None:
+def test_any_gates_give_the_currents_of_the_reference(
+    request: pytest.FixtureRequest, linear: bool, seed: int, longest: int | None
+) -> None:
     native = request.getfixturevalue("switching_c" if linear else "stepping_c")
     run = any_run(seed, longest)
     switching, reference = Switching(native, run.config), Reference(run.config)

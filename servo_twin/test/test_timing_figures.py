@@ -113,7 +113,7 @@ def longer(vector: int, clocks: int) -> Mistake:
         (shift(Kind.SAMPLE, {3, 11}, 200), "periods with t0, t1, t2, t3 in order"),
     ],
 )
-def test_mistake_shows(mistake: Mistake, row: str) -> None:
+def test_every_mistake_shows_in_its_row(mistake: Mistake, row: str) -> None:
     assert row in wrong(circle(trace(mistake(ideal()))))
 
 

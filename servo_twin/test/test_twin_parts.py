@@ -70,7 +70,7 @@ class TestLedger:
         assert ledger.from_reset
         assert ledger.add(command(8))
 
-    def test_counters_wrap(self) -> None:
+    def test_missing_commands_are_counted_across_the_wrap_of_the_counters(self) -> None:
         ledger = CommandLedger()
         late = (1 << 32) + 80
         ledger.settle((1 << 32) - 160, 0xFFFF)

@@ -163,10 +163,14 @@ def add_options(command: argparse.ArgumentParser) -> None:
     which.add_argument(
         "--fast", dest="recorder", action="store_const", const=_FAST, help="the recorder of the fast loop"
     )
-    which.add_argument("--slow", dest="recorder", action="store_const", const=_SLOW, help="the one of the slow loop")
-    which.add_argument("--recorder", type=_index, metavar="N", help="the recorder of that number")
+    which.add_argument(
+        "--slow", dest="recorder", action="store_const", const=_SLOW, help="the recorder of the slow loop"
+    )
+    which.add_argument("--recorder", type=_index, metavar="N", help="the recorder with this number")
     burst.add_argument(
-        "--trigger", metavar="EXPR", help="such as 'axis1.i_q > 1.0', 'u_dc < 20', 'axis1.state rising FAULT'"
+        "--trigger",
+        metavar="EXPR",
+        help="condition, such as 'axis1.i_q > 1.0', 'u_dc < 20', 'axis1.state rising FAULT'",
     )
     burst.add_argument("--level", action="store_true", help="trigger also when the condition holds from the beginning")
     burst.add_argument("--before", type=_before, metavar="PART", help="points before the trigger (default: 50%%)")

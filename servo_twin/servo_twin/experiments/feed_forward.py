@@ -49,8 +49,8 @@ ARRIVED: Final = 2.0  # [counts]
 SETTLE_WORSE_MAX: Final = 0.01
 """A time constant of the path filter [s]."""
 
-SEED_LAG: Final = "E44: a plain gain trails"
-SEED_OVERSHOOT: Final = "2.7.3: position must not overshoot"
+REFERENCE_LAG: Final = "E44: a plain gain trails"
+REFERENCE_OVERSHOOT: Final = "2.7.3: position must not overshoot"
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
 def _rows(judge: Judge, moves: Mapping[str, Move], inertia: Mismatch, friction: Mismatch) -> Iterator[Row]:
     none, speed = moves["none"], moves["speed"]
     left, maximum = speed.error / max(none.error, 1e-9), SPEED_LEFT_MAX * inertia.heavier
-    yield judge("following error, speed over none", left, maximum=maximum, reference=SEED_LAG)
+    yield judge("following error, speed over none", left, maximum=maximum, reference=REFERENCE_LAG)
     for choice in ("speed, acceleration", "all"):
         maximum = error_bound(speed.error, inertia)
         yield judge(f"following error, {choice}", moves[choice].error, "counts", maximum=maximum)
@@ -172,7 +172,7 @@ def _rows(judge: Judge, moves: Mapping[str, Move], inertia: Mismatch, friction: 
     swerve = max(move.swerve for move in forward)
     maximum = ARRIVED + swerve + OVERSHOOT_OF_WRONG * inertia.wrong * speed.error + pushed
     beyond = max(move.overshoot for move in forward)
-    yield judge("overshoot, worst", beyond, "counts", maximum=maximum, reference=SEED_OVERSHOOT)
+    yield judge("overshoot, worst", beyond, "counts", maximum=maximum, reference=REFERENCE_OVERSHOOT)
     later = _later(none.settling, [move.settling for move in forward])
     lag = none.error * COUNT / max(float(np.abs(none.recording.omega).max()), 1e-9)
     apart = SETTLE_WORSE_MAX + lag * math.log(max(move.window for move in moves.values()) / ARRIVED)

@@ -29,7 +29,7 @@ STEPS: Final = (0.3, 0.15, 0.1, 0.08, 0.07, 0.06, 0.05, 0.045, 0.04, 0.035, 0.03
 LOADS: Final = (0.0, 0.25, 0.5)
 """Parts of the torque at the current limit."""
 
-SEED_MAX: Final = 5.0
+REFERENCE_MAX: Final = 5.0
 """The reference design's minimum speed, in percent of the maximum."""
 
 LOST: Final = 0.4
@@ -102,7 +102,7 @@ def _not_held(trace: Trace, speed: float) -> str:
 def _lowest_speed_max(plant: PlantConfig, axis: int, limit: float) -> float:
     """The reference design's figure, or what a weak back-EMF allows [% of the limit of the speed, in rad/s]."""
     minimum = LOST * dead_voltage(plant, axis) / back_emf(plant.axes[axis], limit)
-    return max(SEED_MAX, 100.0 * minimum)
+    return max(REFERENCE_MAX, 100.0 * minimum)
 
 
 @experiment(NAME)
@@ -115,7 +115,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             what = f"{name}, load {100.0 * load:.0f} %" if load else f"{name}, no load"
             judge, says = Judge(f"{what}, ", NOT_SHOWN), "5 % of the maximum"
             if not it.speeds:
-                yield judge("lowest speed", None, "% of limit", maximum=SEED_MAX, reference=says)
+                yield judge("lowest speed", None, "% of limit", maximum=REFERENCE_MAX, reference=says)
                 continue
             limit, lowest, r = it.speeds[0] / STEPS[0], it.speeds[-1], it.trace
             part = 100.0 * lowest / limit

@@ -109,7 +109,7 @@ def inertia_ratio(plant: PlantConfig, seed: int, axis: int) -> float:
 
 
 def differences(plant: PlantConfig, seed: int) -> tuple[str, ...]:
-    """What the controller was told otherwise, in words; bounds of the seed hold for a plant that it is tuned for."""
+    """What the controller was told otherwise, in words; the reference design's bounds hold only for a tuned one."""
     notes: list[str] = []
     for axis, (entry, nominal) in enumerate(zip(plant.axes, nominal_shafts(plant, seed), strict=True)):
         ratio = entry.inertia / nominal.inertia

@@ -35,9 +35,9 @@ RAMP_SPEED: Final = 0.5  # of the speed limit
 RAMP_MIN: Final = 0.2  # [s]
 REST: Final = 1.0  # recorded after the shaft should have arrived [s]
 
-SEED_OVERSHOOT: Final = "2.7.3: position must not overshoot"
-SEED_CYCLE: Final = "2.7.3: position must not oscillate"
-SEED_NONE: Final = "no figure given"
+REFERENCE_OVERSHOOT: Final = "2.7.3: position must not overshoot"
+REFERENCE_CYCLE: Final = "2.7.3: position must not oscillate"
+REFERENCE_NONE: Final = "no figure given"
 
 
 @dataclass(frozen=True)
@@ -104,10 +104,10 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             how, way = f"{'ramp' if ramp else 'step'} of {distance:g} turns", -distance if ramp else distance
             moves = [travel(board, axis, way, ramp, settle) for axis, settle in enumerate(settles)]
             for axis, (move, settle) in enumerate(zip(moves, settles, strict=True)):
-                judge, within = Judge(f"{axis_name(axis)} {how}, ", SEED_NONE), COUNTS_MAX + move.swerve
+                judge, within = Judge(f"{axis_name(axis)} {how}, ", REFERENCE_NONE), COUNTS_MAX + move.swerve
                 calm = COUNTS_MAX + move.swing
-                yield judge("overshoot", move.overshoot, "counts", maximum=within, reference=SEED_OVERSHOOT)
-                yield judge("limit cycle", move.cycle, "counts", maximum=calm, reference=SEED_CYCLE)
+                yield judge("overshoot", move.overshoot, "counts", maximum=within, reference=REFERENCE_OVERSHOOT)
+                yield judge("limit cycle", move.cycle, "counts", maximum=calm, reference=REFERENCE_CYCLE)
                 yield judge("steady-state error", move.error, "counts", maximum=within)
                 yield judge("settling", move.settling, "s", maximum=settle)
             if not ramp:

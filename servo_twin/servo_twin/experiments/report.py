@@ -53,7 +53,7 @@ def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
 
 
 def update_summary(folder: Path, outcomes: Sequence[Outcome]) -> Path:
-    """Write ``summary.json``; rows of experiments that were not run now stay in it.
+    """Write ``summary.json``; rows of experiments that were not run now stay in it if they have a reference.
 
     Returns
     -------
@@ -61,10 +61,10 @@ def update_summary(folder: Path, outcomes: Sequence[Outcome]) -> Path:
         The file.
     """
     path = folder / SUMMARY
-    fresh = {f"{outcome.name}: " for outcome in outcomes}
+    fresh = tuple(f"{outcome.name}: " for outcome in outcomes)
     try:
         old = json.loads(path.read_text(encoding="utf-8"))
-        kept = [row for row in old if not any(str(row["name"]).startswith(name) for name in fresh)]
+        kept = [row for row in old if "reference" in row and not str(row["name"]).startswith(fresh)]
     except (OSError, ValueError, KeyError, TypeError):
         kept = []  # none yet, or not ours
     text = json.dumps(kept + summary(outcomes), indent=2, allow_nan=False, ensure_ascii=False)

@@ -41,8 +41,8 @@ STARTS_SLOWLY: Final = 20
 CONVERGED: Final = 15.0
 """Error from which on the angle counts as converged [deg]; it costs 3.4 % of the torque."""
 
-ANGLE_MAX: Final = 0.150  # of the seed [s]
-CRITERION_MAX: Final = 0.500  # of the seed [s]
+ANGLE_MAX: Final = 0.150  # of the reference design [s]
+CRITERION_MAX: Final = 0.500  # of the reference design [s]
 
 INERTIA: Final = (0.5, 2.0)
 """Spread of the inertia, a factor, even on a logarithmic scale."""

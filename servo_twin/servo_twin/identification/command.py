@@ -56,14 +56,14 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     )
     defaults = {field.name: field.default for field in dataclasses.fields(Limits)}
     parser.add_argument("--axis", type=int, choices=range(1, AXES + 1), default=1, help="default: %(default)s")
-    parser.add_argument("--voltage", type=float, default=24.0, help="of the bus [V] (default: %(default)s)")
+    parser.add_argument("--voltage", type=float, default=24.0, help="voltage of the bus [V] (default: %(default)s)")
     parser.add_argument(
-        "--current", type=float, default=4.0, help="that the motor bears [A, peak] (default: %(default)s)"
+        "--current", type=float, default=4.0, help="current that the motor bears [A, peak] (default: %(default)s)"
     )
     for name, text in (
         ("speed", "largest speed [rad/s]"),
         ("turns", "turns to both sides within which the shaft stays"),
-        ("energy", "that the bus takes from a braking shaft [J]"),
+        ("energy", "energy that the bus takes from a braking shaft [J]"),
     ):
         parser.add_argument(f"--{name}-max", type=float, default=defaults[name], help=f"{text} (default: %(default)s)")
     parser.add_argument(

@@ -62,7 +62,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         type=argument.count,
         default=PLANTS,
         metavar="N",
-        help="beside the nominal one (default: %(default)s)",
+        help="number of plants beside the nominal one (default: %(default)s)",
     )
     parser.add_argument(
         "--candidates", type=argument.count, default=CANDIDATES, metavar="N", help="default: %(default)s"

@@ -181,7 +181,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
         "--all", action="store_true", help="the handlers in every mode, feature set and feedback, in stops and faults"
     )
     parser.add_argument(
-        "--cycles-per-instruction", type=float, metavar="N", help="of the core, in the place of what core.toml says"
+        "--cycles-per-instruction", type=float, metavar="N", help="of the core, instead of the figure in core.toml"
     )
     parser.set_defaults(run=_run)
 
