@@ -59,6 +59,7 @@ def test_state_machine_tests_pass_with_sanitizers() -> None:
         ("return 2147483647 + n;", "signed integer overflow"),
         ("char a[1] = {0}; const char *p = a, unused = p[n]; (void)unused; return 0;", "stack-buffer-overflow"),
     ],
+    ids=["overflow", "read"],
 )
 def test_sanitizers_find_overflows_and_reads_out_of_bounds(
     compile_program: CompileProgram, tmp_path: Path, statements: str, finding: str
