@@ -89,7 +89,7 @@ def test_back_emf_has_no_bias(core: Core, omega: float, i_q: float) -> None:
     assert abs(mean) == pytest.approx(1.0, abs=0.01)
 
 
-@pytest.mark.parametrize(("r", "l_s", "most"), [(0.5, 1.0, 1.0), (1.5, 1.0, 1.0), (1.0, 0.5, 4.0), (1.0, 1.5, 4.0)])
+@pytest.mark.parametrize(("r", "l_s", "maximum"), [(0.5, 1.0, 1.0), (1.5, 1.0, 1.0), (1.0, 0.5, 4.0), (1.0, 1.5, 4.0)])
 def test_a_wrong_nominal_value_turns_the_angle_as_on_paper(core: Core, r: float, l_s: float, maximum: float) -> None:
     """ST slide "控制性能介绍": low sensitivity to R_s, moderate to L_s.
 
