@@ -43,7 +43,7 @@ def _unexpected_skips(config: pytest.Config) -> list[str]:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Where processes share the work, files with slow tests come first: no long one is left for the end."""
+    """Where processes share the work, files with slow tests come first, so that all end at about the same time."""
     if hasattr(config, "workerinput"):
         slow = {item.path for item in items if item.get_closest_marker("slow") is not None}
         items.sort(key=lambda item: item.path not in slow)

@@ -382,9 +382,13 @@ class Workspace:
 
 
 def build_workspace(folder: Path, *options: str) -> Workspace:
+    """A copy of the checkout, built with options of ``colcon build``."""
     colcon = Path(sys.prefix) / "bin" / "colcon"
     if not colcon.exists() or shutil.which("cmake") is None:
         pytest.skip("colcon or cmake is missing")
+    for name in git_files():
+        (folder / "src" / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, folder / "src" / name)
     # Quick to compile; no test runs it for long.
     environment = {**clean_environment(), "SERVO_TWIN_FLAGS": "-O0 -g0 -fno-lto"}
     build = run(colcon, "build", *options, cwd=folder, env=environment)
@@ -395,11 +399,7 @@ def build_workspace(folder: Path, *options: str) -> Workspace:
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     """What a plain ``colcon build`` makes."""
-    folder = tmp_path_factory.mktemp("workspace")
-    for name in git_files():
-        (folder / "src" / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(ROOT / name, folder / "src" / name)
-    return build_workspace(folder)
+    return build_workspace(tmp_path_factory.mktemp("workspace"))
 
 
 @pytest.fixture
@@ -439,9 +439,8 @@ def test_colcon_finds_the_packages_of_the_project_and_no_other(prefix: Path) -> 
 
 
 @pytest.mark.slow
-def test_colcon_builds_with_links_to_the_checkout(workspace: Workspace, tmp_path: Path) -> None:
-    """With the sources that the first build has generated, as after any change of options."""
-    shutil.copytree(workspace.folder / "src", tmp_path / "src")
+def test_colcon_builds_with_links_to_the_checkout(tmp_path: Path) -> None:
+    """Files that a build makes must not come from an earlier one, hence a clean copy of the checkout."""
     check_build(build_workspace(tmp_path, "--symlink-install"))
 
 

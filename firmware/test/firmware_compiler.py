@@ -33,15 +33,15 @@ def run_compiler(output: Path, sources: Sources, options: Sequence[str], compile
 
 
 def compile_objects(folder: Path, sources: Sources, options: Sequence[str], compiler: str) -> list[Path]:
-    """Compile each source by itself into a new folder: only so does ccache know it, and every core takes part."""
-    folder.mkdir()
+    """Compile each source by itself, in parallel; ccache does not store what has several sources."""
+    folder.mkdir(exist_ok=True)
     jobs = [(folder / f"{number}.o", source) for number, source in enumerate(sources)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(lambda job: run_compiler(job[0], [job[1]], [*options, "-MMD", "-c"], compiler), jobs))
+        return list(pool.map(lambda job: run_compiler(job[0], [job[1]], [*options, "-MD", "-c"], compiler), jobs))
 
 
 def _run(command: Sequence[str]) -> None:
-    # What is loaded before the tests, as the address sanitizer, makes a compiler take twice as long.
+    # With the address sanitizer preloaded, a compiler takes twice as long.
     environment = {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"}
     result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if result.returncode != 0:

@@ -130,6 +130,7 @@ static uint16_t step(harness_t *harness, uint8_t code, const uint8_t *data, uint
         check_answer(wire, sent);
     }
     *clean = whole || (*clean && code != STEP_RAW);
+    check_memory(harness);
     return sent;
 }
 
@@ -158,7 +159,6 @@ static uint16_t run(const uint8_t *data, size_t size, uint8_t *wire)
         sent = step(harness, code, data + at + STEP_HEAD, length, &clean, wire);
         at += STEP_HEAD + length;
     }
-    check_memory(harness);
     harness_free(harness);
     return sent;
 }

@@ -161,8 +161,8 @@ def damage(frames: bytes, places: list[tuple[int, int]]) -> bytes:
 
 
 def raw(data: bytes) -> bytes:
-    """Steps that put bytes on the line one by one, so that every frame among them is answered."""
-    return b"".join(bytes([0, 1, byte]) for byte in data)
+    """Steps that put bytes on the line one by one, so that every frame among them is answered, each with a sample."""
+    return b"".join(bytes([0, 1, byte, 4, 2, 0, 1]) for byte in data)
 
 
 SAMPLES = bytes([4, 32]) + bytes([0, 1] * 16)  # the loops go on between two frames

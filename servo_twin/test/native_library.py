@@ -48,7 +48,7 @@ def compile_c(
         include_dirs=[str(path) for path in include],
         libraries=["m"],
         define_macros=[(macro, None) for macro in defines],
-        extra_compile_args=["-std=c99", "-O1", "-ffp-contract=off", "-Wno-psabi", "-MMD"],
+        extra_compile_args=["-std=c99", "-O1", "-ffp-contract=off", "-Wno-psabi", "-MD"],
     )
     spec = importlib.util.spec_from_file_location(name, builder.compile(tmpdir=str(folder)))
     assert spec is not None

@@ -83,8 +83,8 @@ def compile_objects(command: Sequence[str], files: Sequence[Path], folder: Path,
         If the compiler refuses one.
     """
 
-    # The list of headers (-MMD) spares ccache a run of the preprocessor (CCACHE_DEPEND in the Makefile).
-    relative = [*(word.replace(f"{root}/", "") for word in command), "-MMD"]
+    # The list of headers (-MD) spares ccache a run of the preprocessor (CCACHE_DEPEND in the Makefile).
+    relative = [*(word.replace(f"{root}/", "") for word in command), "-MD"]
 
     def compile_one(source: Path) -> Path:
         output = folder / f"{source.parent.name}_{source.stem}.o"

@@ -21,15 +21,13 @@ from servo_msgs_py.tuning.sensors import EdgeDelay, edge_delay
 from servo_msgs_py.tuning.tuned import Tuned, tuned
 
 _GRID: Final = 200
+_TIMEOUTS: Final = (0.5, 0.5)
+"""Of the host and of commands [s]; a configuration must have them, but no gain depends on them."""
 
 
-def tuned_of_blocks(
-    access: BoardAccess,
-    axis: int,
-    blocks: Sequence[Mapping[str, int]],
-) -> Tuned:
+def tuned_of_blocks(access: BoardAccess, axis: int, blocks: Sequence[Mapping[str, int]]) -> Tuned:
     """Gains and nominal values of configuration blocks; a `ConfigError` if no configuration gives them."""
-    configuration = parse(restored(blocks, (0.5, 0.5), access.catalogue), access.catalogue)
+    configuration = parse(restored(blocks, _TIMEOUTS, access.catalogue), access.catalogue)
     return tuned(configuration.axes[axis], configuration)
 
 

@@ -75,15 +75,23 @@ static uint32_t fold_snapshot(const digest_t *digest, uint32_t crc, const servo_
     return crc;
 }
 
-void digest_init(digest_t *digest)
+bool digest_init(digest_t *digest)
 {
     digest->value = DIGEST_START;
     digest->tick = 0;
     digest->periods = 0;
     digest->fields = 0;
-    for (uint16_t i = 0; i < servo_variables.entries && digest->fields < DIGEST_FIELDS_MAX; i++) {
-        digest->fields = (uint16_t)(digest->fields + (find_field(i, &digest->field[digest->fields]) ? 1U : 0U));
+    for (uint16_t i = 0; i < servo_variables.entries; i++) {
+        digest_field_t field;
+        if (!find_field(i, &field)) {
+            continue;
+        }
+        if (digest->fields == DIGEST_FIELDS_MAX) {
+            return false;
+        }
+        digest->field[digest->fields++] = field;
     }
+    return true;
 }
 
 void digest_call(digest_t *digest, call_t call, uint16_t axis, uint16_t left, uint16_t missing, const out_log_t *out,

@@ -21,11 +21,12 @@ typedef struct {
     uint32_t value;
     uint32_t tick;    /* of the last snapshot that was taken in */
     uint32_t periods; /* M2 calls so far */
-    digest_field_t field[DIGEST_FIELDS_MAX]; /* the scalars of the snapshot: a look at the table takes its time */
+    digest_field_t field[DIGEST_FIELDS_MAX]; /* scalars of the snapshot, kept because a search of the table is slow */
     uint16_t fields;
 } digest_t;
 
-void digest_init(digest_t *digest);
+/* False if the snapshot has more scalars than DIGEST_FIELDS_MAX. */
+bool digest_init(digest_t *digest);
 
 /* After each call: its kind, how many of the recorded inputs were left over or asked for in vain, its words out, and
  * the snapshot if it is a new one. */

@@ -100,7 +100,9 @@ void record_begin(uint32_t check_every)
     put_long(&recorder.image, check_every);
     put_long(&recorder.image, UINT32_MAX); /* print nothing */
     put_long(&recorder.image, 0);
-    digest_init(&recorder.digest);
+    if (!digest_init(&recorder.digest)) {
+        recorder.problem = "too many scalars in the snapshot";
+    }
     recorder.running = true;
 }
 

@@ -49,7 +49,10 @@ bool replay_recording(void)
     if (!trace_reader_open(&reader, machine_image)) {
         return false;
     }
-    digest_init(&digest);
+    if (!digest_init(&digest)) {
+        machine_print("too many scalars in the snapshot\n");
+        machine_stop(2);
+    }
     replay_power_on(&hal);
     while (trace_reader_next(&reader, &call)) {
         const uint32_t period = digest.periods;
