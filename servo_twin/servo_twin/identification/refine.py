@@ -37,7 +37,7 @@ REFINED: Final = ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous"
 
 MODEL_ERROR: Final[Mapping[str, float]] = {
     "r_s": 0.0015,
-    "l_d": 0.0008,
+    "l_d": 0.0012,
     "l_q": 0.0015,
     "friction": 0.01,
     "dead_voltage": 0.004,
