@@ -118,7 +118,7 @@ typedef struct {
     frac32_t speed_ref; /* set-point of the speed controller, Q1.31 of full-scale speed */
     frac32_t speed_excitation; /* test signal in it */
     bool saturated;       /* the speed controller pushes with all it has */
-    bool current_reduced;       /* bus or winding allow less current than controller and limits */
+    bool current_reduced; /* bus or winding allow less current than controller and limits */
     frac32_t limit_hold_current; /* torque mode: what holds a load that drives the shaft past a limit */
     frac32_t entry_speed; /* at which this motion has begun */
     uint16_t stop_ticks;  /* slow ticks since the ramp of MOTION_STOP has ended */

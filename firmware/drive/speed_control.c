@@ -49,12 +49,12 @@ static frac16_t restricted_limit(const axis_t *axis, bool negative)
     return returns ? f16_mul(limit, axis->regen_derating) : limit;
 }
 
-/* `held`: the limit is below the requested current, whose sign is given by `negative`. */
-static void reduce_current(axis_t *axis, bool held, bool negative)
+/* `reduced`: the limit is below the requested current, whose sign is given by `negative`. */
+static void reduce_current(axis_t *axis, bool reduced, bool negative)
 {
-    axis->motion.current_reduced = held;
+    axis->motion.current_reduced = reduced;
     axis->current_ref.d = field_weakening_i_d(&axis->weakening);
-    if (held && axis->regen_derating != FRAC16_MAX && returns_energy(axis, negative)) {
+    if (reduced && axis->regen_derating != FRAC16_MAX && returns_energy(axis, negative)) {
         axis_report(axis, LIMIT_REGENERATION);
         const frac16_t copper = f16_mul(axis->config->copper_current, f16_sub(FRAC16_MAX, axis->regen_derating));
         if (copper > -axis->current_ref.d) {
@@ -63,13 +63,13 @@ static void reduce_current(axis_t *axis, bool held, bool negative)
     }
 }
 
-/* Set i_d*. `less` is the result of restricted(); `held` means that i_q has been limited by it. */
-static void set_i_d(axis_t *axis, bool less, bool held, bool negative)
+/* Set i_d*. `less` is the result of restricted(); `reduced` means that i_q has been limited by it. */
+static void set_i_d(axis_t *axis, bool less, bool reduced, bool negative)
 {
     axis->motion.current_reduced = false;
     axis->current_ref.d = 0; /* E23; the usual case */
     if (less) {
-        reduce_current(axis, held, negative);
+        reduce_current(axis, reduced, negative);
     }
 }
 

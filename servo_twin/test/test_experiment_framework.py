@@ -116,7 +116,7 @@ class TestLevels:
             for value, apart in ((-0.5, 0.1), (-0.1, 0.5))
         ]
         pair = levels.pairs(*(Outcome("a", (row,), ()) for row in rows))[0]
-        assert pair.maximum == 0.5
+        assert pair.difference_max == 0.5
         assert pair.agrees
 
     def test_overview_names_the_figure_that_differs_most(self) -> None:

@@ -39,7 +39,9 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         parents=[common, levelled],
         help="does the twin find what has changed? Many pairs of board and twin in ordinary motion",
     )
-    parser.add_argument("--trials", type=argument.count, default=60, metavar="N", help="default: %(default)s")
+    parser.add_argument(
+        "--trials", type=argument.count, default=60, metavar="N", help="number of trials (default: %(default)s)"
+    )
     parser.add_argument(
         "--change",
         action="append",
@@ -48,10 +50,16 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         " (default: each by +15 %% and -15 %%, the load by 1 mN m)",
     )
     parser.add_argument(
-        "--time", type=float, default=10.0, metavar="S", help="after the change, or of a trial without (default: 10)"
+        "--time",
+        type=float,
+        default=10.0,
+        metavar="S",
+        help="time after the change, or of a trial without one (default: 10)",
     )
     parser.add_argument("--loss", type=float, default=0.0, metavar="PART", help="samples that do not arrive, 0 .. 0.9")
-    parser.add_argument("--thresholds", type=Path, metavar="FILE", help="of `servo_twin calibrate` (default: packaged)")
+    parser.add_argument(
+        "--thresholds", type=Path, metavar="FILE", help="file of `servo_twin calibrate` (default: packaged)"
+    )
     Runner.add_options(parser)
     parser.set_defaults(run=_run)
     learner = verbs.add_parser(
@@ -59,8 +67,12 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         parents=[common, levelled],
         help="what does a healthy pair show? Thresholds of the diagnosis from virtual pairs",
     )
-    learner.add_argument("--runs", type=argument.count, default=10, metavar="N", help="default: %(default)s")
-    learner.add_argument("--time", type=float, default=120.0, metavar="S", help="of each run (default: %(default)s)")
+    learner.add_argument(
+        "--runs", type=argument.count, default=10, metavar="N", help="number of runs (default: %(default)s)"
+    )
+    learner.add_argument(
+        "--time", type=float, default=120.0, metavar="S", help="time of each run (default: %(default)s)"
+    )
     learner.add_argument(
         "--out", type=Path, default=Path("thresholds.toml"), metavar="FILE", help="default: %(default)s"
     )

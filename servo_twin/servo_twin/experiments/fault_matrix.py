@@ -167,7 +167,7 @@ class Damage:
     """For the plant."""
     faults: tuple[str, ...]
     """Names that are right; `NOTHING` for what is no fault."""
-    maximum: int | None = SOON
+    periods_max: int | None = SOON
     """Outputs off after so many PWM periods in a turning motor; None: it takes what it takes."""
     provoked: bool = True
     """It has to be found when the axis moves."""
@@ -251,18 +251,18 @@ def case(plant: PlantConfig, seed: int, damage: Damage, state: str) -> Case:
             _provoke(board)
             found = _fault_within(board, PROVOKED)
         speed = abs(board.truth(0).omega_m)
-        maximum = speed
+        fastest = speed
         for k in range(round(NAMED / TICK)):
             if k % 200 == 0:
                 _keep_awake(board)
             board.run(TICK)
-            maximum = max(maximum, abs(board.truth(0).omega_m))
+            fastest = max(fastest, abs(board.truth(0).omega_m))
         name = first_fault(board, 0)
         other = faults(board, 1)
         error = abs(board.truth(1).omega_m - OTHER_SPEED)
         fine = other == {name} if name in EVERYTHING else not other and error < OTHER_OFF
         gain = gain_max(plant.axes[0], plant.bus.u_source)  # the bus takes the current back
-        return Case(damage, state, name, periods, maximum - speed if found else 0.0, gain, fine)
+        return Case(damage, state, name, periods, fastest - speed if found else 0.0, gain, fine)
 
 
 # ---- all of them
@@ -308,8 +308,8 @@ def _rows(judge: Judge, damage: Damage, mine: Sequence[Case]) -> Iterator[Row]:
         yield judge(name, sum(right) / len(right), "of all", 1.0, 1.0)
     shown = [c for c in mine if c.periods is not None]
     turning = [c.periods for c in shown if c.state in TURNING and c.periods is not None]
-    if damage.maximum is not None and NOTHING not in damage.faults and turning:
-        yield judge("outputs off, turning", max(turning), "PWM periods", 0.0, damage.maximum)
+    if damage.periods_max is not None and NOTHING not in damage.faults and turning:
+        yield judge("outputs off, turning", max(turning), "PWM periods", 0.0, damage.periods_max)
     if damage.apart is not None and shown:
         latest, within = max(c.periods for c in shown if c.periods is not None), round(WAIT * 1e9 / PERIOD_NS)
         apart = damage.apart * latest + SLOW_PERIODS

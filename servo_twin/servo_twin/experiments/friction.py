@@ -175,7 +175,7 @@ TASKS: Final = (
 )  # fmt: skip
 
 
-def maximum(task: Task, without: Recording, shaft: Shaft, rest: float) -> float:
+def deviation_max(task: Task, without: Recording, shaft: Shaft, rest: float) -> float:
     """What may be left of an error [counts]: the part of the friction that is, and what the encoder hides.
 
     The loop is slower, and what it does not see grows, as much as the shaft is heavier than nominal.
@@ -203,7 +203,10 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         for axis, shaft in enumerate(shafts):
             judge = Judge(f"{axis_name(axis)}, friction x {times:g}, ")
             for task, without, with_it in found:
-                value, bound = task.measure(with_it[axis], shaft), maximum(task, without[axis], shaft, left(times))
+                value, bound = (
+                    task.measure(with_it[axis], shaft),
+                    deviation_max(task, without[axis], shaft, left(times)),
+                )
                 yield judge(f"{task.name}, {task.figure}, rms", value, "counts", maximum=bound)
                 if times == 1.0:
                     shown = {"without": without[axis], "with friction compensation": with_it[axis]}

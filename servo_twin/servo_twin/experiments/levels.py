@@ -55,7 +55,7 @@ class Pair:
         return None if first is None or second is None else second - first
 
     @property
-    def maximum(self) -> float | None:
+    def difference_max(self) -> float | None:
         """How large the difference may be, in the same unit: wider where the plant has imperfections."""
         rows = [row for row in (self.ideal, self.registers) if row is not None]
         if len(rows) < len(LEVELS):
@@ -65,7 +65,7 @@ class Pair:
     @property
     def part(self) -> float | None:
         """Difference over how large it may be: 0 for equal figures, infinite for others that ought to be equal."""
-        difference, maximum = self.difference, self.maximum
+        difference, maximum = self.difference, self.difference_max
         if difference is None or maximum is None or math.isnan(difference):
             return None
         if difference == 0.0:
@@ -75,7 +75,7 @@ class Pair:
     @property
     def agrees(self) -> bool:
         rows = (self.ideal, self.registers)
-        difference, maximum = self.difference, self.maximum
+        difference, maximum = self.difference, self.difference_max
         if difference is None or maximum is None:
             return False
         return all(row is not None and row.agrees for row in rows) and abs(difference) <= maximum
@@ -94,7 +94,7 @@ class Pair:
             "ideal": side(self.ideal),
             "registers": side(self.registers),
             "difference": _finite(self.difference),
-            "difference_max": _finite(self.maximum),
+            "difference_max": _finite(self.difference_max),
             "agrees": self.agrees,
         }
 
