@@ -1,11 +1,12 @@
 """Learn all variables of a target from its own tables.
 
 Per string two requests are needed: with TSA safety a target hands out exactly the characters of one string and nothing
-around it. Strings that several entries share are read once.
+around it. Strings that several entries share are read once, and those that the caller knows not at all.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 from servo_bridge.freemaster.client import BoardInfo, Client
@@ -13,14 +14,19 @@ from servo_bridge.freemaster.commands import TsaTable
 from servo_bridge.freemaster.errors import DiscoveryError, Status, StatusError
 from servo_bridge.freemaster.tsa import ByteOrder, Entry, TargetVariable, entry_of_version_2, parse_entries
 
-_Row = tuple[int, int, int, int]
+TableRow = tuple[int, int, int, int]
+"""One entry as the target has it: addresses of name and type, address of the variable, size and access bits."""
+
+KnownTexts = Callable[[Sequence[TableRow]], Mapping[int, bytes]]
+"""Finds the texts that need not be read, by address, from the rows of all tables."""
+
 _OLD_VERSION: Final = 2
 _MAX_TABLES: Final = 256
 _MAX_TABLE_SIZE: Final = 1 << 20
 _MAX_STRING: Final = 1024
 
 
-def discover(client: Client, info: BoardInfo) -> list[TargetVariable]:
+def discover(client: Client, info: BoardInfo, known_texts: KnownTexts | None = None) -> list[TargetVariable]:
     """Read all tables of an identified target.
 
     Parameters
@@ -29,6 +35,8 @@ def discover(client: Client, info: BoardInfo) -> list[TargetVariable]:
         Client whose `identify` gave `info`.
     info : BoardInfo
         Tells the byte order.
+    known_texts : callable, optional
+        Texts that are not read.
 
     Raises
     ------
@@ -38,17 +46,17 @@ def discover(client: Client, info: BoardInfo) -> list[TargetVariable]:
         If the line fails.
     """
     order: ByteOrder = "big" if info.big_endian else "little"
-    return parse_entries(read_entries(client, order), order)
+    return parse_entries(read_entries(client, order, known_texts), order)
 
 
-def read_entries(client: Client, order: ByteOrder) -> list[Entry]:
+def read_entries(client: Client, order: ByteOrder, known_texts: KnownTexts | None = None) -> list[Entry]:
     """Read the entries of all tables with their texts; see `discover`."""
-    rows: list[tuple[int, _Row]] = []
+    rows: list[tuple[int, TableRow]] = []
     for table in _tables(client):
         rows += [(table.version, row) for row in _rows(client, table, order)]
     if not rows:
         raise DiscoveryError("the board has no table of variables; its firmware was built without one")
-    strings = _Strings(client)
+    strings = _Strings(client, known_texts([row for _, row in rows]) if known_texts is not None else {})
     entries: list[Entry] = []
     for version, (name, type_, address, info) in rows:
         if name:
@@ -75,7 +83,7 @@ def _tables(client: Client) -> list[TsaTable]:
     return tables
 
 
-def _rows(client: Client, table: TsaTable, order: ByteOrder) -> list[_Row]:
+def _rows(client: Client, table: TsaTable, order: ByteOrder) -> list[TableRow]:
     """Read the four words of every entry of one table."""
     width = table.field_size
     count = table.size // (4 * width)
@@ -87,11 +95,11 @@ def _rows(client: Client, table: TsaTable, order: ByteOrder) -> list[_Row]:
 
 
 class _Strings:
-    """Texts in target memory, each read once."""
+    """Texts in target memory, each read once unless it is known."""
 
-    def __init__(self, client: Client) -> None:
+    def __init__(self, client: Client, known: Mapping[int, bytes]) -> None:
         self._client = client
-        self._known: dict[int, bytes | None] = {0: None}
+        self._known: dict[int, bytes | None] = {0: None, **known}
 
     def read(self, address: int) -> bytes | None:
         """Read the text at `address`; None where there is none or where the target will not show it."""

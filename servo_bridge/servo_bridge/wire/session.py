@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Protocol, TypeVar
 
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
+from servo_msgs_py.variable_table import texts_of
 
 from servo_bridge.freemaster.client import BoardInfo, Client
-from servo_bridge.freemaster.discovery import discover
-from servo_bridge.freemaster.errors import FreemasterError
+from servo_bridge.freemaster.discovery import TableRow, discover
+from servo_bridge.freemaster.errors import FreemasterError, StatusError
 from servo_bridge.freemaster.tsa import Number, TargetVariable, TypeKind, parse_type
 from servo_bridge.wire.refusal import explained
 
@@ -216,6 +218,17 @@ class Session:
                 self.client.write_memory(variable.address + offset + start, data[start : start + step], lengthy=True)
 
 
+def _known_texts(client: Client, catalogue: Catalogue, rows: Sequence[TableRow]) -> Mapping[int, bytes]:
+    """Texts of the table of a board of this catalogue; to read them takes twice as long as all the rest."""
+    texts = texts_of(catalogue, [row[:2] for row in rows])
+    for name, _, address, _ in rows if texts else ():
+        if texts[name] == _HASH.encode():
+            with suppress(StatusError):
+                if int.from_bytes(client.read_memory(address, 4), "little") == catalogue.hash:
+                    return texts
+    return {}
+
+
 def connect(client: Client, catalogue: Catalogue) -> Session:
     """Identify a board, read its table of variables and compare it with the catalogue.
 
@@ -225,7 +238,7 @@ def connect(client: Client, catalogue: Catalogue) -> Session:
         If nothing answers, or not in this protocol, or without a table of variables.
     """
     info = client.identify()
-    targets = {target.name: target for target in discover(client, info)}
+    targets = {target.name: target for target in discover(client, info, partial(_known_texts, client, catalogue))}
     mismatch: BoardMismatchError | None = None
     try:
         found = targets.get(_HASH)
