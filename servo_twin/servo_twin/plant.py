@@ -124,30 +124,16 @@ def _check(where: str, value: object, rule: _Rule) -> None:
 
 @dataclass(frozen=True)
 class PinsPlant:
-    """What is wired to the pins of one axis.
+    """What is wired to the pins of one axis."""
 
-    Attributes
-    ----------
-    home_from, home_to : float
-        Mechanical angles between which the home switch is closed [rad].
-    limit_min, limit_max : float
-        Mechanical angles at which the limit switches open [rad]; infinite: never.
-    enable_closed : float
-        1: the enable circuit is closed; 0: it is open.
-    brake_torque : float
-        Of the holding brake; 0: there is none [N m].
-    brake_open_time, brake_close_time : float
-        From its coil to the brake [s].
-    """
-
-    home_from: float = math.inf
-    home_to: float = -math.inf
-    limit_min: float = -math.inf
-    limit_max: float = math.inf
-    enable_closed: float = 1.0
-    brake_torque: float = 0.0
-    brake_open_time: float = 0.0
-    brake_close_time: float = 0.0
+    home_from: float = math.inf  # mechanical angle from which the home switch is closed [rad]
+    home_to: float = -math.inf  # mechanical angle up to which it is closed [rad]
+    limit_min: float = -math.inf  # mechanical angle below which the lower limit switch opens [rad]; infinite: never
+    limit_max: float = math.inf  # mechanical angle above which the upper one opens [rad]; infinite: never
+    enable_closed: float = 1.0  # 1: the enable circuit is closed; 0: it is open
+    brake_torque: float = 0.0  # of the holding brake; 0: there is none [N m]
+    brake_open_time: float = 0.0  # from energising the coil to the open brake [s]
+    brake_close_time: float = 0.0  # from de-energising the coil to the closed brake [s]
 
     def __post_init__(self) -> None:
         for name in ("home_from", "home_to", "limit_min", "limit_max"):
@@ -161,130 +147,57 @@ class PinsPlant:
 
 @dataclass(frozen=True)
 class AxisPlant:
-    """Motor, shaft, encoder, inverter and current sensors of one axis.
+    """Motor, shaft, encoder, inverter and current sensors of one axis."""
 
-    Attributes
-    ----------
-    r_s : float
-        Stator resistance [ohm].
-    l_d, l_q : float
-        Stator inductances [H].
-    psi_m : float
-        Permanent-magnet flux linkage, electrical [V s].
-    pole_pairs : float
-        Pole pairs.
-    inertia : float
-        Total inertia [kg m^2].
-    friction, viscous : float
-        Coulomb [N m] and viscous [N m s] friction.
-    load_torque : float
-        External torque that slows positive motion and drives negative motion, on the second mass if there is one [N m].
-    load_inertia : float
-        Second mass at the end of a shaft that twists; 0: there is none, `inertia` is all [kg m^2].
-    shaft_stiffness, shaft_damping : float
-        Of that shaft [N m/rad], [N m s].
-    backlash : float
-        Its play, from one flank to the other [rad].
-    load_friction : float
-        Coulomb friction of the second mass [N m].
-    cogging_torque, cogging_periods, cogging_phase : float
-        Amplitude [N m], periods per turn and phase [rad] of the cogging.
-    i_saturation_d, i_saturation_q : float
-        Current scale of the saturation of `l_d` and `l_q`, which are those without current; 0: they never saturate [A].
-    winding_warms : float
-        1: the resistance follows the winding's temperature at the level ``ideal``, as it always does at ``registers``.
-    magnet_coefficient : float
-        Change of `psi_m`, which is that at the ambient temperature [1/K].
-    magnet_time : float
-        Time constant with which the magnet follows the winding's temperature [s].
-    disc_eccentricity, disc_phase : float
-        Amplitude of the encoder's error once per turn, and its phase [rad].
-    stop_min, stop_max : float
-        Mechanical rotor angles of the end stops [rad].
-    stop_stiffness, stop_damping : float
-        What pushes the shaft back beyond them [N m/rad], [N m s]; without stiffness there are none.
-    encoder_lines : float
-        Lines per turn; counts are four times as many.
-    theta_start : float or "random"
-        Mechanical rotor angle at time zero [rad]; ``random``: another one for every seed.
-    i_full_scale : float
-        The ADC covers ``-i_full_scale .. +i_full_scale`` [A].
-    i_offset : tuple of float
-        Offset of each current amplifier [A].
-    i_noise : float
-        Standard deviation of a current sample [A].
-    i_break : float
-        Hardware over-current threshold of a phase [A].
-    dead_time : float
-        Both switches of a leg are open for so long at every edge [s].
-    v_drop, r_on : float
-        Forward drop [V] and resistance [ohm] of switch and diode.
-    dead_time_min : float
-        Shortest dead time that the switches bear: with less the leg is a short for the rest of it, which trips the
-        comparator [s]. This and all that follows is seen by the plant at switching level only.
-    i_settle : float
-        Time constant of the current amplifiers [s].
-    encoder_jitter : float
-        Standard deviation of an edge of the encoder [counts].
-    encoder_duty_error : float
-        An encoder line is high for 1/2 and this part of its period.
-    encoder_hysteresis : float
-        An edge comes back so far behind where the shaft has passed it [counts]: what keeps comparators from chattering.
-    winding_capacity, winding_resistance : float
-        Thermal capacity [J/K] of the winding, its resistance to the air [K/W].
-    sink_capacity, sink_resistance : float
-        The same for the inverter's heatsink.
-    pins : PinsPlant
-        What is wired to the pins.
-    """
-
-    r_s: float
-    l_d: float
-    l_q: float
-    psi_m: float
-    pole_pairs: float
-    inertia: float
-    friction: float
-    viscous: float
-    load_torque: float
-    load_inertia: float
-    shaft_stiffness: float
-    shaft_damping: float
-    backlash: float
-    load_friction: float
-    cogging_torque: float
-    cogging_periods: float
-    cogging_phase: float
-    i_saturation_d: float
-    i_saturation_q: float
-    winding_warms: float
-    magnet_coefficient: float
-    magnet_time: float
-    disc_eccentricity: float
-    disc_phase: float
-    stop_min: float
-    stop_max: float
-    stop_stiffness: float
-    stop_damping: float
-    encoder_lines: float
-    theta_start: float | Literal["random"]
-    i_full_scale: float
-    i_offset: tuple[float, float, float]
-    i_noise: float
-    i_break: float
-    dead_time: float
-    v_drop: float
-    r_on: float
+    r_s: float  # stator resistance [ohm]
+    l_d: float  # stator inductance, d axis [H]
+    l_q: float  # stator inductance, q axis [H]
+    psi_m: float  # permanent-magnet flux linkage, electrical [V s]
+    pole_pairs: float  # pole pairs
+    inertia: float  # total inertia [kg m^2]
+    friction: float  # Coulomb friction [N m]
+    viscous: float  # viscous friction [N m s]
+    load_torque: float  # external, slows positive motion, drives negative; on the second mass if there is one [N m]
+    load_inertia: float  # second mass at the end of an elastic shaft; 0: there is none, `inertia` is all [kg m^2]
+    shaft_stiffness: float  # of the elastic shaft [N m/rad]
+    shaft_damping: float  # of the elastic shaft [N m s]
+    backlash: float  # of the elastic shaft, from one flank to the other [rad]
+    load_friction: float  # Coulomb friction of the second mass [N m]
+    cogging_torque: float  # amplitude [N m]
+    cogging_periods: float  # per turn
+    cogging_phase: float  # [rad]
+    i_saturation_d: float  # current scale of the saturation of `l_d`, which is that without current; 0: none [A]
+    i_saturation_q: float  # the same of `l_q` [A]
+    winding_warms: float  # 1: `r_s` follows the winding's temperature at level ``ideal`` too; at ``registers`` always
+    magnet_coefficient: float  # relative change of `psi_m`, which is that at the ambient temperature [1/K]
+    magnet_time: float  # time constant with which the magnet follows the winding's temperature [s]
+    disc_eccentricity: float  # amplitude of the encoder's error once per turn [rad]
+    disc_phase: float  # phase of that error [rad]
+    stop_min: float  # mechanical rotor angle of the lower end stop [rad]
+    stop_max: float  # mechanical rotor angle of the upper end stop [rad]
+    stop_stiffness: float  # of both end stops; 0: there are none [N m/rad]
+    stop_damping: float  # of both end stops [N m s]
+    encoder_lines: float  # lines per turn; counts are four times as many
+    theta_start: float | Literal["random"]  # mechanical rotor angle at time zero [rad]; random: by the seed
+    i_full_scale: float  # range of the ADC: ``-i_full_scale .. +i_full_scale`` [A]
+    i_offset: tuple[float, float, float]  # offset of each current amplifier [A]
+    i_noise: float  # standard deviation of a current sample [A]
+    i_break: float  # hardware over-current threshold of a phase [A]
+    dead_time: float  # time for which both switches of a leg are open at every edge [s]
+    v_drop: float  # forward drop of switch and diode [V]
+    r_on: float  # resistance of switch and diode [ohm]
     dead_time_min: float
-    i_settle: float
-    encoder_jitter: float
-    encoder_duty_error: float
-    encoder_hysteresis: float
-    winding_capacity: float
-    winding_resistance: float
-    sink_capacity: float
-    sink_resistance: float
-    pins: PinsPlant = field(default_factory=PinsPlant)
+    """Shortest dead time of the switches: with less the leg is a short for the rest of it, which trips the comparator
+    [s]. This and all that follows has an effect at switching level only."""
+    i_settle: float  # time constant of the current amplifiers [s]
+    encoder_jitter: float  # standard deviation of an edge of the encoder [counts]
+    encoder_duty_error: float  # part of its period for which an encoder line is high, minus 1/2
+    encoder_hysteresis: float  # distance of an edge between the two directions, against chattering [counts]
+    winding_capacity: float  # thermal capacity of the winding [J/K]
+    winding_resistance: float  # thermal resistance from the winding to the air [K/W]
+    sink_capacity: float  # thermal capacity of the inverter's heatsink [J/K]
+    sink_resistance: float  # thermal resistance from the heatsink to the air [K/W]
+    pins: PinsPlant = field(default_factory=PinsPlant)  # what is wired to the pins
 
     def __post_init__(self) -> None:
         pins: object = self.pins
@@ -337,34 +250,16 @@ class AxisPlant:
 
 @dataclass(frozen=True)
 class BusPlant:
-    """Supply and capacitor that both axes share, and the voltage sensor.
+    """Supply and capacitor that both axes share, and the voltage sensor."""
 
-    Attributes
-    ----------
-    u_source : float
-        Open-circuit voltage of the supply [V].
-    r_source : float
-        Its resistance [ohm]; it takes no energy back.
-    capacitance : float
-        Capacitance of the bus [F].
-    u_full_scale : float
-        Full scale of the ADC [V].
-    u_noise : float
-        Standard deviation of a voltage sample [V].
-    r_brake : float
-        Brake resistor [ohm]; 0: there is none.
-    brake_capacity, brake_resistance : float
-        Its heat capacity, and the thermal resistance to the air [J/K], [K/W].
-    """
-
-    u_source: float
-    r_source: float
-    capacitance: float
-    u_full_scale: float
-    u_noise: float
-    r_brake: float
-    brake_capacity: float
-    brake_resistance: float
+    u_source: float  # open-circuit voltage of the supply [V]
+    r_source: float  # its resistance [ohm]; it takes no energy back
+    capacitance: float  # capacitance of the bus [F]
+    u_full_scale: float  # full scale of the ADC [V]
+    u_noise: float  # standard deviation of a voltage sample [V]
+    r_brake: float  # brake resistor [ohm]; 0: there is none
+    brake_capacity: float  # heat capacity of the brake resistor [J/K]
+    brake_resistance: float  # thermal resistance from the brake resistor to the air [K/W]
 
     def __post_init__(self) -> None:
         for name, rule in _BUS_RULES.items():
@@ -373,24 +268,12 @@ class BusPlant:
 
 @dataclass(frozen=True)
 class PlantConfig:
-    """The whole plant: two axes on one bus.
+    """The whole plant: two axes on one bus."""
 
-    Attributes
-    ----------
-    axes : tuple of AxisPlant
-        Axis 1 and axis 2.
-    bus : BusPlant
-        The DC bus.
-    pwm_frequency : float
-        Carrier of the inverters [Hz].
-    ambient : float
-        Temperature of the air around motors and heatsinks [deg C].
-    """
-
-    axes: tuple[AxisPlant, AxisPlant]
-    bus: BusPlant
-    pwm_frequency: float
-    ambient: float
+    axes: tuple[AxisPlant, AxisPlant]  # axis 1 and axis 2
+    bus: BusPlant  # the DC bus
+    pwm_frequency: float  # carrier of the inverters [Hz]
+    ambient: float  # temperature of the air around motors and heatsinks [deg C]
 
     def __post_init__(self) -> None:
         _check("pwm_frequency", self.pwm_frequency, _POSITIVE)

@@ -105,13 +105,6 @@ class Line:
         Called before every attempt; may raise to abandon a long job.
     statistics : ClientStatistics, optional
         Counters to go on with.
-
-    Attributes
-    ----------
-    fence : Fence or None
-        Of the target that answers, once it is known.
-    meanwhile : callable or None
-        Called once, when the next request has been sent: work for the time that the line needs. Must not send itself.
     """
 
     def __init__(
@@ -131,8 +124,10 @@ class Line:
         self._byte_ns = _BITS_PER_BYTE * 1_000_000_000 // baud
         self._latency_ns = round(latency * 1e9)
         self._round_trip = RoundTrip(self._latency_ns)
-        self.fence: Fence | None = None
+        self.fence: Fence | None = None  # of the target that answers, once it is known
         self.meanwhile: Callable[[], None] | None = None
+        """Called once, when the next request has been sent: work for the time that the line needs. Must not send
+        itself."""
         self.retries = retries
         self.clock = clock
         self.before_request = before_request

@@ -91,25 +91,14 @@ def edges_of(recording: Recording, start_angle: float, shift: float = 0.0) -> Ed
 
 @dataclass(frozen=True)
 class Doubt:
-    """What an encoder whose edges do not lie in their places leaves open; nothing, if they do.
+    """What an encoder whose edges do not lie in their places leaves open; nothing, if they do."""
 
-    Attributes
-    ----------
-    of_age : ndarray
-        By how many timer ticks the last captured edge may be off, at every slow tick.
-    of_m2 : ndarray
-        The same for the interval between the last two.
-    of_edge : ndarray
-        Whether an edge may have come already, or not yet.
-    longer : ndarray
-        How many times longer than it might be the interval is: at each end the next edge of track B, two counts away,
-        is captured instead if the edge is on the other side of a slow loop's beginning.
-    """
-
-    of_age: NDArray[np.float64]
-    of_m2: NDArray[np.float64]
-    of_edge: NDArray[np.bool_]
+    of_age: NDArray[np.float64]  # error bound of the last captured edge at every slow tick [timer ticks]
+    of_m2: NDArray[np.float64]  # error bound of the interval between the last two [timer ticks]
+    of_edge: NDArray[np.bool_]  # whether an edge may have come already, or not yet
     longer: NDArray[np.float64]
+    """Ratio of the interval to the shortest possible one: at each end the next edge of track B, two counts away, is
+    captured instead if the edge is on the other side of a slow loop's beginning."""
 
 
 def doubt_of(

@@ -40,50 +40,25 @@ _NOT_TOLD: Final = "the twin was not there when the recorder was set up"
 
 @dataclass(frozen=True)
 class Alignment:
-    """How the twin's board lies to the real one, from a sample of the real board on.
+    """How the twin's board lies to the real one, from a sample of the real board on."""
 
-    Attributes
-    ----------
-    tick : int
-        Of that sample.
-    shift : int
-        Tick of the twin's board minus that of the real one.
-    offsets : tuple of int
-        Position of every real axis minus that of the twin's [counts].
-    difference : str
-        Why the two cannot be compared; empty when they can.
-    """
-
-    tick: int
-    shift: int
-    offsets: tuple[int, ...]
-    difference: str
+    tick: int  # of that sample
+    shift: int  # tick of the twin's board minus that of the real one
+    offsets: tuple[int, ...]  # position of every real axis minus that of the twin's [counts]
+    difference: str  # why the two cannot be compared; empty: they can
 
 
 @dataclass(frozen=True)
 class BurstAnswer:
-    """What the twin has of a burst.
+    """What the twin has of a burst."""
 
-    Attributes
-    ----------
-    label : str
-        What the burst is.
-    columns : sequence of str
-        Those of the burst that the twin has, in its order.
-    twin : array of float, shape (points, columns)
-        Values of the twin, SI, in ticks and positions of the real board; no points where it has none.
-    residual : array of float, shape (points, columns)
-        Real minus twin, angles and positions the short way round; ticks, times and stamps as they are. NaN where the
-        boards could not be compared.
-    note : str
-        What is missing and why, for people; empty when nothing is.
-    """
-
-    label: str
-    columns: Sequence[str]
-    twin: NDArray[np.float64]
+    label: str  # of the burst
+    columns: Sequence[str]  # those of the burst that the twin has, in its order
+    twin: NDArray[np.float64]  # (points, columns), SI, ticks and positions of the real board; empty where it has none
     residual: NDArray[np.float64]
-    note: str
+    """(points, columns), real minus twin, angles and positions the short way round; ticks, times and stamps as they
+    are; NaN where the boards could not be compared."""
+    note: str  # what is missing and why, for people; empty: nothing
 
 
 @dataclass(frozen=True)

@@ -58,21 +58,14 @@ class Replica:
     ----------
     board : Board
         A board that was just switched on.
-
-    Attributes
-    ----------
-    tick : int
-        Last slow tick that is over [PWM periods since reset].
-    raw : mapping
-        Raw integers of the snapshot of that tick, by variable name; empty before the first.
     """
 
     def __init__(self, board: ReplayBoard) -> None:
         self._board = board
         self._catalogue = board.catalogue
         self._expired = expired_mask(board.catalogue)
-        self.tick = 0
-        self.raw: Mapping[str, int] = {}
+        self.tick = 0  # last completed slow tick [PWM periods since reset]
+        self.raw: Mapping[str, int] = {}  # raw integers of the snapshot of that tick, by variable name; empty before it
 
     def close(self) -> None:
         """Give the board's memory back."""

@@ -46,61 +46,29 @@ _SETTLE: Final = 2.0  # longest time from reset to STOP [s]
 
 @dataclass(frozen=True)
 class TwinSettings:
-    """Times of the twin, all in board time [s].
+    """Times of the twin, all in board time [s]."""
 
-    Attributes
-    ----------
-    report_timeout : float
-        How much newer telemetry may be before a sample stops waiting for a command that it says has taken effect.
-    from_reset : float
-        A board that is not up for longer is followed from its reset on, if all commands since are known.
-    gap : float
-        Silence of the telemetry after which the twin begins anew instead of following.
-    rest : float
-        How long the shafts have to be at rest before the twin begins in the middle.
-    search : float
-        How much longer a rotor search may take on one board than on the other.
-    disagreement : float
-        How long one board may be off and the other on otherwise.
-    """
-
-    report_timeout: float = 0.05
-    from_reset: float = 5.0
-    gap: float = 2.0
-    rest: float = 0.1
-    search: float = 4.0
-    disagreement: float = 0.5
+    report_timeout: float = 0.05  # longest wait for a command that a sample reports as applied, in telemetry time [s]
+    from_reset: float = 5.0  # longest time since reset to follow from there on, if all commands since are known [s]
+    gap: float = 2.0  # silence of the telemetry after which the twin synchronises anew [s]
+    rest: float = 0.1  # time for which the shafts must be at rest before it synchronises without a reset [s]
+    search: float = 4.0  # largest difference of the durations of a rotor search on the two boards [s]
+    disagreement: float = 0.5  # largest time for which one board may be off and the other on otherwise [s]
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Both boards at the same tick.
+    """Both boards at the same tick."""
 
-    Attributes
-    ----------
-    tick : int
-        Of the real board.
-    stamp_ns : int
-        ROS time of the real sample [ns].
-    real : mapping
-        The real sample, SI, by column name.
-    twin : mapping
-        The twin's values, SI, in ticks and positions of the real board; every column of `real` that the twin has.
-    difference : str
-        Empty when the two can be compared; otherwise what keeps them apart, for people.
-    stopping : tuple of bool
-        Per axis, whether it stops by itself, so that the positions say nothing; see `AxisTie.stopping`.
-    fault : str
-        Which axes of the real board have which faults, for people; empty when none has any.
-    """
-
-    tick: int
-    stamp_ns: int
-    real: Mapping[str, float]
+    tick: int  # of the real board
+    stamp_ns: int  # ROS time of the real sample [ns]
+    real: Mapping[str, float]  # the real sample, SI, by column name
     twin: Mapping[str, float]
-    difference: str
+    """Values of the twin, SI, in ticks and positions of the real board; every column of `real` that the twin has."""
+    difference: str  # why the two cannot be compared, for people; empty: they can
     stopping: tuple[bool, ...] = (False,) * AXES
-    fault: str = ""
+    """Per axis, whether it stops by itself, so that the positions are not comparable; see `AxisTie.stopping`."""
+    fault: str = ""  # axes of the real board and their faults, for people; empty: none
 
 
 class Twin:
@@ -114,19 +82,6 @@ class Twin:
         Times.
     catalogue : Catalogue, optional
         Table of variables; the packaged one by default.
-
-    Attributes
-    ----------
-    status : str
-        Why the twin does not follow; empty while it does.
-    fault : str
-        `Pair.fault` of the last sample, whether the twin followed or not.
-    synchronisations : int
-        How often it has begun.
-    parameters_known : bool
-        Whether the parameters of the real board have been told; until then the twin has those after reset.
-    torque_constants : list of float
-        What the firmware takes for the torque per current of every axis [N m/A]; empty before it has begun.
     """
 
     def __init__(
@@ -136,10 +91,10 @@ class Twin:
         catalogue: Catalogue | None = None,
     ) -> None:
         self.settings = settings or TwinSettings()
-        self.status = "no telemetry yet"
-        self.fault = ""
-        self.synchronisations = 0
-        self.torque_constants: list[float] = []
+        self.status = "no telemetry yet"  # why the twin does not follow; empty: it does
+        self.fault = ""  # `Pair.fault` of the last sample, whether the twin followed or not
+        self.synchronisations = 0  # how often it has begun
+        self.torque_constants: list[float] = []  # of every axis in the firmware [N m/A]; empty before it has begun
         self._catalogue = catalogue or Catalogue.load()
         self._new_board = new_board
         self._reader = SampleReader(self._catalogue)
@@ -162,6 +117,7 @@ class Twin:
     # ---- in
     @property
     def parameters_known(self) -> bool:
+        """Whether those of the real board are known; until then the twin has those after reset."""
         return self._parameters is not None
 
     def parameters(self, values: RawParameters) -> None:
