@@ -40,7 +40,7 @@ from std_srvs.srv import Trigger
 from servo_msgs_py import topics
 from servo_twin.board import Board
 from servo_twin.diagnosis.monitor import SUPPLY, DiagnosisMonitor
-from servo_twin.diagnosis.report import NOTHING_CHANGED, estimate_numbers, estimate_text, finding_text, located_text
+from servo_twin.diagnosis.report import NOTHING_CHANGED, estimate_numbers, estimate_text, finding_text, findings_text
 from servo_twin.diagnosis.thresholds import Thresholds as Learned
 from servo_twin.diagnosis.thresholds import ThresholdsError
 from servo_twin.level import chosen_level
@@ -109,8 +109,8 @@ class ServoTwin(Node):
         self._values = declare(self, self.PARAMETERS)
         self._board_namespace = topics.within(self.get_namespace().rpartition("/")[0], self._values["board_namespace"])
         self._catalogue = Catalogue.load()
-        self._plant, learned = self._files()
-        self._diagnosis = DiagnosisMonitor(self._plant, learned)
+        self._plant, calibrated = self._files()
+        self._diagnosis = DiagnosisMonitor(self._plant, calibrated)
         self._adaptations = 0
         self._twin = Twin(self._new_board, TwinSettings(report_timeout=self._values["report_timeout"]), self._catalogue)
         self._monitor = HealthMonitor(
@@ -320,7 +320,7 @@ class ServoTwin(Node):
                 return
             self._missing = self._diagnosis.missing
             findings = self._diagnosis.findings()
-            self._located = located_text(findings, self._names(), pair.tick, pair.stamp_ns) if findings else ""
+            self._located = findings_text(findings, self._names(), pair.tick, pair.stamp_ns) if findings else ""
             self._statuses = self._diagnosis_statuses(pair)
             if not 0 <= pair.stamp_ns - self._diagnosed_ns < _DIAGNOSIS_NS:
                 self._diagnosed_ns = pair.stamp_ns
@@ -362,7 +362,7 @@ class ServoTwin(Node):
 
     def _complaint(self) -> str:
         """What the diagnosis or a running mean says against the twin; empty if nothing does."""
-        wrong = self._diagnosis.watch.complaint
+        wrong = self._diagnosis.signals.deviation
         return self._located or ("" if wrong is None else f"{self._names()[wrong[0]]}: {wrong[1]}")
 
     def _compare(self, pair: Pair) -> Residual | None:
