@@ -405,9 +405,9 @@ def test_random_motors_are_the_same_for_a_seed() -> None:
 
 
 def test_false_success_is_counted() -> None:
-    good = Trial(dict.fromkeys(TARGETS, 0.01), dict.fromkeys(AIMS, True), 20.0, (), "")
-    far = Trial({**dict.fromkeys(TARGETS, 0.01), "psi_m": 0.2}, dict.fromkeys(AIMS, False), 20.0, (), "")
-    told = Trial({**dict.fromkeys(TARGETS, 0.01), "psi_m": 0.2}, dict.fromkeys(AIMS, False), 20.0, ("psi_m",), "")
+    good = Trial(dict.fromkeys(TARGETS, 0.01), dict.fromkeys(TARGETS, True), 20.0, (), "")
+    far = Trial({**dict.fromkeys(TARGETS, 0.01), "psi_m": 0.2}, dict.fromkeys(TARGETS, False), 20.0, (), "")
+    told = Trial({**dict.fromkeys(TARGETS, 0.01), "psi_m": 0.2}, dict.fromkeys(TARGETS, False), 20.0, ("psi_m",), "")
     assert [one.false_success for one in (good, far, told)] == [False, True, False]
     text = "\n".join(summary([(0, good), (1, far), (2, told)]))
     assert "3 motors: 2 identified, 1 not" in text
@@ -433,7 +433,7 @@ def test_trials_that_are_ended_leave_what_they_have(tmp_path: Path, monkeypatch:
     def run(_: Trials, number: int) -> Trial:
         if number == 2:
             raise KeyboardInterrupt
-        return Trial(dict.fromkeys(TARGETS, 0.01), dict.fromkeys(AIMS, True), 20.0, (), "")
+        return Trial(dict.fromkeys(TARGETS, 0.01), dict.fromkeys(TARGETS, True), 20.0, (), "")
 
     monkeypatch.setattr(Trials, "run", run)
     arguments = ["identify", "--trials", "3", "--workers", "1", "--seed", "5", "--level", "ideal"]
