@@ -206,7 +206,7 @@ def _unexplained(log: MeasurementLog, refinement: Refinement) -> list[str]:
 def tuned_table(
     base: Mapping[str, Any], result: Identified, limits: Limits
 ) -> tuple[dict[str, Any] | None, Sequence[str]]:
-    """``servo.toml`` with feasible bandwidths for the motor, and lines with the margins; None and a reason if refused."""
+    """``servo.toml`` with feasible bandwidths, and lines with the margins; None and a reason if refused."""
     values = {name: estimate.value for name, estimate in result.estimates.values.items()}
     motor = {name: values[name] for name in ("l_d", "l_q", "psi_m", "pole_pairs", "inertia")}
     # the resistance for the controller includes the switches
