@@ -67,8 +67,8 @@ class _Burst:
 
     label: str
     columns: Sequence[str]
-    table: NDArray[np.float64]
-    ticks: NDArray[np.int64]
+    table: NDArray[np.float64]  # (points, columns), SI
+    ticks: NDArray[np.int64]  # (points,), of the real board
 
 
 class BurstFollower:
