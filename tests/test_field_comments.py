@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ["servo_msgs_py", "servo_bridge", "servo_twin"]
 
 REAL = re.compile(r"\b(float|complex|NDArray|Matrix|_?Array|_Float|_Complex)\b")
+ALIAS = re.compile(r"^(\w+) = Annotated\[float, ", re.MULTILINE)
 
 
 def is_data_class(node: ast.ClassDef) -> bool:
@@ -22,7 +23,7 @@ def is_data_class(node: ast.ClassDef) -> bool:
 
 def unexplained(text: str) -> Iterator[str]:
     """Real-valued fields without a comment and without a docstring, with their lines."""
-    lines = text.split("\n")
+    lines, aliases = text.split("\n"), set(ALIAS.findall(text))
     for node in ast.walk(ast.parse(text)):
         if not isinstance(node, ast.ClassDef) or not is_data_class(node):
             continue
@@ -30,7 +31,8 @@ def unexplained(text: str) -> Iterator[str]:
             if not isinstance(field, ast.AnnAssign):
                 continue
             annotation = ast.unparse(field.annotation)
-            if not REAL.search(annotation) or re.search("Callable|ClassVar|Final", annotation):
+            real = REAL.search(annotation) or aliases & set(re.findall(r"\w+", annotation))
+            if not real or re.search("Callable|ClassVar|Final", annotation):
                 continue
             docstring = isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant)
             if not docstring and not any("  # " in line for line in lines[field.lineno - 1 : field.end_lineno]):
@@ -46,7 +48,8 @@ def test_real_valued_fields_of_data_classes_have_a_comment_or_a_docstring(packag
 
 def test_a_field_without_comment_is_found() -> None:
     text = (
-        "@dataclass\nclass A:\n    a: float  # [s]\n    b: float | None\n    c: tuple[float, ...]\n    '''Means.'''\n"
-        "    d: int\n    e: Callable[[float], None]\n\nclass B:\n    a: float\n"
+        "Positive = Annotated[float, 'above 0']\n\n@dataclass\nclass A:\n    a: float  # [s]\n    b: float | None\n"
+        "    c: tuple[float, ...]\n    '''b'''\n    d: int\n    f: Fixed[Positive]\n    e: Callable[[float], None]\n"
+        "class B:\n    a: float\n"
     )
-    assert list(unexplained(text)) == ["4: A.b"]
+    assert list(unexplained(text)) == ["6: A.b", "10: A.f"]
