@@ -111,39 +111,49 @@ class AxisPlant:
     l_d: Positive  # stator inductance, d axis [H]
     l_q: Positive  # stator inductance, q axis [H]
     psi_m: NotNegative  # permanent-magnet flux linkage, electrical [V s]
-    pole_pairs: Fixed[Whole]  # pole pairs
+    pole_pairs: Fixed[Whole]  # electrical turns per mechanical turn
+
     inertia: Positive  # total inertia [kg m^2]
     friction: NotNegative  # Coulomb friction [N m]
     viscous: NotNegative  # viscous friction [N m s]
+
     load_torque: Finite  # external, slows positive motion, drives negative; on the second mass if there is one [N m]
     load_inertia: NotNegative  # second mass at the end of an elastic shaft; 0: there is none, `inertia` is all [kg m^2]
     shaft_stiffness: NotNegative  # of the elastic shaft [N m/rad]
     shaft_damping: NotNegative  # of the elastic shaft [N m s]
     backlash: NotNegative  # of the elastic shaft, from one flank to the other [rad]
     load_friction: NotNegative  # Coulomb friction of the second mass [N m]
+
     cogging_torque: NotNegative  # amplitude [N m]
     cogging_periods: Whole  # per turn
     cogging_phase: Finite  # [rad]
+
     i_saturation_d: NotNegative  # current scale of the saturation of `l_d`, which is that without current; 0: none [A]
     i_saturation_q: NotNegative  # the same of `l_q` [A]
     winding_warms: Switch  # 1: `r_s` follows the winding's temperature at level ``ideal`` too; at ``registers`` always
     magnet_coefficient: MagnetChange  # relative change of `psi_m`, which is that at the ambient temperature [1/K]
     magnet_time: NotNegative  # time constant with which the magnet follows the winding's temperature [s]
+
     disc_eccentricity: Eccentricity  # amplitude of the encoder's error once per turn [rad]
     disc_phase: Finite  # phase of that error [rad]
+
     stop_min: Finite  # mechanical rotor angle of the lower end stop [rad]
     stop_max: Finite  # mechanical rotor angle of the upper end stop [rad]
     stop_stiffness: NotNegative  # of both end stops; 0: there are none [N m/rad]
     stop_damping: NotNegative  # of both end stops [N m s]
+
     encoder_lines: Fixed[Whole]  # lines per turn; counts are four times as many
     theta_start: Fixed[float | Literal["random"]]  # mechanical rotor angle at time zero [rad]; random: by the seed
+
     i_full_scale: Positive  # range of the ADC: ``-i_full_scale .. +i_full_scale`` [A]
     i_offset: tuple[float, float, float]  # offset of each current amplifier [A]
     i_noise: NotNegative  # standard deviation of a current sample [A]
     i_break: Positive  # hardware over-current threshold of a phase [A]
+
     dead_time: Fixed[NotNegative]  # time for which both switches of a leg are open at every edge [s]
     v_drop: NotNegative  # forward drop of switch and diode [V]
     r_on: NotNegative  # resistance of switch and diode [ohm]
+
     dead_time_min: NotNegative
     """Shortest dead time of the switches: with less the leg is a short for the rest of it, which trips the comparator
     [s]. This and all that follows has an effect at switching level only."""
@@ -151,10 +161,12 @@ class AxisPlant:
     encoder_jitter: Fixed[NotNegative]  # standard deviation of an edge of the encoder [counts]
     encoder_duty_error: Fixed[DutyError]  # part of its period for which an encoder line is high, minus 1/2
     encoder_hysteresis: Fixed[Hysteresis]  # distance of an edge between the two directions, against chattering [counts]
+
     winding_capacity: Positive  # thermal capacity of the winding [J/K]
     winding_resistance: Positive  # thermal resistance from the winding to the air [K/W]
     sink_capacity: Positive  # thermal capacity of the inverter's heatsink [J/K]
     sink_resistance: Positive  # thermal resistance from the heatsink to the air [K/W]
+
     pins: PinsPlant = field(default_factory=PinsPlant)  # what is wired to the pins
 
     def __post_init__(self) -> None:
