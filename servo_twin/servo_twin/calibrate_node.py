@@ -26,13 +26,7 @@ PARAMETERS: Final = {
 
 
 class Calibration(ServoTwin):
-    """A twin that calibrates instead of diagnosing, in its own namespace.
-
-    Attributes
-    ----------
-    finished : bool
-        True if the file has been written.
-    """
+    """A twin that calibrates instead of diagnosing, in its own namespace; `finished` after the file is written."""
 
     NAMESPACE = "twin_calibration"
     PARAMETERS = PARAMETERS

@@ -325,7 +325,7 @@ def test_unusable_messages_are_told_once_and_the_rest_is_recorded(record: Record
     record(feed)
     assert len(read_scalars(file, scene.series_entity(1, "i_q", scene.BOARD))[0]) == 10
     assert [text for _, text in read_texts(file, "/log/viewer")] == [
-        "viewer: a message was left out: telemetry without the column tick"
+        "viewer: invalid message ignored: telemetry without the column tick"
     ]
 
 

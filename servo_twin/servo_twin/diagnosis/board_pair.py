@@ -145,7 +145,7 @@ class BoardPair:
 class _Segment:
     """Present motion of one axis."""
 
-    until: float  # end [s]
+    until: float  # end, board time [s]
     mode: int = 0
     speed: float = 0.0  # set-point of the mode SPEED [rad/s]
 

@@ -185,7 +185,7 @@ class AxisAlignment:
         """Write the last commands of the real axis to the newly aligned axis."""
         mode = self.last_written.get("cmd.mode", 0)
         # Writing the mode again would end the position hold.
-        variables = ["cmd.mode"] if replica.read_raw("cmd.mode")[self._number] != mode else []
+        variables = ["cmd.mode"] if replica.read_words("cmd.mode")[self._number] != mode else []
         if self._set_point_deferred:
             variables.append(_SET_POINTS[mode])
             self._set_point_deferred = False

@@ -30,11 +30,12 @@ from servo_msgs_py.recorder_setup import RecorderSetup
 from servo_msgs_py.timed_points import shifted_points
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
+from servo_twin.board import Board
 from servo_twin.lockstep.applied_commands import AppliedCommands
 from servo_twin.lockstep.axis_alignment import POINTS, AxisAlignment
 from servo_twin.lockstep.blocks import TAKE, Blocks, blocks_of, checksums_of, repeat_blocks, write_blocks
 from servo_twin.lockstep.bursts import Alignment, BurstAnswer, BurstSampler
-from servo_twin.lockstep.replica import ReplayBoard, Replica, slow_tick
+from servo_twin.lockstep.replica import Replica, slow_tick
 from servo_twin.lockstep.samples import PER_BOARD, Activity, Sample, SampleReader, StandstillDetector, activity
 from servo_twin.plant import PlantConfig
 
@@ -85,7 +86,7 @@ class Twin:
 
     def __init__(
         self,
-        new_board: Callable[[], ReplayBoard],
+        new_board: Callable[[], Board],
         settings: TwinSettings | None = None,
         catalogue: Catalogue | None = None,
     ) -> None:
@@ -190,7 +191,7 @@ class Twin:
     def take_plant(self, plant: PlantConfig) -> None:
         """Change the plant of the twin's board without a new synchronisation."""
         if self._replica is not None:
-            self._replica.take_plant(plant)
+            self._replica.board.take_plant(plant)
 
     def resync(self, reason: str) -> None:
         """Discard the twin's board and synchronise again at the next standstill of the real one."""
@@ -369,7 +370,7 @@ class Twin:
     def _switch_on(self) -> Replica:
         self._replica = replica = Replica(self._new_board())
         self._note_torque(replica)
-        self._in_force = self._parameters or {v.name: replica.read_raw(v.name) for v in parameters(self._catalogue)}
+        self._in_force = self._parameters or {v.name: replica.read_words(v.name) for v in parameters(self._catalogue)}
         self._shift = 0
         self.synchronisations += 1
         self.status = self._cause = ""
@@ -377,7 +378,7 @@ class Twin:
         return replica
 
     def _note_torque(self, replica: Replica) -> None:
-        constants = (replica.read(f"{axis_name(axis)}.torque_constant") for axis in range(AXES))
+        constants = (replica.board.read(f"{axis_name(axis)}.torque_constant") for axis in range(AXES))
         self.torque_constants = [float(value) for value in constants if isinstance(value, (int, float))]
 
     def _wait(self, reason: str) -> None:
@@ -389,7 +390,7 @@ class Twin:
             if name in _POSITIONS:
                 low, high = self._catalogue[name].raw_range
                 raw = [min(max(x - axis.offset, low), high) for x, axis in zip(raw, self._axes, strict=True)]
-            replica.write_all(name, raw)
+            replica.board.write_raw(name, raw)
 
     def _drop(self, reason: str) -> None:
         if self._replica is not None:
@@ -421,7 +422,7 @@ class Twin:
 
     def _check_blocks(self, replica: Replica) -> None:
         """Synchronise again if the twin's board has refused the blocks, which it does during a motion."""
-        if replica.read_raw("config.refusal") != [0]:
+        if replica.read_words("config.refusal") != [0]:
             self._cause = "the twin's board refused the configuration because it was moving"
             self.resync(self._cause)
 
@@ -445,7 +446,7 @@ class Twin:
 
     def _set_winding_estimate(self, replica: Replica, number: int) -> None:
         if self._windings:
-            replica.set_winding_estimate(number, self._windings[number])
+            replica.board.set_winding_estimate(number, self._windings[number])
 
     def _align_at_standstill(self, replica: Replica, sample: Sample) -> None:
         """Align the positions again after a stop."""
