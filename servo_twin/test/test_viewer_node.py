@@ -136,7 +136,7 @@ class Robot:
         self.start_ns = self.node.get_clock().now().nanoseconds
 
     def wait_for_viewer(self, viewer: ViewerProcess) -> None:
-        viewer.wait_for("shows the joints axis1, axis2")
+        viewer.wait_for("joints: axis1, axis2")
         _wait(lambda: all(p.get_subscription_count() for p in self._made.values()), "subscriptions of the viewer")
         self.start_ns = self.node.get_clock().now().nanoseconds
 
