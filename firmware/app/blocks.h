@@ -93,7 +93,7 @@ typedef struct {
 #define CONFIG_VALUES 3
 #define CONFIG_HEADER 4 /* words: axis, layout, members, checksum */
 
-/* Written by the host to send configuration blocks (app/configure.h). */
+/* Written by the host to send configuration blocks (app/config_blocks.h). */
 typedef struct {
     int32_t window[CONFIG_VALUES + CONFIG_TOGETHER]; /* CONFIG_ words, then values of members */
     int32_t header[CONFIG_HEADER]; /* axis, layout, members, checksum */

@@ -8,8 +8,8 @@
 
 #include "app/analog_out.h"
 #include "app/blocks.h"
-#include "app/configure.h"
-#include "app/journal.h"
+#include "app/config_blocks.h"
+#include "app/event_log.h"
 #include "app/latch.h"
 #include "app/storage.h"
 #include "comm/freemaster.h"
@@ -43,11 +43,11 @@ typedef struct servo {
 
     hal_t *hal;
     axis_t axis[HAL_AXES];
-    configure_t configure;
+    config_blocks_t config_blocks;
     storage_t storage;
     board_settings_t settings;
-    brake_t brake;
-    brake_config_t brake_config; /* a copy: no interrupt reads what may lie in the data flash */
+    bus_braking_t bus_braking;
+    bus_braking_config_t brake_config; /* a copy: no interrupt reads what may lie in the data flash */
     uint32_t tick; /* PWM periods since reset */
     bool m2_awaited;     /* M1 has run, M2 has not */
     uint16_t lateness;   /* of the loops, forgotten with time */
@@ -65,7 +65,7 @@ typedef struct servo {
     uint16_t host_commands_seen;     /* by the last supervision */
     uint16_t host_silence;           /* slow ticks since then */
     bool host_seen;                  /* the line has carried a command at all */
-    journal_t journal;
+    event_log_t event_log;
     freemaster_t freemaster;
     uint32_t samples[SERVO_SAMPLES / 4]; /* of both recorders, in words of 4 bytes */
 } servo_t;
@@ -80,7 +80,7 @@ void servo_host_init(servo_t *servo);
 void servo_m1_isr(servo_t *servo);
 void servo_m2_isr(servo_t *servo);
 void servo_edge_isr(servo_t *servo, uint16_t axis);
-void servo_break_isr(servo_t *servo, uint16_t axis);
+void servo_over_current_isr(servo_t *servo, uint16_t axis);
 
 /* Below all interrupts, again and again. */
 void servo_background(servo_t *servo);

@@ -10,7 +10,7 @@
 #ifndef SERVO_APP_STORAGE_H
 #define SERVO_APP_STORAGE_H
 
-#include "app/journal.h"
+#include "app/event_log.h"
 #include "app/stored_set.h"
 #include "drive/axis_data.h"
 
@@ -33,11 +33,11 @@ typedef struct {
     const axis_t *axes;
     stored_values_t values;
     const config_status_t *config_status;
-    journal_t *journal;
+    event_log_t *event_log;
     uint16_t request; /* of the host's request, in servo_t */
 } storage_board_t;
 
-/* Look at both copies and take over what is stored; before configure_begin. */
+/* Look at both copies and take over what is stored; before config_blocks_begin. */
 void storage_begin(storage_t *storage, storage_status_t *status, const storage_board_t *board);
 
 /* Is this write of a part of the request acceptable? A request with the token of the last one is accepted and changes

@@ -15,7 +15,7 @@
 #ifndef SERVO_APP_STORED_SET_H
 #define SERVO_APP_STORED_SET_H
 
-#include "app/configure.h"
+#include "app/config_blocks.h"
 #include "config/axis_layout_gen.h"
 #include "config/contract_gen.h"
 
@@ -32,7 +32,7 @@
 typedef struct {
     uint8_t *memory; /* shared with the host .. */
     uint16_t parameter; /* .. with the parameter block at this offset */
-    configure_t *configure;
+    config_blocks_t *config_blocks;
 } stored_values_t;
 
 /* Word `index` of a set of the present values, but for the seal. */

@@ -9,16 +9,16 @@
 #include "comm/access.h"
 #include "comm/sha1.h"
 #include "config/contract_gen.h"
+#include "control/back_emf_observer.h"
 #include "control/current_loop.h"
 #include "control/field_weakening.h"
 #include "control/friction.h"
-#include "control/observer.h"
 #include "control/pll.h"
-#include "diagnosis/heat_monitor.h"
+#include "diagnosis/heat_sink_monitor.h"
 #include "diagnosis/observation.h"
 #include "diagnosis/shaft_monitor.h"
 #include "diagnosis/winding_model.h"
-#include "drive/brake.h"
+#include "drive/bus_braking.h"
 #include "drive/home_data.h"
 #include "drive/inputs_data.h"
 #include "drive/sensorless_startup_data.h"
@@ -37,7 +37,7 @@ typedef struct {
     mt_speed_config_t mt_speed;
     speed_observer_config_t speed_observer;
     rotor_search_config_t rotor_search;
-    observer_config_t observer;
+    back_emf_observer_config_t observer;
     pll_config_t pll;
     speed_reliability_config_t reliability;
     emf_check_config_t emf_check;
@@ -70,7 +70,7 @@ typedef struct {
     frac16_t offset_duty_min; /* shortest high side, part of a period, during which an offset sample is true */
 
     winding_config_t winding;
-    heat_monitor_config_t heat;
+    heat_sink_monitor_config_t heat;
     winding_model_config_t winding_model;
     shaft_monitor_config_t shaft;
 
@@ -91,7 +91,7 @@ typedef struct {
 
 typedef struct {
     axis_config_t axis[HAL_AXES];
-    brake_config_t brake;
+    bus_braking_config_t brake;
     uint16_t host_timeout; /* defaults of the writable time-outs, slow ticks */
     uint16_t command_timeout; /* the same, for speed and torque set-points */
     uint8_t password[ACCESS_LEVELS][SHA1_SIZE]; /* SHA-1 by level, from ACCESS_VIEW on; zeros: no password */

@@ -319,7 +319,7 @@ const servo_config_t servo_config = {
         .cooling = 178957,
         .start = 26178,
         .full = 28886,
-        .u_dc_max_able = 32113,
+        .u_dc_max_braking = 32113,
     },
     .host_timeout = 1000,
     .command_timeout = 1000,

@@ -28,7 +28,7 @@ void current_loop_limit(current_loop_t *loop, pi_sum_t sum_d, pi_sum_t sum_q, fr
     loop->limited = true;
 }
 
-void current_loop_turn(current_loop_t *loop, const current_loop_config_t *config, frac16_t omega_e)
+void current_loop_set_speed(current_loop_t *loop, const current_loop_config_t *config, frac16_t omega_e)
 {
     loop->omega_e = f32_from_f16(omega_e);
     loop->minus_2_omega = -2 * (int32_t)omega_e;

@@ -37,7 +37,7 @@ void current_loop_reset(current_loop_t *loop);
 
 /* From now on the rotor turns with the electrical speed `omega_e` (full scale: pole pairs x full-scale speed). Speed is
  * measured once per slow tick, so what follows from it alone is worked out here and not in every period. */
-void current_loop_turn(current_loop_t *loop, const current_loop_config_t *config, frac16_t omega_e);
+void current_loop_set_speed(current_loop_t *loop, const current_loop_config_t *config, frac16_t omega_e);
 
 /* Go on from here, in another frame: `current` flows, and `voltage` is what the next period is to have. */
 void current_loop_take_over(current_loop_t *loop, const current_loop_config_t *config, dq_t current, dq_t voltage);

@@ -34,7 +34,7 @@ typedef struct {
     frac16_t u_max;   /* their limit */
     frac16_t emf;     /* back-EMF at i_d = 0 */
     frac16_t current; /* longest current vector */
-    bool wanted;      /* else what there is is given back as far as the voltage allows */
+    bool enabled;      /* else what there is is given back as far as the voltage allows */
 } field_weakening_input_t;
 
 /* Once per slow tick. i_d changes by an eighth of its range at most. */

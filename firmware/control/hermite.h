@@ -7,7 +7,7 @@
 #ifndef SERVO_CONTROL_HERMITE_H
 #define SERVO_CONTROL_HERMITE_H
 
-#include "control/path.h"
+#include "control/path_filter.h"
 
 #define HERMITE_DURATION_MIN UINT32_C(16)        /* 1 ms */
 #define HERMITE_DURATION_MAX UINT32_C(960000)    /* 60 s */

@@ -32,7 +32,7 @@ void pll_retune(pll_t *pll, const pll_config_t *before, const pll_config_t *conf
     pll->load = sat32(pll->load + driven_by(before, i_q) - driven_by(config, i_q));
 }
 
-void pll_push(pll_t *pll, const pll_config_t *config, frac16_t i_q, dq_t beside, int32_t turned)
+void pll_feed_forward(pll_t *pll, const pll_config_t *config, frac16_t i_q, dq_t beside, int32_t turned)
 {
     const int32_t error = (pll->backwards ? beside.d : -(int32_t)beside.d) * (int32_t)pll->root; /* 30 fraction bits */
     const int32_t size = beside.q * (INT32_C(1) << 8) - pll->bias;

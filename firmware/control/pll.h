@@ -11,7 +11,7 @@
 #ifndef SERVO_CONTROL_PLL_H
 #define SERVO_CONTROL_PLL_H
 
-#include "control/observer.h"
+#include "control/back_emf_observer.h"
 
 typedef struct {
     gain_t kp;         /* step per error, for a back-EMF of the full scale; errors have 14 + F2 fraction bits */
@@ -48,7 +48,7 @@ void pll_adapt(pll_t *pll, const pll_config_t *config, frac16_t emf);
 /* Once per slow tick. The torque that is known of changes the speed, and what is not known of shows as an angle that
  * trails, and sooner as a back-EMF of another size. `beside` is the back-EMF that neither angle nor speed explain. In the
  * long run the phase is right and not the size: `turned` is how far the angle has gone in the tick. */
-void pll_push(pll_t *pll, const pll_config_t *config, frac16_t i_q, dq_t beside, int32_t turned);
+void pll_feed_forward(pll_t *pll, const pll_config_t *config, frac16_t i_q, dq_t beside, int32_t turned);
 
 /* Other nominal values of motor and shaft without a step of the acceleration, while `i_q` flows. */
 void pll_retune(pll_t *pll, const pll_config_t *before, const pll_config_t *config, frac16_t i_q);
@@ -79,7 +79,7 @@ static inline int32_t pll_step_of(const pll_config_t *config, frac32_t speed)
 static inline void pll_coast(pll_t *pll) { pll->angle += (uint32_t)pll->step; }
 
 /* A sample was taken, and the observer has made its step. */
-static inline void pll_step(pll_t *pll, const pll_config_t *config, observer_ab_t e)
+static inline void pll_step(pll_t *pll, const pll_config_t *config, back_emf_observer_ab_t e)
 {
     const sin_cos_t at = sin_cos(pll_upper(pll->angle + (uint32_t)asr32(pll->step, 1)));
     const int32_t across = (int32_t)asr64((int64_t)e.alpha * at.cos + (int64_t)e.beta * at.sin, 16);

@@ -13,9 +13,9 @@
 #include "diagnosis/observation.h"
 
 typedef struct {
-    dq_t beyond;         /* voltage that nothing explains, filtered */
+    dq_t unexplained_voltage;         /* voltage that nothing explains, filtered */
     uint16_t ticks;      /* slow ticks of too much of it, less those without */
-    uint16_t conducting; /* phases that have carried current since it began, a bit each */
+    uint16_t conducting_phases; /* phases that have carried current since it began, a bit each */
 } angle_monitor_t;
 
 /* The rotor has just been found. */

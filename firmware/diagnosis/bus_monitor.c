@@ -10,7 +10,7 @@ finding_set_t bus_monitor_findings(const bus_monitor_t *monitor, frac16_t u_dc, 
         findings |= FOUND(FINDING_UNDER_VOLTAGE);
     }
     if (broken) {
-        findings |= FOUND(FINDING_HARDWARE_BREAK);
+        findings |= FOUND(FINDING_OVER_CURRENT_TRIP);
     }
     return findings;
 }

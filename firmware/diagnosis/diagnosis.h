@@ -4,21 +4,21 @@
 
 #include "diagnosis/angle_monitor.h"
 #include "diagnosis/bus_monitor.h"
+#include "diagnosis/current_sense_monitor.h"
 #include "diagnosis/encoder_monitor.h"
-#include "diagnosis/heat_monitor.h"
+#include "diagnosis/heat_sink_monitor.h"
 #include "diagnosis/phase_monitor.h"
-#include "diagnosis/sensor_monitor.h"
 #include "diagnosis/shaft_monitor.h"
 #include "diagnosis/stall_test.h"
 #include "diagnosis/winding_model.h"
 
 typedef struct {
     bus_monitor_t bus;
-    sensor_monitor_t sensor;
+    current_sense_monitor_t current_sense;
     phase_monitor_t phase;
     encoder_monitor_t encoder;
     angle_monitor_t angle;
-    heat_monitor_t heat;
+    heat_sink_monitor_t heat_sink;
     winding_model_t winding;
     shaft_monitor_t shaft;
     stall_test_t stall;

@@ -28,35 +28,35 @@ static inline uint16_t fault_lowest(uint64_t set)
 typedef enum {
     FINDING_OVER_VOLTAGE,
     FINDING_UNDER_VOLTAGE,
-    FINDING_HARDWARE_BREAK,
-    FINDING_OFFSET_FAR,
-    FINDING_SEARCH_HELD,
+    FINDING_OVER_CURRENT_TRIP,
+    FINDING_OFFSET_OUT_OF_RANGE,
+    FINDING_SEARCH_NO_MOVEMENT,
     FINDING_COUNT_CONTRADICTS_INDEX,
     FINDING_HOST_SILENT,
-    FINDING_SHAFT_HELD,
-    FINDING_RUNS_AWAY,
+    FINDING_SHAFT_BLOCKED,
+    FINDING_RUNAWAY,
     FINDING_SINGLE_CHANNEL_TOGGLE,
-    FINDING_CURRENT_IN_SHORT,
+    FINDING_SHORT_CURRENT_WITHOUT_COUNT,
     FINDING_EMF_WITHOUT_COUNT,
     FINDING_EMF_CONFIRMED,
-    FINDING_SEARCH_UNSEEN,
-    FINDING_STALL_UNSEEN,
-    FINDING_OFF_PATH,
-    FINDING_TOO_FAST,
+    FINDING_SEARCH_WITHOUT_COUNT,
+    FINDING_STALL_WITHOUT_COUNT,
+    FINDING_FOLLOWING_ERROR,
+    FINDING_OVER_SPEED,
     FINDING_SEARCH_REVERSED,
-    FINDING_HOT,
+    FINDING_HEAT_SINK_HOT,
     FINDING_WINDING_HOT,
     FINDING_START_UP_SLOW,
     FINDING_OBSERVER_LOST,
-    FINDING_EMF_ELSEWHERE,
-    FINDING_OBSERVED_ELSEWHERE,
-    FINDING_STALL_ELSEWHERE,
-    FINDING_PHASE_SILENT,
+    FINDING_EMF_ANGLE_MISMATCH,
+    FINDING_OBSERVER_ANGLE_MISMATCH,
+    FINDING_STALL_ANGLE_MISMATCH,
+    FINDING_PHASE_NO_CURRENT,
     FINDING_CURRENT_NOT_FOLLOWING,
-    FINDING_SEARCH_STARVED,
-    FINDING_SEARCH_SILENT,
-    FINDING_START_UP_SILENT,
-    FINDING_CONVERTER_BROKEN,
+    FINDING_SEARCH_LOW_CURRENT,
+    FINDING_SEARCH_NO_CURRENT,
+    FINDING_START_UP_NO_CURRENT,
+    FINDING_CURRENT_SENSE_FAILED,
     FINDING_LOOPS_LATE,
     FINDING_WATCHDOG_RESET,
     FINDING_HOMING_FAILED,
@@ -70,7 +70,7 @@ typedef uint64_t finding_set_t;
 #define FOUND(finding) (UINT64_C(1) << (finding))
 
 /* What may be the cause of something else. */
-#define SUSPECT_SENSOR UINT16_C(0x01)  /* a current converter looks wrong */
+#define SUSPECT_CURRENT_SENSE UINT16_C(0x01)  /* a current converter looks wrong */
 #define SUSPECT_PHASE UINT16_C(0x02)   /* a phase seems to carry no current */
 #define SUSPECT_CURRENT UINT16_C(0x04) /* voltage, and hardly a current, of late */
 #define SUSPECT_ENCODER UINT16_C(0x08) /* the count has stopped at once, and the windings are shorted because of it */
@@ -79,7 +79,7 @@ typedef uint64_t finding_set_t;
 typedef struct {
     finding_set_t confirmed;
     uint16_t suspected; /* SUSPECT_ bits */
-    uint16_t silent;    /* phases that seem to carry no current, a bit each .. */
+    uint16_t phases_without_current;    /* phases that seem to carry no current, a bit each .. */
     uint16_t repeating; /* .. and those whose converter repeats its code while others show noise */
     dq_t test_current;  /* asked for on top of the set-point */
 } evidence_t;

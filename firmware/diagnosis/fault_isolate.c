@@ -14,8 +14,8 @@ static fault_rule_t rule_of(uint16_t finding)
  * phase is. */
 static uint16_t suspected_causes(const evidence_t *evidence)
 {
-    const bool sound = (evidence->suspected & SUSPECT_SENSOR) == 0U;
-    const bool silent = (evidence->silent & ~(uint32_t)evidence->repeating) != 0U;
+    const bool sound = (evidence->suspected & SUSPECT_CURRENT_SENSE) == 0U;
+    const bool silent = (evidence->phases_without_current & ~(uint32_t)evidence->repeating) != 0U;
     return (uint16_t)(evidence->suspected | ((sound && silent) ? SUSPECT_PHASE : 0U));
 }
 

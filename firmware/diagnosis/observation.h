@@ -54,19 +54,19 @@ typedef struct {
     dq_t current;     /* Q1.15 of full-scale current */
     dq_t current_ref; /* its set-point */
     dq_t voltage;     /* Q1.15 of full-scale voltage */
-    pi_sum_t steady_d; /* integral parts of the current controllers */
-    pi_sum_t steady_q; /* the same for q */
+    pi_sum_t integrator_d; /* integral parts of the current controllers */
+    pi_sum_t integrator_q; /* the same for q */
     frac16_t current_limit; /* longest current vector, Q1.15 of full-scale current */
     frac16_t omega_e; /* electrical speed, Q1.15 of full-scale speed x pole pairs */
     frac16_t emf; /* that belongs to this speed */
-    int32_t current_size; /* length of `current`, and the resistance's voltage for it */
+    int32_t current_magnitude; /* length of `current`, and the resistance's voltage for it */
     int32_t drop; /* resistance x current, Q1.15 of full-scale voltage */
     int32_t current_change; /* length of its change since the last slow tick */
 
     /* what one monitor has to tell the next */
-    uint16_t calm; /* slow ticks since the count has moved by more than two */
+    uint16_t ticks_without_movement; /* slow ticks since the count has moved by more than two */
     bool stop_unconfirmed; /* it has stopped at once, and whether the shaft has is not known yet */
-    uint16_t conducting; /* phases that carry current, a bit each */
+    uint16_t conducting_phases; /* phases that carry current, a bit each */
 } observation_t;
 
 /* The spinning shaft, after the controllers. */
@@ -77,8 +77,8 @@ typedef struct {
     frac32_t over_speed_max; /* the same; a larger speed is a fault */
     int32_t following_error; /* counts */
     int32_t following_error_max; /* counts; a larger error is a fault */
-    bool braked; /* by the largest current, all of which the bus takes */
-    bool stands; /* at the largest current */
+    bool decelerated_at_limit; /* by the largest current, all of which the bus takes */
+    bool no_movement_at_limit; /* at the largest current */
 } shaft_observation_t;
 
 #endif

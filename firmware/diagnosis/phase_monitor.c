@@ -25,13 +25,13 @@ typedef struct {
 static void restart(phase_monitor_t *m)
 {
     for (uint16_t x = 0; x < OBSERVED_PHASES; x++) {
-        m->silent[x] = 0;
-        m->sectors[x] = 0;
+        m->no_current_ticks[x] = 0;
+        m->octants[x] = 0;
     }
-    m->nothing = 0;
-    m->missed = 0;
+    m->no_response_ticks = 0;
+    m->no_response_count = 0;
     m->lost = false;
-    m->wanted = 0;
+    m->last_i_q_ref = 0;
 }
 
 static phases_t sizes(dq_t vector, const sin_cos_t *at)
@@ -56,11 +56,11 @@ static uint16_t directions(uint16_t sectors)
 /* Record the rotor directions (octants) in which a phase is silent. Any current in the phase clears the record. */
 static void note_direction(phase_monitor_t *m, uint16_t x, uint16_t bit)
 {
-    m->sectors[x] = (uint16_t)(m->sectors[x] | bit);
-    if (m->sectors[x] < SILENCES * SILENCE) {
-        m->sectors[x] = (uint16_t)(m->sectors[x] + SILENCE);
+    m->octants[x] = (uint16_t)(m->octants[x] | bit);
+    if (m->octants[x] < SILENCES * SILENCE) {
+        m->octants[x] = (uint16_t)(m->octants[x] + SILENCE);
     } else {
-        m->lost = m->lost || directions(m->sectors[x]) >= DIRECTIONS;
+        m->lost = m->lost || directions(m->octants[x]) >= DIRECTIONS;
     }
 }
 
@@ -71,14 +71,14 @@ static void note_currents(phase_monitor_t *m, const winding_config_t *config, co
     for (uint16_t x = 0; x < OBSERVED_PHASES; x++) {
         const int32_t size = is->phase[x];
         if (size >= config->silent) {
-            m->silent[x] = 0;
-            m->sectors[x] = 0;
-            o->conducting = (uint16_t)(o->conducting | (UINT16_C(1) << x));
+            m->no_current_ticks[x] = 0;
+            m->octants[x] = 0;
+            o->conducting_phases = (uint16_t)(o->conducting_phases | (UINT16_C(1) << x));
         } else if (2 * size >= config->silent) {
-            m->sectors[x] = 0;
+            m->octants[x] = 0;
         } else if (is->largest > config->direction_min) {
             if (3 * size >= is->largest) {
-                m->sectors[x] = 0;
+                m->octants[x] = 0;
             } else {
                 note_direction(m, x, bit);
             }
@@ -100,10 +100,10 @@ static void compare(phase_monitor_t *m, int32_t silent, const phases_t *is, dq_t
         }
         const int32_t asked = wanted.phase[x];
         if ((less && asked > 2 * silent) || (hardly && asked > silent && asked > wanted.largest / 2)) {
-            m->silent[x]++;
-            m->lost = m->lost || m->silent[x] >= SILENT_TICKS;
+            m->no_current_ticks[x]++;
+            m->lost = m->lost || m->no_current_ticks[x] >= SILENT_TICKS;
         } else if (4 * size >= is->largest) {
-            m->silent[x] = 0;
+            m->no_current_ticks[x] = 0;
         }
     }
 }
@@ -116,10 +116,11 @@ static void discard(phase_monitor_t *m)
         return;
     }
     for (uint16_t x = 0; x < OBSERVED_PHASES; x++) {
-        m->silent[x] = (uint16_t)(m->silent[x] - ((m->silent[x] > 0U && m->age % FADE_TICKS == 0U) ? 1U : 0U));
-        m->sectors[x] = (m->faint > FAINT_MAX) ? 0U : m->sectors[x];
+        m->no_current_ticks[x] =
+            (uint16_t)(m->no_current_ticks[x] - ((m->no_current_ticks[x] > 0U && m->age % FADE_TICKS == 0U) ? 1U : 0U));
+        m->octants[x] = (m->low_current_ticks > FAINT_MAX) ? 0U : m->octants[x];
     }
-    m->faint = 0;
+    m->low_current_ticks = 0;
 }
 
 /* The current stays away from its set-point although the voltage exceeds winding drop and back-EMF. */
@@ -127,7 +128,7 @@ static bool current_not_following(const winding_config_t *config, const observat
 {
     const int32_t emf = o->emf;
     const int32_t windings = o->drop + i32_gain(o->current_change, config->inductance);
-    return (o->sensorless || o->calm < CALM_TICKS) &&
+    return (o->sensorless || o->ticks_without_movement < CALM_TICKS) &&
            length_about(o->voltage.d, o->voltage.q - emf) >
                2 * ((int32_t)config->emf_floor + windings) + i32_abs(emf) / 2;
 }
@@ -140,19 +141,20 @@ static void note_nothing(phase_monitor_t *m, const winding_config_t *config, con
     const int32_t missing = length_about((int32_t)o->current.d - wanted.d, (int32_t)o->current.q - wanted.q);
     const bool enough = 4 * missing > 3 * (int32_t)config->silent || missing > config->direction_min;
     const bool not_following = enough && current_not_following(config, o);
-    m->nothing =
-        (o->spins && not_following && 4 * missing > 3 * (int32_t)config->silent) ? (uint16_t)(m->nothing + 1U) : 0U;
+    m->no_response_ticks = (o->spins && not_following && 4 * missing > 3 * (int32_t)config->silent)
+                               ? (uint16_t)(m->no_response_ticks + 1U)
+                               : 0U;
     const bool missed = not_following && 2 * largest < config->silent && missing > config->direction_min;
-    if (missed && m->missed < NOTHING_TICKS) {
-        m->missed++;
-    } else if (!missed && m->missed > 0U && m->age % NOTHING_FADE_TICKS == 0U) {
-        m->missed--;
+    if (missed && m->no_response_count < NOTHING_TICKS) {
+        m->no_response_count++;
+    } else if (!missed && m->no_response_count > 0U && m->age % NOTHING_FADE_TICKS == 0U) {
+        m->no_response_count--;
     }
 }
 
 void phase_monitor_step(phase_monitor_t *m, const winding_config_t *config, observation_t *o, evidence_t *evidence)
 {
-    o->conducting = 0;
+    o->conducting_phases = 0;
     if (!o->controlled) {
         restart(m);
         return;
@@ -161,18 +163,19 @@ void phase_monitor_step(phase_monitor_t *m, const winding_config_t *config, obse
     const phases_t is = sizes(o->current, &at);
     note_currents(m, config, &is, o);
     const bool enough = is.largest > config->direction_min;
-    const bool same = (o->current_ref.q < 0) == (m->wanted < 0); /* otherwise the set-point has just changed its sign */
-    m->wanted = o->current_ref.q;
+    const bool same =
+        (o->current_ref.q < 0) == (m->last_i_q_ref < 0); /* otherwise the set-point has just changed its sign */
+    m->last_i_q_ref = o->current_ref.q;
     if (same && enough && !o->stop_unconfirmed) {
         compare(m, config->silent, &is, o->current_ref, &at);
     }
-    m->faint = (uint16_t)(m->faint + (enough ? 0U : 1U));
+    m->low_current_ticks = (uint16_t)(m->low_current_ticks + (enough ? 0U : 1U));
     discard(m);
     note_nothing(m, config, o, is.largest);
     if (m->lost) {
-        evidence->confirmed |= FOUND(FINDING_PHASE_SILENT);
+        evidence->confirmed |= FOUND(FINDING_PHASE_NO_CURRENT);
     }
-    if (m->nothing >= NOTHING_TICKS) {
+    if (m->no_response_ticks >= NOTHING_TICKS) {
         evidence->confirmed |= FOUND(FINDING_CURRENT_NOT_FOLLOWING);
     }
 }
@@ -180,11 +183,11 @@ void phase_monitor_step(phase_monitor_t *m, const winding_config_t *config, obse
 void phase_monitor_suspect(const phase_monitor_t *m, evidence_t *evidence)
 {
     for (uint16_t x = 0; x < OBSERVED_PHASES; x++) {
-        if (m->silent[x] >= SUSPECT_TICKS || directions(m->sectors[x]) >= SUSPECT_DIRECTIONS) {
-            evidence->silent = (uint16_t)(evidence->silent | (UINT16_C(1) << x));
+        if (m->no_current_ticks[x] >= SUSPECT_TICKS || directions(m->octants[x]) >= SUSPECT_DIRECTIONS) {
+            evidence->phases_without_current = (uint16_t)(evidence->phases_without_current | (UINT16_C(1) << x));
         }
     }
-    if (m->missed >= NOTHING_SUSPECT) {
+    if (m->no_response_count >= NOTHING_SUSPECT) {
         evidence->suspected |= SUSPECT_CURRENT;
     }
 }

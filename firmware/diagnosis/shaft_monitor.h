@@ -34,7 +34,7 @@ static inline bool shaft_runs_away(shaft_monitor_t *m, const shaft_monitor_confi
     const uint32_t speed = (uint32_t)f32_abs(o->speed);
     const uint32_t margin = (uint32_t)config->runaway_margin;
     const bool beyond = speed > (uint32_t)o->speed_limit + margin;
-    if (!(o->braked || beyond) || speed < m->braked_speed) {
+    if (!(o->decelerated_at_limit || beyond) || speed < m->braked_speed) {
         m->braked_speed = speed;
     }
     m->runaway_ticks = shaft_count_while(speed > m->braked_speed + margin, m->runaway_ticks);
@@ -63,10 +63,10 @@ static inline bool shaft_too_fast(shaft_monitor_t *m, const shaft_monitor_config
 static inline finding_set_t shaft_monitor_step(shaft_monitor_t *m, const shaft_monitor_config_t *config,
                                                const shaft_observation_t *o)
 {
-    finding_set_t findings = shaft_runs_away(m, config, o) ? FOUND(FINDING_RUNS_AWAY) : 0U;
-    m->stall_ticks = shaft_count_while(o->stands, m->stall_ticks);
+    finding_set_t findings = shaft_runs_away(m, config, o) ? FOUND(FINDING_RUNAWAY) : 0U;
+    m->stall_ticks = shaft_count_while(o->no_movement_at_limit, m->stall_ticks);
     if (m->stall_ticks > config->stall_ticks_max) {
-        findings |= FOUND(FINDING_SHAFT_HELD);
+        findings |= FOUND(FINDING_SHAFT_BLOCKED);
     }
     if ((o->features & (FEATURE_FOLLOWING_ERROR | FEATURE_OVER_SPEED)) == 0U) {
         m->following_ticks = 0;
@@ -74,10 +74,10 @@ static inline finding_set_t shaft_monitor_step(shaft_monitor_t *m, const shaft_m
         return findings;
     }
     if (shaft_off_path(m, config, o)) {
-        findings |= FOUND(FINDING_OFF_PATH);
+        findings |= FOUND(FINDING_FOLLOWING_ERROR);
     }
     if (shaft_too_fast(m, config, o)) {
-        findings |= FOUND(FINDING_TOO_FAST);
+        findings |= FOUND(FINDING_OVER_SPEED);
     }
     return findings;
 }

@@ -21,17 +21,17 @@
 #include "sensing/rotor_search.h"
 
 typedef struct {
-    bool runs;
-    bool second; /* the vector turns to the second side */
+    bool running;
+    bool second_side; /* the vector turns to the second side */
     bool mirrored; /* the shaft has moved, and the vector has gone to the other side: .. */
-    bool ahead; /* .. with the torque that was wanted, not against it */
-    bool positive; /* the torque that was wanted */
+    bool with_torque; /* .. with the torque that was wanted, not against it */
+    bool positive_torque; /* the torque that was wanted */
     frac16_t phi; /* angle of the vector, from where the encoder has it */
     int32_t origin; /* position at which it began to turn */
     int32_t farthest; /* position so far in the direction of that movement */
     uint16_t ticks; /* slow ticks since */
     frac16_t inductive; /* voltage across the vector of a rotor that stays, at the current that flows */
-    frac16_t vector; /* that the test asks for: angle of the d axis, with the current along q */
+    frac16_t vector_angle; /* that the test asks for: angle of the d axis, with the current along q */
     rotor_follow_t follow;
 } stall_test_t;
 

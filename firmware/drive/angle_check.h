@@ -15,7 +15,7 @@ void angle_check_start(axis_t *axis);
 /* One slow tick in SPIN, after the controllers: the output of the observer. */
 void angle_check_step(axis_t *axis);
 
-/* Some time after that: raises FINDING_OBSERVED_ELSEWHERE. */
+/* Some time after that: raises FINDING_OBSERVER_ANGLE_MISMATCH. */
 void angle_check_judge(axis_t *axis);
 
 #endif

@@ -34,13 +34,13 @@ void axis_plan(axis_t *axis, uint32_t tick);
 void axis_protect(axis_t *axis);
 
 /* Test signals. */
-void axis_excite(axis_t *axis);
+void axis_test_signal(axis_t *axis);
 
 /* Every slow tick; `axis->command` and `axis->limits` hold what is valid for this tick. */
 void axis_slow(axis_t *axis);
 
 /* Edge and break interrupts. */
 void axis_edge(axis_t *axis);
-void axis_break(axis_t *axis);
+void axis_over_current_trip(axis_t *axis);
 
 #endif

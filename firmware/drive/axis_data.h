@@ -4,18 +4,18 @@
 
 #include "config/axis_config.h"
 #include "control/field_weakening.h"
-#include "control/path.h"
+#include "control/path_filter.h"
 #include "diagnosis/diagnosis.h"
 #include "diagnosis/fault_latch.h"
 #include "drive/current_sense.h"
-#include "drive/estimate_data.h"
-#include "drive/excitation_data.h"
 #include "drive/feedback_data.h"
 #include "drive/home_data.h"
 #include "drive/inputs_data.h"
+#include "drive/sensorless_estimate_data.h"
 #include "drive/sensorless_startup_data.h"
 #include "drive/state_machine.h"
 #include "drive/stop_data.h"
+#include "drive/test_signal_data.h"
 #include "drive/trajectory.h"
 #include "hal/hal.h"
 
@@ -82,7 +82,7 @@ typedef struct {
 typedef struct {
     path_position_t step;         /* speed */
     path_position_t acceleration; /* counts per slow tick^2, as `step` */
-    path_position_t bend;         /* soft_limits.c */
+    path_position_t braking_constant;         /* soft_limits.c */
     uint16_t omega_n_ts;          /* omega_n Ts of the path filter, 16 fraction bits */
     bool stale;                   /* the last two do not fit the limits yet */
 } path_limits_t;
@@ -105,9 +105,9 @@ typedef struct {
     frac16_t i_q_target; /* Q1.15 of full-scale current */
     bool target_clipped;  /* a soft limit has taken a part of the set-point */
     bool expired;         /* the axis has stopped because its set-point was not written again */
-    bool starved;         /* .. because no point followed one with a speed */
-    path_t path;          /* its output is the position set-point on a trajectory, too */
-    path_position_t model; /* where the shaft would be if it did what it is told */
+    bool underrun;         /* .. because no point followed one with a speed */
+    path_filter_t path;          /* its output is the position set-point on a trajectory, too */
+    path_position_t model_position; /* where the shaft would be if it did what it is told */
     int32_t position_gain; /* in force: on its way to that of the configuration */
     bool path_forward;    /* the path's speed goes straight to the speed controller */
     bool resting;         /* the shaft is close enough to a target that does not move */
@@ -116,7 +116,7 @@ typedef struct {
     frac32_t acceleration; /* change of the shaped speed in this tick */
     pi_state_t speed_pi;
     frac32_t speed_ref; /* set-point of the speed controller, Q1.31 of full-scale speed */
-    frac32_t speed_excitation; /* test signal in it */
+    frac32_t speed_test_signal; /* test signal in it */
     bool saturated;       /* the speed controller pushes with all it has */
     bool current_reduced; /* bus or winding allow less current than controller and limits */
     frac32_t limit_hold_current; /* torque mode: what holds a load that drives the shaft past a limit */
@@ -131,7 +131,7 @@ typedef struct axis {
 
     sm_t sm;
     substate_t substate;
-    axis_loop_t fast; /* variant of the fast loop: LOOP_FAST, LOOP_OBSERVED or LOOP_EXCITED */
+    axis_loop_t fast; /* variant of the fast loop: LOOP_FAST, LOOP_OBSERVED or LOOP_TEST_SIGNAL */
 
     axis_command_t command;
     axis_events_t events;
@@ -140,11 +140,11 @@ typedef struct axis {
     bool limits_fresh;            /* .. where they are tighter, with the next slow tick */
     path_limits_t path_limits;    /* of those in force */
     current_max_t current_max;    /* the same */
-    int32_t following_error;      /* that is a fault, counts */
-    frac32_t over_speed;          /* that is a fault */
+    int32_t following_error_max;      /* that is a fault, counts */
+    frac32_t over_speed_max;          /* that is a fault */
     uint16_t command_timeout;     /* age at which a speed or torque set-point expires, slow ticks; 0: never */
     uint16_t features;      /* FEATURE_ bits: parts of the control that are on */
-    bool requested;         /* the drive is wanted: enable was written and nothing has withdrawn it */
+    bool enable_requested;         /* the drive is wanted: enable was written and nothing has withdrawn it */
     stop_category_t on_disable, on_quick_stop;
     stop_t stop;            /* how the shaft comes to rest when it is not */
     bool shorted;           /* FREEWHEEL with all low sides on */
@@ -156,12 +156,12 @@ typedef struct axis {
     const feedback_source_t *source;
     encoder_feedback_t encoder;
     observer_feedback_t observed_position;
-    uint16_t feedback_wanted; /* feedback_kind_t; taken when the axis is not in RUN */
+    uint16_t feedback_requested; /* feedback_kind_t; taken when the axis is not in RUN */
     bool sensorless;          /* the source is the observer */
-    estimate_t estimate;
+    sensorless_estimate_t estimate;
     startup_t startup;
-    bool fading_out;          /* sensorless: on the way out of SPIN, below the minimum speed */
-    frac16_t current_q_left;  /* i_q* of the last slow tick */
+    bool switching_off;          /* sensorless: on the way out of SPIN, below the minimum speed */
+    frac16_t last_i_q_ref;  /* i_q* of the last slow tick */
     feedback_t feedback;
 
     current_sense_t sense;
@@ -186,7 +186,7 @@ typedef struct axis {
     observation_t observation;
     diagnosis_t diagnosis;
     dq_t test_current; /* of a monitor or a test signal, added to the set-point */
-    excitation_t excitation;
+    test_signal_t test_signal;
 } axis_t;
 
 /* LIMIT_ bits of this slow tick. */

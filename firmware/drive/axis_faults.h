@@ -3,7 +3,7 @@
 #define SERVO_DRIVE_AXIS_FAULTS_H
 
 #include "drive/axis_data.h"
-#include "drive/estimate.h"
+#include "drive/sensorless_estimate.h"
 
 /* State and measurements of this moment go into the observation: what is recorded, and what separates cause from
  * consequence. */
@@ -17,7 +17,7 @@ static inline void axis_observe(axis_t *axis)
     o->theta_e = axis->feedback.theta_e;
     o->speed = axis->feedback.speed;
     o->current = axis->current_loop.current;
-    o->emf = estimate_emf_at(axis, axis->current_loop.omega_e);
+    o->emf = sensorless_estimate_emf_at(axis, axis->current_loop.omega_e);
 }
 
 /* Name and capture findings. The outputs go off with the next call of the state machine, or after a stop where the

@@ -14,13 +14,16 @@ static inline bool holding_brake_fitted(const axis_t *axis)
 }
 
 /* True once it holds nothing. */
-static inline bool holding_brake_open(const axis_t *axis)
+static inline bool holding_brake_is_open(const axis_t *axis)
 {
     return !holding_brake_fitted(axis) || (axis->brake.powered && axis->brake.ticks == 0U);
 }
 
 /* True once it holds. */
-static inline bool holding_brake_closed(const axis_t *axis) { return !axis->brake.powered && axis->brake.ticks == 0U; }
+static inline bool holding_brake_is_closed(const axis_t *axis)
+{
+    return !axis->brake.powered && axis->brake.ticks == 0U;
+}
 
 /* True if a stop ends with the position held until the brake has closed: without an encoder there is none to hold. */
 static inline bool holding_brake_takes_over(const axis_t *axis)
@@ -29,7 +32,7 @@ static inline bool holding_brake_takes_over(const axis_t *axis)
 }
 
 /* Ask for it; it takes its time. */
-static inline void holding_brake_ask(axis_t *axis, bool open) { axis->brake.wanted = open; }
+static inline void holding_brake_request(axis_t *axis, bool open) { axis->brake.open_requested = open; }
 
 /* One slow tick. */
 void holding_brake_step(axis_t *axis);

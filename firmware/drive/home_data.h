@@ -19,14 +19,14 @@ typedef struct {
     uint16_t result; /* home_result_t */
     uint16_t leg;    /* of a homing (homing.c) */
     uint16_t ticks;  /* slow ticks that the shaft stands */
-    uint16_t left;   /* time until the leg has failed, 64 slow ticks */
+    uint16_t timeout;   /* time until the leg has failed, 64 slow ticks */
     uint16_t spread; /* of the places where the reference was found, counts */
     uint16_t limit;  /* LIMIT_ bit of the position limits in force */
-    uint16_t refused; /* LIMIT_ bit of a set-point that was refused; 0: none */
-    bool renew;      /* the limits in force do not fit the state yet */
+    uint16_t refused_limit; /* LIMIT_ bit of a set-point that was refused; 0: none */
+    bool limits_stale;      /* the limits in force do not fit the state yet */
     int32_t value;   /* position that is asked for */
     int32_t origin;  /* where the leg has begun; where the axis was enabled */
-    int32_t anchor;  /* where the shaft stands */
+    int32_t rest_position;  /* where the shaft stands */
     int32_t lowest;  /* place where the reference was found */
 } home_t;
 

@@ -15,12 +15,12 @@ typedef struct {
 } pins_config_t;
 
 typedef struct {
-    uint16_t seen; /* levels of the last slow tick */
-    uint16_t clear; /* slow ticks since a limit switch was active */
+    uint16_t last_levels; /* levels of the last slow tick */
+    uint16_t inactive_ticks; /* slow ticks since a limit switch was active */
 } inputs_state_t;
 
 typedef struct {
-    bool wanted; /* open */
+    bool open_requested; /* open */
     bool powered; /* its coil has current */
     uint16_t ticks; /* slow ticks until it has followed */
     frac16_t load; /* current that held the shaft at rest before it closed */

@@ -10,8 +10,8 @@ finding_set_t monitor_bus_now(const axis_t *axis);
 /* Are bus and break as they should be? In every PWM period: says only whether it is worth looking. */
 static inline bool monitor_fault_possible(const axis_t *axis)
 {
-    return bus_monitor_fault_possible(&axis->diagnosis.bus, axis->u_dc) || hal_break_active(axis->hal, axis->index) ||
-           axis->latch.captured != 0U;
+    return bus_monitor_fault_possible(&axis->diagnosis.bus, axis->u_dc) ||
+           hal_over_current_active(axis->hal, axis->index) || axis->latch.captured != 0U;
 }
 
 /* Observe, and let the monitors of converters, heat and phases look. Currents, set-points and angle belong to the last

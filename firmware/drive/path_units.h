@@ -3,7 +3,7 @@
 #define SERVO_DRIVE_PATH_UNITS_H
 
 #include "config/axis_config.h"
-#include "control/path.h"
+#include "control/path_filter.h"
 
 /* Counts with 24 fraction bits per slow tick. path_step_per_speed has 16, the speed 31. */
 static inline path_position_t path_step_of(const axis_config_t *config, frac32_t speed)

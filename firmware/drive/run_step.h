@@ -12,6 +12,6 @@ extern const axis_function_t run_table[7][6];
 
 void spin_fast(axis_t *axis);
 void spin_observed_fast(axis_t *axis);
-void spin_excited_fast(axis_t *axis);
+void spin_test_signal_fast(axis_t *axis);
 
 #endif

@@ -24,10 +24,10 @@ void startup_begin(axis_t *axis, bool backwards);
 /* One PWM period: the current loop in its frame, and the observer. */
 void startup_fast(axis_t *axis);
 
-/* One slow tick, after estimate_step. */
+/* One slow tick, after sensorless_estimate_step. */
 void startup_step(axis_t *axis);
 
-/* After estimate_judge of the same tick: is the observer reliable? */
+/* After sensorless_estimate_judge of the same tick: is the observer reliable? */
 startup_result_t startup_judge(axis_t *axis);
 
 /* A start-up that has failed: because no current flows, or for another reason. */

@@ -19,7 +19,7 @@ typedef enum {
     LOOP_OBSERVED, /* the fast loop with the observer in it */
     LOOP_ESTIMATE, /* in axis_estimate */
     LOOP_CHECK, /* in axis_check */
-    LOOP_EXCITED, /* the fast loop with a test signal on a current */
+    LOOP_TEST_SIGNAL, /* the fast loop with a test signal on a current */
 } axis_loop_t;
 
 typedef void (*axis_function_t)(struct axis *axis);

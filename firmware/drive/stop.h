@@ -15,7 +15,7 @@ void stop_begin(axis_t *axis, stop_category_t category);
 stop_category_t stop_for(const stop_config_t *config, fault_set_t faults);
 
 /* True while an axis can still be brought to rest by what drives it. */
-bool stop_in_hand(const axis_t *axis);
+bool stop_is_controllable(const axis_t *axis);
 
 /* True if the windings may be shorted at this speed. */
 bool stop_may_short(const axis_t *axis);

@@ -21,7 +21,7 @@ typedef struct {
 typedef struct {
     stop_category_t category; /* of the stop in progress, while the drive is not wanted */
     uint16_t ticks; /* slow ticks since it began */
-    uint16_t held; /* slow ticks at rest */
+    uint16_t rest_ticks; /* slow ticks at rest */
 } stop_t;
 
 #endif

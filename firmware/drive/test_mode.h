@@ -13,7 +13,7 @@ void test_mode_start(axis_t *axis);
 
 /* In every period. */
 void test_mode_fast(axis_t *axis);
-void test_mode_excited_fast(axis_t *axis);
+void test_mode_signal_fast(axis_t *axis);
 
 /* Once per slow tick: current and speed of the vector towards their set-points. */
 void test_mode_slow(axis_t *axis);

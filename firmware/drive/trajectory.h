@@ -27,7 +27,7 @@ typedef struct {
     trajectory_point_t point[TRAJECTORY_POINTS];
     uint16_t in; /* points ever put in and taken out, modulo 65536 */
     uint16_t out; /* points taken out, the same */
-    bool leads; /* to `end`: `reference` is valid */
+    bool active; /* to `end`: `reference` is valid */
     hermite_t segment;
     uint32_t begin; /* tick of the segment's beginning */
     frac16_t i_q_begin; /* torque current of the first point, Q1.15 of full-scale current */

@@ -8,7 +8,7 @@
  *   servo_m1_isr      t1, after the three conversions of motor 1
  *   servo_m2_isr      t3, at the end of the scan
  *   servo_edge_isr    on the captured encoder B edge of an axis, when the interrupt is armed
- *   servo_break_isr   when the over-current latch of an axis has opened its switches
+ *   servo_over_current_isr   when the over-current latch of an axis has opened its switches
  *   servo_background  again and again, below every interrupt
  */
 #ifndef SERVO_HAL_H
@@ -67,10 +67,10 @@ void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int
 void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on);
 
 /* True while the hardware over-current latch of `axis` holds its outputs off. */
-bool hal_break_active(hal_t *hal, uint16_t axis);
+bool hal_over_current_active(hal_t *hal, uint16_t axis);
 
 /* Release the latch; it latches again at once if the current is still too high. */
-void hal_break_clear(hal_t *hal, uint16_t axis);
+void hal_over_current_clear(hal_t *hal, uint16_t axis);
 
 /* ---- switches and holding brake ---------------------------------------------------------------------------------- */
 

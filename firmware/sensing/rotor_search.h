@@ -32,19 +32,19 @@ typedef struct {
     rotor_follow_config_t follow;
 } rotor_search_config_t;
 
-#define ROTOR_SEARCH_STARVED_MAX UINT16_C(64) /* PWM periods: 4 ms */
+#define ROTOR_SEARCH_NO_CURRENT_MAX UINT16_C(64) /* PWM periods: 4 ms */
 
 typedef enum {
     ROTOR_SEARCH_PULL,     /* the current at theta_M grows */
-    ROTOR_SEARCH_BRAKE,    /* reversed, it shrinks */
+    ROTOR_SEARCH_DECELERATE,    /* reversed, it shrinks */
     ROTOR_SEARCH_REST,     /* none; then the windings are shorted until the shaft rests */
     ROTOR_SEARCH_VERIFY,   /* does the shaft follow the vector where the rotor is assumed to lie? */
     ROTOR_SEARCH_TURN,     /* nothing moves: does the rotor follow a turning vector unseen? */
     ROTOR_SEARCH_FOUND,
-    ROTOR_SEARCH_HELD,     /* the rotor does not move, or not far enough */
-    ROTOR_SEARCH_BLIND,    /* the rotor moves, the encoder does not count */
+    ROTOR_SEARCH_NO_MOVEMENT,     /* the rotor does not move, or not far enough */
+    ROTOR_SEARCH_NO_COUNT,    /* the rotor moves, the encoder does not count */
     ROTOR_SEARCH_REVERSED, /* the encoder counts the wrong way: the shaft runs away from where it was found */
-    ROTOR_SEARCH_STARVED,  /* no current flows */
+    ROTOR_SEARCH_NO_CURRENT,  /* no current flows */
     ROTOR_SEARCH_HOLD,     /* the other way to search: rotor_hold.h */
 } rotor_search_phase_t;
 
@@ -55,28 +55,29 @@ typedef struct {
     int16_t side;      /* the vector stands this many quarter turns beside theta_M: -1, 0, 1 */
     frac16_t vector;   /* angle of the current vector now */
     frac32_t current;  /* Ip along the vector; negative while it brakes */
-    frac32_t peak;     /* Ip of the brake after the reversal .. */
-    frac32_t swing;    /* .. which takes so much per slow tick */
-    bool fade;         /* the current of a twitch is still controlled, to zero */
+    frac32_t brake_current;     /* Ip of the brake after the reversal .. */
+    frac32_t reversal_step;    /* .. which takes so much per slow tick */
+    bool current_decaying;         /* the current of a twitch is still controlled, to zero */
     int32_t origin;    /* position at the start of this pull */
-    int32_t last;      /* position: the farthest while it brakes, the last one while it comes to rest */
-    int32_t anchor; /* position that the resting shaft has not left by more than a count; at the start of the turn */
-    uint32_t calm; /* slow ticks that it has not */
-    uint32_t held; /* slow ticks at the largest Ip */
+    int32_t last_position;      /* position: the farthest while it brakes, the last one while it comes to rest */
+    int32_t
+        reference_position; /* position that the resting shaft has not left by more than a count; at the start of the turn */
+    uint32_t ticks_without_movement; /* slow ticks that it has not */
+    uint32_t ticks_at_limit; /* slow ticks at the largest Ip */
     uint16_t timer; /* slow ticks without another count */
-    uint16_t moving;   /* slow ticks since this pull's first count */
+    uint16_t moving; /* slow ticks since this pull's first count */
     uint16_t searches; /* vectors tried so far */
     int16_t direction; /* -1 or 1: of the last twitch, 0 when nothing moved; of the turn that verifies */
     bool follows; /* the shaft has followed this turn .. */
-    frac16_t ahead; /* .. when the vector was so far ahead of the rotor, as far as that was known */
+    frac16_t lead_angle; /* .. when the vector was so far ahead of the rotor, as far as that was known */
     bool verified; /* it has come back: found, once it rests */
-    uint16_t escapes; /* times that the shaft ran away from where it was found */
-    uint16_t refusals; /* times that it did not follow there, or came free only in TURN */
-    uint32_t balance; /* HOLD: angle of the vector at which the shaft stays where it was, 2^32 is a turn */
+    uint16_t runaways; /* times that the shaft ran away from where it was found */
+    uint16_t verify_failures; /* times that it did not follow there, or came free only in TURN */
+    uint32_t balance_angle; /* HOLD: angle of the vector at which the shaft stays where it was, 2^32 is a turn */
     uint16_t damping; /* HOLD: turn of the vector against a turn of the rotor per slow tick */
-    uint16_t stage;   /* HOLD: rotor_hold_stage_t */
-    bool released;    /* HOLD: nothing but the current holds the shaft */
-    uint16_t starved; /* PWM periods with less than a quarter of the current asked for */
+    uint16_t stage; /* HOLD: rotor_hold_stage_t */
+    bool brake_released; /* HOLD: nothing but the current holds the shaft */
+    uint16_t no_current_periods; /* PWM periods with less than a quarter of the current asked for */
     rotor_follow_t follow;
 } rotor_search_t;
 

@@ -295,7 +295,7 @@ def test_every_bit_of_a_turn(core: Core, omega: int, angle_step: int) -> None:
     config: Any = core.ffi.new("current_loop_config_t *", core.lib.probe_config().axis[0].current_loop)
     config.angle_step = angle_step
     loop: Any = core.ffi.new("current_loop_t *")
-    core.lib.current_loop_turn(loop, config, omega)
+    core.lib.current_loop_set_speed(loop, config, omega)
     turn = core.lib.sin_cos(clip16(nearest(omega * angle_step, 2**24)))
     assert (loop.omega_e, loop.minus_2_omega) == (omega * 2**16, -2 * omega)
     assert (loop.turn_sin, loop.turn_versine) == (turn.sin, MAX16 - max(turn.cos, 0))

@@ -42,7 +42,7 @@ def search(core: Core, axis: int, degrees: float, load: float = 0.0, *, locked: 
         travel = max(travel, abs(shaft.moved))
         if core.lib.rotor_hold_holds(s):
             asked = tick if asked is None else asked
-            s.released = tick - asked > 1.25 * OPEN_TIME / SLOW
+            s.brake_released = tick - asked > 1.25 * OPEN_TIME / SLOW
         core.lib.rotor_hold_step(s, reference, shaft.counts)
         if s.phase != HOLD:
             break

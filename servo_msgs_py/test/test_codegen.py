@@ -63,8 +63,8 @@ def test_list_of_faults_follows_the_priority_table_of_the_firmware() -> None:
     ("row", "instead", "message"),
     [
         (
-            "[FINDING_HOT] = {FAULT_OVER_TEMPERATURE, 0, 0},",
-            "[FINDING_HOT] = {FAULT_OVER_TEMPERATURE},",
+            "[FINDING_HEAT_SINK_HOT] = {FAULT_OVER_TEMPERATURE, 0, 0},",
+            "[FINDING_HEAT_SINK_HOT] = {FAULT_OVER_TEMPERATURE},",
             "cannot be read",
         ),
         ("{FAULT_OVER_TEMPERATURE, 0, 0}", "{FAULT_STALLED, 0, 0}", "OVER_TEMPERATURE"),
