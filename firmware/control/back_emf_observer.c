@@ -15,8 +15,8 @@ void back_emf_observer_set_speed(back_emf_observer_t *observer, int32_t step)
     const int32_t x = (int32_t)asr64((int64_t)f32_clip(step, STEP_MAX) * TWO_PI_Q28, 28); /* rad, 32 fraction bits */
     const int32_t square = back_emf_observer_upper(x, x);
     const int32_t fourth = back_emf_observer_upper(square, square);
-    observer->turn_sin = x - back_emf_observer_upper(x, square) / 6;
-    observer->turn_versine = square / 2 - fourth / 24;
+    observer->rotation_sin = x - back_emf_observer_upper(x, square) / 6;
+    observer->rotation_versine = square / 2 - fourth / 24;
 }
 
 ab_t back_emf_observer_emf(const back_emf_observer_t *observer, const back_emf_observer_config_t *config)

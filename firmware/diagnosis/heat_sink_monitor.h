@@ -1,7 +1,7 @@
-/* heat_sink_monitor.h - temperature of a heat sink, with hysteresis.
+/* heat_sink_monitor.h - over-temperature of a heat sink, with hysteresis.
  *
- * The code of the sensor is compared with codes. The configuration tool works them out from its curve: linear, or an NTC
- * in a divider, whose code falls.
+ * The ADC code of the sensor is compared with two codes, which the tuning code computes from the sensor characteristic: linear,
+ * or NTC in a voltage divider (code falls with temperature).
  */
 #ifndef SERVO_DIAGNOSIS_HEAT_SINK_MONITOR_H
 #define SERVO_DIAGNOSIS_HEAT_SINK_MONITOR_H
@@ -9,16 +9,16 @@
 #include "diagnosis/evidence.h"
 #include "diagnosis/observation.h"
 
-#define HEAT_TICKS 16U /* 8 ms: a heat sink is never quicker, noise is */
+#define HEAT_TICKS 16U /* 8 ms: longer than noise, shorter than any thermal time constant */
 
 typedef struct {
-    uint16_t hot;  /* code at the limit */
-    uint16_t cool; /* code below which it is over; larger than `hot` for a sensor whose code falls */
+    uint16_t hot;  /* ADC code at the limit */
+    uint16_t cool; /* ADC code of the clear threshold (hysteresis); larger than `hot` for an NTC */
 } heat_sink_monitor_config_t;
 
 typedef struct {
     uint16_t ticks; /* slow ticks at or beyond the limit */
-    bool hot;
+    bool hot; /* over-temperature */
 } heat_sink_monitor_t;
 
 /* One slow tick. */

@@ -275,7 +275,7 @@ def test_no_set_point_jumps_when_gains_change(core: Core, data: st.DataObject) -
     voltage += loop.omega_e * axis.config.current_loop.omega_psi
     bench.servo.config_blocks.pending = 1
     assert core.lib.config_blocks_latch(
-        core.ffi.addressof(bench.servo, "configure"), core.ffi.addressof(bench.servo, "config_status"),
+        core.ffi.addressof(bench.servo, "config_blocks"), core.ffi.addressof(bench.servo, "config_status"),
         core.ffi.addressof(bench.servo, "parameter"), core.ffi.addressof(bench.servo, "nominal"), bench.servo.axis,
     )  # fmt: skip
     one = 1 << 55

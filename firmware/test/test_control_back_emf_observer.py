@@ -114,8 +114,8 @@ def test_a_turn_is_exact(core: Core) -> None:
     for step in (0, 1, -12345, 44_739_243, -89_478_485, 160_000_000):
         core.lib.back_emf_observer_set_speed(observer, step)
         angle = 2.0 * math.pi * step / 2**32
-        assert observer.turn_sin / 2**32 == pytest.approx(math.sin(angle), abs=1e-5)
-        assert observer.turn_versine / 2**32 == pytest.approx(1.0 - math.cos(angle), abs=1e-5)
+        assert observer.rotation_sin / 2**32 == pytest.approx(math.sin(angle), abs=1e-5)
+        assert observer.rotation_versine / 2**32 == pytest.approx(1.0 - math.cos(angle), abs=1e-5)
 
 
 def test_the_rig_has_the_scales_of_the_tuning_tool() -> None:

@@ -155,10 +155,10 @@ def test_of_simultaneous_findings_the_first_row_names_the_fault(rig: Diagnosis) 
 
 def test_a_silent_phase_whose_converter_repeats_its_code_is_no_suspect(rig: Diagnosis) -> None:
     trip = rig.finding("OVER_CURRENT_TRIP")
-    assert verdict(rig, trip, silent=0b010, repeating=0b101)[0] == BITS["PHASE_LOST"]
-    assert verdict(rig, trip, silent=0b010, repeating=0b010)[0] == BITS["OVER_CURRENT"]
-    assert verdict(rig, trip, silent=0b110, repeating=0b010)[0] == BITS["PHASE_LOST"]
-    assert verdict(rig, trip, SENSOR, silent=0b010)[0] == BITS["OVER_CURRENT"]
+    assert verdict(rig, trip, phases_without_current=0b010, repeating=0b101)[0] == BITS["PHASE_LOST"]
+    assert verdict(rig, trip, phases_without_current=0b010, repeating=0b010)[0] == BITS["OVER_CURRENT"]
+    assert verdict(rig, trip, phases_without_current=0b110, repeating=0b010)[0] == BITS["PHASE_LOST"]
+    assert verdict(rig, trip, SENSOR, phases_without_current=0b010)[0] == BITS["OVER_CURRENT"]
 
 
 # ---- causes that are found after their consequence
