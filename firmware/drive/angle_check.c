@@ -69,7 +69,7 @@ void angle_check_judge(axis_t *axis)
         return;
     }
     sensorless_estimate_judge(axis);
-    if (emf_check_lasts(&estimate->check, estimate->mismatch, axis->config->emf_check.ticks_check)) {
+    if (emf_check_confirmed(&estimate->check, estimate->mismatch, axis->config->emf_check.ticks_check)) {
         axis_raise(axis, FOUND(FINDING_OBSERVER_ANGLE_MISMATCH));
     }
 }

@@ -22,7 +22,7 @@
 #define TOUCH_COUNTS 4    /* contact: the distance that the set speed would have covered while the shaft stood .. */
 #define TOUCH_TICKS 8U    /* .. for at least this number of slow ticks: then the full current is applied */
 #define STAND_TICKS 100U  /* slow ticks of standstill at full current that count as a contact */
-#define LEFT_TICKS 64U    /* slow ticks per unit of home_t.left */
+#define LEFT_TICKS 64U    /* slow ticks per unit of home_t.timeout */
 #define LEFT_MIN 64U      /* 2 s: for acceleration, contact and reversal */
 
 /* Faults that invalidate the encoder count. */

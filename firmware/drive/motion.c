@@ -346,7 +346,7 @@ static void rest_at_end(axis_t *axis)
 }
 
 /* The points have run out at a speed other than 0. */
-static void stop_starved(axis_t *axis)
+static void stop_after_underrun(axis_t *axis)
 {
     enter(axis, MOTION_STOP, axis->motion.shaped_speed);
     axis->motion.underrun = true;
@@ -366,7 +366,7 @@ static frac32_t trajectory_controller(axis_t *axis)
         if (t->end.speed == 0) {
             rest_at_end(axis);
         } else {
-            stop_starved(axis);
+            stop_after_underrun(axis);
         }
     }
     return speed;

@@ -296,7 +296,7 @@ static void search_step(axis_t *axis)
         rotor_search_step(search, &axis->config->rotor_search, axis->feedback.position);
         return;
     }
-    if (axis->enable_requested && rotor_hold_holds(search)) {
+    if (axis->enable_requested && rotor_hold_opens_brake(search)) {
         holding_brake_request(axis, true);
         search->brake_released = holding_brake_is_open(axis);
     }
@@ -367,7 +367,7 @@ static void judge_observer(axis_t *axis)
     }
     const bool lost = estimate->reliability.failures > axis->config->reliability.hysteresis;
     const bool stands = sensorless_estimate_standstill_ticks(axis) > axis->config->emf_check.ticks_stand;
-    if (emf_check_lasts(&estimate->check, estimate->deviates, axis->config->emf_check.ticks_spin) || lost || stands) {
+    if (emf_check_confirmed(&estimate->check, estimate->deviates, axis->config->emf_check.ticks_spin) || lost || stands) {
         axis_raise(axis, FOUND(FINDING_OBSERVER_LOST));
     }
 }
@@ -443,7 +443,7 @@ static void spin_slow(axis_t *axis)
         }
     }
     if (axis->sensorless) {
-        axis->current_ref.d = f16_add(axis->current_ref.d, startup_fade(axis));
+        axis->current_ref.d = f16_add(axis->current_ref.d, startup_reduce_i_d(axis));
         fade_out(axis);
     }
     bound_current(axis);

@@ -106,7 +106,7 @@ static bool seen(const axis_t *axis)
 {
     const sensorless_estimate_t *estimate = &axis->estimate;
     const frac16_t expected = sensorless_estimate_emf_at(axis, estimate->speed);
-    return estimate->locked && !emf_check_lacks(&estimate->check, &axis->config->emf_check, expected);
+    return estimate->locked && !emf_check_emf_missing(&estimate->check, &axis->config->emf_check, expected);
 }
 
 static dq_t rotate(dq_t x, uint32_t angle)
@@ -147,8 +147,8 @@ static void prove(axis_t *axis)
 {
     startup_t *startup = &axis->startup;
     const frac32_t kept = f32_from_f16(axis->config->startup.first_current) / 2; /* same value as later without load */
-    startup->fade += f32_clip(kept - startup->fade, axis->config->startup.fade_step);
-    axis->current_ref = (dq_t){f16_from_f32(startup->fade), 0};
+    startup->i_d += f32_clip(kept - startup->i_d, axis->config->startup.fade_step);
+    axis->current_ref = (dq_t){f16_from_f32(startup->i_d), 0};
     axis->estimate.pll.backwards = axis->estimate.pll.integral < 0;
     current_loop_set_speed(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->estimate.speed));
 }
@@ -283,14 +283,14 @@ void startup_hand_over(axis_t *axis)
         const uint32_t between = startup->angle - axis->estimate.pll.angle;
         current = enter_rotor_frame(axis, between, between);
     }
-    startup->fade = f32_from_f16(current.d);
+    startup->i_d = f32_from_f16(current.d);
     axis->feedback.speed = axis->estimate.speed;
     axis->feedback.mean_speed = axis->estimate.speed;
     motion_start_turning(axis, current.q);
     axis->current_ref = current;
 }
 
-frac16_t startup_fade(axis_t *axis)
+frac16_t startup_reduce_i_d(axis_t *axis)
 {
     startup_t *startup = &axis->startup;
     const startup_config_t *config = &axis->config->startup;
@@ -299,6 +299,6 @@ frac16_t startup_fade(axis_t *axis)
     const frac32_t first = axis->motion.current_reduced ? 0 : f32_from_f16(config->first_current);
     const frac32_t spare = first - f32_from_f16(f16_abs(axis->current_ref.q));
     const frac32_t kept = (spare > first / 2) ? first / 2 : ((spare > 0) ? spare : 0);
-    startup->fade += f32_clip(kept - startup->fade, config->fade_step);
-    return f16_from_f32(startup->fade);
+    startup->i_d += f32_clip(kept - startup->i_d, config->fade_step);
+    return f16_from_f32(startup->i_d);
 }

@@ -38,8 +38,8 @@ static frac16_t room(const axis_t *axis)
 
 static void end(axis_t *axis)
 {
-    test_signal_t *excitation = &axis->test_signal;
-    *excitation = (test_signal_t){.point = TEST_POINT_NONE};
+    test_signal_t *signal = &axis->test_signal;
+    *signal = (test_signal_t){.point = TEST_POINT_NONE};
     axis->motion.speed_test_signal = 0;
     if (axis->fast == LOOP_TEST_SIGNAL) {
         axis->fast = axis->estimate.runs ? LOOP_OBSERVED : LOOP_FAST;
@@ -57,38 +57,38 @@ void test_signal_start(axis_t *axis, uint16_t point, const swept_sine_t *sine)
 
 void test_signal_step(axis_t *axis)
 {
-    test_signal_t *excitation = &axis->test_signal;
-    if (excitation->point == TEST_POINT_NONE) {
+    test_signal_t *signal = &axis->test_signal;
+    if (signal->point == TEST_POINT_NONE) {
         return; /* the usual case */
     }
-    if (!possible(axis, excitation->point) || excitation->sine.calls == 0U) {
+    if (!possible(axis, signal->point) || signal->sine.calls == 0U) {
         end(axis);
         return;
     }
-    excitation->limit = room(axis);
-    if (fast(excitation->point)) {
+    signal->limit = room(axis);
+    if (fast(signal->point)) {
         axis->fast = LOOP_TEST_SIGNAL;
         return;
     }
-    excitation->value = swept_sine_step(&excitation->sine);
-    if (excitation->point == TEST_POINT_SPEED) {
-        axis->motion.speed_test_signal = f32_from_f16(excitation->value);
+    signal->value = swept_sine_step(&signal->sine);
+    if (signal->point == TEST_POINT_SPEED) {
+        axis->motion.speed_test_signal = f32_from_f16(signal->value);
     } else {
-        axis->test_current.q = f16_add(axis->test_current.q, excitation->value);
+        axis->test_current.q = f16_add(axis->test_current.q, signal->value);
     }
 }
 
 void test_signal_drive(axis_t *axis, frac16_t theta_e)
 {
-    test_signal_t *excitation = &axis->test_signal;
-    const dq_t set_point = axis->current_ref;
-    frac16_t *excited = (excitation->point == TEST_POINT_I_D) ? &axis->current_ref.d : &axis->current_ref.q;
-    excitation->value = swept_sine_step(&excitation->sine);
-    *excited = f16_limit((int32_t)*excited + excitation->value, excitation->limit);
+    test_signal_t *signal = &axis->test_signal;
+    const dq_t without_signal = axis->current_ref;
+    frac16_t *set_point = (signal->point == TEST_POINT_I_D) ? &axis->current_ref.d : &axis->current_ref.q;
+    signal->value = swept_sine_step(&signal->sine);
+    *set_point = f16_limit((int32_t)*set_point + signal->value, signal->limit);
     if (axis->estimate.runs) {
         drive_observed(axis, theta_e);
     } else {
         drive_current(axis, theta_e);
     }
-    axis->current_ref = set_point; /* slow loop and recorder use the set-point without the signal */
+    axis->current_ref = without_signal; /* slow loop and recorder use the set-point without the signal */
 }

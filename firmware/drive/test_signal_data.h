@@ -1,4 +1,4 @@
-/* test_signal_data.h - a test signal on top of a set-point (excitation.h). */
+/* test_signal_data.h - state of a test signal (test_signal.h). */
 #ifndef SERVO_DRIVE_TEST_SIGNAL_DATA_H
 #define SERVO_DRIVE_TEST_SIGNAL_DATA_H
 
@@ -6,10 +6,10 @@
 #include "control/swept_sine.h"
 
 typedef struct {
-    uint16_t point; /* test_point_t that the signal is added to; NONE: there is no signal */
+    uint16_t point; /* test_point_t; NONE: no signal */
     swept_sine_t sine;
-    frac16_t value; /* of this call, of the full scale of the point */
-    frac16_t limit; /* of the current that the signal is on */
+    frac16_t value; /* present sample, Q1.15 of the full scale at the test point */
+    frac16_t limit; /* limit of set-point plus signal at a current, Q1.15 of full-scale current */
 } test_signal_t;
 
 #endif

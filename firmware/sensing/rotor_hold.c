@@ -43,7 +43,7 @@ void rotor_hold_start(rotor_search_t *search, const rotor_search_config_t *confi
     };
 }
 
-bool rotor_hold_holds(const rotor_search_t *search)
+bool rotor_hold_opens_brake(const rotor_search_t *search)
 {
     return search->phase == ROTOR_SEARCH_HOLD && search->stage != (uint16_t)STAGE_RISE;
 }
