@@ -1,9 +1,9 @@
-/* config_blocks.h - configuration blocks: another one for an axis while the board runs.
+/* config_blocks.h - change of the configuration of an axis at run time.
  *
- * Each axis has two blocks: the one in force, and a spare that the host writes. config.window carries members into the
- * spare, each checked against its range; config.header brings layout, length and checksum of the whole, which makes the
- * spare ready; config.take exchanges the blocks of one axis or of both, between two slow ticks, or of none. Members that
- * are not `live` change at rest with the outputs off only.
+ * Each axis has two blocks: the block in force, and a spare block written by the host. config.window writes members to the
+ * spare block, with a range check; config.header contains layout, length and checksum, and marks the spare block as ready;
+ * config.take exchanges the blocks of one or both axes between two slow ticks, or refuses all. Members that are not `live`
+ * change only at rest with the outputs off.
  */
 #ifndef SERVO_APP_CONFIG_BLOCKS_H
 #define SERVO_APP_CONFIG_BLOCKS_H
@@ -14,41 +14,42 @@
 
 typedef struct {
     axis_config_t block[HAL_AXES][2];
-    uint16_t in_force[HAL_AXES]; /* which of the two */
-    bool ready[HAL_AXES];        /* the spare has the right checksum .. */
-    uint32_t checksum[HAL_AXES]; /* .. and this is it */
+    uint16_t in_force[HAL_AXES]; /* index of the block in force: 0, 1 */
+    bool ready[HAL_AXES];        /* the spare block is complete, its checksum is correct */
+    uint32_t checksum[HAL_AXES]; /* checksum of the spare block */
     uint16_t
-        rest_member[HAL_AXES]; /* first one that differs and may not change in motion; AXIS_MEMBERS: there is none */
-    uint16_t pending;            /* axes whose spare is to be taken, a bit each */
+        rest_member[HAL_AXES]; /* number of the first changed member that may change only at rest; AXIS_MEMBERS: none */
+    uint16_t pending;            /* axes whose spare block is to be activated, one bit each */
 } config_blocks_t;
 
-/* The blocks in force are the built-in ones. Others may take their place (config_blocks_restore) until config_blocks_begin. */
+/* Initialise the blocks in force with the built-in values. config_blocks_restore may change them until config_blocks_begin. */
 void config_blocks_init(config_blocks_t *blocks, config_status_t *status);
 
-/* The block in force, to be written before config_blocks_begin. */
+/* Block in force, writable before config_blocks_begin. */
 static inline axis_config_t *config_blocks_restore(config_blocks_t *blocks, uint16_t axis)
 {
     return &blocks->block[axis][blocks->in_force[axis]];
 }
 
-/* The blocks in force stay: the spare ones are the same, and all of them have their sums. */
+/* Initialise checksums and spare blocks from the blocks in force. */
 void config_blocks_begin(config_blocks_t *blocks, config_status_t *status);
 
+/* Block in force. */
 static inline const axis_config_t *config_blocks_block(const config_blocks_t *blocks, uint16_t axis)
 {
     return &blocks->block[axis][blocks->in_force[axis]];
 }
 
-/* Is this write of a part of `request`, whose value it is to become, acceptable? Members go to their block at once.
- * `whole` says that no mask leaves anything out. */
+/* Check a write to config.* at `offset` of config_request_t. Members are stored in the spare block immediately. `whole`: the
+ * write has no mask. */
 bool config_blocks_accept(config_blocks_t *blocks, config_status_t *status, uint16_t offset, bool whole,
                           const uint8_t *data, uint16_t size);
 
-/* An accepted write of config.window has become the value of `request`: without members it asks for those in force. */
+/* After an accepted write of config.window: a request without members reads the members in force. */
 void config_blocks_show(const config_blocks_t *blocks, config_request_t *request);
 
-/* Between two slow ticks: take what is pending, if the axes are at rest or need not be. True if blocks have been taken;
- * parameters whose default is another one then have the new default. */
+/* Between two slow ticks: activate the pending blocks, if the changed members are `live` or the axes are at rest. True if
+ * activated; parameters with a changed default are set to the new default. */
 bool config_blocks_latch(config_blocks_t *blocks, config_status_t *status, parameter_block_t *parameter,
                          nominal_block_t *nominal, axis_t *axes);
 

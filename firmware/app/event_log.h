@@ -1,7 +1,7 @@
-/* event_log.h - what has happened, as lines of text with their tick: for the console of a client.
+/* event_log.h - log of events as lines of text with their tick, for the console of a client.
  *
- * The background compares each snapshot with the one before: the interrupts do nothing for it. Of what comes and goes
- * between two of its looks only the last is noted. Events are kept until their line is wanted; the oldest go first.
+ * The background loop compares successive snapshots, without a part in the interrupts. Changes between two comparisons are
+ * merged. Events are buffered until a client reads them; on overflow the oldest are discarded.
  */
 #ifndef SERVO_APP_EVENT_LOG_H
 #define SERVO_APP_EVENT_LOG_H
@@ -13,7 +13,7 @@
 #include "comm/freemaster.h"
 
 #define EVENT_LOG_EVENTS 10
-#define EVENT_LOG_LINE 56 /* bytes at most, with the end of the line */
+#define EVENT_LOG_LINE 56 /* largest length of a line with its end, bytes */
 
 typedef struct {
     uint32_t tick; /* PWM periods since reset */
@@ -23,36 +23,36 @@ typedef struct {
 } event_log_event_t;
 
 typedef struct {
-    fault_set_t faults;
-    uint16_t state; /* state_t at the last look */
-    uint16_t substate; /* substate_t, the same */
+    fault_set_t faults; /* captured faults at the last comparison */
+    uint16_t state; /* state_t at the last comparison */
+    uint16_t substate; /* substate_t at the last comparison */
 } event_log_axis_t;
 
 typedef struct {
     event_log_event_t event[EVENT_LOG_EVENTS];
-    uint16_t first; /* oldest event */
-    uint16_t count; /* events kept */
-    uint16_t lost; /* since the last line */
-    uint32_t tick; /* of the snapshot looked at last */
-    uint16_t points_refused; /* count of the snapshot looked at last */
-    uint16_t late_loops; /* the same */
-    uint16_t receiver_overruns; /* the same */
+    uint16_t first; /* index of the oldest event */
+    uint16_t count; /* number of buffered events */
+    uint16_t lost; /* number of events discarded since the last line */
+    uint32_t tick; /* tick of the last compared snapshot */
+    uint16_t points_refused; /* count of the last compared snapshot */
+    uint16_t late_loops; /* count of the last compared snapshot */
+    uint16_t receiver_overruns; /* count of the last compared snapshot */
     event_log_axis_t axis[HAL_AXES];
 } event_log_t;
 
-/* The board has been reset, by its watchdog or not. */
+/* Initialise, and log the reset and its cause. */
 void event_log_init(event_log_t *log, bool by_watchdog);
 
-/* Note what is new in the snapshot, which an interrupt may be writing. */
+/* Log the changes of the snapshot, which an interrupt may be writing. */
 void event_log_watch(event_log_t *log, const volatile snapshot_t *snapshot);
 
-/* The board has not taken what was to be written at this offset of servo_t. */
+/* Log a refused write at this offset of servo_t. */
 void event_log_refused(event_log_t *log, uint16_t offset);
 
-/* A copy in the data flash is not what it should be: stored_copy_t. */
+/* Log a damaged copy in the data flash; `state`: stored_copy_t. */
 void event_log_copy(event_log_t *log, uint16_t copy, uint16_t state);
 
-/* Hand lines to the console of the client, as many as it has room for now. */
+/* Write lines to the console of the client, as many as fit. */
 void event_log_print(event_log_t *log, freemaster_t *server);
 
 #endif
