@@ -7,8 +7,8 @@
 /* True if a variable is selected for an output. */
 bool analog_out_wanted(const board_settings_t *settings);
 
-/* Output the selected variables, and store them in `shown`: the full scale of a variable is the range of the output, zero is its
- * middle. */
+/* Output the selected variables, and store them in `shown`: the full scale of a variable is the range of the output,
+ * zero is its middle. */
 void analog_out_step(const board_settings_t *settings, const axis_t *axes, hal_t *hal, int16_t *shown);
 
 #endif

@@ -96,7 +96,7 @@ typedef struct {
 
 /* Written by the host to send configuration blocks (app/config_blocks.h). */
 typedef struct {
-    int32_t window[CONFIG_VALUES + CONFIG_TOGETHER]; /* words CONFIG_AXIS .. CONFIG_COUNT, then the values of the members */
+    int32_t window[CONFIG_VALUES + CONFIG_TOGETHER]; /* words CONFIG_AXIS .. CONFIG_COUNT, then values of members */
     int32_t header[CONFIG_HEADER]; /* axis, layout, members, checksum */
     uint16_t take; /* axes whose spare block is to be activated, one bit each */
     uint16_t unused; /* padding: equal addresses on all processors */
@@ -125,17 +125,17 @@ typedef struct {
 /* State of the storage (app/storage.h). */
 typedef struct {
     uint32_t sequence; /* sequence number of the newest set in the flash; 0: none */
-    uint16_t state;    /* storage_state_t */
+    uint16_t state; /* storage_state_t */
     uint16_t answered; /* token of the last processed request */
-    uint16_t refusal;  /* storage_refusal_t of the last request */
-    uint16_t source;   /* storage_source_t: source of the values at the last reset */
+    uint16_t refusal; /* storage_refusal_t of the last request */
+    uint16_t source; /* storage_source_t: source of the values at the last reset */
     uint16_t copy[STORAGE_COPIES]; /* stored_copy_t */
     uint16_t saves; /* completed saves since reset */
     uint16_t unused; /* padding: equal addresses on all processors */
 } storage_status_t;
 
-/* Output of the back-EMF observer; 0 while it is not running. The angle is of the tick of the snapshot, the other values are at
- * most one slow tick older. */
+/* Output of the back-EMF observer; 0 while it is not running. The angle is of the tick of the snapshot, the other
+ * values are at most one slow tick older. */
 typedef struct {
     frac32_t speed; /* Q1.31 of full-scale speed, mechanical */
     frac16_t theta_e; /* angle at the sampling instant, Q1.15 of pi, electrical */

@@ -1,7 +1,7 @@
 /* event_log.h - log of events as lines of text with their tick, for the console of a client.
  *
- * The background loop compares successive snapshots, without a part in the interrupts. Changes between two comparisons are
- * merged. Events are buffered until a client reads them; on overflow the oldest are discarded.
+ * The background loop compares successive snapshots, without a part in the interrupts. Changes between two comparisons
+ * are merged. Events are buffered until a client reads them; on overflow the oldest are discarded.
  */
 #ifndef SERVO_APP_EVENT_LOG_H
 #define SERVO_APP_EVENT_LOG_H

@@ -12,8 +12,8 @@ typedef struct {
     bool full; /* the points of the previous write are not queued yet */
 } points_board_t;
 
-/* Check points of POINT_WORDS words of four bytes; POINT_REFUSAL_NONE: accepted. Each segment must be within the limits of the
- * axis between its ends, too; the first segment begins at the present set-point. */
+/* Check points of POINT_WORDS words of four bytes; POINT_REFUSAL_NONE: accepted. Each segment must be within the
+ * limits of the axis between its ends, too; the first segment begins at the present set-point. */
 point_refusal_t points_check(const points_board_t *board, const uint8_t *data, uint16_t size);
 
 /* Queue the first `count` points of the block. Returns the axes with new points, one bit each. */

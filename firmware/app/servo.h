@@ -47,7 +47,8 @@ typedef struct servo {
     storage_t storage;
     board_settings_t settings;
     bus_braking_t bus_braking;
-    bus_braking_config_t brake_config; /* copy in RAM, because constants may be in the data flash, which interrupts must not read */
+    bus_braking_config_t
+        brake_config; /* copy in RAM, because constants may be in the data flash, which interrupts must not read */
     uint32_t tick; /* PWM periods since reset */
     bool m2_awaited; /* M1 has run, M2 has not */
     uint16_t lateness; /* count of late loops, with decay */
@@ -86,8 +87,8 @@ void servo_over_current_isr(servo_t *servo, uint16_t axis);
 /* Background loop, below all interrupts. */
 void servo_background(servo_t *servo);
 
-/* Access for hosts without a serial line, as FreeMASTER READMEM and WRITEMEM; 0 or a FreeMASTER status code. Does not reset the
- * time-out of HOST_SILENT, which supervises the serial line. */
+/* Access for hosts without a serial line, as FreeMASTER READMEM and WRITEMEM; 0 or a FreeMASTER status code. Does
+ * not reset the time-out of HOST_SILENT, which supervises the serial line. */
 uint8_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t size);
 uint8_t servo_write(servo_t *servo, uint32_t address, const uint8_t *data, uint16_t size);
 

@@ -1,11 +1,11 @@
 /* storage.h - non-volatile storage of parameters and configuration: two copies in the data flash, written alternately.
  *
- * A save overwrites the copy that is not the newest valid one. The checksum is written last, so after a power failure either
- * the old or the new set is valid. At a reset the newest valid copy with the layout of this firmware is loaded before the axes
- * are initialised; otherwise the built-in values are used.
+ * A save overwrites the copy that is not the newest valid one. The checksum is written last, so after a power failure
+ * either the old or the new set is valid. At a reset the newest valid copy with the layout of this firmware is loaded
+ * before the axes are initialised; otherwise the built-in values are used.
  *
- * Runs in the background loop, one flash command per call, only while both axes are at rest with their outputs off. Commands
- * are not stored, so a stored set causes no motion.
+ * Runs in the background loop, one flash command per call, only while both axes are at rest with their outputs off.
+ * Commands are not stored, so a stored set causes no motion.
  */
 #ifndef SERVO_APP_STORAGE_H
 #define SERVO_APP_STORAGE_H
@@ -40,15 +40,16 @@ typedef struct {
 /* Check both copies and load the stored values; before config_blocks_begin. */
 void storage_begin(storage_t *storage, storage_status_t *status, const storage_board_t *board);
 
-/* Check a write to the request. A request with the token of the last one is accepted without effect, because its answer may
- * have been lost. `whole`: the write has no mask. */
+/* Check a write to the request. A request with the token of the last one is accepted without effect, because its
+ * answer may have been lost. `whole`: the write has no mask. */
 bool storage_accept(storage_t *storage, storage_status_t *status, const storage_board_t *board, uint16_t offset,
                     bool whole, const uint8_t *data, uint16_t size);
 
 /* Note that the host has written a parameter. */
 static inline void storage_note_parameter(storage_t *storage) { storage->changed = true; }
 
-/* True while a flash command is in progress: the data flash, which contains the tables of the server, must not be read. */
+/* True while a flash command is in progress: the data flash, which contains the tables of the server, must not be
+ * read. */
 static inline bool storage_busy(const storage_t *storage, hal_t *hal)
 {
     return storage->running && hal_flash_result(hal) == HAL_FLASH_BUSY;

@@ -9,8 +9,8 @@
  *      all members of the configuration block of axis 1, then of axis 2
  *      checksum: CRC-32 of all words before
  *
- * Each 16-bit number has its own word, because words are programmed one by one. The checksum is written last: a set is complete
- * or invalid.
+ * Each 16-bit number has its own word, because words are programmed one by one. The checksum is written last: a set is
+ * complete or invalid.
  */
 #ifndef SERVO_APP_STORED_SET_H
 #define SERVO_APP_STORED_SET_H

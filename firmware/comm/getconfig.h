@@ -1,4 +1,4 @@
-/* getconfig.h - GETCONFIG: what this server is and can, by key or by 1-based index. */
+/* getconfig.h - GETCONFIG: properties of the server, by key or by 1-based index. */
 #ifndef COMM_GETCONFIG_H
 #define COMM_GETCONFIG_H
 

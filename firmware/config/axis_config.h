@@ -1,7 +1,7 @@
 /* axis_config.h - configuration of one axis and of the board, in fixed-point numbers.
  *
- * tune.py computes the values from servo.toml (servo_config_gen.c): gains from bandwidths and motor data, limits from SI units.
- * The firmware uses no floating point.
+ * tune.py computes the values from servo.toml (servo_config_gen.c): gains from bandwidths and motor data, limits from
+ * SI units. The firmware uses no floating point.
  */
 #ifndef SERVO_CONFIG_AXIS_CONFIG_H
 #define SERVO_CONFIG_AXIS_CONFIG_H
@@ -51,7 +51,7 @@ typedef struct {
     int32_t path_step_per_speed; /* counts per slow tick at full-scale speed, 16 fraction bits */
     int32_t speed_per_path_step; /* 1 / path_step_per_speed, 31 fraction bits */
     friction_config_t friction;
-    int32_t acceleration_forward; /* J / (Kt Ts): current / change of the speed per slow tick, of full scales, 16 fraction bits */
+    int32_t acceleration_forward; /* J / (Kt Ts): current / change of the speed per slow tick, 16 fraction bits */
 
     frac16_t torque_constant; /* 3/2 p psi_m, Q1.15 of 1 N m/A */
     frac16_t i_q_limit; /* default of param.i_q_limit, Q1.15 of full-scale current */
@@ -78,10 +78,11 @@ typedef struct {
     uint16_t rest_ticks_max; /* longest wait of an enabled axis for standstill, slow ticks */
     uint16_t search_ticks_max; /* time-out of the rotor search, slow ticks */
     frac32_t stop_speed; /* speed below which a stop ends in position hold or coast, Q1.31 of full-scale speed */
-    uint16_t stop_ticks_max; /* time-out after the end of the ramp, after which the outputs are switched off, slow ticks */
+    uint16_t stop_ticks_max; /* time-out after the end of the ramp, then the outputs are switched off, slow ticks */
 
     stop_config_t stop;
-    frac32_t regeneration_speed; /* highest speed at which the copper losses at full current exceed the braking power, Q1.31 of full-scale speed */
+    /* Highest speed at which the copper losses at full current exceed the braking power, Q1.31 of full-scale speed. */
+    frac32_t regeneration_speed;
     /* Largest -i_d during the derating of the braking current, for additional losses; Q1.15 of full-scale current. */
     frac16_t copper_current;
     field_weakening_config_t field_weakening;
@@ -94,7 +95,8 @@ typedef struct {
     bus_braking_config_t brake;
     uint16_t host_timeout; /* default of param.host_timeout, slow ticks */
     uint16_t command_timeout; /* default of param.command_timeout, slow ticks */
-    uint8_t password[ACCESS_LEVELS][SHA1_SIZE]; /* SHA-1 of the password per level, first ACCESS_VIEW; zeros: no password */
+    uint8_t password[ACCESS_LEVELS]
+                    [SHA1_SIZE]; /* SHA-1 of the password per level, first ACCESS_VIEW; zeros: no password */
 } servo_config_t;
 
 extern const servo_config_t servo_config;

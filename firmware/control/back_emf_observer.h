@@ -1,10 +1,12 @@
-/* back_emf_observer.h - Luenberger observer of currents and back-EMF in the stator frame (ST slide "PMSM 马达的Luenberger观测器").
+/* back_emf_observer.h - Luenberger observer of currents and back-EMF in the stator frame (ST slide "PMSM
+ * 马达的Luenberger观测器").
  *
  *   L di/dt = v - R i - e,  de_alpha/dt = -omega e_beta,  de_beta/dt = omega e_alpha
  *
- * in the frame of DRM E13 and E14: e_alpha = -omega psi_m sin(theta), e_beta = omega psi_m cos(theta); L is the mean of L_d
- * and L_q. The slide uses the Euler method. Here the discretisation is exact: the current decays with exp(-R T / L), the
- * back-EMF is rotated by omega T. e is the mean over one sampling period, so its angle is that of the middle of the period.
+ * in the frame of DRM E13 and E14: e_alpha = -omega psi_m sin(theta), e_beta = omega psi_m cos(theta); L is the mean of
+ * L_d and L_q. The slide uses the Euler method. Here the discretisation is exact: the current decays with exp(-R T /
+ * L), the back-EMF is rotated by omega T. e is the mean over one sampling period, so its angle is that of the middle of
+ * the period.
  *
  *   error = i - measured,  i += K1 error,  e += K2 error        (K1 < 0, K2 > 0)
  *   e rotates by omega T,  i -> a i + b (v - e)                 (until the next sample)
@@ -14,8 +16,8 @@
 
 #include "control/transforms.h"
 
-/* F1 and F2 of the slide are powers of two: fraction bits of the states beyond the 15 bits of a sample. With 11 additional
- * bits the range of a state is sixteen times the full scale. */
+/* F1 and F2 of the slide are powers of two: fraction bits of the states beyond the 15 bits of a sample. With 11
+ * additional bits the range of a state is sixteen times the full scale. */
 typedef struct {
     uint16_t f1; /* fraction bits of currents beyond 15 */
     uint16_t f2; /* fraction bits of voltages beyond 15 */

@@ -14,7 +14,7 @@ typedef struct {
     gain_t omega_psi;  /* omega_e psi_m */
     gain_t angle_step; /* electrical angle per PWM period at full-scale speed */
     dead_time_config_t dead_time;
-    frac16_t modulation_limit; /* largest voltage / (2/3 u_dc); below sqrt(3)/2, so that every low side is long enough for sampling */
+    frac16_t modulation_limit; /* largest voltage / (2/3 u_dc); below sqrt(3)/2: low sides long enough for sampling */
 } current_loop_config_t;
 
 typedef struct {
@@ -35,8 +35,8 @@ typedef struct {
 /* Reset to zero current, voltage and speed. */
 void current_loop_reset(current_loop_t *loop);
 
-/* Set the electrical speed `omega_e` (full scale: pole pairs x full-scale speed). Terms that depend on the speed only are
- * computed here, once per slow tick. */
+/* Set the electrical speed `omega_e` (full scale: pole pairs x full-scale speed). Terms that depend on the speed
+ * only are computed here, once per slow tick. */
 void current_loop_set_speed(current_loop_t *loop, const current_loop_config_t *config, frac16_t omega_e);
 
 /* Bumpless transfer to another frame: initialise the integrators so that the next output is `voltage` at the measured

@@ -4,9 +4,9 @@
  * An integral controller keeps the stator voltage one margin below its limit. Two actuators in sequence: i_d down to
  * -i_d_max, then the motoring i_q down to 0; in the other direction i_q first. Each step changes one of the two.
  *
- * Error: difference of the squared voltages, to first order 2 u_max (u_max - |u|); no square root is needed. The measured
- * voltage is the output of the current controllers before their limit, because the limited voltage exceeds the target by
- * at most the margin.
+ * Error: difference of the squared voltages, to first order 2 u_max (u_max - |u|); no square root is needed. The
+ * measured voltage is the output of the current controllers before their limit, because the limited voltage exceeds the
+ * target by at most the margin.
  */
 #ifndef SERVO_CONTROL_FIELD_WEAKENING_H
 #define SERVO_CONTROL_FIELD_WEAKENING_H
@@ -17,7 +17,7 @@
 
 typedef struct {
     frac16_t margin;  /* voltage reserve of the current controllers below the limit, Q1.15 of full-scale voltage */
-    frac16_t gain;    /* change of the current per step / error of the squared voltage, FIELD_WEAKENING_GAIN_BITS fraction bits */
+    frac16_t gain; /* current per step / squared voltage, FIELD_WEAKENING_GAIN_BITS fraction bits */
     frac16_t i_d_max; /* largest -i_d that current limit and magnets permit, Q1.15 of full-scale current */
     frac16_t q_share; /* change of i_q / change of i_d, for an equal change of the voltage */
 } field_weakening_config_t;
@@ -30,11 +30,11 @@ typedef struct {
 } field_weakening_t;
 
 typedef struct {
-    dq_t demand;      /* output of the current controllers before their limit, Q1.15 of full-scale voltage */
-    frac16_t u_max;   /* voltage limit of the current controllers, Q1.15 of full-scale voltage */
-    frac16_t emf;     /* back-EMF at i_d = 0, Q1.15 of full-scale voltage */
+    dq_t demand; /* output of the current controllers before their limit, Q1.15 of full-scale voltage */
+    frac16_t u_max; /* voltage limit of the current controllers, Q1.15 of full-scale voltage */
+    frac16_t emf; /* back-EMF at i_d = 0, Q1.15 of full-scale voltage */
     frac16_t current; /* largest current vector, Q1.15 of full-scale current */
-    bool enabled;      /* false: the weakening current is reduced to 0, at the slew rate that the voltage permits */
+    bool enabled; /* false: the weakening current is reduced to 0, at the slew rate that the voltage permits */
 } field_weakening_input_t;
 
 /* One slow tick. i_d changes by at most an eighth of its range. */

@@ -1,7 +1,7 @@
 /* friction.h - feed-forward current for Coulomb friction (with a smooth sign function) and viscous friction.
  *
- * Extension of the reference design. Computed from the speed set-point. The measured speed is unsuitable: it is 0 before
- * the start, and an over-estimated friction would be positive feedback.
+ * Extension of the reference design. Computed from the speed set-point. The measured speed is unsuitable: it is 0
+ * before the start, and an over-estimated friction would be positive feedback.
  */
 #ifndef SERVO_CONTROL_FRICTION_H
 #define SERVO_CONTROL_FRICTION_H

@@ -36,8 +36,8 @@ path_position_t hermite_position(const hermite_t *segment, uint32_t elapsed);
 /* Elapsed time / duration, 30 fraction bits. */
 uint32_t hermite_part(const hermite_t *segment, uint32_t elapsed);
 
-/* True if the speed is at most `step_max` [per slow tick], or the acceleration at most `acceleration_max` [per slow tick
- * squared], in the whole segment. Tolerance 1/64, for the rounding of the states by the host. */
+/* True if the speed is at most `step_max` [per slow tick], or the acceleration at most `acceleration_max` [per slow
+ * tick squared], in the whole segment. Tolerance 1/64, for the rounding of the states by the host. */
 bool hermite_speed_within(const hermite_t *segment, path_position_t step_max);
 bool hermite_acceleration_within(const hermite_t *segment, path_position_t acceleration_max);
 

@@ -1,16 +1,16 @@
-/* path_filter.h - shaping of position set-points: a ramp with limited speed and acceleration, then the second-order filter
- * (DRM 2.6, E38..E40).
+/* path_filter.h - shaping of position set-points: a ramp with limited speed and acceleration, then the second-order
+ * filter (DRM 2.6, E38..E40).
  *
- * The impulse response of the filter is non-negative with area 1: speed and acceleration of the output do not exceed the
- * limits of the ramp.
+ * The impulse response of the filter is non-negative with area 1: speed and acceleration of the output do not exceed
+ * the limits of the ramp.
  */
 #ifndef SERVO_CONTROL_PATH_FILTER_H
 #define SERVO_CONTROL_PATH_FILTER_H
 
 #include "math/frac.h"
 
-/* Positions in counts with 24 fraction bits: with 16 the filter would stop several counts before its target. Counts wrap
- * at 32 bits, these positions do not: compare with path_beyond. */
+/* Positions in counts with 24 fraction bits: with 16 the filter would stop several counts before its target. Counts
+ * wrap at 32 bits, these positions do not: compare with path_beyond. */
 #define PATH_BITS 24
 typedef int64_t path_position_t;
 
@@ -28,8 +28,8 @@ void path_filter_reset(path_filter_t *path, int32_t position, path_position_t st
 /* After path_filter_reset: if the ramp could not stop at `target`, start with a ramp that is already decelerating. */
 void path_filter_start_braking(path_filter_t *path, int32_t target, path_position_t acceleration, uint16_t omega_n_ts);
 
-/* Change omega_n without a step of position and speed. The lead of the ramp is adapted to the new lag of the filter; the
- * ramp can still stop at `target`, and the acceleration of the output stays below `acceleration`. */
+/* Change omega_n without a step of position and speed. The lead of the ramp is adapted to the new lag of the filter;
+ * the ramp can still stop at `target`, and the acceleration of the output stays below `acceleration`. */
 void path_filter_retune(path_filter_t *path, int32_t target, path_position_t acceleration, uint16_t from_omega_n_ts,
                         uint16_t to_omega_n_ts);
 
@@ -41,7 +41,8 @@ void path_filter_step(path_filter_t *path, int32_t target, path_position_t step_
 /* Stopping position of the ramp [counts], rounded away from the start. */
 int32_t path_filter_stopping_position(const path_filter_t *path, path_position_t acceleration);
 
-/* Highest speed, at most `max`, from which the ramp can stop within `distance`, including the next step at that speed. */
+/* Highest speed, at most `max`, from which the ramp can stop within `distance`, including the next step at that
+ * speed. */
 path_position_t braking_speed(path_position_t distance, path_position_t acceleration, path_position_t max);
 
 /* Position of whole counts. */

@@ -10,8 +10,8 @@ typedef struct {
     gain_t kc; /* anti-windup gain Kc: 0 (off) .. 1 */
 } pi_gains_t;
 
-/* Sum of products fraction x gain before rounding: 55 fraction bits, range +-256. The gains of one sum must add up to less
- * than 255. */
+/* Sum of products fraction x gain before rounding: 55 fraction bits, range +-256. The gains of one sum must add up
+ * to less than 255. */
 typedef int64_t pi_sum_t;
 #define PI_SUM_BITS (31 + GAIN_BITS)
 
@@ -42,8 +42,8 @@ static inline pi_sum_t pi_sum_saturated(pi_sum_t sum)
 /* u_i(k-1), rounded down. */
 static inline frac32_t pi_integral(const pi_state_t *state) { return (frac32_t)asr64(state->integral, GAIN_BITS); }
 
-/* Integrator, E35 and E36: u_i. Back-calculation anti-windup acts on the integrator, as the text of DRM 2.5.2 describes;
- * E36 as printed does not prevent wind-up. */
+/* Integrator, E35 and E36: u_i. Back-calculation anti-windup acts on the integrator, as the text of DRM 2.5.2
+ * describes; E36 as printed does not prevent wind-up. */
 static inline void pi_integrate(pi_state_t *state, const pi_gains_t *gains, frac32_t error)
 {
     const pi_sum_t integral = pi_sum_add(state->integral, error, gains->ki);

@@ -34,7 +34,8 @@ void pll_retune(pll_t *pll, const pll_config_t *before, const pll_config_t *conf
 
 void pll_feed_forward(pll_t *pll, const pll_config_t *config, frac16_t i_q, dq_t residual_emf, int32_t rotation)
 {
-    const int32_t error = (pll->backwards ? residual_emf.d : -(int32_t)residual_emf.d) * (int32_t)pll->root; /* 30 fraction bits */
+    const int32_t error =
+        (pll->backwards ? residual_emf.d : -(int32_t)residual_emf.d) * (int32_t)pll->root; /* 30 fraction bits */
     const int32_t size = residual_emf.q * (INT32_C(1) << 8) - pll->bias;
     pll->bias = f32_clip(pll->bias + f32_gain(pll->integral - asr32(rotation, TICK_BITS), config->forget), BIAS_MAX);
     pll->load =

@@ -1,9 +1,10 @@
 /* pll.h - phase-locked loop on the observed back-EMF (ST slides "锁相环 (PLL)", "PLL 闭环系数计算").
  *
- * In the frame of DRM E13 the phase error is -(e_alpha cos(theta) + e_beta sin(theta)) = omega psi_m sin(angle error). As on
- * the slide the integral gain is constant: the natural frequency is proportional to the square root of the speed, and at
- * low speed below the sixth harmonic, the ripple of the dead time. The proportional gain is inversely proportional to the
- * square root of the back-EMF, for constant damping. Extension of the slide: acceleration feed-forward from i_q.
+ * In the frame of DRM E13 the phase error is -(e_alpha cos(theta) + e_beta sin(theta)) = omega psi_m sin(angle error).
+ * As on the slide the integral gain is constant: the natural frequency is proportional to the square root of the speed,
+ * and at low speed below the sixth harmonic, the ripple of the dead time. The proportional gain is inversely
+ * proportional to the square root of the back-EMF, for constant damping. Extension of the slide: acceleration
+ * feed-forward from i_q.
  *
  * Angles: 2^32 is one electrical turn. Speeds are steps: angle per PWM period.
  */
@@ -44,9 +45,9 @@ void pll_reset(pll_t *pll, uint32_t angle, int32_t step);
 /* Adapt the proportional gain to the amplitude `emf` of the back-EMF. */
 void pll_adapt(pll_t *pll, const pll_config_t *config, frac16_t emf);
 
-/* One slow tick: feed the acceleration by `i_q` forward, and correct speed and load estimate with the amplitude error of
- * the back-EMF, which responds to a load step before the phase. `residual_emf`: observed minus expected back-EMF.
- * `rotation`: change of the angle in this tick, from which the amplitude offset is estimated. */
+/* One slow tick: feed the acceleration by `i_q` forward, and correct speed and load estimate with the amplitude
+ * error of the back-EMF, which responds to a load step before the phase. `residual_emf`: observed minus expected
+ * back-EMF. `rotation`: change of the angle in this tick, from which the amplitude offset is estimated. */
 void pll_feed_forward(pll_t *pll, const pll_config_t *config, frac16_t i_q, dq_t residual_emf, int32_t rotation);
 
 /* Bumpless change of the nominal values of motor and shaft, at the current `i_q`. */

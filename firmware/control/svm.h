@@ -15,8 +15,8 @@ typedef struct {
 /* Over-modulation: duty of a leg whose active time is shorter than the longest one by `less`, scaled to the period. */
 static inline int32_t svm_shortened(int32_t less, int32_t active) { return SVM_FULL - less * SVM_FULL / active; }
 
-/* `modulation`: commanded stator voltage / (2/3 u_dc), the length of the active vectors U0..U300; (1, 0) is U0. The linear
- * range ends at sqrt(3)/2. A vector outside the hexagon is shortened to its edge, with constant direction. */
+/* `modulation`: commanded stator voltage / (2/3 u_dc), the length of the active vectors U0..U300; (1, 0) is U0. The
+ * linear range ends at sqrt(3)/2. A vector outside the hexagon is shortened to its edge, with constant direction. */
 static inline svm_t svm(ab_t modulation)
 {
     /* Projections on the normals of the three sector borders: as parts of the period, how much longer leg a is high

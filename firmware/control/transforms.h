@@ -42,7 +42,8 @@ static inline ab_t clarke(abc_t x)
     return result;
 }
 
-/* Round and saturate a sum of two products with sine and cosine; it is below sqrt(2) 2^30, so 32 bits are sufficient. */
+/* Round and saturate a sum of two products with sine and cosine; it is below sqrt(2) 2^30, so 32 bits are
+ * sufficient. */
 static inline frac16_t rotated(int32_t sum) { return sat16_asr(sum + INT32_C(0x4000), 15); }
 
 /* Inverse Clarke transformation; phase C is the negative sum of A and B. */

@@ -12,8 +12,8 @@
 #include "diagnosis/observation.h"
 
 typedef struct {
-    dq_t unexplained_voltage;         /* stator voltage minus the expected one, filtered, Q1.15 of full-scale voltage */
-    uint16_t ticks;      /* slow ticks with a residual above the tolerances, minus slow ticks without */
+    dq_t unexplained_voltage; /* stator voltage minus the expected one, filtered, Q1.15 of full-scale voltage */
+    uint16_t ticks; /* slow ticks with a residual above the tolerances, minus slow ticks without */
     uint16_t conducting_phases; /* one bit per phase that has carried current while `ticks` > 0 */
 } angle_monitor_t;
 
@@ -24,8 +24,9 @@ void angle_monitor_start(angle_monitor_t *monitor);
 void angle_monitor_step(angle_monitor_t *monitor, const winding_config_t *config, const current_loop_config_t *loop,
                         const observation_t *observation, evidence_t *evidence);
 
-/* Suspect a slipped encoder if the unexplained voltage exceeds the expected back-EMF. This is weaker than the finding, which
- * tolerates a larger resistance error; a resistance error of the same size cannot be distinguished from a slip. */
+/* Suspect a slipped encoder if the unexplained voltage exceeds the expected back-EMF. This is weaker than the
+ * finding, which tolerates a larger resistance error; a resistance error of the same size cannot be distinguished
+ * from a slip. */
 void angle_monitor_suspect(const angle_monitor_t *monitor, const winding_config_t *config,
                            const observation_t *observation, evidence_t *evidence);
 

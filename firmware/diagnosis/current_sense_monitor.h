@@ -1,7 +1,7 @@
 /* current_sense_monitor.h - implausible ADC codes of the current measurements.
  *
- * A measurement has failed if its code differs from the offset at the centre of the high side, where the shunt carries no
- * current, or if its code is constant while those of other phases show noise.
+ * A measurement has failed if its code differs from the offset at the centre of the high side, where the shunt carries
+ * no current, or if its code is constant while those of other phases show noise.
  */
 #ifndef SERVO_DIAGNOSIS_CURRENT_SENSE_MONITOR_H
 #define SERVO_DIAGNOSIS_CURRENT_SENSE_MONITOR_H
@@ -23,8 +23,8 @@ typedef struct {
     current_sense_channel_t channel[OBSERVED_PHASES];
 } current_sense_monitor_t;
 
-/* One slow tick in every state, with IDLE_SAMPLES new samples. `switching`: the switches operate; with open switches the
- * current of a turning shaft flows in the diodes, and codes are not compared with their offsets. */
+/* One slow tick in every state, with IDLE_SAMPLES new samples. `switching`: the switches operate; with open switches
+ * the current of a turning shaft flows in the diodes, and codes are not compared with their offsets. */
 void current_sense_monitor_step(current_sense_monitor_t *monitor, const idle_sample_t *samples, bool switching,
                                 evidence_t *evidence);
 

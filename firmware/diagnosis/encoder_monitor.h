@@ -25,14 +25,14 @@ typedef struct {
     uint8_t alternating_windows; /* consecutive windows with more alternating changes than a shaft at rest causes */
 
     /* abrupt stop */
-    uint16_t step_counts; /* counts of the last slow tick with movement, in part of which the shaft may have been at rest */
+    uint16_t step_counts; /* counts of the last slow tick with movement, in which the shaft may have stopped */
     uint16_t earlier_step_counts; /* counts of the slow tick before */
     bool stopped_abruptly; /* the count stopped from a high speed within two slow ticks */
 
     /* unexplained voltage at a constant count */
     frac16_t last_i_q_ref; /* i_q* of the previous slow tick, Q1.15 of full-scale current */
     dq_t unexplained_voltage; /* voltage minus the resistive drop, filtered, Q1.15 of full-scale voltage */
-    uint16_t unexplained_ticks; /* slow ticks with unexplained voltage (READY: with current), minus slow ticks without */
+    uint16_t unexplained_ticks; /* slow ticks with unexplained voltage (READY: with current), minus those without */
     uint16_t ticks_without_current; /* slow ticks among `unexplained_ticks` without current */
     uint16_t windup_ticks; /* consecutive slow ticks with a voltage so high that the current cannot follow */
     dq_t reference_voltage; /* unexplained voltage, or integrator outputs in a probe, at the start of the observation */

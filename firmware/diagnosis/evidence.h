@@ -1,7 +1,7 @@
 /* evidence.h - output of the monitors: confirmed findings, suspicions, and a test current.
  *
- * Monitors exchange only the last three members of observation_t. The priority table (fault_isolate.h) decides which fault
- * is reported for a finding, and which suspicion of another monitor explains it.
+ * Monitors exchange only the last three members of observation_t. The priority table (fault_isolate.h) decides which
+ * fault is reported for a finding, and which suspicion of another monitor explains it.
  */
 #ifndef SERVO_DIAGNOSIS_EVIDENCE_H
 #define SERVO_DIAGNOSIS_EVIDENCE_H

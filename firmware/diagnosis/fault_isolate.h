@@ -27,7 +27,8 @@ typedef struct {
     fault_set_t voids; /* captured faults to be removed, because their input was invalid */
 } fault_revision_t;
 
-/* Check whether one of the `fresh` faults, `age` PWM periods after the first fault, is the cause of the `captured` ones. */
+/* Check whether one of the `fresh` faults, `age` PWM periods after the first fault, is the cause of the `captured`
+ * ones. */
 fault_revision_t fault_revise(fault_set_t fresh, fault_set_t captured, uint32_t age);
 
 #endif

@@ -12,8 +12,8 @@
 
 #define FAULT_SAMPLES 64 /* a power of two */
 
-/* Record of the first fault: ring buffer of FAULT_SAMPLES samples, one per slow tick (32 ms), frozen at the first fault. The
- * last sample is taken in the PWM period of the fault, so it also shows an over-current. */
+/* Record of the first fault: ring buffer of FAULT_SAMPLES samples, one per slow tick (32 ms), frozen at the first
+ * fault. The last sample is taken in the PWM period of the fault, so it also shows an over-current. */
 typedef struct {
     fault_set_t pending; /* pending faults at the first fault */
     uint32_t tick; /* PWM periods since reset at the first fault */
@@ -35,9 +35,9 @@ typedef struct {
     fault_set_t captured;
     fault_set_t pending;
     fault_set_t enabled;
-    uint16_t first;         /* code of the first fault; 0: none */
+    uint16_t first; /* code of the first fault; 0: none */
     fault_record_t *record; /* record of the first fault, memory of the owner */
-    const uint32_t *clock;  /* PWM periods since reset, memory of the owner */
+    const uint32_t *clock; /* PWM periods since reset, memory of the owner */
 } fault_latch_t;
 
 /* Fault code of the lowest fault of a set: bit number plus one; 0: no fault. */

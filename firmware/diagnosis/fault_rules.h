@@ -1,5 +1,5 @@
-/* fault_rules.h - priority table of the faults; applied by fault_isolate.c. In program memory (PROGRAM_TABLE), because the
- * data flash cannot be read while it is written. */
+/* fault_rules.h - priority table of the faults; applied by fault_isolate.c. In program memory (PROGRAM_TABLE),
+ * because the data flash cannot be read while it is written. */
 #ifndef SERVO_DIAGNOSIS_FAULT_RULES_H
 #define SERVO_DIAGNOSIS_FAULT_RULES_H
 

@@ -1,7 +1,7 @@
 /* heat_sink_monitor.h - over-temperature of a heat sink, with hysteresis.
  *
- * The ADC code of the sensor is compared with two codes, which the tuning code computes from the sensor characteristic: linear,
- * or NTC in a voltage divider (code falls with temperature).
+ * The ADC code of the sensor is compared with two codes, which the tuning code computes from the sensor characteristic:
+ * linear, or NTC in a voltage divider (code falls with temperature).
  */
 #ifndef SERVO_DIAGNOSIS_HEAT_SINK_MONITOR_H
 #define SERVO_DIAGNOSIS_HEAT_SINK_MONITOR_H

@@ -14,7 +14,7 @@
 /* Thresholds and nominal values of motor and inverter. */
 typedef struct {
     frac16_t silent; /* smaller phase currents count as zero, Q1.15 of full-scale current */
-    frac16_t direction_min; /* the octant of a phase without current is recorded only above this largest phase current */
+    frac16_t direction_min; /* largest phase current above which octants without current are recorded */
     gain_t resistance; /* voltage / current, of full scales */
     gain_t inductance; /* voltage / change of the current per slow tick, of full scales */
     frac16_t emf_floor; /* voltage error by switches and dead time, Q1.15 of full-scale voltage */

@@ -1,7 +1,7 @@
 /* phase_monitor.h - phases of the motor that carry no current.
  *
- * A phase is lost if its current stays below a minimum while the others conduct: at rest with a non-zero set-point of that
- * phase, in rotation in at least 6 of 8 octants. If no phase conducts, the voltage set-point is evaluated instead.
+ * A phase is lost if its current stays below a minimum while the others conduct: at rest with a non-zero set-point of
+ * that phase, in rotation in at least 6 of 8 octants. If no phase conducts, the voltage set-point is evaluated instead.
  */
 #ifndef SERVO_DIAGNOSIS_PHASE_MONITOR_H
 #define SERVO_DIAGNOSIS_PHASE_MONITOR_H
@@ -11,7 +11,7 @@
 
 typedef struct {
     uint16_t no_current_ticks[OBSERVED_PHASES];  /* slow ticks without current at a non-zero set-point */
-    uint16_t octants[OBSERVED_PHASES]; /* bits 0..7: octants of the rotor in which the phase had no current; bits 8..15: number of such slow ticks */
+    uint16_t octants[OBSERVED_PHASES]; /* bits 0..7: octants of the rotor without current; above: slow ticks */
     frac16_t last_i_q_ref; /* i_q* of the last slow tick, Q1.15 of full-scale current */
     uint16_t low_current_ticks; /* slow ticks since the last decay with too little current for the octant test */
     bool lost; /* a phase is confirmed as lost */

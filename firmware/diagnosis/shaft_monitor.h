@@ -7,7 +7,7 @@
 #include "diagnosis/observation.h"
 
 typedef struct {
-    frac32_t runaway_margin; /* tolerated speed above the limit, or speed gained against the current, Q1.31 of full-scale speed */
+    frac32_t runaway_margin; /* tolerated excess or gain of speed, Q1.31 of full-scale speed */
     uint16_t runaway_ticks_max; /* permitted slow ticks with rising instead of falling speed */
     uint16_t stall_ticks_max; /* permitted slow ticks at full current without movement */
     uint16_t following_ticks_max; /* permitted slow ticks with a too large following error */
@@ -24,10 +24,9 @@ typedef struct {
 
 static inline uint16_t shaft_count_while(bool holds, uint16_t ticks) { return holds ? (uint16_t)(ticks + 1U) : 0U; }
 
-/* Runaway: the speed rises although it must fall, because the full current decelerates the shaft or the speed exceeds its
- * limit. Cause: a wrong encoder angle reverses the torque. */
-static inline bool shaft_runaway(shaft_monitor_t *m, const shaft_monitor_config_t *config,
-                                   const shaft_observation_t *o)
+/* Runaway: the speed rises although it must fall, because the full current decelerates the shaft or the speed
+ * exceeds its limit. Cause: a wrong encoder angle reverses the torque. */
+static inline bool shaft_runaway(shaft_monitor_t *m, const shaft_monitor_config_t *config, const shaft_observation_t *o)
 {
     /* uint32_t holds the sum of two positive Q1.31 numbers */
     const uint32_t speed = (uint32_t)f32_abs(o->speed);
@@ -41,7 +40,7 @@ static inline bool shaft_runaway(shaft_monitor_t *m, const shaft_monitor_config_
 }
 
 static inline bool shaft_following_error(shaft_monitor_t *m, const shaft_monitor_config_t *config,
-                                  const shaft_observation_t *o)
+                                         const shaft_observation_t *o)
 {
     const int32_t max = o->following_error_max;
     const bool on = (o->features & FEATURE_FOLLOWING_ERROR) != 0U;
@@ -51,7 +50,7 @@ static inline bool shaft_following_error(shaft_monitor_t *m, const shaft_monitor
 }
 
 static inline bool shaft_over_speed(shaft_monitor_t *m, const shaft_monitor_config_t *config,
-                                  const shaft_observation_t *o)
+                                    const shaft_observation_t *o)
 {
     const bool on = (o->features & FEATURE_OVER_SPEED) != 0U;
     m->over_speed_ticks = shaft_count_while(on && f32_abs(o->speed) > o->over_speed_max, m->over_speed_ticks);

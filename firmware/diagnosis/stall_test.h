@@ -1,14 +1,14 @@
 /* stall_test.h - stall test at full current without movement.
  *
- * Distinguishes: (1) blocked shaft, (2) free rotor with a dead encoder, (3) wrong encoder angle, error delta. The current
- * vector is rotated by phi to +phi_max, back, then to -phi_max.
+ * Distinguishes: (1) blocked shaft, (2) free rotor with a dead encoder, (3) wrong encoder angle, error delta. The
+ * current vector is rotated by phi to +phi_max, back, then to -phi_max.
  *
  * (2) The rotor follows the vector although the count is constant: the flux linkage across the vector changes
  * (rotor_follow.h).
  *
- * (1) The torque is proportional to cos(phi - delta); with delta = 0 it is equal at +phi and -phi and never larger than at
- * phi = 0. If the shaft moves, the vector is mirrored to -phi: if the movement continues, the shaft was blocked or driven by
- * its load.
+ * (1) The torque is proportional to cos(phi - delta); with delta = 0 it is equal at +phi and -phi and never larger than
+ * at phi = 0. If the shaft moves, the vector is mirrored to -phi: if the movement continues, the shaft was blocked or
+ * driven by its load.
  *
  * (3) If the movement stops or reverses, delta != 0. For movement against the torque the vector is rotated on, to the
  * largest phi. The load torque is the same at both angles and cancels.

@@ -21,7 +21,7 @@ typedef struct {
     frac16_t ambient;   /* highest ambient temperature */
     frac16_t initial;   /* temperature assumed after a reset */
     frac16_t derating;  /* temperature above which the current limit is reduced */
-    frac16_t maximum;   /* temperature at which the current limit is the rated current; the fault can be cleared below it */
+    frac16_t maximum; /* temperature of the full derating to the rated current; below it a fault can be cleared */
     frac16_t fault; /* temperature of FAULT_MOTOR_TEMPERATURE */
     frac16_t rated_current; /* permitted continuous current, Q1.15 of full-scale current */
 } winding_model_config_t;
@@ -29,7 +29,7 @@ typedef struct {
 typedef struct {
     frac32_t temperature; /* estimated temperature, Q1.31 of 256 deg C */
     uint32_t squares; /* mean of i_d^2 + i_q^2 in this step, 30 fraction bits */
-    uint16_t ticks;   /* slow ticks of this step */
+    uint16_t ticks; /* slow ticks of this step */
     bool hot; /* above `fault`, with hysteresis */
 } winding_model_t;
 

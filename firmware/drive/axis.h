@@ -1,7 +1,7 @@
 /* axis.h - interface of one axis: state machines, feedback, controllers, limits and faults (DRM 4.4, 4.5).
  *
- * One implementation for all axes; the parameters are in axis_config_t. The application calls axis_slow and axis_fast at the
- * instants of DRM F34, with the commands latched for the tick.
+ * One implementation for all axes; the parameters are in axis_config_t. The application calls axis_slow and axis_fast
+ * at the instants of DRM F34, with the commands latched for the tick.
  */
 #ifndef SERVO_DRIVE_AXIS_H
 #define SERVO_DRIVE_AXIS_H
@@ -18,8 +18,8 @@ void axis_fast(axis_t *axis);
 /* Once per slow tick, not time-critical: offset tracking of the current measurements, observer. */
 void axis_estimate(axis_t *axis);
 
-/* Once per slow tick, after axis_estimate and before the next slow tick: reliability of the estimate, checks of the motion, new
- * limits of the path filter. */
+/* Once per slow tick, after axis_estimate and before the next slow tick: reliability of the estimate, checks of the
+ * motion, new limits of the path filter. */
 void axis_check(axis_t *axis);
 
 /* Fault monitors: once per slow tick, in two consecutive PWM periods other than that of axis_slow. */

@@ -19,8 +19,8 @@ static inline void axis_observe(axis_t *axis)
     o->emf = sensorless_estimate_emf_at(axis, axis->current_loop.omega_e);
 }
 
-/* Isolate and capture findings. The outputs are switched off with the next call of the state machine, or after a stop if the
- * configuration has a stop category for all of these faults (stop.h). */
+/* Isolate and capture findings. The outputs are switched off with the next call of the state machine, or after a
+ * stop if the configuration has a stop category for all of these faults (stop.h). */
 void axis_raise(axis_t *axis, finding_set_t findings);
 
 /* axis_raise for findings that are relevant only while the axis is enabled (host silence, underrun). */

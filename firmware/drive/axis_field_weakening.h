@@ -1,4 +1,5 @@
-/* axis_field_weakening.h - field weakening of one axis: enable and inputs of field_weakening.h (doc/field-weakening.md). */
+/* axis_field_weakening.h - field weakening of one axis: enable and inputs of field_weakening.h
+ * (doc/field-weakening.md). */
 #ifndef SERVO_DRIVE_AXIS_FIELD_WEAKENING_H
 #define SERVO_DRIVE_AXIS_FIELD_WEAKENING_H
 

@@ -1,5 +1,5 @@
-/* bus_braking.h - limits the DC-bus voltage during regenerative braking: brake resistor, derating of the braking current (ST
- * slide "Brake resistor"). One per board, because both axes share the bus.
+/* bus_braking.h - limits the DC-bus voltage during regenerative braking: brake resistor, derating of the braking
+ * current (ST slide "Brake resistor"). One per board, because both axes share the bus.
  *
  * The supply cannot absorb energy. In order of increasing voltage:
  *   off .. on     hysteresis of the switch of the brake resistor
@@ -17,8 +17,8 @@ typedef struct {
     gain_t heating; /* heat per slow tick / u^2, heat in parts of the energy budget */
     frac32_t cooling; /* heat lost per slow tick, Q1.31 of the energy budget */
     frac16_t start, full; /* range of the derating of the braking current, Q1.15 of full-scale bus voltage */
-    /* Over-voltage threshold while the resistor is available: the highest voltage that the ADC can measure, close to the
-     * rating of the capacitors. Q1.15 of full-scale bus voltage. */
+    /* Over-voltage threshold while the resistor is available: the highest voltage that the ADC can measure, close to
+     * the rating of the capacitors. Q1.15 of full-scale bus voltage. */
     frac16_t u_dc_max_braking;
 } bus_braking_config_t;
 
@@ -34,7 +34,8 @@ typedef struct {
 /* Initialise with the resistor off and cold. */
 void bus_braking_init(bus_braking_t *brake);
 
-/* One slow tick at the bus voltage `u_dc`; `fitted`: a resistor is fitted. Sets `brake->on`, the command of its switch. */
+/* One slow tick at the bus voltage `u_dc`; `fitted`: a resistor is fitted. Sets `brake->on`, the command of its
+ * switch. */
 void bus_braking_step(bus_braking_t *brake, const bus_braking_config_t *config, bool fitted, frac16_t u_dc);
 
 #endif

@@ -58,8 +58,8 @@ static inline abc_t current_sense_read(const current_sense_t *sense, adc_pair_t 
     return x;
 }
 
-/* Offset calibration with the outputs off, one sample per PWM period. Selects the next pair in `sense->pair`. True when all
- * offsets are measured. */
+/* Offset calibration with the outputs off, one sample per PWM period. Selects the next pair in `sense->pair`. True
+ * when all offsets are measured. */
 bool current_sense_calibrate(current_sense_t *sense, adc_pair_t codes);
 
 /* True when every offset lies within `tolerance` codes of mid-scale. */

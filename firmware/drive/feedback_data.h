@@ -1,5 +1,5 @@
-/* feedback_data.h - data of the feedback sources (feedback.h). All sources provide feedback_t; the controllers use nothing
- * else.
+/* feedback_data.h - data of the feedback sources (feedback.h). All sources provide feedback_t; the controllers use
+ * nothing else.
  */
 #ifndef SERVO_DRIVE_FEEDBACK_DATA_H
 #define SERVO_DRIVE_FEEDBACK_DATA_H
@@ -27,8 +27,8 @@ typedef struct {
     void (*align)(struct axis *axis, frac16_t theta_e); /* sets the encoder offset: the rotor is at theta_e */
 } feedback_source_t;
 
-/* State of the encoder source. The edge interrupt has the lowest priority and may be interrupted by the slow loop: it only
- * stores the latched edge, the slow loop evaluates it. */
+/* State of the encoder source. The edge interrupt has the lowest priority and may be interrupted by the slow loop:
+ * it only stores the latched edge, the slow loop evaluates it. */
 typedef struct {
     encoder_t position;
     mt_speed_t speed;

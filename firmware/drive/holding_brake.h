@@ -25,7 +25,8 @@ static inline bool holding_brake_is_closed(const axis_t *axis)
     return !axis->brake.powered && axis->brake.ticks == 0U;
 }
 
-/* True if a stop ends with position hold until the brake is closed. An axis without an encoder cannot hold a position. */
+/* True if a stop ends with position hold until the brake is closed. An axis without an encoder cannot hold a
+ * position. */
 static inline bool holding_brake_takes_over(const axis_t *axis)
 {
     return holding_brake_fitted(axis) && !axis->sensorless;

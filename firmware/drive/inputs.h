@@ -1,6 +1,7 @@
 /* inputs.h - home switch, limit switches and enable input of an axis.
  *
- * Pins that are not fitted are ignored. An active limit switch acts as a soft limit at the present position, in every mode.
+ * Pins that are not fitted are ignored. An active limit switch acts as a soft limit at the present position, in every
+ * mode.
  */
 #ifndef SERVO_DRIVE_INPUTS_H
 #define SERVO_DRIVE_INPUTS_H

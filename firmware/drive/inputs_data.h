@@ -1,5 +1,5 @@
-/* inputs_data.h - configuration and state of the optional pins of an axis: switches, enable input, holding brake (inputs.h,
- * holding_brake.h). */
+/* inputs_data.h - configuration and state of the optional pins of an axis: switches, enable input, holding brake
+ * (inputs.h, holding_brake.h). */
 #ifndef SERVO_DRIVE_INPUTS_DATA_H
 #define SERVO_DRIVE_INPUTS_DATA_H
 

@@ -4,8 +4,8 @@
 
 #include "drive/axis_data.h"
 
-/* Apply the limits written in this tick. Lower limits apply immediately; higher limits, and any new acceleration, with the
- * next set-point, mode change or stop: a parameter never causes motion, and a motion in progress keeps its
+/* Apply the limits written in this tick. Lower limits apply immediately; higher limits, and any new acceleration,
+ * with the next set-point, mode change or stop: a parameter never causes motion, and a motion in progress keeps its
  * acceleration. */
 void limits_tighten(axis_t *axis);
 

@@ -15,8 +15,8 @@ static inline bool monitor_fault_possible(const axis_t *axis)
            hal_over_current_active(axis->hal, axis->index) || axis->latch.captured != 0U;
 }
 
-/* Fill the observation; monitors of current measurement, heat sink, winding and phases. Currents, set-points and angle are
- * those of the last period, because the fast loop of this period runs later. */
+/* Fill the observation; monitors of current measurement, heat sink, winding and phases. Currents, set-points and
+ * angle are those of the last period, because the fast loop of this period runs later. */
 void monitor_currents(axis_t *axis);
 
 /* Monitors of encoder and angle with the same observation; raises the findings of both functions together, so that the

@@ -28,8 +28,8 @@ void motion_step(axis_t *axis);
 /* Homing: rotate at a constant speed, within the limits. Applies the written limits at its start. */
 void motion_home(axis_t *axis, frac32_t speed);
 
-/* Homing: constant current against a stop. A speed controller would chatter, because the M/T method converts every count
- * of dither to a speed. */
+/* Homing: constant current against a stop. A speed controller would chatter, because the M/T method converts every
+ * count of dither to a speed. */
 void motion_press(axis_t *axis, frac16_t i_q);
 
 /* Limit switch reached: end a trajectory with a stop. */

@@ -367,7 +367,8 @@ static void judge_observer(axis_t *axis)
     }
     const bool lost = estimate->reliability.failures > axis->config->reliability.hysteresis;
     const bool stands = sensorless_estimate_standstill_ticks(axis) > axis->config->emf_check.ticks_stand;
-    if (emf_check_confirmed(&estimate->check, estimate->deviates, axis->config->emf_check.ticks_spin) || lost || stands) {
+    if (emf_check_confirmed(&estimate->check, estimate->deviates, axis->config->emf_check.ticks_spin) || lost ||
+        stands) {
         axis_raise(axis, FOUND(FINDING_OBSERVER_LOST));
     }
 }

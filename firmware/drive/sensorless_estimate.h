@@ -27,8 +27,8 @@ void sensorless_estimate_clear_checks(axis_t *axis);
 frac16_t sensorless_estimate_emf_at(const axis_t *axis, frac32_t speed);
 
 /* Number of consecutive slow ticks with a speed below half of the minimum observable speed or with the wrong sign. A
- * reversal includes a standstill, so it counts as standstill. This also detects a blocked rotor that oscillates, whose PLL
- * would otherwise keep running. */
+ * reversal includes a standstill, so it counts as standstill. This also detects a blocked rotor that oscillates,
+ * whose PLL would otherwise keep running. */
 uint16_t sensorless_estimate_standstill_ticks(axis_t *axis);
 
 #endif

@@ -1,10 +1,12 @@
-/* sensorless_startup.h - from rest to a speed at which the observer works (ST slides "起动策略", "起动成功的判据").
+/* sensorless_startup.h - start-up from rest to the minimum speed of the observer (ST slides "起动策略", "起动成功的判据").
  *
- * CATCH: the current is controlled to zero and the back-EMF of a rotating shaft is observed.
- * TRACK: the PLL locks.
- * PROVE: at zero current, dead time and switch drops can imitate a back-EMF, so i_d is applied; only a true back-EMF remains.
- * RAMP: a shaft at rest is accelerated by a current vector of ramped amplitude and frequency. The rotor oscillates about the
- * vector with little damping; a current in quadrature, proportional to the quadrature back-EMF, damps it.
+ *   CATCH  The current is controlled to zero, and the back-EMF of a rotating shaft is observed.
+ *   TRACK  The PLL locks.
+ *   PROVE  At zero current, dead time and switch drops can imitate a back-EMF, so i_d is applied; only a true back-EMF
+ *          remains.
+ *   RAMP   A shaft at rest is accelerated by a current vector of ramped amplitude and frequency. The rotor oscillates
+ *          about the vector with little damping; a current in quadrature, proportional to the quadrature back-EMF,
+ *          damps it.
  */
 #ifndef SERVO_DRIVE_SENSORLESS_STARTUP_H
 #define SERVO_DRIVE_SENSORLESS_STARTUP_H
@@ -12,8 +14,8 @@
 #include "drive/axis_data.h"
 
 typedef enum {
-    STARTUP_RUNS,   /* in progress */
-    STARTUP_DONE,   /* the estimate of angle and speed is valid */
+    STARTUP_RUNS, /* in progress */
+    STARTUP_DONE, /* the estimate of angle and speed is valid */
     STARTUP_FAILED, /* time-out of the ramp */
 } startup_result_t;
 

@@ -1,7 +1,7 @@
 /* soft_limits.h - soft position limits, and the speed limit near them (FEATURE_POSITION_LIMITS).
  *
- * Extension of the reference design. A limit never causes motion: if the shaft is already beyond it, only further motion in
- * that direction is blocked.
+ * Extension of the reference design. A limit never causes motion: if the shaft is already beyond it, only further
+ * motion in that direction is blocked.
  */
 #ifndef SERVO_DRIVE_SOFT_LIMITS_H
 #define SERVO_DRIVE_SOFT_LIMITS_H
@@ -31,7 +31,8 @@ static inline bool soft_limits_given(const axis_t *axis)
 /* `target`, limited to the soft limits. */
 int32_t soft_limits_inside(const axis_t *axis, int32_t target);
 
-/* Target of the motion, limited to the soft limits, or to the stopping position of the path if that is beyond a limit. */
+/* Target of the motion, limited to the soft limits, or to the stopping position of the path if that is beyond a
+ * limit. */
 int32_t soft_limits_target(const axis_t *axis);
 
 #endif

@@ -1,5 +1,5 @@
-/* speed_control.h - speed and torque control: i_q* within the limits of motor, bus and speed (DRM 2.5). All functions set i_d* in
- * `axis->current_ref`. */
+/* speed_control.h - speed and torque control: i_q* within the limits of motor, bus and speed (DRM 2.5). All
+ * functions set i_d* in `axis->current_ref`. */
 #ifndef SERVO_DRIVE_SPEED_CONTROL_H
 #define SERVO_DRIVE_SPEED_CONTROL_H
 
@@ -8,7 +8,8 @@
 /* Speed control to `motion.speed_ref`. Returns i_q*. */
 frac16_t speed_control(axis_t *axis);
 
-/* Bumpless change to gains and feed-forward of `config`, before it takes effect: the integrator compensates the change. */
+/* Bumpless change to gains and feed-forward of `config`, before it takes effect: the integrator compensates the
+ * change. */
 void speed_control_retune(axis_t *axis, const axis_config_t *config);
 
 /* Torque control within the speed limits. Returns i_q*. */

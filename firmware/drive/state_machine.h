@@ -1,7 +1,7 @@
 /* state_machine.h - the main state machine of one axis (DRM 4.4, F36).
  *
- * FAULT -> INIT -> STOP <-> RUN, controlled by flags; each transition has a function, called before the state changes. One
- * implementation for all axes.
+ * FAULT -> INIT -> STOP <-> RUN, controlled by flags; each transition has a function, called before the state changes.
+ * One implementation for all axes.
  */
 #ifndef SERVO_DRIVE_STATE_MACHINE_H
 #define SERVO_DRIVE_STATE_MACHINE_H

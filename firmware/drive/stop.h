@@ -1,7 +1,7 @@
 /* stop.h - stop categories for disable, quick stop and faults.
  *
- * A category that is not possible is replaced by the next harsher one: hold -> ramp -> short -> coast. During a stop only a
- * harsher category is accepted.
+ * A category that is not possible is replaced by the next harsher one: hold -> ramp -> short -> coast. During a stop
+ * only a harsher category is accepted.
  */
 #ifndef SERVO_DRIVE_STOP_H
 #define SERVO_DRIVE_STOP_H
@@ -20,8 +20,8 @@ bool stop_is_controllable(const axis_t *axis);
 /* True if the windings may be shorted at this speed. */
 bool stop_may_short(const axis_t *axis);
 
-/* One slow tick of a stop in SPIN. Returns STOP_CATEGORY_COAST: outputs off now; STOP_CATEGORY_SHORT: short the windings now;
- * otherwise: continue the deceleration or position hold. */
+/* One slow tick of a stop in SPIN. Returns STOP_CATEGORY_COAST: outputs off now; STOP_CATEGORY_SHORT: short the
+ * windings now; otherwise: continue the deceleration or position hold. */
 stop_category_t stop_step(axis_t *axis);
 
 /* One slow tick of shorted windings: true if the short must end. */

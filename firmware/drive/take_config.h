@@ -7,8 +7,8 @@
 /* True if any member may change: the axis is at rest with its outputs off. */
 bool axis_takes_any_config(const axis_t *axis);
 
-/* Use `config`, which must stay valid. Bumpless in motion: integrators compensate the change of the other terms; position
- * gain and path filter approach their new values. */
+/* Use `config`, which must stay valid. Bumpless in motion: integrators compensate the change of the other terms;
+ * position gain and path filter approach their new values. */
 void axis_take_config(axis_t *axis, const axis_config_t *config);
 
 #endif

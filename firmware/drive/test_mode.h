@@ -4,8 +4,8 @@
 
 #include "drive/axis_data.h"
 
-/* True if mode TEST is requested and permitted: the axis has an encoder (to observe the motion) and no holding brake (an
- * imposed vector cannot hold its load). */
+/* True if mode TEST is requested and permitted: the axis has an encoder (to observe the motion) and no holding brake
+ * (an imposed vector cannot hold its load). */
 bool test_mode_wanted(const axis_t *axis);
 
 /* Begin with zero current at angle 0. */

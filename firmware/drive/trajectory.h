@@ -50,8 +50,8 @@ void trajectory_put(trajectory_t *t, trajectory_point_t point, bool replace);
 /* Newest point before a tick, queued or `end`; NULL if there is none. */
 const trajectory_point_t *trajectory_before(const trajectory_t *t, uint32_t tick);
 
-/* Compute the reference of the slow tick `tick`. `present`: state at the previous slow tick, start of a segment that does not
- * continue another one. */
+/* Compute the reference of the slow tick `tick`. `present`: state at the previous slow tick, start of a segment that
+ * does not continue another one. */
 void trajectory_step(trajectory_t *t, const axis_config_t *config, hermite_state_t present, uint32_t tick);
 
 /* Position of a point, nearest to `near` modulo 2^32 counts; counts with 24 fraction bits. */

@@ -1,7 +1,7 @@
 /* hal.h - hardware abstraction layer: ADC codes, duty cycles, timer counts, captures, bytes.
  *
- * One port per board implements these functions (MC56F84789 with registers, virtual board with a motor model). Each function has
- * the board as its first parameter, so that one process can contain many boards.
+ * One port per board implements these functions (MC56F84789 with registers, virtual board with a motor model). Each
+ * function has the board as its first parameter, so that one process can contain many boards.
  *
  * A port calls these entry points of the application (app/servo.h) at the instants of DRM F34:
  *   servo_m1_isr      t1, after the three conversions of motor 1
@@ -73,16 +73,16 @@ void hal_over_current_clear(hal_t *hal, uint16_t axis);
 
 /* ---- switches and holding brake ---------------------------------------------------------------------------------- */
 
-/* Digital inputs of an axis, after polarity: 1 is active. Limit switches and enable input are closed in normal operation, so a
- * broken wire gives the safe state. */
+/* Digital inputs of an axis, after polarity: 1 is active. Limit switches and enable input are closed in normal
+ * operation, so a broken wire gives the safe state. */
 #define HAL_INPUT_HOME UINT16_C(1)      /* closed: the shaft is in the range of the home switch */
 #define HAL_INPUT_LIMIT_MIN UINT16_C(2) /* open: the end of the travel is reached */
 #define HAL_INPUT_LIMIT_MAX UINT16_C(4)
 #define HAL_INPUT_ENABLE UINT16_C(8) /* closed without interruption since the last hal_enable_input */
 uint16_t hal_inputs(hal_t *hal, uint16_t axis);
 
-/* `used`: an open enable input of `axis` opens the six switches in hardware, until the next call of this function with a closed
- * input. Must not be called in RUN. */
+/* `used`: an open enable input of `axis` opens the six switches in hardware, until the next call of this function
+ * with a closed input. Must not be called in RUN. */
 void hal_enable_input(hal_t *hal, uint16_t axis, bool used);
 
 /* Coil of the holding brake of `axis`; without current, and in reset, the brake is closed. */
@@ -120,9 +120,9 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis);
 
 /* ---- data flash ------------------------------------------------------------------------------------------------- */
 
-/* Non-volatile memory: sectors of 32-bit words. An erase sets all bits of a sector to 1; then each word can be programmed once.
- * One command at a time. During a command, and after a power failure in it, the contents of the sector or word are undefined;
- * the data flash cannot be read during a command. */
+/* Non-volatile memory: sectors of 32-bit words. An erase sets all bits of a sector to 1; then each word can be
+ * programmed once. One command at a time. During a command, and after a power failure in it, the contents of the
+ * sector or word are undefined; the data flash cannot be read during a command. */
 #define HAL_FLASH_SECTORS 4U
 #define HAL_FLASH_SECTOR_WORDS 256U
 
@@ -155,8 +155,8 @@ bool hal_serial_put(hal_t *hal, uint8_t byte);
 /* End of the fast loop of `axis`. A loop is late if its duties are set after the instant of their loading. */
 void hal_duties_done(hal_t *hal, uint16_t axis);
 
-/* Number of late loops since reset plus two per omitted pair of loops (M1 and M2), modulo 65536. A single omitted loop is not
- * counted here; the application detects it by the order of its entry points. */
+/* Number of late loops since reset plus two per omitted pair of loops (M1 and M2), modulo 65536. A single omitted
+ * loop is not counted here; the application detects it by the order of its entry points. */
 uint16_t hal_late_loops(hal_t *hal);
 
 /* Number of received bytes lost since reset, modulo 65536. */

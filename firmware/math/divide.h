@@ -1,4 +1,5 @@
-/* divide.h - division of 64 bits by 16, with three 32-bit divisions; a general 64-bit library division takes one kilobyte. */
+/* divide.h - division of 64 bits by 16, with three 32-bit divisions; a general 64-bit library division takes one
+ * kilobyte. */
 #ifndef SERVO_MATH_DIVIDE_H
 #define SERVO_MATH_DIVIDE_H
 

@@ -1,7 +1,7 @@
 /* frac.h - Q1.15 and Q1.31 fractions with the rounding and saturation of the DSC's arithmetic unit.
  *
- * frac16_t is raw / 2^15, frac32_t is raw / 2^31; range [-1, 1). Independent of the width of `int`: operands are widened
- * before a product, and negative numbers are shifted right with asr32 and asr64.
+ * frac16_t is raw / 2^15, frac32_t is raw / 2^31; range [-1, 1). Independent of the width of `int`: operands are
+ * widened before a product, and negative numbers are shifted right with asr32 and asr64.
  */
 #ifndef SERVO_MATH_FRAC_H
 #define SERVO_MATH_FRAC_H
@@ -25,8 +25,8 @@ typedef int32_t gain_t;
 
 static inline int64_t asr64(int64_t x, unsigned n) { return (x < 0) ? ~(~x >> n) : (x >> n); }
 
-/* Saturate to 32 bits: no overflow if the upper half is the sign extension of the lower half. In this form compilers use
- * 32-bit operations. */
+/* Saturate to 32 bits: no overflow if the upper half is the sign extension of the lower half. In this form compilers
+ * use 32-bit operations. */
 static inline int32_t sat32(int64_t x)
 {
     const uint32_t high = (uint32_t)((uint64_t)x >> 32);

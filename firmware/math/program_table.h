@@ -1,5 +1,5 @@
-/* program_table.h - PROGRAM_TABLE: constant table in program memory, used in place of `const`. Interrupts may read it while
- * the data flash is being written. Some processors cannot address it with a data pointer: read it with
+/* program_table.h - PROGRAM_TABLE: constant table in program memory, used in place of `const`. Interrupts may read
+ * it while the data flash is being written. Some processors cannot address it with a data pointer: read it with
  * program_table_copy(). */
 #ifndef SERVO_MATH_PROGRAM_TABLE_H
 #define SERVO_MATH_PROGRAM_TABLE_H

@@ -1,7 +1,7 @@
 /* saturate.h - saturation to 16 bits.
  *
- * Cortex-M shifts and saturates in one instruction (SSAT, USAT), which compilers rarely generate from C. The assembly code is
- * bit-identical to the C code (`make targets`).
+ * Cortex-M shifts and saturates in one instruction (SSAT, USAT), which compilers rarely generate from C. The assembly
+ * code is bit-identical to the C code (`make targets`).
  */
 #ifndef SERVO_MATH_SATURATE_H
 #define SERVO_MATH_SATURATE_H

@@ -1,7 +1,8 @@
 /* emf_check.h - compares the observed back-EMF with (0, omega psi_m) in the frame of a given angle.
  *
- * An angle error rotates the back-EMF, a speed error changes its amplitude. Detects: wrong encoder offset, dead encoder, and
- * an oscillating rotor whose observed speed looks valid (not detected by the variance criterion of the ST document).
+ * An angle error rotates the back-EMF, a speed error changes its amplitude. Detects: wrong encoder offset, dead
+ * encoder, and an oscillating rotor whose observed speed looks valid (not detected by the variance criterion of the ST
+ * document).
  */
 #ifndef SERVO_SENSING_EMF_CHECK_H
 #define SERVO_SENSING_EMF_CHECK_H
@@ -29,16 +30,16 @@ void emf_check_reset(emf_check_t *check);
 /* `emf` - (0, expected), in the frame of the angle to be checked. */
 static inline dq_t emf_check_deviation(dq_t emf, frac16_t expected) { return (dq_t){emf.d, f16_sub(emf.q, expected)}; }
 
-/* True if the deviation exceeds the sum of the tolerances: `floor`, the part of the expected back-EMF, and the resistance
- * error at this current. */
+/* True if the deviation exceeds the sum of the tolerances: `floor`, the part of the expected back-EMF, and the
+ * resistance error at this current. */
 bool emf_check_deviates(const emf_check_config_t *config, frac16_t floor, dq_t deviation, frac16_t expected,
                         frac16_t current);
 
 /* Low-pass filter of the deviation, longer than an oscillation of the rotor: time constant 32 slow ticks. */
 dq_t emf_check_filter(emf_check_t *check, dq_t deviation);
 
-/* True if the filtered deviation exceeds the fraction `part` of the expected back-EMF, without the tolerances for current
- * and dead time: the back-EMF may be missing. */
+/* True if the filtered deviation exceeds the fraction `part` of the expected back-EMF, without the tolerances for
+ * current and dead time: the back-EMF may be missing. */
 bool emf_check_emf_missing(const emf_check_t *check, const emf_check_config_t *config, frac16_t expected);
 
 /* One slow tick: true after more than `max` slow ticks with deviation, minus slow ticks without. */

@@ -20,8 +20,8 @@ typedef struct {
     int32_t integral; /* sum of wrapped differences, counts; cross-check of `position` */
 } encoder_t;
 
-/* Mechanical angle, 2^32 is one turn. The counter is a two's complement number; its product with 2^32 / counts wraps like
- * the angle, as F12 requires of the 16-bit product without saturation. */
+/* Mechanical angle, 2^32 is one turn. The counter is a two's complement number; its product with 2^32 / counts wraps
+ * like the angle, as F12 requires of the 16-bit product without saturation. */
 static inline uint32_t encoder_angle32(const encoder_config_t *config, uint16_t count)
 {
     return (uint32_t)(int32_t)(int16_t)count * config->angle_per_count;

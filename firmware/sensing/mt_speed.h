@@ -25,8 +25,9 @@ void mt_speed_reset(mt_speed_t *mt);
 void mt_speed_edge(mt_speed_t *mt, const mt_speed_config_t *config, const encoder_config_t *encoder,
                    edge_capture_t capture);
 
-/* One slow loop, before the next edge is armed; `age`: time since the last latched edge (hal_edge_age). Enhanced method: the
- * interval is extended to `age` (F19); plain method: the speed is constant until the timer overflows (F18). */
+/* One slow loop, before the next edge is armed; `age`: time since the last latched edge (hal_edge_age). Enhanced
+ * method: the interval is extended to `age` (F19); plain method: the speed is constant until the timer overflows
+ * (F18). */
 void mt_speed_slow(mt_speed_t *mt, uint32_t age, bool enhanced);
 
 #endif

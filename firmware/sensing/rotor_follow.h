@@ -2,8 +2,9 @@
  *
  * The vector is rotated by a known angle and back. Voltage across the vector:
  *   u = omega L I + psi_m cos(delta) d(theta_e)/dt      (delta: angle between rotor and vector)
- * R I and most of the dead-time error are along the vector. With a blocked rotor only omega L I remains, which is known and
- * subtracted; a rotor that follows or oscillates changes the flux linkage across the vector by psi_m times its rotation.
+ * R I and most of the dead-time error are along the vector. With a blocked rotor only omega L I remains, which is known
+ * and subtracted; a rotor that follows or oscillates changes the flux linkage across the vector by psi_m times its
+ * rotation.
  */
 #ifndef SERVO_SENSING_ROTOR_FOLLOW_H
 #define SERVO_SENSING_ROTOR_FOLLOW_H
@@ -14,7 +15,7 @@ typedef struct {
     uint16_t ticks;     /* slow ticks of the rotation, and of the rotation back */
     uint16_t step;      /* angle per slow tick, 2^16 is one turn */
     frac16_t inductive; /* omega L I, Q1.15 of full-scale voltage */
-    int32_t flux_min; /* span of the flux linkage above which the rotor has moved: Q1.15 voltage summed over PWM periods */
+    int32_t flux_min; /* span of the flux linkage of a moved rotor: Q1.15 voltage summed over PWM periods */
 } rotor_follow_config_t;
 
 typedef struct {

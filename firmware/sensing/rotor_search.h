@@ -7,8 +7,8 @@
  * reverse order with negative current, which stops the shaft after about the same distance, independent of the inertia;
  * friction shortens it.
  *
- * VERIFY: at full current the vector is rotated to both sides until the shaft follows. This eliminates friction and detects an
- * end stop, which twitches do not, and a reversed encoder, with which the shaft runs away from the vector.
+ * VERIFY: at full current the vector is rotated to both sides until the shaft follows. This eliminates friction and
+ * detects an end stop, which twitches do not, and a reversed encoder, with which the shaft runs away from the vector.
  *
  * TURN: if nothing moves at full current, the voltage during a wide rotation distinguishes a blocked shaft from a dead
  * encoder (rotor_follow.h).
@@ -35,17 +35,17 @@ typedef struct {
 #define ROTOR_SEARCH_NO_CURRENT_MAX UINT16_C(64) /* PWM periods: 4 ms */
 
 typedef enum {
-    ROTOR_SEARCH_PULL,        /* growing current at theta_M */
-    ROTOR_SEARCH_DECELERATE,  /* decreasing negative current */
-    ROTOR_SEARCH_REST,        /* current ramp to zero, then shorted windings until standstill */
-    ROTOR_SEARCH_VERIFY,      /* rotation of the vector: the shaft must follow */
-    ROTOR_SEARCH_TURN,        /* no movement at full current: wide rotation, evaluated by the voltage */
-    ROTOR_SEARCH_FOUND,       /* done */
+    ROTOR_SEARCH_PULL, /* growing current at theta_M */
+    ROTOR_SEARCH_DECELERATE, /* decreasing negative current */
+    ROTOR_SEARCH_REST, /* current ramp to zero, then shorted windings until standstill */
+    ROTOR_SEARCH_VERIFY, /* rotation of the vector: the shaft must follow */
+    ROTOR_SEARCH_TURN, /* no movement at full current: wide rotation, evaluated by the voltage */
+    ROTOR_SEARCH_FOUND, /* done */
     ROTOR_SEARCH_NO_MOVEMENT, /* failed: the rotor does not move, or not far enough */
-    ROTOR_SEARCH_NO_COUNT,    /* failed: the rotor moves, the encoder does not count */
-    ROTOR_SEARCH_REVERSED,    /* failed: the encoder counts in the wrong direction */
-    ROTOR_SEARCH_NO_CURRENT,  /* failed: no current flows */
-    ROTOR_SEARCH_HOLD,        /* search with a holding brake: rotor_hold.h */
+    ROTOR_SEARCH_NO_COUNT, /* failed: the rotor moves, the encoder does not count */
+    ROTOR_SEARCH_REVERSED, /* failed: the encoder counts in the wrong direction */
+    ROTOR_SEARCH_NO_CURRENT, /* failed: no current flows */
+    ROTOR_SEARCH_HOLD, /* search with a holding brake: rotor_hold.h */
 } rotor_search_phase_t;
 
 typedef struct {
@@ -56,11 +56,11 @@ typedef struct {
     frac16_t vector; /* angle of the current vector, Q1.15 of pi */
     frac32_t current; /* Ip along the vector, negative in DECELERATE; Q1.31 of full-scale current */
     frac32_t brake_current; /* DECELERATE: Ip after the reversal, Q1.31 of full-scale current */
-    frac32_t reversal_step; /* DECELERATE: change of Ip per slow tick during the reversal, Q1.31 of full-scale current */
+    frac32_t reversal_step; /* DECELERATE: change of Ip per slow tick in the reversal, Q1.31 of full-scale current */
     bool current_decaying; /* REST: the current is still controlled, to zero */
     int32_t origin; /* position at the start of this pull or rotation, counts */
     int32_t last_position; /* position of the previous slow tick, counts */
-    int32_t reference_position; /* REST: movement is a deviation by more than one count; VERIFY: start of the rotation */
+    int32_t reference_position; /* REST: a movement leaves it by more than one count; VERIFY: start of the rotation */
     uint32_t ticks_without_movement; /* slow ticks since the count left `reference_position` */
     uint32_t ticks_at_limit; /* slow ticks at the largest Ip */
     uint16_t timer; /* slow ticks without another count */
@@ -68,7 +68,7 @@ typedef struct {
     uint16_t searches; /* number of pulls */
     int16_t direction; /* direction of the last twitch, or of the rotation in VERIFY: -1, 1; 0: no movement */
     bool follows; /* VERIFY: the shaft has followed this rotation */
-    frac16_t lead_angle; /* VERIFY: lead of the vector over the assumed rotor angle when the shaft followed, Q1.15 of pi */
+    frac16_t lead_angle; /* VERIFY: lead over the assumed rotor angle when the shaft followed, Q1.15 of pi */
     bool verified; /* VERIFY: the shaft has returned; found as soon as it rests */
     uint16_t runaways; /* times that the shaft ran away from the assumed position */
     uint16_t verify_failures; /* times that the shaft did not follow in VERIFY, or moved only in TURN */

@@ -1,15 +1,17 @@
 /* speed_observer.h - observer of the speed from encoder count and current.
  *
- * Extension of the reference design. Near standstill the M/T speed is as old as the last edge, tens of milliseconds, and a
- * speed loop with a bandwidth of tens of hertz oscillates. The observer integrates the acceleration by the current. The
- * count is a quantised measurement: no correction while the estimated position is within the present count.
+ * Extension of the reference design. Near standstill the M/T speed is as old as the last edge, tens of milliseconds,
+ * and a speed loop with a bandwidth of tens of hertz oscillates. The observer integrates the acceleration by the
+ * current. The count is a quantised measurement: no correction while the estimated position is within the present
+ * count.
  */
 #ifndef SERVO_SENSING_SPEED_OBSERVER_H
 #define SERVO_SENSING_SPEED_OBSERVER_H
 
 #include "math/frac.h"
 
-/* Fraction bits of positions [counts], speeds [counts per slow tick] and accelerations [counts per slow tick squared]. */
+/* Fraction bits of positions [counts], speeds [counts per slow tick] and accelerations [counts per slow tick
+ * squared]. */
 #define SPEED_OBSERVER_BITS 22
 
 typedef struct {

@@ -20,9 +20,9 @@ typedef struct {
 
 typedef struct {
     frac16_t speed[SPEED_RELIABILITY_SIZE]; /* Q1.15 of full-scale speed */
-    uint16_t next;   /* index of the oldest entry */
+    uint16_t next; /* index of the oldest entry */
     uint16_t filled; /* valid entries */
-    uint16_t ticks;  /* slow ticks since the last entry */
+    uint16_t ticks; /* slow ticks since the last entry */
     int32_t sum; /* sum of the speeds, Q1.15 */
     int64_t squares; /* sum of the squared speeds, 30 fraction bits */
     uint16_t failures; /* consecutive unreliable results */
