@@ -83,7 +83,7 @@ typedef struct {
     stop_config_t stop;
     /* Highest speed at which the copper losses at full current exceed the braking power, Q1.31 of full-scale speed. */
     frac32_t regeneration_speed;
-    /* Largest -i_d during the derating of the braking current, for additional losses; Q1.15 of full-scale current. */
+    /* Largest -i_d during the derating of the braking current, for additional losses, Q1.15 of full-scale current. */
     frac16_t copper_current;
     field_weakening_config_t field_weakening;
     home_config_t home;

@@ -40,7 +40,7 @@ typedef struct {
     bool direction_changed; /* the voltage has rotated by more than an eighth of a turn since then */
     bool direction_was_constant; /* the direction was constant for longer than that of a back-EMF */
 
-    /* test current: does it flow? */
+    /* test current */
     uint8_t test_ticks; /* slow ticks since the test current was requested; 0: no test */
     bool along_q; /* test current on the q axis, otherwise on the d axis */
     bool negative_q; /* negative test current, because i_q* may be at its limit */

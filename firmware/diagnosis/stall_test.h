@@ -24,7 +24,7 @@ typedef struct {
     bool running; /* the test is in progress */
     bool second_side; /* rotation to -phi_max */
     bool mirrored; /* the shaft has moved, and the vector has been mirrored */
-    bool with_torque; /* that movement was in the direction of the commanded torque */
+    bool with_torque; /* the movement was in the direction of the commanded torque */
     bool positive_torque; /* sign of the commanded torque */
     frac16_t phi; /* angle of the vector relative to the q axis of the encoder, Q1.15 of pi */
     int32_t origin; /* position at the start of the rotation or of the mirrored part, counts */

@@ -132,7 +132,7 @@ typedef struct axis {
     uint16_t index; /* 0, 1: axis1, axis2 */
 
     sm_t sm;
-    substate_t substate; /* of STATE_RUN */
+    substate_t substate; /* sub-state of STATE_RUN */
     axis_loop_t fast; /* variant of the fast loop: LOOP_FAST, LOOP_OBSERVED or LOOP_TEST_SIGNAL */
 
     axis_command_t command;
