@@ -17,7 +17,7 @@ FULL16 = st.integers(-32768, 32767)
 
 
 class Model:
-    """The equations of observer.h in floating point, from the constants as the firmware has them."""
+    """The equations of back_emf_observer.h in floating point, from the constants as the firmware has them."""
 
     def __init__(self, config: Any, step: int) -> None:
         c = config

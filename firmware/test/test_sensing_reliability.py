@@ -195,7 +195,7 @@ def test_a_rotor_that_swings_fools_the_variance_but_not_the_back_emf(
 
 @pytest.mark.parametrize(("amplitude", "swing"), [(0.2, 150.0), (0.2, 250.0), (0.5, 400.0)])
 def test_a_pll_that_is_told_the_size_gets_nowhere_with_it(core: Core, amplitude: float, swing: float) -> None:
-    """The mean speed is next to nothing, which is what counts as standing (estimate.c)."""
+    """The mean speed is next to nothing, which is what counts as standing (sensorless_estimate.c)."""
     rig = Rig(core)
     it = rig.estimator
     it.start(0.0, swing)
