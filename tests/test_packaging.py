@@ -381,25 +381,25 @@ class Workspace:
         return ended.stdout.strip()
 
 
-def build_workspace(folder: Path, *options: str) -> Workspace:
-    """A copy of the checkout, built with options of ``colcon build``."""
+@pytest.fixture(scope="module")
+def workspace(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    """A clean copy of the checkout, built with the options of ``colcon build`` that a test gives as parameter.
+
+    Every workspace is in one place, where the compiler cache has what does not differ.
+    """
     colcon = Path(sys.prefix) / "bin" / "colcon"
     if not colcon.exists() or shutil.which("cmake") is None:
         pytest.skip("colcon or cmake is missing")
+    folder = tmp_path_factory.getbasetemp() / "workspace"
+    shutil.rmtree(folder, ignore_errors=True)
     for name in git_files():
         (folder / "src" / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, folder / "src" / name)
     # Quick to compile; no test runs it for long.
     environment = {**clean_environment(), "SERVO_TWIN_FLAGS": "-O0 -g0 -fno-lto"}
-    build = run(colcon, "build", *options, cwd=folder, env=environment)
+    build = run(colcon, "build", *(getattr(request, "param", None) or ()), cwd=folder, env=environment)
     assert build.returncode == 0, build.stdout + build.stderr
     return Workspace(folder)
-
-
-@pytest.fixture(scope="module")
-def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
-    """What a plain ``colcon build`` makes."""
-    return build_workspace(tmp_path_factory.mktemp("workspace"))
 
 
 @pytest.fixture
@@ -411,7 +411,9 @@ def pytest_of_ubuntu(prefix: Path) -> dict[str, str]:
     return {"PYTHONPATH": str(folder), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
 
 
-def check_build(workspace: Workspace) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize("workspace", [["--symlink-install"], None], indirect=True, ids=["links", "copies"])
+def test_colcon_builds_the_checkout(workspace: Workspace) -> None:
     """Executables are in place and run, and the compiled board is that of the workspace."""
     install = workspace.folder / "install"
     for package, name in EXECUTABLE_NAMES:
@@ -423,11 +425,6 @@ def check_build(workspace: Workspace) -> None:
     assert tool.returncode == 0, tool.stderr
 
 
-@pytest.mark.slow
-def test_colcon_builds_the_checkout(workspace: Workspace) -> None:
-    check_build(workspace)
-
-
 def test_colcon_finds_the_packages_of_the_project_and_no_other(prefix: Path) -> None:
     """A package of the tests would hide the one of that name in the ROS installation."""
     colcon = prefix / "bin" / "colcon"
@@ -436,12 +433,6 @@ def test_colcon_finds_the_packages_of_the_project_and_no_other(prefix: Path) -> 
     found = run(colcon, "--log-base", os.devnull, "list", "--names-only", "--base-paths", ROOT)
     assert found.returncode == 0, found.stderr
     assert sorted(found.stdout.split()) == sorted([*PACKAGES, "servo_firmware"])
-
-
-@pytest.mark.slow
-def test_colcon_builds_with_links_to_the_checkout(tmp_path: Path) -> None:
-    """Files that a build makes must not come from an earlier one, hence a clean copy of the checkout."""
-    check_build(build_workspace(tmp_path, "--symlink-install"))
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ Where a function is called by a pointer, `POINTERS` says what that may hold; one
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -159,10 +160,11 @@ def missing_tools() -> list[str]:
 
 def _compile(compiler: Sequence[str], options: Sequence[str], folder: Path, files: Iterable[Path]) -> list[Path]:
     objects = []
+    environment = {**os.environ, "CCACHE_DISABLE": "1"}  # ccache keeps the objects without the call graphs
     for path in files:  # two folders may have files of one name
         objects.append(folder / f"{path.parent.name}_{path.stem}.o")
         command = [*compiler, "-std=c99", f"-I{FIRMWARE}", *options, "-c", str(path), "-o", str(objects[-1])]
-        subprocess.run(command, check=True)
+        subprocess.run(command, env=environment, check=True)
     return objects
 
 

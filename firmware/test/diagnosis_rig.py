@@ -70,7 +70,7 @@ class Diagnosis:
     def sensor(self, phase: int, code: int, *, zero: int = 2048) -> set[str]:
         samples = self.ffi.new("idle_sample_t[2]", [(phase, code, zero, True), (0, 0, 0, False)])
         self.evidence[0] = self.ffi.new("evidence_t *")[0]
-        monitor = self.ffi.addressof(self.monitors, "sensor")
+        monitor = self.ffi.addressof(self.monitors, "current_sense")
         self.lib.current_sense_monitor_step(monitor, samples, self.seen.switching, self.evidence)
         return self.names()
 
@@ -88,7 +88,7 @@ class Diagnosis:
     def heat(self, hot: int, cool: int, code: int) -> set[str]:
         self.seen.temperature = code
         return self._step(
-            self.lib.heat_sink_monitor_step, "heat", self.ffi.new("heat_sink_monitor_config_t *", (hot, cool))
+            self.lib.heat_sink_monitor_step, "heat_sink", self.ffi.new("heat_sink_monitor_config_t *", (hot, cool))
         )
 
     def shaft(self, **config: int) -> set[str]:

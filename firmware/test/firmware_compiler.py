@@ -17,6 +17,9 @@ FIRMWARE = Path(__file__).resolve().parents[1]
 TEST = FIRMWARE / "test"
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror")
 
+SANITIZED = ("-fsanitize=undefined", "-fno-sanitize-recover=all")
+"""Undefined behaviour ends the process; with ``pytest -s`` its place is printed."""
+
 Sources = Sequence["str | Path"]
 
 
@@ -54,21 +57,22 @@ def defined(defines: Sequence[str]) -> list[str]:
 
 
 class CompileC:
-    """``compile_c``: equal requests share one build."""
+    """``compile_c``: equal requests share one build, which checks for undefined behaviour."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
+        self._compiler = os.environ.get("CC", "gcc")
+        self._sanitized = SANITIZED if has_library(self._compiler, "libubsan.so") else ()
         self._loaded: dict[tuple[object, ...], tuple[cffi.FFI, Any]] = {}
 
     def __call__(self, name: str, sources: Sources, cdef: str, defines: Sequence[str] = ()) -> tuple[cffi.FFI, Any]:
         key = (name, tuple(map(str, sources)), cdef, tuple(defines))
         if key not in self._loaded:
             extra = os.environ.get("FIRMWARE_CFLAGS", "").split()  # coverage, for example
-            options = ["-O1", "-g", "-fPIC", *extra, *defined(defines)]
+            options = ["-O1", "-g", "-fPIC", *self._sanitized, *extra, *defined(defines)]
             output = self._folder / f"lib{name}_{len(self._loaded)}.so"
-            compiler = os.environ.get("CC", "gcc")
-            objects = compile_objects(output.with_suffix(""), sources, options, compiler)
-            path = run_compiler(output, objects, [*options, "-shared"], compiler)
+            objects = compile_objects(output.with_suffix(""), sources, options, self._compiler)
+            path = run_compiler(output, objects, [*options, "-shared"], self._compiler)
             ffi = cffi.FFI()
             ffi.cdef(cdef)
             self._loaded[key] = (ffi, ffi.dlopen(str(path)))

@@ -189,8 +189,8 @@ def test_directions_are_forgotten_when_15_of_16_ticks_are_too_faint(driven: Diag
     [
         ({}, 40),
         ({"spins": False}, 0),
-        ({"calm": 4}, 0),
-        ({"calm": 4, "sensorless": True}, 40),
+        ({"ticks_without_movement": 4}, 0),
+        ({"ticks_without_movement": 4, "sensorless": True}, 40),
         ({"voltage": (0, 2 * EMF_FLOOR)}, 0),
         ({"voltage": (0, 2 * EMF_FLOOR + 1)}, 40),
         ({"voltage": (0, 6000), "emf": 6000}, 0),
@@ -198,7 +198,7 @@ def test_directions_are_forgotten_when_15_of_16_ticks_are_too_faint(driven: Diag
     ],
 )
 def test_voltage_without_current_for_forty_ticks(driven: Diagnosis, change: dict[str, object], tick: int) -> None:
-    state: dict[str, object] = {"calm": 3, "voltage": (0, 4000), "current_ref": (0, 2000), **change}
+    state: dict[str, object] = {"ticks_without_movement": 3, "voltage": (0, 4000), "current_ref": (0, 2000), **change}
     for name, value in state.items():
         setattr(driven.seen, name, value)
     assert first_tick(lambda _: driven.phase(), "CURRENT_NOT_FOLLOWING", 60) == tick
@@ -356,7 +356,7 @@ def test_voltage_that_dead_time_and_half_of_the_resistance_explain_is_no_back_em
     length = EMF_FLOOR + spinning.seen.drop // 2 + beyond
 
     def step(tick: int) -> set[str]:
-        spinning.monitors.encoder.rest = (0, 0)
+        spinning.monitors.encoder.unexplained_voltage = (0, 0)
         d, q = ((1, 0), (0, 1), (-1, 0), (0, -1))[tick % 4]
         spinning.seen.voltage = (2 * length * d + spinning.seen.drop, 2 * length * q)
         return spinning.encoder()
@@ -420,7 +420,7 @@ def test_voltage_that_has_stood_for_more_than_a_quarter_turn_of_a_back_emf_needs
     for _ in range(12):
         turn(spinning, 0)
         assert spinning.encoder() == NOTHING
-    spinning.monitors.encoder.swept = swept
+    spinning.monitors.encoder.expected_rotation = swept
     turn(spinning, 1, 120.0)
     assert spinning.encoder() == ({"EMF_WITHOUT_COUNT"} if immediate else NOTHING)
     for tick in range(2, 20):
@@ -514,7 +514,7 @@ def test_a_back_emf_elsewhere_for_five_ticks(turning: Diagnosis) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"calm": 1},
+        {"ticks_without_movement": 1},
         {"features": DEAD_TIME},
         {"features": BUS_COMPENSATION},
         {"conducting": 5},
@@ -673,16 +673,16 @@ def test_a_stall_lasts_longer_than_its_ticks(rig: Diagnosis) -> None:
         ({}, 5),
         ({"speed": -6002}, 5),
         ({"speed": 6001}, 0),
-        ({"braked": False}, 0),
-        ({"braked": False, "speed_limit": 5001}, 5),
-        ({"braked": False, "speed_limit": 5002}, 0),
+        ({"decelerated_at_limit": False}, 0),
+        ({"decelerated_at_limit": False, "speed_limit": 5001}, 5),
+        ({"decelerated_at_limit": False, "speed_limit": 5002}, 0),
     ],
 )
 def test_speed_gained_against_the_full_current_or_beyond_the_limit(
     rig: Diagnosis, change: dict[str, object], tick: int
 ) -> None:
     """By more than the margin of 1000 for more than four ticks."""
-    state: dict[str, object] = {"braked": True, "speed_limit": 100000, "speed": 6002, **change}
+    state: dict[str, object] = {"decelerated_at_limit": True, "speed_limit": 100000, "speed": 6002, **change}
     for name, value in state.items():
         setattr(rig.shaft_seen, name, value)
     rig.monitors.shaft.braked_speed = 5001

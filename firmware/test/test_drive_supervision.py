@@ -425,7 +425,7 @@ def test_a_current_that_tests_the_encoder_stays_within_the_limit_of_the_motor(
     bench.slow(2)
     axis = bench.axis(0)
     monitor, before = axis.diagnosis.encoder, axis.current_ref.q
-    monitor.testing, monitor.along_q, monitor.back = 1, along_q, along_q and before > 0
+    monitor.test_ticks, monitor.along_q, monitor.negative_q = 1, along_q, along_q and before > 0
     bench.core.lib.probe_run(bench.servo, PERIODS)
     asked = axis.current_ref.q - before if along_q else axis.current_ref.d
     assert abs(asked) == pytest.approx(amps(0.64), abs=4)

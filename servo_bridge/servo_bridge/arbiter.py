@@ -28,27 +28,13 @@ _NOT_ENABLED = "outputs have not been enabled over this bridge"
 
 @dataclass(frozen=True)
 class AxisStatus:
-    """What the newest telemetry says about one axis.
+    """What the newest telemetry says about one axis."""
 
-    Attributes
-    ----------
-    label : str
-        State in one word, for messages.
-    spinning : bool
-        The axis obeys set-points: RUN/SPIN; without an encoder it starts on one in RUN/READY.
-    faulted : bool
-        FAULT.
-    position : int
-        Where the shaft is [counts], extended past the 32 bits of the board.
-    position_ref : int or None
-        Where it is meant to be, the same; None without ``position_ref`` in the telemetry.
-    """
-
-    label: str
-    spinning: bool
-    faulted: bool = False
-    position: int = 0
-    position_ref: int | None = None
+    label: str  # state in one word, for messages
+    spinning: bool  # accepts set-points: RUN/SPIN; without an encoder a set-point starts the axis in RUN/READY
+    faulted: bool = False  # state FAULT
+    position: int = 0  # of the shaft [counts], extended past the 32 bits of the board
+    position_ref: int | None = None  # its set-point, likewise [counts]; None without ``position_ref`` in the telemetry
 
 
 class Arbiter:
@@ -62,13 +48,6 @@ class Arbiter:
         In the order of the axes.
     sources : Sources, optional
         Finds sources that contradict each other.
-
-    Attributes
-    ----------
-    queue : SetPointQueue
-        Takes what has passed.
-    inactive : str
-        Why no set-point passes, enabled or not, and what to do; empty while the node is active.
     """
 
     def __init__(
@@ -77,7 +56,7 @@ class Arbiter:
         joints: Sequence[Joint],
         sources: Sources | None = None,
     ) -> None:
-        self.queue = SetPointQueue()
+        self.queue = SetPointQueue()  # of what has passed
         self.sources = sources or Sources()
         self._variables: Mapping[Mode, Variable] = {mode: catalogue[name] for mode, name in TARGETS.items()}
         self._joints = joint_names(joints)
@@ -87,7 +66,7 @@ class Arbiter:
         self._axes: list[AxisStatus] | None = None
         self._link = "the board has not been seen yet"
         self._blocked = _NOT_ENABLED
-        self.inactive = ""
+        self.inactive = ""  # why no set-point passes, enabled or not, and what to do; empty while the node is active
 
     # ---- what the board says
     def board_seen(self, axes: Sequence[AxisStatus]) -> None:

@@ -35,13 +35,6 @@ class BoardParameters:
         Gets the raw parameters whenever they have been read.
     say, warn : callable
         Get sentences for the log.
-
-    Attributes
-    ----------
-    values : mapping or None
-        Raw parameters of the board; None while they are not known.
-    trouble : str
-        Why the board does not have what the user requests; empty when it has.
     """
 
     def __init__(
@@ -55,8 +48,8 @@ class BoardParameters:
         say: Callable[[str], None],
         warn: Callable[[str], None],
     ) -> None:
-        self.values: RawParameters | None = None
-        self.trouble = ""
+        self.values: RawParameters | None = None  # of the board; None: not known
+        self.trouble = ""  # why the board does not have what the user requests; empty: it has
         self._catalogue = catalogue
         self._variables = parameters(catalogue)
         self._read = read

@@ -28,8 +28,8 @@ _PATH_UNITS = ("", "", "s", "counts", "counts", "mrad", "counts", "ticks", "coun
 class Residual:
     """Real minus twin position over a move [rad]."""
 
-    rms: float
-    max: float
+    rms: float  # [rad]
+    max: float  # largest magnitude [rad]
     samples: int
 
 
@@ -45,30 +45,14 @@ class Row:
 
 @dataclass(frozen=True)
 class PathRow:
-    """All axes on one path.
+    """All axes on one path."""
 
-    Attributes
-    ----------
-    path : str
-        Title.
-    axes : tuple of str
-        Joints of the path.
-    figures : PathFigures
-        How it was followed.
-    error_max : float
-        Largest distance from the path that is good enough [rad].
-    tolerance : float
-        The same of the mean position after its end [rad].
-    residuals : tuple of Residual
-        Per joint; empty without a twin.
-    """
-
-    path: str
-    axes: tuple[str, ...]
-    figures: PathFigures
-    error_max: float
-    tolerance: float
-    residuals: tuple[Residual, ...]
+    path: str  # title
+    axes: tuple[str, ...]  # joints of the path
+    figures: PathFigures  # of the motion along it
+    error_max: float  # largest permitted distance from the path [rad]
+    tolerance: float  # largest permitted distance of the mean position after its end [rad]
+    residuals: tuple[Residual, ...]  # per joint; empty without a twin
 
     def followed(self, axis: int) -> bool:
         """Whether an axis kept to the path, began it together with the others, and stayed at its end."""

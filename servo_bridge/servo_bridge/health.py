@@ -33,18 +33,10 @@ WINDING: Final = ("winding_temperature", "winding_current")
 
 @dataclass(frozen=True)
 class Winding:
-    """The board's estimate of a motor's winding.
+    """The board's estimate of a motor's winding."""
 
-    Attributes
-    ----------
-    temperature : float
-        Estimated from the currents [deg C].
-    current : float
-        That it bears now; the full scale while nothing is held back [A].
-    """
-
-    temperature: float
-    current: float
+    temperature: float  # estimated from the currents [deg C]
+    current: float  # present current limit; the full scale without a reduction [A]
 
 
 @dataclass

@@ -106,15 +106,6 @@ class Homing:
         Called with the axis whose position may count from elsewhere.
     say, warn : callable
         Get a sentence for the log.
-
-    Attributes
-    ----------
-    joints : sequence of Joint
-        In the order of the axes.
-    positions : sequence of float
-        Of the references, in joint units [rad].
-    restores : bool
-        Whether a restarted board gets the positions back that it has had.
     """
 
     def __init__(
@@ -132,7 +123,9 @@ class Homing:
         say: Callable[[str], None],
         warn: Callable[[str], None],
     ) -> None:
-        self.joints, self.positions, self.restores = list(joints), list(positions), restores
+        self.joints = list(joints)  # in the order of the axes
+        self.positions = list(positions)  # of the references, in joint units [rad]
+        self.restores = restores  # whether a restarted board gets its previous positions back
         self._catalogue = catalogue
         self._states = catalogue.enums["home_state_t"]
         self._methods = catalogue.enums["home_method_t"]

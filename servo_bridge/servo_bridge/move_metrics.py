@@ -12,32 +12,16 @@ Series = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MoveFigures:
-    """Figures of one axis in one move.
+    """Figures of one axis in one move."""
 
-    Attributes
-    ----------
-    commanded, reached : float
-        Set-point and mean position at the end [rad].
-    error : float
-        `reached` minus `commanded` [rad].
-    settling_time : float or None
-        Time from the set-point's effect until the position stays inside the tolerance [s]; None: it never did.
-    overshoot : float
-        Largest excursion beyond the set-point in the direction of the move [rad]; never negative.
-    tracking_rms, tracking_max : float or None
-        Position minus shaped set-point over the move [rad]; None when the shaped set-point was not recorded.
-    arrived : bool
-        The position stayed inside the tolerance for the whole last part.
-    """
-
-    commanded: float
-    reached: float
-    error: float
-    settling_time: float | None
-    overshoot: float
-    tracking_rms: float | None
-    tracking_max: float | None
-    arrived: bool
+    commanded: float  # set-point at the end [rad]
+    reached: float  # mean position at the end [rad]
+    error: float  # `reached` minus `commanded` [rad]
+    settling_time: float | None  # from the set-point's effect until it stays in the tolerance [s]; None: never
+    overshoot: float  # largest excursion beyond the set-point in the direction of the move [rad]; never negative
+    tracking_rms: float | None  # position minus shaped set-point over the move [rad]; None: no shaped set-point
+    tracking_max: float | None  # largest magnitude of the same [rad]; None: the shaped set-point was not recorded
+    arrived: bool  # the position stayed in the tolerance for the whole last part
 
 
 def settling_time(time: Series, error: Series, tolerance: float) -> float | None:

@@ -38,15 +38,6 @@ class ServoBridge(LifecycleNode):
     node_arguments : keyword arguments
         For `rclpy.node.Node`.
 
-    Attributes
-    ----------
-    supervisor : Supervisor or None
-        None while the node is unconfigured.
-    failure : str
-        Why it cannot go on; a lost board is no reason, it waits for one that comes back.
-    finished : bool
-        Whether it has been shut down by a transition.
-
     Raises
     ------
     ParameterError
@@ -61,9 +52,9 @@ class ServoBridge(LifecycleNode):
         **node_arguments: Any,
     ) -> None:
         super().__init__("servo_bridge", namespace="servo", **node_arguments)
-        self.failure = ""
-        self.finished = False
-        self.supervisor: Supervisor | None = None
+        self.failure = ""  # why it cannot go on; a lost board is no reason, it waits for one that comes back
+        self.finished = False  # whether a transition has shut it down
+        self.supervisor: Supervisor | None = None  # None while the node is unconfigured
         self._call_soon = call_soon
         self._link_factory = link_factory
         self._error: Exception | None = None  # of the last transition

@@ -20,28 +20,14 @@ _PERIOD: Final = PERIOD_NS * 1e-9
 
 @dataclass(frozen=True)
 class PathFigures:
-    """Figures of all joints on one path.
+    """Figures of all joints on one path."""
 
-    Attributes
-    ----------
-    duration : float
-        Of the path [s].
-    start : float
-        When the set-points of the board began the path, in the time of the samples [s].
-    ticks_apart : int
-        Largest difference of the ticks at which the joints began [PWM periods].
-    error_rms, error_max : tuple of float
-        Measured position minus path, at the ticks of the samples, per joint [rad].
-    end_error : tuple of float
-        Mean of the same over what was recorded after the end, per joint [rad].
-    """
-
-    duration: float
-    start: float
-    ticks_apart: int
-    error_rms: tuple[float, ...]
-    error_max: tuple[float, ...]
-    end_error: tuple[float, ...]
+    duration: float  # of the path [s]
+    start: float  # of the path in the set-points of the board, in the time of the samples [s]
+    ticks_apart: int  # largest difference of the ticks at which the joints began [PWM periods]
+    error_rms: tuple[float, ...]  # measured position minus path, at the ticks of the samples, per joint [rad]
+    error_max: tuple[float, ...]  # largest magnitude of the same, per joint [rad]
+    end_error: tuple[float, ...]  # mean of the same over what was recorded after the end, per joint [rad]
 
 
 def measure_path(time: Series, position: Series, reference: Series, path: Path, guess: float) -> PathFigures:

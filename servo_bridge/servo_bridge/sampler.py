@@ -22,19 +22,14 @@ class Reading:
 
 
 class Sampler:
-    """A list of variables to be read together.
-
-    Attributes
-    ----------
-    simultaneous : bool
-        Whether the values of one reading are from the same moment.
-    """
+    """A list of variables to be read together."""
 
     def __init__(self, session: Session, variables: Sequence[BoardVariable]) -> None:
         self._session = session
         self._variables = tuple(variables)
         self._request = self._set_up()
         self.simultaneous = self._request is not None or len(self._variables) == 1
+        """Whether the values of one reading are from the same moment."""
 
     def _set_up(self) -> Request | None:
         if self._session.info.scopes == 0 or any(v.size not in SCOPE_SIZES for v in self._variables):

@@ -44,21 +44,11 @@ class ViewLostError(RuntimeError):
 
 @dataclass(frozen=True)
 class Curve:
-    """A curve.
+    """A curve."""
 
-    Attributes
-    ----------
-    parts : tuple of str
-        Path of its entity.
-    title : str
-        Name with unit.
-    unit : str
-        Curves of one unit share a plot.
-    """
-
-    parts: tuple[str, ...]
-    title: str
-    unit: str
+    parts: tuple[str, ...]  # path of its entity
+    title: str  # name with unit
+    unit: str  # curves of one unit share a plot
 
 
 class ScopeView:

@@ -26,24 +26,12 @@ _TAKE = "config.take"
 
 @dataclass(frozen=True)
 class CommandWrite:
-    """A write of neighbouring elements of one command variable, of timed points, or of blocks that are to be taken.
+    """A write of neighbouring elements of one command variable, of timed points, or of blocks that are to be taken."""
 
-    Attributes
-    ----------
-    variable : str
-        Name of the array variable.
-    first : int
-        Axis of the first element; 0 for points and blocks.
-    raw : tuple of int
-        Firmware integers; the firmware takes only the written elements as fresh. Of points their words.
-    members : tuple of int
-        Of the blocks that ``config.take`` brings into force, one axis after the other.
-    """
-
-    variable: str
-    first: int
-    raw: tuple[int, ...]
-    members: tuple[int, ...] = ()
+    variable: str  # name of the array variable
+    first: int  # axis of the first element; 0 for points and blocks
+    raw: tuple[int, ...]  # firmware integers; only the written elements count as fresh; of points their words
+    members: tuple[int, ...] = ()  # of the blocks that ``config.take`` brings into force, one axis after the other
 
     @property
     def mask(self) -> int:
@@ -67,18 +55,10 @@ class CommandWrite:
 
 @dataclass(frozen=True)
 class Target:
-    """A set-point of one axis.
+    """A set-point of one axis."""
 
-    Attributes
-    ----------
-    mode : Mode
-        What it means.
-    raw : int
-        Number for the variable `TARGETS` of this mode.
-    """
-
-    mode: Mode
-    raw: int
+    mode: Mode  # meaning of the number
+    raw: int  # value of the variable `TARGETS` of this mode
 
 
 class PathSource(Protocol):

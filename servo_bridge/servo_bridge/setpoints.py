@@ -31,36 +31,20 @@ class Mode(IntEnum):
 
 @dataclass(frozen=True)
 class SetPointRequest:
-    """A well-formed command.
+    """A well-formed command."""
 
-    Attributes
-    ----------
-    source : str
-        Topic that it came from.
-    mode : Mode
-        Meaning of the values.
-    values : mapping
-        Axis index to set-point: [rad], [rad/s] or [N m], by `mode`.
-    """
-
-    source: str
-    mode: Mode
-    values: Mapping[int, float]
+    source: str  # topic that it came from
+    mode: Mode  # meaning of the values
+    values: Mapping[int, float]  # axis index to set-point: [rad], [rad/s] or [N m], by `mode`
 
 
 @dataclass(frozen=True)
 class JointSetPoint:
-    """What a JointState asks of one joint; what it leaves open is None.
+    """What a JointState asks of one joint; what it leaves open is None."""
 
-    Attributes
-    ----------
-    position, velocity, effort : float or None
-        [rad], [rad/s], [N m]
-    """
-
-    position: float | None = None
-    velocity: float | None = None
-    effort: float | None = None
+    position: float | None = None  # [rad]
+    velocity: float | None = None  # [rad/s]
+    effort: float | None = None  # [N m]
 
     @property
     def streamed(self) -> bool:

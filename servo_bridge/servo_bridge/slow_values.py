@@ -28,15 +28,6 @@ class SlowValues:
         Called when the motor data have been read.
     windings_known : callable
         Called with the state of the windings, by axis, whenever it has been read.
-
-    Attributes
-    ----------
-    motors : list of Motor
-        By axis; empty until the board has told them.
-    counters : dict of str to int, or None
-        Of `BOARD_COUNTERS`.
-    windings : list of Winding or None
-        By axis.
     """
 
     def __init__(
@@ -55,13 +46,13 @@ class SlowValues:
     def link_lost(self) -> None:
         """Forget everything."""
         self._link += 1
-        self.motors: list[Motor] = []
-        self.windings: list[Winding | None] = [None] * AXES
+        self.motors: list[Motor] = []  # by axis; empty until they are read
+        self.windings: list[Winding | None] = [None] * AXES  # by axis
         self.counters_restarted()
 
     def counters_restarted(self) -> None:
         """Forget the counters: the board has been reset."""
-        self.counters: dict[str, int] | None = None
+        self.counters: dict[str, int] | None = None  # of `BOARD_COUNTERS`
 
     def read_motors(self) -> None:
         """Start to read the motor data, when the link is up or the configuration has changed."""

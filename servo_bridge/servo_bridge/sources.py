@@ -19,18 +19,10 @@ FRESH: Final = 1.0
 
 @dataclass(frozen=True)
 class Source:
-    """Where set-points come from.
+    """Where set-points come from."""
 
-    Attributes
-    ----------
-    topic : str
-        Relative name.
-    quantity : str
-        ``position``, ``velocity``, ``effort`` or ``trajectory``.
-    """
-
-    topic: str
-    quantity: str
+    topic: str  # relative name
+    quantity: str  # ``position``, ``velocity``, ``effort`` or ``trajectory``
 
 
 @dataclass(frozen=True)
@@ -49,15 +41,11 @@ class Sources:
     ----------
     clock : callable
         Steady time [s].
-
-    Attributes
-    ----------
-    preferred : str
-        Topic with precedence: while it is active, other topics are refused for the same axis. Empty: none.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.preferred = ""
+        """Topic with precedence: while it is active, other topics are refused for the same axis. Empty: none."""
         self._clock = clock
         self._seen: dict[int, dict[Source, float]] = {}  # the newest last
         self._conflict: tuple[float, Conflict] | None = None

@@ -47,11 +47,6 @@ class StorageService:
         Runs a function in the thread of the node.
     say, warn : callable
         Get a sentence for the log.
-
-    Attributes
-    ----------
-    storage : Storage or None
-        What the data flash has; None while it is not known.
     """
 
     def __init__(
@@ -63,7 +58,7 @@ class StorageService:
         say: Callable[[str], None],
         warn: Callable[[str], None],
     ) -> None:
-        self.storage: Storage | None = None
+        self.storage: Storage | None = None  # state of the data flash; None: not known
         self._call, self._post = call, post
         self._say, self._warn = say, warn
         self._busy = False

@@ -49,35 +49,18 @@ def telemetry_variables(catalogue: Catalogue, extra: Sequence[str]) -> list[str]
 
 @dataclass(frozen=True)
 class Snapshot:
-    """One sample.
+    """One sample."""
 
-    Attributes
-    ----------
-    tick : int
-        PWM periods since reset, extended past 32 bits.
-    epoch : int
-        Board resets seen before; ticks and positions of different epochs have nothing to do with each other.
-    response_ns : int
-        When the sample was complete at the host, monotonic [ns].
-    values : mapping
-        SI values by column, in the order of `Telemetry.columns`; tick and positions are extended past the 32 bits of
-        the board.
-    applied_tick, applied_count : int
-        As the board sent them: uint32 and uint16.
-    axes : tuple of AxisStatus
-        State of every axis.
-    faults : tuple of int
-        Fault word of every axis.
-    """
-
-    tick: int
-    epoch: int
-    response_ns: int
+    tick: int  # PWM periods since reset, extended past 32 bits
+    epoch: int  # board resets seen before; ticks and positions of different epochs are unrelated
+    response_ns: int  # monotonic host time at which the sample was complete [ns]
     values: Mapping[str, float]
-    applied_tick: int
-    applied_count: int
-    axes: tuple[AxisStatus, ...]
-    faults: tuple[int, ...]
+    """SI values by column, in the order of `Telemetry.columns`; tick and positions are extended past the 32 bits of the
+    board."""
+    applied_tick: int  # as the board sent it: uint32
+    applied_count: int  # as the board sent it: uint16
+    axes: tuple[AxisStatus, ...]  # state of every axis
+    faults: tuple[int, ...]  # fault word of every axis
 
 
 @dataclass(frozen=True)

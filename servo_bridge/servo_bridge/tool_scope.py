@@ -85,21 +85,12 @@ def _curve(parts: tuple[str, ...], channel: Channel) -> Curve:
 
 
 class _Telemetry:
-    """Reads rows of variables and gathers them.
-
-    Attributes
-    ----------
-    channels : list of Channel
-        Numbers of a row.
-    placing : Placing
-        Time line of rows and bursts.
-    rows : int
-        How many there were.
-    """
+    """Reads rows of variables and gathers them."""
 
     def __init__(self, session: Session, names: Sequence[str], *, ticks: bool) -> None:
         self._selection = [lookup(session.variables, name) for name in names]
         self.channels = channels_of([(name, *found) for name, found in zip(names, self._selection, strict=True)])
+        """Numbers of a row."""
         variables = [variable for variable, _ in self._selection]
         self._ticks = ticks
         self._sampler = Sampler(session, [session.variables[TICK], *variables] if ticks else variables)
@@ -107,8 +98,8 @@ class _Telemetry:
             raise UsageError(
                 f"the board cannot read {len(names)} variables in one moment; name fewer of them with --telemetry"
             )
-        self.placing: Placing = BoardTime() if ticks else HostTime()
-        self.rows = 0
+        self.placing: Placing = BoardTime() if ticks else HostTime()  # time line of rows and bursts
+        self.rows = 0  # read so far
         self._times: list[float] = []
         self._values: list[list[float]] = []
         self._shown = time.monotonic()
@@ -138,13 +129,7 @@ class _Telemetry:
 
 
 class _Run:
-    """One burst after the other.
-
-    Attributes
-    ----------
-    bursts : int
-        How many there were.
-    """
+    """One burst after the other."""
 
     def __init__(self, context: Context, request: BurstRequest, telemetry: _Telemetry) -> None:
         self._session, self._catalogue = context.session, context.catalogue
@@ -153,7 +138,7 @@ class _Run:
         self._recording = Recording(request, self._catalogue)
         self._stopped_ns: int | None = None
         self._ended = False
-        self.bursts = 0
+        self.bursts = 0  # recorded so far
 
     def begin(self) -> None:
         """Set the recorder up; the errors of `Recording.step`."""

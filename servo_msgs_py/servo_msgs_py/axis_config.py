@@ -36,37 +36,17 @@ class AxisConfigError(ValueError):
 
 @dataclass(frozen=True)
 class Member:
-    """One number of a block.
+    """One number of a block."""
 
-    Attributes
-    ----------
-    path : str
-        C path below ``axis_config_t``.
-    size : int
-        Bytes in the memory of the board and in the sum.
-    signed : bool
-        Whether it may be negative in memory.
-    minimum, maximum : int
-        Raw numbers that the board takes.
-    bits : bool
-        Whether the range is a set of bits: `maximum` has all that may be set.
-    live : bool
-        Whether it may change while the axis is in motion.
-    lsb : float
-        SI value of one raw unit.
-    unit : str
-        SI unit; empty for pure numbers.
-    """
-
-    path: str
-    size: int
-    signed: bool
-    minimum: int
-    maximum: int
-    bits: bool
-    live: bool
-    lsb: float
-    unit: str
+    path: str  # C path below ``axis_config_t``
+    size: int  # bytes in the memory of the board and in the checksum
+    signed: bool  # whether it may be negative in memory
+    minimum: int  # smallest raw number that the board accepts
+    maximum: int  # largest raw number that the board accepts
+    bits: bool  # whether the range is a set of bits: `maximum` has all that may be set
+    live: bool  # whether it may change while the axis is in motion
+    lsb: float  # SI value of one raw unit
+    unit: str  # SI unit; empty for pure numbers
 
     def accepts(self, raw: int) -> bool:
         """Whether the board takes this number."""
@@ -85,18 +65,10 @@ class Member:
 
 @dataclass(frozen=True)
 class AxisConfigTable:
-    """All members of a block.
+    """All members of a block."""
 
-    Attributes
-    ----------
-    members : mapping
-        By path, in the order of the table.
-    layout : int
-        CRC-32 of everything that changes what a block means.
-    """
-
-    members: Mapping[str, Member]
-    layout: int
+    members: Mapping[str, Member]  # by path, in the order of the table
+    layout: int  # CRC-32 of everything that changes what a block means
 
     @classmethod
     @lru_cache(maxsize=1)

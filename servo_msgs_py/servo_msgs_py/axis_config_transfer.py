@@ -29,17 +29,11 @@ _TEXTS: Final[Mapping[str, str]] = {
 
 
 class BlockRefusedError(ValueError):
-    """The board has not taken a block or a part of one.
-
-    Attributes
-    ----------
-    reason : str
-        Name of the reason in the contract.
-    """
+    """The board has not taken a block or a part of one."""
 
     def __init__(self, reason: str, message: str) -> None:
         super().__init__(message)
-        self.reason = reason
+        self.reason = reason  # name of the reason in the contract
 
 
 class BlockMemory(Protocol):
@@ -53,18 +47,10 @@ class BlockMemory(Protocol):
 
 
 class Taken(NamedTuple):
-    """When blocks have taken effect.
+    """When blocks have taken effect."""
 
-    Attributes
-    ----------
-    tick : int
-        PWM periods since reset, of the first slow tick with them.
-    checksums : tuple of int
-        Of the blocks in force now, by axis.
-    """
-
-    tick: int
-    checksums: tuple[int, ...]
+    tick: int  # PWM periods since reset, of the first slow tick with the new blocks
+    checksums: tuple[int, ...]  # of the blocks in force now, by axis
 
 
 def _together() -> int:

@@ -31,24 +31,12 @@ _TARGET: Final = re.compile(r"(?P<name>[^\[\]]+)(\[(?P<element>\d+)\])?")
 
 @dataclass(frozen=True)
 class Assignment:
-    """One parameter, or one element of it, and what it shall be.
+    """One parameter, or one element of it, and what it shall be."""
 
-    Attributes
-    ----------
-    variable : Variable
-        The parameter.
-    element : int or None
-        Index of the element; None for all.
-    raw : tuple of int
-        Firmware integers, one per assigned element.
-    text : str
-        As it was written.
-    """
-
-    variable: Variable
-    element: int | None
-    raw: tuple[int, ...]
-    text: str
+    variable: Variable  # the parameter
+    element: int | None  # index of the element; None for all
+    raw: tuple[int, ...]  # firmware integers, one per assigned element
+    text: str  # as it was written
 
     def replaces(self, other: Assignment) -> bool:
         """Whether nothing is left of `other` once this one is carried out."""

@@ -41,35 +41,19 @@ _FINE: Final = ("EMPTY", "INTACT", "ABSENT")
 
 
 class StorageRefusedError(ValueError):
-    """A request had no effect.
-
-    Attributes
-    ----------
-    reason : str
-        Name in the contract; empty if the board did not say.
-    """
+    """A request had no effect."""
 
     def __init__(self, reason: str, message: str) -> None:
         super().__init__(message)
-        self.reason = reason
+        self.reason = reason  # name in the contract; empty: not stated by the board
 
 
 class Storage(NamedTuple):
-    """What the data flash of a board has.
+    """What the data flash of a board has."""
 
-    Attributes
-    ----------
-    sequence : int
-        Number of the newest set; 0: there is none.
-    source : str
-        Where the values came from at the last reset: ``BUILT_IN``, ``COPY_A`` or ``COPY_B``.
-    copies : tuple of str
-        What both copies are worth, by their names in the contract.
-    """
-
-    sequence: int
-    source: str
-    copies: tuple[str, ...]
+    sequence: int  # number of the newest set; 0: there is none
+    source: str  # origin of the values at the last reset: ``BUILT_IN``, ``COPY_A`` or ``COPY_B``
+    copies: tuple[str, ...]  # validity of both copies, by their names in the contract
 
     @property
     def trouble(self) -> str:

@@ -71,8 +71,8 @@ class Scale:
 
     name: str
     unit: str
-    full_scale: float | None
-    lsb: float | None
+    full_scale: float | None  # SI value of 1.0; fractions only
+    lsb: float | None  # SI value of one raw unit; integers only
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,7 @@ class Flag:
     bit: int
     cause: str
     remedy: str
-    always: bool = False
-    """A fault that cannot be switched off."""
+    always: bool = False  # a fault that cannot be switched off
 
     @property
     def mask(self) -> int:
@@ -93,51 +92,23 @@ class Flag:
 
 @dataclass(frozen=True)
 class Variable:
-    """One firmware variable.
+    """One firmware variable."""
 
-    Attributes
-    ----------
-    name : str
-        Name on the wire and, with dots as slashes, of its topic.
-    path : str
-        C path below ``servo_t`` in the memory that host and board share; empty for a variable that is only in a loop.
-    type : str
-        Type word of the table: ``frac16``, ``int32``, ``enum`` ...
-    count : int
-        Elements; more than one for arrays with one element per axis.
-    lsb : float
-        SI value of one raw unit.
-    unit : str
-        SI unit; empty for pure numbers.
-    full_scale : float or None
-        SI value of 1.0, fractional types only.
-    access : str
-        ``ro`` or ``rw``.
-    minimum, maximum : float
-        Limits of a written value, SI.
-    enum, flags : str or None
-        Name of the enumeration or of the flag set.
-    source : str or None
-        C path below ``servo_t`` to where a loop keeps what the variable shows.
-    part : int
-        First byte of the source that belongs to the variable.
-    """
-
-    name: str
-    path: str
-    type: str
-    count: int
-    lsb: float
-    unit: str
-    full_scale: float | None
-    access: str
-    minimum: float
-    maximum: float
+    name: str  # name on the wire and, with dots as slashes, of its topic
+    path: str  # C path below ``servo_t`` in the memory that host and board share; empty: the variable is only in a loop
+    type: str  # type word of the table: ``frac16``, ``int32``, ``enum`` ...
+    count: int  # elements; more than one for arrays with one element per axis
+    lsb: float  # SI value of one raw unit
+    unit: str  # SI unit; empty for pure numbers
+    full_scale: float | None  # SI value of 1.0; fractional types only
+    access: str  # ``ro`` or ``rw``
+    minimum: float  # smallest value that may be written, SI
+    maximum: float  # largest value that may be written, SI
     description: str
-    enum: str | None = None
-    flags: str | None = None
-    source: str | None = None
-    part: int = 0
+    enum: str | None = None  # name of the enumeration
+    flags: str | None = None  # name of the flag set
+    source: str | None = None  # C path below ``servo_t`` to where a loop keeps what the variable shows
+    part: int = 0  # first byte of the source that belongs to the variable
 
     @property
     def raw_type(self) -> _RawType:

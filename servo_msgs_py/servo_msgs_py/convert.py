@@ -209,25 +209,14 @@ def parameters_from_message(message: Float64MultiArray, catalogue: Catalogue) ->
 # ---- commands that took effect
 @dataclass(frozen=True)
 class AppliedCommand:
-    """A write to a command variable that took effect in the firmware.
+    """A write to a command variable that took effect in the firmware."""
 
-    Attributes
-    ----------
-    variable : str
-        One of `COMMAND_VARIABLES`.
-    tick : int
-        PWM periods since reset at which it took effect, extended past 32 bits as the tick of the telemetry is.
-    raw : tuple of int
-        Firmware integers per axis, 0 for an axis that was not written; of ``cmd.points`` the words that were written,
-        of ``config.take`` the members of the blocks of the axes of `mask`.
-    mask : int
-        Bit per written axis; bit 0 is axis 1.
-    """
-
-    variable: str
-    tick: int
+    variable: str  # one of `COMMAND_VARIABLES`
+    tick: int  # PWM periods since reset at which it took effect, extended past 32 bits as the tick of the telemetry is
     raw: tuple[int, ...]
-    mask: int
+    """Firmware integers per axis, 0 for an axis that was not written; of ``cmd.points`` the words that were written, of
+    ``config.take`` the members of the blocks of the axes of `mask`."""
+    mask: int  # bit per written axis; bit 0 is axis 1
 
 
 def applied_message(applied: AppliedCommand) -> Float64MultiArray:

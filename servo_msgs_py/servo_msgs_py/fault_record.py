@@ -30,27 +30,13 @@ def record_variable(axis: int) -> str:
 
 @dataclass(frozen=True)
 class FaultRecord:
-    """The first fault of an axis and the 32 ms before it, one sample in each slow tick.
+    """The first fault of an axis and the 32 ms before it, one sample in each slow tick."""
 
-    Attributes
-    ----------
-    axis : int
-        Index of the axis.
-    fault : Flag or None
-        The fault that came first; None without one.
-    tick : int
-        PWM periods since reset.
-    place : str
-        State that it has ended, such as ``RUN/SPIN``.
-    table : ndarray
-        Samples by `COLUMNS`, oldest first; the last one is of the period of the fault.
-    """
-
-    axis: int
-    fault: Flag | None
-    tick: int
-    place: str
-    table: NDArray[np.float64]
+    axis: int  # index of the axis
+    fault: Flag | None  # the fault that came first; None without one
+    tick: int  # PWM periods since reset
+    place: str  # state that the fault ended, such as ``RUN/SPIN``
+    table: NDArray[np.float64]  # samples by `COLUMNS`, oldest first; the last one is of the period of the fault
 
     @classmethod
     def of(cls, axis: int, data: Value, catalogue: Catalogue) -> FaultRecord:

@@ -18,22 +18,12 @@ _PERIODS_PER_MS: Final = 16
 
 @dataclass(frozen=True)
 class Rule:
-    """What a finding is called.
-
-    Attributes
-    ----------
-    finding, fault : str
-    instead : tuple of str
-        Suspicions that explain it.
-    otherwise : str
-        Name where `fault` is not enabled; empty if nothing stops the axis then.
-    text : str
-    """
+    """What a finding is called."""
 
     finding: str
     fault: str
-    instead: tuple[str, ...]
-    otherwise: str
+    instead: tuple[str, ...]  # suspicions that explain it
+    otherwise: str  # name where `fault` is not enabled; empty if nothing stops the axis then
     text: str
 
 

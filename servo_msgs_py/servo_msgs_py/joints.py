@@ -25,20 +25,12 @@ _Number = TypeVar("_Number", float, NDArray[np.float64])
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Limits of one joint on top of those of the board; infinite where there are none.
+    """Limits of one joint on top of those of the board; infinite where there are none."""
 
-    Attributes
-    ----------
-    position_min, position_max : float
-        [rad]
-    velocity_max, effort_max : float
-        Magnitudes, [rad/s] and [N m].
-    """
-
-    position_min: float = -math.inf
-    position_max: float = math.inf
-    velocity_max: float = math.inf
-    effort_max: float = math.inf
+    position_min: float = -math.inf  # [rad]
+    position_max: float = math.inf  # [rad]
+    velocity_max: float = math.inf  # magnitude [rad/s]
+    effort_max: float = math.inf  # magnitude [N m]
 
     @property
     def bounded(self) -> bool:
@@ -52,30 +44,17 @@ class Joint:
 
     joint position = motor position / `reduction` + `offset`
 
-    Attributes
-    ----------
-    name : str
-        Name on ROS.
-    gear_ratio : float
-        Turns of the motor per turn of the joint, `GEAR_RATIO_MIN` .. `GEAR_RATIO_MAX`.
-    direction : int
-        1, or -1 where the joint turns the other way than the motor.
-    offset : float
-        Position of the joint where the motor is at 0 [rad].
-    limits : JointLimits
-        In joint units.
-
     Raises
     ------
     ValueError
         If the gear ratio, the direction or the offset is outside its range.
     """
 
-    name: str
-    gear_ratio: float = 1.0
-    direction: int = 1
-    offset: float = 0.0
-    limits: JointLimits = field(default_factory=JointLimits)
+    name: str  # name on ROS
+    gear_ratio: float = 1.0  # turns of the motor per turn of the joint, `GEAR_RATIO_MIN` .. `GEAR_RATIO_MAX`
+    direction: int = 1  # 1, or -1 where the joint turns the other way than the motor
+    offset: float = 0.0  # position of the joint where the motor is at 0 [rad]
+    limits: JointLimits = field(default_factory=JointLimits)  # in joint units
 
     def __post_init__(self) -> None:
         if not GEAR_RATIO_MIN <= self.gear_ratio <= GEAR_RATIO_MAX:

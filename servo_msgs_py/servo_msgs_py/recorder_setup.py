@@ -14,24 +14,12 @@ _COLUMNS: Final = ("recorder", "period", "points")
 
 @dataclass(frozen=True)
 class RecorderSetup:
-    """A burst that is about to be recorded.
+    """A burst that is about to be recorded."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Variables of a point in their order, an element of an array as ``name[k]``.
-    recorder : int
-        Number of the recorder; 0 is that of the PWM periods, 1 that of the slow ticks.
-    period_ns : int
-        Time between two points [ns]; 0 when the board does not say.
-    points : int
-        Points that the burst will have at most.
-    """
-
-    names: tuple[str, ...]
-    recorder: int
-    period_ns: int
-    points: int
+    names: tuple[str, ...]  # variables of a point in their order, an element of an array as ``name[k]``
+    recorder: int  # number of the recorder; 0 is that of the PWM periods, 1 that of the slow ticks
+    period_ns: int  # time between two points [ns]; 0: the board does not state it
+    points: int  # number of points that the burst will have at most
 
 
 def setup_message(setup: RecorderSetup | None) -> Float64MultiArray:

@@ -35,18 +35,10 @@ _HEIGHT: Final = 0.01
 
 @dataclass(frozen=True)
 class Motor:
-    """Nominal values of the motor of an axis.
+    """Nominal values of the motor of an axis."""
 
-    Attributes
-    ----------
-    torque_constant : float
-        Torque per current i_q [N m/A].
-    inertia : float
-        Of rotor and load, at the shaft of the motor [kg m^2].
-    """
-
-    torque_constant: float
-    inertia: float
+    torque_constant: float  # torque per current i_q [N m/A]
+    inertia: float  # of rotor and load, at the shaft of the motor [kg m^2]
 
 
 # ---- writing

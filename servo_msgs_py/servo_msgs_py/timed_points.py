@@ -20,30 +20,14 @@ _WRAP: Final = 1 << 32
 
 @dataclass(frozen=True)
 class TimedPoint:
-    """Where an axis is to be at a tick.
+    """Where an axis is to be at a tick."""
 
-    Attributes
-    ----------
-    axis : int
-        Index of the axis.
-    tick : int
-        PWM periods since the reset of the board, modulo 2^32.
-    position : float
-        [rad], as far from 0 as it may be: the board takes it modulo 2^32 counts.
-    velocity : float
-        [rad/s]
-    current : float
-        i_q that is fed forward, besides what acceleration and friction need [A].
-    replaces : bool
-        What waits in the queue from this tick on is dropped before.
-    """
-
-    axis: int
-    tick: int
-    position: float
-    velocity: float
-    current: float = 0.0
-    replaces: bool = False
+    axis: int  # index of the axis
+    tick: int  # PWM periods since the reset of the board, modulo 2^32
+    position: float  # [rad], as far from 0 as it may be: the board takes it modulo 2^32 counts
+    velocity: float  # [rad/s]
+    current: float = 0.0  # i_q that is fed forward, besides what acceleration and friction need [A]
+    replaces: bool = False  # what waits in the queue from this tick on is dropped before
 
     def moved(self, ticks: int) -> TimedPoint:
         """The same point so many PWM periods later."""

@@ -18,25 +18,13 @@ _SNAPSHOT: Final = "snapshot_t"
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the table.
+    """One row of the table."""
 
-    Attributes
-    ----------
-    name, type : bytes
-        Its texts.
-    owner : str
-        Structure of which it is a member; empty for all others.
-    value : int or None
-        Number of a constant.
-    variable : Variable or None
-        The variable; None for the parts of types.
-    """
-
-    name: bytes
-    type: bytes
-    owner: str = ""
-    value: int | None = None
-    variable: Variable | None = None
+    name: bytes  # text of its name
+    type: bytes  # text of its type
+    owner: str = ""  # structure of which it is a member; empty for all others
+    value: int | None = None  # number of a constant
+    variable: Variable | None = None  # the variable; None for the parts of types
 
     @property
     def is_structure(self) -> bool:
@@ -46,18 +34,10 @@ class Row:
 
 @dataclass
 class TextPool:
-    """Zero-terminated texts one after the other, each only once.
+    """Zero-terminated texts one after the other, each only once."""
 
-    Attributes
-    ----------
-    offsets : dict
-        Place of each text from the beginning of the pool [bytes].
-    size : int
-        Bytes of all texts.
-    """
-
-    offsets: dict[bytes, int] = field(default_factory=dict)
-    size: int = 0
+    offsets: dict[bytes, int] = field(default_factory=dict)  # place of each text from the beginning of the pool [bytes]
+    size: int = 0  # bytes of all texts
 
     def offset(self, text: bytes) -> int:
         """Place of a text, which is appended if it is new."""

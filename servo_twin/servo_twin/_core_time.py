@@ -91,25 +91,13 @@ _INSTRUCTIONS: Final = {"asr16": 1.0, "asr32": 1.0, "asr64": 3.0, "sat16": 1.0, 
 
 
 class _Names(c_ast.NodeVisitor):
-    """Names that decide prices.
-
-    Attributes
-    ----------
-    long_types : set of str
-        Types of 64 bits.
-    long : set of str
-        Variables, members and functions of these types, whatever their scope.
-    inline : set of str
-        Functions that the compiler inlines.
-    prices : dict of str to float
-        Functions whose whole price is known where they are called.
-    """
+    """Names that decide prices."""
 
     def __init__(self) -> None:
-        self.long_types: set[str] = {"int64_t", "uint64_t"}
-        self.long: set[str] = set()
-        self.inline: set[str] = set()
-        self.prices: dict[str, float] = {**_CHIP, **_INSTRUCTIONS}
+        self.long_types: set[str] = {"int64_t", "uint64_t"}  # types of 64 bits
+        self.long: set[str] = set()  # variables, members and functions of these types, whatever their scope
+        self.inline: set[str] = set()  # functions that the compiler inlines
+        self.prices: dict[str, float] = {**_CHIP, **_INSTRUCTIONS}  # by function, whole price where it is called
 
     def is_long(self, declared: Any) -> bool:
         return isinstance(declared.type, c_ast.IdentifierType) and bool(self.long_types & set(declared.type.names))

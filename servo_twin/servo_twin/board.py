@@ -81,108 +81,52 @@ class Truth:
 
     Instants, unless it says mean: at the level ``registers`` of `Board.time_ns` (in steps of 10 ns), at the level
     ``ideal`` of the end of the last half cycle of the PWM (31.25 us) up to then. Temperatures move once in 1 ms.
-
-    Attributes
-    ----------
-    theta_m : float
-        Mechanical angle, not wrapped [rad].
-    omega_m : float
-        Mechanical speed [rad/s].
-    i_d, i_q : float
-        Stator currents in the rotor frame [A]. With the ripple of the PWM at the level ``registers``; at the level
-        ``ideal`` the plant is averaged over half cycles and has none.
-    torque_e : float
-        Air-gap torque of these currents [N m].
-    u_a, u_b, u_c : float
-        Mean voltages of the motor's terminals against the midpoint of `u_dc` [V]. At the level ``registers`` over the
-        last full window of a PWM period (62.5 us, counted from power-on), at the level ``ideal`` over the last half
-        cycle.
-    t_sink : float
-        Temperature of the axis' power stage [deg C].
-    t_winding : float
-        Temperature of the motor's winding [deg C].
-    u_dc : float
-        Bus voltage [V].
-    e_brake : float
-        Burnt in the brake resistor since power-on [J].
-    t_brake : float
-        Temperature of the brake resistor [deg C].
-    brake_holds : float
-        1: the holding brake is closed, 0: it is open.
-    theta_load, omega_load : float
-        Angle [rad] and speed [rad/s] of the second mass; without one, of the rotor.
-    torque_shaft : float
-        Between the two, mean of the step of the plant that contains the instant [N m].
-    t_magnet : float
-        Temperature of the magnet [deg C].
-    r_s, psi_m : float
-        Resistance [ohm] and magnet's flux linkage [V s] at these temperatures.
-    l_d, l_q : float
-        Inductances for small changes of `i_d` and `i_q` [H].
     """
 
-    theta_m: float
-    omega_m: float
+    theta_m: float  # mechanical angle, not wrapped [rad]
+    omega_m: float  # mechanical speed [rad/s]
     i_d: float
-    i_q: float
-    torque_e: float
+    """Stator current of the d axis [A]; with the ripple of the PWM at the level ``registers``, without it at the level
+    ``ideal``, whose plant is averaged over half cycles."""
+    i_q: float  # stator current of the q axis, likewise [A]
+    torque_e: float  # air-gap torque of these currents [N m]
     u_a: float
-    u_b: float
-    u_c: float
-    t_sink: float
-    t_winding: float
-    u_dc: float
-    e_brake: float
-    t_brake: float
-    brake_holds: float
-    theta_load: float
-    omega_load: float
-    torque_shaft: float
-    t_magnet: float
-    r_s: float
-    psi_m: float
-    l_d: float
-    l_q: float
+    """Mean voltage of the motor's terminal against the midpoint of `u_dc` [V]; at the level ``registers`` over the last
+    full window of a PWM period (62.5 us, counted from power-on), at the level ``ideal`` over the last half cycle."""
+    u_b: float  # likewise [V]
+    u_c: float  # likewise [V]
+    t_sink: float  # temperature of the axis' power stage [deg C]
+    t_winding: float  # temperature of the motor's winding [deg C]
+    u_dc: float  # bus voltage [V]
+    e_brake: float  # energy dissipated in the brake resistor since power-on [J]
+    t_brake: float  # temperature of the brake resistor [deg C]
+    brake_holds: float  # 1: the holding brake is closed, 0: it is open
+    theta_load: float  # angle of the second mass; without one, of the rotor [rad]
+    omega_load: float  # speed of the second mass; without one, of the rotor [rad/s]
+    torque_shaft: float  # between rotor and second mass, mean of the step of the plant that contains the instant [N m]
+    t_magnet: float  # temperature of the magnet [deg C]
+    r_s: float  # resistance at these temperatures [ohm]
+    psi_m: float  # magnet's flux linkage at these temperatures [V s]
+    l_d: float  # inductance for small changes of `i_d` [H]
+    l_q: float  # inductance for small changes of `i_q` [H]
 
 
 @dataclass(frozen=True)
 class BoardStats:
-    """What the chip has counted since reset.
+    """What the chip has counted since reset."""
 
-    Attributes
-    ----------
-    serial_overruns : int
-        Received bytes that the firmware did not fetch in time.
-    serial_lost : int
-        Sent bytes that the host did not fetch in time.
-    breaks : int
-        Times an over-current latch has tripped.
-    watchdog_services : int
-        Times the firmware has served the watchdog.
-    """
-
-    serial_overruns: int
-    serial_lost: int
-    breaks: int
-    watchdog_services: int
+    serial_overruns: int  # received bytes that the firmware did not read in time
+    serial_lost: int  # sent bytes that the host did not read in time
+    breaks: int  # trips of an over-current latch
+    watchdog_services: int  # services of the watchdog by the firmware
 
 
 class FlashState(NamedTuple):
-    """What the data flash is doing.
+    """What the data flash is doing."""
 
-    Attributes
-    ----------
-    commands : int
-        Commands begun since power-on.
-    busy : bool
-        One is under way.
-    dead : bool
-        Power has failed (`Board.cut_flash`): nothing changes the flash any more.
-    """
-
-    commands: int
-    busy: bool
-    dead: bool
+    commands: int  # commands begun since power-on
+    busy: bool  # whether one is in progress
+    dead: bool  # power has failed (`Board.cut_flash`): the flash does not change any more
 
 
 def _native_config(ffi: Any, plant: PlantConfig, core: CoreSpeed, seed: int, baud: float) -> Any:

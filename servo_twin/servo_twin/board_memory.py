@@ -18,17 +18,11 @@ _STATUS_TEXT: Final[Mapping[int, str]] = {
 
 
 class BoardError(RuntimeError):
-    """The board refused a request.
-
-    Attributes
-    ----------
-    status : int
-        FreeMASTER status code, 0 where there was none.
-    """
+    """The board refused a request."""
 
     def __init__(self, message: str, status: int = 0) -> None:
         super().__init__(message)
-        self.status = status
+        self.status = status  # FreeMASTER status code, 0 where there was none
 
 
 class TableEntry(NamedTuple):

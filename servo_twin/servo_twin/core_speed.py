@@ -21,21 +21,14 @@ DEFAULT_FILE: Final = Path(__file__).with_name("core.toml")
 class CoreSpeed:
     """What the firmware's instructions cost.
 
-    Attributes
-    ----------
-    cycles_per_instruction : float
-        Clocks of the bus (10 ns) for each instruction that a Cortex-M3 would execute.
-    entry_cycles : int
-        Clocks of each interrupt beside those: vector, registers saved and restored.
-
     Raises
     ------
     ValueError
         If an instruction takes no time, or an interrupt less than none.
     """
 
-    cycles_per_instruction: float
-    entry_cycles: int
+    cycles_per_instruction: float  # clocks of the bus (10 ns) for each instruction that a Cortex-M3 would execute
+    entry_cycles: int  # clocks of each interrupt besides those: vector, saving and restoring of registers
 
     def __post_init__(self) -> None:
         if not 0.0 < self.cycles_per_instruction <= 100.0:

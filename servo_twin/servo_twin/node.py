@@ -87,11 +87,6 @@ class ServoTwin(Node):
     node_arguments : keyword arguments
         For `rclpy.node.Node`.
 
-    Attributes
-    ----------
-    failure : str
-        Why it cannot go on; empty while it can.
-
     Raises
     ------
     ParameterError
@@ -108,7 +103,7 @@ class ServoTwin(Node):
             self._set_up()
 
     def _set_up(self) -> None:
-        self.failure = ""
+        self.failure = ""  # why it cannot go on; empty while it can
         self._log = Node.get_logger(self)
         claim_name(self)
         self._values = declare(self, self.PARAMETERS)

@@ -20,32 +20,16 @@ _STEP = 0.01  # between two looks at the state [s]
 
 @dataclass(frozen=True)
 class MoveResult:
-    """One position move of one axis.
+    """One position move of one axis."""
 
-    Attributes
-    ----------
-    axis : str
-        Name of the axis.
-    target, reached : int
-        Position commanded and at the end [counts].
-    overshoot : int
-        Farthest beyond the target [counts].
-    settling_time : float or None
-        From the command until the shaft stays within the tolerance [s]; None when it does not.
-    steady_state : int
-        Largest distance from the target over the last quarter of the recording [counts].
-    speed_max, i_q_max : float
-        Largest magnitudes on the way [rad/s], [A].
-    """
-
-    axis: str
-    target: int
-    reached: int
-    overshoot: int
-    settling_time: float | None
-    steady_state: int
-    speed_max: float
-    i_q_max: float
+    axis: str  # name of the axis
+    target: int  # commanded position [counts]
+    reached: int  # position at the end [counts]
+    overshoot: int  # largest distance beyond the target [counts]
+    settling_time: float | None  # from the command until the shaft stays within the tolerance [s]; None: it does not
+    steady_state: int  # largest distance from the target over the last quarter of the recording [counts]
+    speed_max: float  # largest magnitude in the recording [rad/s]
+    i_q_max: float  # largest magnitude in the recording [A]
 
 
 def time_axis(log: NDArray[np.void]) -> NDArray[np.float64]:

@@ -53,11 +53,6 @@ class ServoViewer(Node):
     node_arguments : keyword arguments
         For `rclpy.node.Node`.
 
-    Attributes
-    ----------
-    failure : str
-        Why it cannot go on; empty while it can.
-
     Raises
     ------
     ParameterError
@@ -72,7 +67,7 @@ class ServoViewer(Node):
             self._set_up()
 
     def _set_up(self) -> None:
-        self.failure = ""
+        self.failure = ""  # why it cannot go on; empty while it can
         self._log = Node.get_logger(self)
         self._values = declare(self, PARAMETERS)
         if not (self._values["record"] or self._values["web"]):

@@ -56,13 +56,6 @@ class Pacer:
         Simulated seconds per second of wall time.
     max_lag_s : float
         Backlog that is made up for [s of wall time].
-
-    Attributes
-    ----------
-    slips : int
-        Times that a longer backlog was given up.
-    slipped_s : float
-        Wall time given up in all [s].
     """
 
     def __init__(self, now_ns: int, sim_ns: int = 0, *, speed: float = 1.0, max_lag_s: float = MAX_LAG_S) -> None:
@@ -70,8 +63,8 @@ class Pacer:
         self._sim_ns = sim_ns
         self._speed = speed
         self._max_lag_ns = round(max_lag_s * 1e9 * speed)
-        self.slips = 0
-        self.slipped_s = 0.0
+        self.slips = 0  # number of longer backlogs that were dropped
+        self.slipped_s = 0.0  # dropped wall time in all [s]
 
     def target(self, now_ns: int, reached_ns: int) -> int:
         """Simulated time that the board should have now [ns].
@@ -146,13 +139,6 @@ class Terminal:
     link : Path, optional
         Where to put the link. A link to a terminal or to nowhere is replaced; anything else is left alone.
 
-    Attributes
-    ----------
-    device : str
-        Name of the other end, such as ``/dev/pts/3``.
-    lost : int
-        Bytes thrown away because no client fetched them.
-
     Raises
     ------
     LinkError
@@ -162,11 +148,11 @@ class Terminal:
     def __init__(self, link: Path | None = None) -> None:
         self._master, self._slave = os.openpty()
         self._link = link
-        self.lost = 0
+        self.lost = 0  # bytes discarded because no client fetched them
         try:
             tty.setraw(self._slave)
             os.set_blocking(self._master, False)
-            self.device = os.ttyname(self._slave)
+            self.device = os.ttyname(self._slave)  # name of the other end, such as ``/dev/pts/3``
             if link is not None:
                 _make_link(link, self.device)
         except BaseException:

@@ -28,7 +28,8 @@ void hal_holding_brake(hal_t *hal, uint16_t axis, bool release)
 /* An open contact reads high: a home switch is closed within its range, a limit switch opens at the end of travel. */
 uint16_t hal_inputs(hal_t *hal, uint16_t axis)
 {
-    const uint16_t levels = REG_READ(hal, GPIO(GPIO_F) + GPIO_RAWDATA) >> SWITCHES_SHIFT(axis) & SWITCHES_MASK;
+    const unsigned int raw = REG_READ(hal, GPIO(GPIO_F) + GPIO_RAWDATA);
+    const uint16_t levels = raw >> SWITCHES_SHIFT(axis) & SWITCHES_MASK;
     const uint16_t fsts = REG_READ(hal, hal->axis[axis].pwm + PWM_FSTS0);
     const bool open = (fsts & (PWM_FSTS_FFLAG(ENABLE_INPUT) | PWM_FSTS_FFPIN(ENABLE_INPUT))) != 0U;
     return (uint16_t)((levels ^ HAL_INPUT_HOME) | (open ? 0U : HAL_INPUT_ENABLE));

@@ -20,21 +20,11 @@ _LETTERS: Final = {TypeKind.UNSIGNED: "u", TypeKind.SIGNED: "i", TypeKind.FLOAT:
 
 @dataclass(frozen=True)
 class Channel:
-    """One number of every point.
+    """One number of every point."""
 
-    Attributes
-    ----------
-    name : str
-        Variable, or element of one.
-    variable : BoardVariable
-        The variable itself.
-    slot : ScopeSlot
-        Where the number lies.
-    """
-
-    name: str
-    variable: BoardVariable
-    slot: ScopeSlot
+    name: str  # variable, or element of one
+    variable: BoardVariable  # that it belongs to
+    slot: ScopeSlot  # address and size of the number
 
     @property
     def head(self) -> str:
@@ -81,25 +71,14 @@ def channels_of(selection: Sequence[tuple[str, BoardVariable, int | None]]) -> l
 
 @dataclass(frozen=True)
 class Burst:
-    """Points of a recorder, oldest first.
+    """Points of a recorder, oldest first."""
 
-    Attributes
-    ----------
-    channels : tuple of Channel
-        What was recorded.
-    times : array of float, shape (n,)
-        Time of every point [s]; zero at the trigger, or at the first point without one. Numbers of points where the
-        board does not say how fast it samples.
-    values : tuple of array, each of shape (n,)
-        Values of every channel.
-    timed : bool
-        Whether `times` are seconds.
-    """
-
-    channels: tuple[Channel, ...]
+    channels: tuple[Channel, ...]  # that were recorded
     times: NDArray[np.float64]
-    values: tuple[NDArray[Any], ...]
-    timed: bool
+    """(n,), time of every point [s], zero at the trigger, or at the first point without one; index of the point where
+    the board does not state its sampling period."""
+    values: tuple[NDArray[Any], ...]  # values of every channel, each (n,)
+    timed: bool  # whether `times` are seconds
 
     @property
     def time_head(self) -> str:

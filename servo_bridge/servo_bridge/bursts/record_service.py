@@ -49,11 +49,6 @@ class RecordService:
         From uint32 ticks, oldest first, to extended ticks and ROS times [ns].
     say, warn : callable
         Get a sentence for the log.
-
-    Attributes
-    ----------
-    request : BurstRequest
-        As above; another one counts from the next burst on.
     """
 
     def __init__(
@@ -77,7 +72,7 @@ class RecordService:
         self._say, self._warn = say, warn
         self._recording: Recording | None = None
         self._answer: Future[Outcome] | None = None
-        self.request = request
+        self.request = request  # another one counts from the next burst on
         self._publisher = node.create_publisher(Float64MultiArray, topics.RECORDING, latched_qos())
         self._setups = node.create_publisher(Float64MultiArray, topics.RECORDER, latched_qos())
         self._setups.publish(setup_message(None))

@@ -64,17 +64,6 @@ class Recording:
         Bytes that are read in one step; by default as many as the board sends in one answer.
     clock : callable, optional
         Time from any origin [s].
-
-    Attributes
-    ----------
-    request : BurstRequest
-        As above.
-    phase : Phase
-        How far it is.
-    triggered : bool
-        Whether the trigger has ended it.
-    read, size : int
-        Bytes that have been read, of how many.
     """
 
     def __init__(
@@ -94,8 +83,8 @@ class Recording:
         self._prepared: Prepared | None = None
         self._memory: SampleMemory | None = None
         self._data = bytearray()
-        self.phase = Phase.SET_UP
-        self.triggered = False
+        self.phase = Phase.SET_UP  # progress
+        self.triggered = False  # whether the trigger has ended it
 
     @property
     def read(self) -> int:

@@ -27,8 +27,8 @@ _RATE_TOLERANCE: Final = 0.01
 class Before:
     """How much of a burst lies before its trigger: a part of all points, or a number of them."""
 
-    part: float | None = None
-    points: int | None = None
+    part: float | None = None  # of all points, 0 .. 1
+    points: int | None = None  # number of points
 
     def of(self, total: int) -> int:
         """Points before the trigger of so many in all."""
@@ -40,55 +40,25 @@ class Before:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A recorder and what it is to record.
+    """A recorder and what it is to record."""
 
-    Attributes
-    ----------
-    recorder : Recorder
-        Of the board.
-    channels : tuple of Channel
-        Numbers of a point, in its order.
-    setup : Setup
-        What to configure.
-    period_ns : int
-        Time between two points [ns]; 0 when the board does not say.
-    """
-
-    recorder: Recorder
-    channels: tuple[Channel, ...]
-    setup: Setup
-    period_ns: int
+    recorder: Recorder  # of the board
+    channels: tuple[Channel, ...]  # numbers of a point, in this order
+    setup: Setup  # what to configure
+    period_ns: int  # time between two points [ns]; 0: the board does not state it
 
 
 @dataclass(frozen=True)
 class BurstRequest:
-    """What a burst is to hold.
+    """What a burst is to hold."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Variables, elements of arrays or structures.
-    recorder : int
-        Number of the recorder.
-    trigger : str or None
-        Such as ``axis1.i_q > 1.0``.
-    level : bool
-        Trigger also when the condition holds from the beginning.
-    before : Before or None
-        Points before the trigger; half of them by default.
-    points : int or None
-        Points in all; as many as fit by default.
-    rate : float or None
-        [Hz]; as fast as the recorder samples by default.
-    """
-
-    names: tuple[str, ...]
-    recorder: int = _FAST
-    trigger: str | None = None
-    level: bool = False
-    before: Before | None = None
-    points: int | None = None
-    rate: float | None = None
+    names: tuple[str, ...]  # variables, elements of arrays or structures
+    recorder: int = _FAST  # number of the recorder
+    trigger: str | None = None  # such as ``axis1.i_q > 1.0``
+    level: bool = False  # trigger also when the condition holds from the beginning
+    before: Before | None = None  # points before the trigger; None: half of them
+    points: int | None = None  # number of points; None: as many as fit
+    rate: float | None = None  # [Hz]; None: the sampling rate of the recorder
 
     @classmethod
     def of(cls, args: argparse.Namespace) -> BurstRequest:

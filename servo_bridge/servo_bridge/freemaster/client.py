@@ -54,22 +54,15 @@ class Client:
     ----------
     line : Line
         The way to the target.
-
-    Attributes
-    ----------
-    before_exchange : callable or None
-        Called before every exchange; may exchange something itself while it has taken itself out of here.
-    ask_password : callable or None
-        Gives the password when the target requires one; None or a None from it lets the refusal stand.
-    info : BoardInfo
-        What the target said when it was identified.
     """
 
     def __init__(self, line: Line) -> None:
         self.line = line
         self.before_exchange: Callable[[], None] | None = None
+        """Called before every exchange; may exchange something itself while it has taken itself out of here."""
         self.ask_password: Callable[[], str | None] | None = None
-        self.info = BoardInfo()
+        """Gives the password when the target requires one; None or a None from it lets the refusal stand."""
+        self.info = BoardInfo()  # the target's description of itself
         self.mtu = DEFAULT_MTU
         self._dialect: Dialect = DialectV4()
 

@@ -49,21 +49,11 @@ def negated_sum(data: bytes) -> int:
 
 @dataclass(frozen=True)
 class Framing:
-    """How one version of the protocol builds its frames.
+    """How one version of the protocol builds its frames."""
 
-    Attributes
-    ----------
-    checksum : callable
-        Last byte of a frame, from all others behind the start byte.
-    fast_from : int
-        Commands from this code on carry no length byte; their code tells the length.
-    plain_statuses : tuple of int
-        Successes other than zero that carry no data.
-    """
-
-    checksum: Callable[[bytes], int]
-    fast_from: int
-    plain_statuses: tuple[int, ...] = ()
+    checksum: Callable[[bytes], int]  # last byte of a frame, from all others behind the start byte
+    fast_from: int  # commands from this code on carry no length byte; their code gives the length
+    plain_statuses: tuple[int, ...] = ()  # successes other than zero that carry no data
 
     def encode(self, command: int, payload: bytes = b"") -> bytes:
         """Build one request as it goes over the line.
@@ -191,15 +181,6 @@ class AnswerParser:
         Version of the protocol.
     statuses : tuple of int, optional
         Successes that can be the answer; others are passed over. Default: all.
-
-    Attributes
-    ----------
-    crc_errors : int
-        Complete frames with a wrong checksum so far.
-    passed_over : int
-        Intact frames that cannot be the answer so far.
-    trailing : bool
-        Whether bytes followed the answer at once, as they do only when one was put in by the line.
     """
 
     def __init__(self, fixed_size: int = 0, framing: Framing = V4, statuses: tuple[int, ...] | None = None) -> None:
@@ -208,9 +189,9 @@ class AnswerParser:
         self._statuses = statuses
         self._pending_sob = False
         self._body: bytearray | None = None  # from the status byte on; None while hunting for a start
-        self.crc_errors = 0
-        self.passed_over = 0
-        self.trailing = False
+        self.crc_errors = 0  # complete frames with a wrong checksum so far
+        self.passed_over = 0  # intact frames that cannot be the answer so far
+        self.trailing = False  # whether bytes followed the answer at once: only when the line has inserted one
 
     def feed(self, chunk: bytes) -> Answer | None:
         """Take received bytes; returns the first intact answer, whose successors in `chunk` are dropped."""

@@ -45,40 +45,19 @@ class Command:
 
 @dataclass(frozen=True)
 class Request:
-    """One request.
+    """One request."""
 
-    Attributes
-    ----------
-    name : str
-        For error messages.
-    command : int
-        Command code.
-    payload : bytes
-        Payload before doubling.
-    answer_size : int or None
-        Data bytes of the answer; None when it carries its own length.
-    idempotent : bool
-        Whether it may be sent again after a lost answer.
-    framing : Framing
-        Version of the protocol.
-    statuses : tuple of int
-        Successes without data beside the usual one.
-    lengthy : bool
-        Whether to wait for the answer for the full time: the target may work for a while, or a request that arrives
-        twice, once late, would do more than one.
-    frame : bytes
-        The bytes on the line.
-    """
-
-    name: str
-    command: int
-    payload: bytes
-    answer_size: int | None
-    idempotent: bool = True
-    framing: Framing = V4
-    statuses: tuple[int, ...] = ()
+    name: str  # for error messages
+    command: int  # command code
+    payload: bytes  # payload before doubling
+    answer_size: int | None  # data bytes of the answer; None when it carries its own length
+    idempotent: bool = True  # whether it may be sent again after a lost answer
+    framing: Framing = V4  # version of the protocol
+    statuses: tuple[int, ...] = ()  # successes without data beside the usual one
     lengthy: bool = False
-    frame: bytes = field(init=False)
+    """Whether to wait for the answer for the full time: the target may work for a while, or a request that arrives
+    twice, once late, would do more than one."""
+    frame: bytes = field(init=False)  # the bytes on the line
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "frame", self.framing.encode(self.command, self.payload))
@@ -105,24 +84,12 @@ class ScopeSlot:
 
 @dataclass(frozen=True)
 class TsaTable:
-    """Where one table of variables lies; address 0 ends the list of tables.
+    """Where one table of variables lies; address 0 ends the list of tables."""
 
-    Attributes
-    ----------
-    version : int
-        Meaning of the entries: 2 or 3.
-    field_size : int
-        Bytes of each of the four fields of an entry.
-    size : int
-        Bytes of the table.
-    address : int
-        Where it begins.
-    """
-
-    version: int
-    field_size: int
-    size: int
-    address: int
+    version: int  # meaning of the entries: 2 or 3
+    field_size: int  # bytes of each of the four fields of an entry
+    size: int  # bytes of the table
+    address: int  # of its first byte
 
 
 def get_config(key: str) -> Request:

@@ -34,18 +34,10 @@ def exchange_pipe(payload: bytes) -> Request:
 
 @dataclass(frozen=True)
 class MemoryForm:
-    """All commands that carry addresses or numbers of the target.
+    """All commands that carry addresses or numbers of the target."""
 
-    Attributes
-    ----------
-    order : str
-        Byte order of the target, which is that of the line as well.
-    wide : bool
-        Whether addresses have 32 bits instead of 16.
-    """
-
-    order: ByteOrder = "little"
-    wide: bool = True
+    order: ByteOrder = "little"  # byte order of the target, which is that of the line as well
+    wide: bool = True  # whether addresses have 32 bits instead of 16
 
     def _code(self, plain: int, wide: int) -> int:
         return wide if self.wide else plain

@@ -10,9 +10,8 @@ from servo_bridge.freemaster.board_info import BoardInfo
 from servo_bridge.freemaster.codec import V3
 from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
 from servo_bridge.freemaster.commands_v3 import MemoryForm
-from servo_bridge.freemaster.dialect import Ask
 from servo_bridge.freemaster.errors import CodecError, FreemasterError, RecorderError, Status, StatusError
-from servo_bridge.freemaster.line import Fence
+from servo_bridge.freemaster.line import Ask, Fence
 from servo_bridge.freemaster.recorder import Recorder
 from servo_bridge.freemaster.recorder_v3 import RecorderV3
 

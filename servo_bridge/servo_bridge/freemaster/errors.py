@@ -10,8 +10,7 @@ class Status:
 
     OK: Final = 0x00
     OK_VARIABLE: Final = 0x40
-    RECORDER_RUNNING: Final = 0x01
-    """Version 3 only, as the next."""
+    RECORDER_RUNNING: Final = 0x01  # version 3 only, as the next
     RECORDER_STOPPED: Final = 0x02
     UNKNOWN_COMMAND: Final = 0x81
     CHECKSUM: Final = 0x82
@@ -84,17 +83,11 @@ class AnswerTimeoutError(FreemasterError):
 
 
 class DamagedAnswerError(FreemasterError):
-    """Bytes came back, but no intact answer.
-
-    Attributes
-    ----------
-    received : bytes
-        What came, from the first byte on.
-    """
+    """Bytes came back, but no intact answer."""
 
     def __init__(self, message: str, received: bytes = b"") -> None:
         super().__init__(message)
-        self.received = received
+        self.received = received  # all bytes, from the first one on
 
 
 class DisturbedRequestError(DamagedAnswerError):
@@ -106,19 +99,11 @@ class WrongProtocolError(FreemasterError):
 
 
 class StatusError(FreemasterError):
-    """The target understood the request and refused it.
-
-    Attributes
-    ----------
-    code : int
-        Status byte, 0x81 and up.
-    meaning : str
-        The same in words.
-    """
+    """The target understood the request and refused it."""
 
     def __init__(self, code: int, request: str) -> None:
-        self.code = code
-        self.meaning = status_text(code)
+        self.code = code  # status byte, 0x81 and up
+        self.meaning = status_text(code)  # the same in words
         super().__init__(f"{request}: the board answers {code:02X}, {self.meaning}")
 
 

@@ -76,6 +76,10 @@ class Exchange:
     status: int = Status.OK
 
 
+Ask = Callable[[Request], Exchange]
+"""Sends a request and returns its answer; see `Line.exchange`."""
+
+
 @dataclass(frozen=True)
 class Fence:
     """A request that changes nothing, and its answer, which is always the same; both as they go over the line."""
@@ -105,13 +109,6 @@ class Line:
         Called before every attempt; may raise to abandon a long job.
     statistics : ClientStatistics, optional
         Counters to go on with.
-
-    Attributes
-    ----------
-    fence : Fence or None
-        Of the target that answers, once it is known.
-    meanwhile : callable or None
-        Called once, when the next request has been sent: work for the time that the line needs. Must not send itself.
     """
 
     def __init__(
@@ -131,8 +128,10 @@ class Line:
         self._byte_ns = _BITS_PER_BYTE * 1_000_000_000 // baud
         self._latency_ns = round(latency * 1e9)
         self._round_trip = RoundTrip(self._latency_ns)
-        self.fence: Fence | None = None
+        self.fence: Fence | None = None  # of the target that answers, once it is known
         self.meanwhile: Callable[[], None] | None = None
+        """Called once, when the next request has been sent: work for the time that the line needs. Must not send
+        itself."""
         self.retries = retries
         self.clock = clock
         self.before_request = before_request

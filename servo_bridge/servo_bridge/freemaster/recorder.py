@@ -37,49 +37,20 @@ class State(Enum):
 
 @dataclass(frozen=True)
 class Trigger:
-    """When to stop recording.
+    """When to stop recording."""
 
-    Attributes
-    ----------
-    slot : ScopeSlot
-        Variable that is compared with the threshold.
-    compare : Compare
-        Reading of its bits.
-    above, below : bool
-        Fire when the variable reaches the threshold from below; when it falls below the threshold.
-    threshold : int
-        Raw number of the target; of a `Compare.FLOAT` the bits of the number.
-    threshold_address : int or None
-        Address of a variable of the same type that is the threshold instead.
-    level : bool
-        Fire also when the condition holds from the beginning; else only when it comes true.
-    """
-
-    slot: ScopeSlot
-    compare: Compare
-    above: bool
-    below: bool
-    threshold: int = 0
-    threshold_address: int | None = None
-    level: bool = False
+    slot: ScopeSlot  # variable that is compared with the threshold
+    compare: Compare  # interpretation of its bits
+    above: bool  # fire when the variable reaches the threshold from below
+    below: bool  # fire when the variable falls below the threshold
+    threshold: int = 0  # raw number of the target; for `Compare.FLOAT` the bits of the number
+    threshold_address: int | None = None  # address of a variable of the same type that is the threshold instead
+    level: bool = False  # fire also when the condition holds from the beginning; else only when it comes true
 
 
 @dataclass(frozen=True)
 class Setup:
     """What to record.
-
-    Attributes
-    ----------
-    slots : tuple of ScopeSlot
-        Variables in the order in which a point holds them.
-    points : int
-        Points in all; 0: as many as fit.
-    before : int
-        Points before the trigger.
-    divider : int
-        Take every so many-th of the samples that the target could take.
-    trigger : Trigger or None
-        None: record until `Recorder.stop`.
 
     Raises
     ------
@@ -87,11 +58,11 @@ class Setup:
         If it contradicts itself.
     """
 
-    slots: tuple[ScopeSlot, ...]
-    points: int = 0
-    before: int = 0
-    divider: int = 1
-    trigger: Trigger | None = None
+    slots: tuple[ScopeSlot, ...]  # variables in the order in which a point holds them
+    points: int = 0  # number of points; 0: as many as fit
+    before: int = 0  # points before the trigger
+    divider: int = 1  # record every so many-th of the samples that the target could record
+    trigger: Trigger | None = None  # None: record until `Recorder.stop`
 
     def __post_init__(self) -> None:
         if not self.slots:
@@ -112,32 +83,16 @@ class Setup:
 
 @dataclass(frozen=True)
 class Limits:
-    """What a recorder can do.
+    """What a recorder can do."""
 
-    Attributes
-    ----------
-    name : str
-        Its name, may be empty.
-    memory : int or None
-        Bytes for samples and what the target notes about them; None when it does not say.
-    period_ns : int
-        Time between two samples without divider [ns]; 0 when the target does not say.
-    overhead, slot_overhead : int
-        Bytes of `memory` that the target needs for itself, and for each variable.
-    slots_max : int or None
-        Most variables; None when the target does not say.
-    divider_max, points_max : int
-        Largest numbers that a request can carry.
-    """
-
-    name: str
-    memory: int | None
-    period_ns: int
-    overhead: int = 0
-    slot_overhead: int = 0
-    slots_max: int | None = None
-    divider_max: int = (1 << 32) - 1
-    points_max: int = (1 << 32) - 1
+    name: str  # of the recorder, may be empty
+    memory: int | None  # bytes for samples and the target's own data about them; None: not stated
+    period_ns: int  # time between two samples without divider [ns]; 0: not stated
+    overhead: int = 0  # bytes of `memory` for the target's own data
+    slot_overhead: int = 0  # bytes of `memory` for the target's own data per variable
+    slots_max: int | None = None  # largest number of variables; None: not stated
+    divider_max: int = (1 << 32) - 1  # largest number that a request can carry
+    points_max: int = (1 << 32) - 1  # largest number that a request can carry
 
     def capacity(self, setup: Setup) -> int | None:
         """Count the points that fit; None when the target does not say how much memory it has."""
@@ -176,24 +131,12 @@ def too_many_points(setup: Setup, fitting: int) -> RecorderError:
 
 @dataclass(frozen=True)
 class SampleMemory:
-    """Where the points lie.
+    """Where the points lie."""
 
-    Attributes
-    ----------
-    address : int
-        Of the first point in memory.
-    point_size : int
-        Bytes of one.
-    count : int
-        How many there are.
-    first : int
-        Index of the oldest.
-    """
-
-    address: int
-    point_size: int
-    count: int
-    first: int
+    address: int  # of the first point in memory
+    point_size: int  # bytes of one point
+    count: int  # number of points
+    first: int  # index of the oldest point
 
     @property
     def size(self) -> int:

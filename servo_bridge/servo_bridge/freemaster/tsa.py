@@ -87,27 +87,13 @@ def entry_of_version_2(name: str, type_text: bytes, address: int, info: int) -> 
 
 @dataclass(frozen=True)
 class ValueType:
-    """Type of one element of a variable.
+    """Type of one element of a variable."""
 
-    Attributes
-    ----------
-    kind : TypeKind
-        Reading of the bits.
-    size : int
-        Bytes of one element.
-    fraction_bits : int
-        The value is the integer divided by two to this power.
-    name : str
-        For people: ``u16``, ``q0.15``, ``float`` or the name of the target's own type.
-    labels : tuple of (str, int)
-        Names of enumeration values.
-    """
-
-    kind: TypeKind
-    size: int
-    name: str
-    fraction_bits: int = 0
-    labels: tuple[tuple[str, int], ...] = ()
+    kind: TypeKind  # interpretation of the bits
+    size: int  # bytes of one element
+    name: str  # for display: ``u16``, ``q0.15``, ``float`` or the name of the target's own type
+    fraction_bits: int = 0  # the value is the integer divided by two to this power
+    labels: tuple[tuple[str, int], ...] = ()  # names of enumeration values
 
     def decode(self, data: bytes, order: ByteOrder = "little") -> Number:
         """Decode one element."""
@@ -150,31 +136,15 @@ class ValueType:
 
 @dataclass(frozen=True)
 class TargetVariable:
-    """One variable as the target describes it.
+    """One variable as the target describes it."""
 
-    Attributes
-    ----------
-    name : str
-        Name; members of structures are ``variable.member``, elements of arrays of structures ``variable[k]``.
-    address, size : int
-        Where it lies and how many bytes it has.
-    type : ValueType
-        Type of one element; `TypeKind.RAW` for memory without a type that can be shown as numbers.
-    writable : bool
-        Whether the target lets it be written.
-    order : str
-        Byte order of the target.
-    members : tuple of str
-        Names of the variables inside it; empty for numbers and plain memory.
-    """
-
-    name: str
-    address: int
-    size: int
-    type: ValueType
-    writable: bool
-    order: ByteOrder = "little"
-    members: tuple[str, ...] = field(default=())
+    name: str  # members of structures are ``variable.member``, elements of arrays of structures ``variable[k]``
+    address: int  # of its first byte
+    size: int  # bytes
+    type: ValueType  # type of one element; `TypeKind.RAW` for memory without a type that can be shown as numbers
+    writable: bool  # whether the target permits writing
+    order: ByteOrder = "little"  # byte order of the target
+    members: tuple[str, ...] = field(default=())  # names of the variables inside it; empty for numbers and plain memory
 
     @property
     def count(self) -> int:

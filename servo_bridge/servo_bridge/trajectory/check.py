@@ -32,31 +32,20 @@ class Limits:
 
     torque = inertia * acceleration + viscous * velocity + coulomb * sign(velocity) + effort
 
-    Attributes
-    ----------
-    position_min, position_max : float
-        [rad]
-    velocity_max, acceleration_max, torque_max : float
-        Magnitudes, [rad/s], [rad/s^2], [N m].
-    inertia : float
-        Of rotor and load [kg m^2].
-    viscous, coulomb : float
-        Friction, [N m s/rad] and [N m].
-
     Raises
     ------
     ValueError
         If a number is NaN, a magnitude is negative, or `position_min` is above `position_max`.
     """
 
-    position_min: float = -math.inf
-    position_max: float = math.inf
-    velocity_max: float = math.inf
-    acceleration_max: float = math.inf
-    torque_max: float = math.inf
-    inertia: float = 0.0
-    viscous: float = 0.0
-    coulomb: float = 0.0
+    position_min: float = -math.inf  # [rad]
+    position_max: float = math.inf  # [rad]
+    velocity_max: float = math.inf  # magnitude [rad/s]
+    acceleration_max: float = math.inf  # magnitude [rad/s^2]
+    torque_max: float = math.inf  # magnitude [N m]
+    inertia: float = 0.0  # of rotor and load [kg m^2]
+    viscous: float = 0.0  # friction [N m s/rad]
+    coulomb: float = 0.0  # friction [N m]
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -68,28 +57,14 @@ class Limits:
 
 @dataclass(frozen=True)
 class Violation:
-    """The first time that a path leaves its limits.
+    """The first time that a path leaves its limits."""
 
-    Attributes
-    ----------
-    joint, quantity : str
-        Name, and ``position``, ``velocity``, ``acceleration`` or ``torque``.
-    time : float
-        When the limit is passed, on the clock of the path [s].
-    since_start : float
-        The same from the start of the path [s].
-    value : float
-        Extremum in the piece of the path in which that happens, in the unit of the quantity.
-    limit : float
-        The limit that is passed.
-    """
-
-    joint: str
-    quantity: str
-    time: float
-    since_start: float
-    value: float
-    limit: float
+    joint: str  # name
+    quantity: str  # ``position``, ``velocity``, ``acceleration`` or ``torque``
+    time: float  # at which the limit is passed, on the clock of the path [s]
+    since_start: float  # the same from the start of the path [s]
+    value: float  # extremum in the piece of the path in which it happens, in the unit of the quantity
+    limit: float  # that is passed, in the unit of the quantity
 
     def __str__(self) -> str:
         unit, way = _UNITS[self.quantity], "above" if self.value > self.limit else "below"

@@ -23,14 +23,8 @@ class ErrorCode(IntEnum):
 
 
 class TrajectoryError(Rejected):
-    """A trajectory that was refused; the text says what is wrong, where, and what to do.
-
-    Attributes
-    ----------
-    code : ErrorCode
-        For the result of an action.
-    """
+    """A trajectory that was refused; the text says what is wrong, where, and what to do."""
 
     def __init__(self, text: str, code: ErrorCode = ErrorCode.INVALID_GOAL) -> None:
         super().__init__(text)
-        self.code = code
+        self.code = code  # for the result of an action

@@ -53,18 +53,10 @@ Plan = Callable[[Path, float], Path]
 
 @dataclass(frozen=True)
 class AxisReport:
-    """What the newest sample says of an axis that may follow a path.
+    """What the newest sample says of an axis that may follow a path."""
 
-    Attributes
-    ----------
-    position_ref : float
-        Where the motor is meant to be [rad].
-    follows : bool
-        The axis is in mode TRAJECTORY and has been for this sample.
-    """
-
-    position_ref: float
-    follows: bool
+    position_ref: float  # set-point of the motor [rad]
+    follows: bool  # the axis is in mode TRAJECTORY and has been for this sample
 
 
 @dataclass
@@ -99,7 +91,7 @@ class _Axis:
 class _Request:
     joints: tuple[int, ...]
     plan: Plan
-    start: float
+    start: float  # not before this time [s]
     begun: Callable[[float], None]
     refused: Callable[[TrajectoryError], None]
     abandoned: Callable[[str], None] | None

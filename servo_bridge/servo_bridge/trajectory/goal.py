@@ -27,19 +27,11 @@ WITHDRAWN = "cancelled before it began"
 
 @dataclass(frozen=True)
 class GoalDefaults:
-    """What holds where a goal gives no tolerance.
+    """What holds where a goal gives no tolerance."""
 
-    Attributes
-    ----------
-    path, goal : mapping of str to Tolerance
-        By joint: on the way, and at the end.
-    goal_time : float
-        How long to wait for the goal after the end of the path [s].
-    """
-
-    path: Mapping[str, Tolerance]
-    goal: Mapping[str, Tolerance]
-    goal_time: float
+    path: Mapping[str, Tolerance]  # by joint, during the motion
+    goal: Mapping[str, Tolerance]  # by joint, at the end
+    goal_time: float  # longest wait for the goal after the end of the path [s]
 
 
 class Step(Enum):
@@ -65,21 +57,14 @@ class Goal:
         By joint, in the order of `joints`: on the way, and at the end.
     goal_time : float
         How long to wait for the goal after the end of the path [s].
-
-    Attributes
-    ----------
-    outcome : Outcome
-        Result, once `ended`.
-    canceled : bool
-        Whether it ended because its client has cancelled it.
     """
 
     def __init__(
         self, joints: Sequence[str], path: Mapping[str, Tolerance], goal: Mapping[str, Tolerance], goal_time: float
     ) -> None:
         self.joints = list(joints)
-        self.outcome = Outcome(Phase.RUNNING)
-        self.canceled = False
+        self.outcome = Outcome(Phase.RUNNING)  # result, once `ended`
+        self.canceled = False  # whether it ended because its client has cancelled it
         self._tolerances = path, goal, goal_time
         self._monitor: GoalMonitor | None = None
         self._canceling = self._stopping = False

@@ -18,18 +18,12 @@ _HOLD = 1.0e-3
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """State of several joints at one instant or at several.
+    """State of several joints at one instant or at several."""
 
-    Attributes
-    ----------
-    position, velocity, acceleration, effort : (..., joints) ndarray
-        [rad], [rad/s], [rad/s^2], and the torque added to that of the controller [N m].
-    """
-
-    position: Array
-    velocity: Array
-    acceleration: Array
-    effort: Array
+    position: Array  # (..., joints) [rad]
+    velocity: Array  # (..., joints) [rad/s]
+    acceleration: Array  # (..., joints) [rad/s^2]
+    effort: Array  # (..., joints), torque added to that of the controller [N m]
 
     @classmethod
     def at_rest(cls, position: ArrayLike) -> State:

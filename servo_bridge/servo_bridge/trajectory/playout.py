@@ -36,19 +36,12 @@ class PlayoutClock:
         How long before they are due points are fetched [s].
     delay_max : float, optional
         Bound of the delay besides the lead [s]; by default one period of the stream.
-
-    Attributes
-    ----------
-    lead : float
-        As above; the delay follows a change slowly.
-    received, lost, late : int
-        Messages; those missing in the order of stamps; and those that came after they were due.
     """
 
     def __init__(self, lead: float, delay_max: float | None = None) -> None:
-        self.lead = lead
+        self.lead = lead  # [s]; the delay follows a change slowly
         self._delay_max = delay_max
-        self.received = self.lost = self.late = 0
+        self.received = self.lost = self.late = 0  # messages; missing in the order of stamps; after they were due
         self.reset()
 
     def reset(self) -> None:

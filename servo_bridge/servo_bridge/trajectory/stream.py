@@ -35,29 +35,16 @@ _REST, _REST_SPEED = 1.0e-4, 1.0e-2
 
 @dataclass(frozen=True)
 class StreamReport:
-    """What is known of a stream.
+    """What is known of a stream."""
 
-    Attributes
-    ----------
-    delay, jitter, period : float
-        From the arrival of the fastest message to its place in the path; spread of the delays in transit; distance of
-        stamps [s].
-    received, lost, late : int
-        Messages; those missing in the order of stamps; those that came after they were due.
-    moving : tuple of str
-        Joints that the stream moves or holds now.
-    starved : tuple of str
-        Those of them whose messages have been missing for longer than is bridged: they stop.
-    """
-
-    delay: float
-    jitter: float
-    period: float
-    received: int
-    lost: int
-    late: int
-    moving: tuple[str, ...]
-    starved: tuple[str, ...]
+    delay: float  # from the arrival of the fastest message to its place in the path [s]
+    jitter: float  # spread of the delays in transit [s]
+    period: float  # distance of stamps [s]
+    received: int  # messages
+    lost: int  # messages missing in the order of stamps
+    late: int  # messages that came after they were due
+    moving: tuple[str, ...]  # joints that the stream moves or holds now
+    starved: tuple[str, ...]  # those of them whose messages have been missing for longer than is bridged: they stop
 
 
 @dataclass
@@ -65,13 +52,13 @@ class _Joint:
     """Set-points of one joint in the order of stamps: (stamp, position, velocity or NaN, effort)."""
 
     tracker: Tracker
-    gear_ratio: float = 1.0
-    points: list[tuple[float, float, float, float]] = field(default_factory=list)
+    gear_ratio: float = 1.0  # turns of the motor per turn of the joint
+    points: list[tuple[float, float, float, float]] = field(default_factory=list)  # in the order of stamps
     active: bool = False
     begins: bool = False
     starved: bool = False
-    effort: float = 0.0
-    out: list[tuple[int, float, float, float]] = field(default_factory=list)
+    effort: float = 0.0  # [N m]
+    out: list[tuple[int, float, float, float]] = field(default_factory=list)  # tick, position, velocity, effort
 
     def take(self, stamp: float, position: float, velocity: float, effort: float) -> None:
         k = bisect_left(self.points, (stamp,))

@@ -43,20 +43,12 @@ _SAMPLES = 16
 
 @dataclass(frozen=True, eq=False)
 class TimedPoints:
-    """Points of one joint.
+    """Points of one joint."""
 
-    Attributes
-    ----------
-    periods : (n,) ndarray of int
-        PWM periods since time 0 of the path.
-    positions, velocities, efforts : (n,) ndarray
-        [rad], [rad/s], and the torque added to that of the controller [N m].
-    """
-
-    periods: NDArray[np.int64]
-    positions: Array
-    velocities: Array
-    efforts: Array
+    periods: NDArray[np.int64]  # (n,), PWM periods since time 0 of the path
+    positions: Array  # (n,) [rad]
+    velocities: Array  # (n,) [rad/s]
+    efforts: Array  # (n,), torque added to that of the controller [N m]
 
     def interpolated(self, t: Array) -> Array:
         """Position as the board interpolates it [rad], at times [s] within the points."""

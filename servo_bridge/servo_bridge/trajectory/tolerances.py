@@ -26,36 +26,20 @@ class Phase(Enum):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a goal.
+    """What became of a goal."""
 
-    Attributes
-    ----------
-    phase : Phase
-        Running, succeeded or aborted.
-    code : ErrorCode
-        ``error_code`` of the result.
-    text : str
-        ``error_string`` of the result.
-    """
-
-    phase: Phase
-    code: ErrorCode = ErrorCode.SUCCESSFUL
-    text: str = ""
+    phase: Phase  # running, succeeded or aborted
+    code: ErrorCode = ErrorCode.SUCCESSFUL  # ``error_code`` of the result
+    text: str = ""  # ``error_string`` of the result
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far a joint may be from its path; infinite where it does not matter.
+    """How far a joint may be from its path; infinite where it does not matter."""
 
-    Attributes
-    ----------
-    position, velocity, acceleration : float
-        [rad], [rad/s], [rad/s^2]
-    """
-
-    position: float = math.inf
-    velocity: float = math.inf
-    acceleration: float = math.inf
+    position: float = math.inf  # [rad]
+    velocity: float = math.inf  # [rad/s]
+    acceleration: float = math.inf  # [rad/s^2]
 
 
 def tolerances_from(

@@ -14,22 +14,12 @@ _RESERVE = 0.2
 
 @dataclass
 class Tracker:
-    """Position and velocity of one joint.
+    """Position and velocity of one joint."""
 
-    Attributes
-    ----------
-    position, velocity : float
-        [rad], [rad/s]
-    acceleration_max : float
-        Never exceeded [rad/s^2].
-    velocity_max : float
-        [rad/s]; a start that is faster is slowed down.
-    """
-
-    position: float
-    velocity: float
-    acceleration_max: float
-    velocity_max: float = math.inf
+    position: float  # [rad]
+    velocity: float  # [rad/s]
+    acceleration_max: float  # never exceeded [rad/s^2]
+    velocity_max: float = math.inf  # [rad/s]; a start that is faster is slowed down
 
     def advance(self, position: float, velocity: float, acceleration: float, step: float) -> None:
         """Move by one step.

@@ -18,28 +18,14 @@ Rows = Sequence[ArrayLike | None] | Array | None
 
 @dataclass(frozen=True, eq=False)
 class Waypoints:
-    """Waypoints of several joints; make them with `of`.
+    """Waypoints of several joints; make them with `of`."""
 
-    Attributes
-    ----------
-    joints : tuple of str
-        Different names.
-    times : (n,) ndarray
-        Strictly increasing, n >= 1 [s].
-    positions : (n, joints) ndarray
-        [rad]
-    velocities, accelerations : (n, joints) ndarray
-        [rad/s], [rad/s^2]; a row of NaN where they are not given.
-    efforts : (n, joints) ndarray
-        Torque added to that of the controller [N m]; 0 where it is not given.
-    """
-
-    joints: tuple[str, ...]
-    times: Array
-    positions: Array
-    velocities: Array
-    accelerations: Array
-    efforts: Array
+    joints: tuple[str, ...]  # different names
+    times: Array  # (n,), strictly increasing, n >= 1 [s]
+    positions: Array  # (n, joints) [rad]
+    velocities: Array  # (n, joints) [rad/s]; a row of NaN where they are not given
+    accelerations: Array  # (n, joints) [rad/s^2]; a row of NaN where they are not given
+    efforts: Array  # (n, joints), torque added to that of the controller [N m]; 0 where it is not given
 
     @classmethod
     def of(

@@ -22,18 +22,10 @@ rotor_inertia and rated_speed are not on a board; they only serve a report. [boa
 
 
 class Computed(NamedTuple):
-    """What the tuning code makes of a file.
+    """What the tuning code makes of a file."""
 
-    Attributes
-    ----------
-    blocks : sequence of mapping
-        Members by path, per axis.
-    warnings : sequence of sequence of str
-        Sentences, per axis.
-    """
-
-    blocks: Sequence[Block]
-    warnings: Sequence[Sequence[str]]
+    blocks: Sequence[Block]  # members by path, per axis
+    warnings: Sequence[Sequence[str]]  # sentences, per axis
 
 
 def computed(path: Path, catalogue: Catalogue) -> Computed:
@@ -67,15 +59,11 @@ class Plan:
     ----------
     old, new : mapping
         Blocks by index of the axis; of the same axes.
-
-    Attributes
-    ----------
-    changes : mapping
-        Old and new block of every axis that changes.
     """
 
     def __init__(self, old: Mapping[int, Block], new: Mapping[int, Block]) -> None:
         self.changes = {axis: (old[axis], new[axis]) for axis in sorted(new) if old[axis] != new[axis]}
+        """Old and new block of every axis that changes."""
 
     @property
     def axes(self) -> list[int]:

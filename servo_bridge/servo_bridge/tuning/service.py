@@ -75,11 +75,6 @@ class TuningService:
         Called in the thread of the node when the board has got other blocks.
     say, warn : callable
         Get a sentence for the log, in the thread of the node.
-
-    Attributes
-    ----------
-    path : str
-        As above; another one counts from the next call on.
     """
 
     def __init__(
@@ -94,7 +89,7 @@ class TuningService:
         say: Callable[[str], None],
         warn: Callable[[str], None],
     ) -> None:
-        self.path = path
+        self.path = path  # another one counts from the next call on
         self._memory = _LinkMemory(call)
         self._post = post
         self._take, self._taken = take, taken

@@ -28,21 +28,11 @@ _STEP_BACK_NS: Final = 1_000_000_000
 
 @dataclass(frozen=True)
 class TickReading:
-    """A tick past 32 bits.
+    """A tick past 32 bits."""
 
-    Attributes
-    ----------
-    tick : int
-        PWM periods since reset.
-    epoch : int
-        Number of board resets seen so far; ticks of different epochs have nothing to do with each other.
-    reset : bool
-        Whether this reading is the first of a new epoch.
-    """
-
-    tick: int
-    epoch: int
-    reset: bool
+    tick: int  # PWM periods since reset
+    epoch: int  # board resets seen so far; ticks of different epochs are unrelated
+    reset: bool  # whether this reading is the first of a new epoch
 
 
 class TickExtender:

@@ -29,43 +29,23 @@ class Port(Transport, Protocol):
 
 @dataclass(frozen=True)
 class LinkConfig:
-    """How to reach a board and what to read from it.
+    """How to reach a board and what to read from it."""
 
-    Attributes
-    ----------
-    url : str
-        Device path or pyserial URL.
-    baud : int
-        Line speed [bit/s].
-    telemetry : tuple of str
-        Variables of every sample; ``tick`` is put in front when it is missing.
-    rate : float
-        Most samples per second; 0: as many as the line carries.
-    latency : float
-        What board and adapters may add to the time on the line at most [s]; how long an answer is waited for follows
-        from how long those before took.
-    lost_after : int
-        The link counts as lost after so many unanswered requests in a row, and not before ``lost_after * latency`` of
-        silence. So a board that falls silent is noticed within 0.7 s with the defaults; an unplugged adapter is
-        noticed at once.
-    queue_limit : int
-        Most jobs of each kind that may wait.
-    backoff_min, backoff_max : float
-        Pause before the first and the later attempts to connect again [s].
-    password : str or None
-        For a board that asks for one.
-    """
-
-    url: str
-    baud: int = 115_200
-    telemetry: tuple[str, ...] = (TICK,)
-    rate: float = 0.0
+    url: str  # device path or pyserial URL
+    baud: int = 115_200  # line speed [bit/s]
+    telemetry: tuple[str, ...] = (TICK,)  # variables of every sample; ``tick`` is put in front when it is missing
+    rate: float = 0.0  # largest number of samples per second; 0: as many as the line carries
     latency: float = 0.2
+    """Largest delay of board and adapters besides the time on the line [s]; the timeout of an answer follows from the
+    duration of those before."""
     lost_after: int = 3
-    queue_limit: int = 64
-    backoff_min: float = 0.1
-    backoff_max: float = 2.0
-    password: str | None = field(default=None, repr=False)
+    """The link counts as lost after so many unanswered requests in a row, and not before ``lost_after * latency`` of
+    silence. So a board that falls silent is noticed within 0.7 s with the defaults; an unplugged adapter is noticed at
+    once."""
+    queue_limit: int = 64  # largest number of waiting jobs of each kind
+    backoff_min: float = 0.1  # pause before the first attempt to connect again [s]
+    backoff_max: float = 2.0  # longest pause before later attempts [s]
+    password: str | None = field(default=None, repr=False)  # for a board that requires one
 
     def __post_init__(self) -> None:
         if self.baud <= 0 or self.rate < 0.0 or self.latency <= 0.0 or self.lost_after < 1 or self.queue_limit < 1:
@@ -76,19 +56,9 @@ class LinkConfig:
 
 @dataclass(frozen=True)
 class WriteResult:
-    """An acknowledged write.
+    """An acknowledged write."""
 
-    Attributes
-    ----------
-    variable : str
-        What was written.
-    request_ns, response_ns : int
-        Monotonic host time of request and acknowledgement [ns].
-    last_tick : int
-        Extended tick of the last sample before it; it took effect after this tick.
-    """
-
-    variable: str
-    request_ns: int
-    response_ns: int
-    last_tick: int
+    variable: str  # that was written
+    request_ns: int  # monotonic host time of the request [ns]
+    response_ns: int  # monotonic host time of the acknowledgement [ns]
+    last_tick: int  # extended tick of the last sample before it; it took effect after this tick

@@ -22,25 +22,12 @@ class LinkBusyError(RuntimeError):
 
 @dataclass(eq=False)
 class Job:
-    """Something to do between two telemetry samples.
+    """Something to do between two telemetry samples."""
 
-    Attributes
-    ----------
-    run : callable
-        Does it, in the thread of the link.
-    key : str
-        Name of the variable and elements that it writes; a later job with ``latest_wins`` and the same key takes its
-        place.
-    write : bool
-        Writes go before reads.
-    retried : bool
-        Whether its requests are repeated when they are not answered, so that its failure means a lost link.
-    """
-
-    run: Callable[[Client], Any]
-    key: str = ""
-    write: bool = False
-    retried: bool = True
+    run: Callable[[Client], Any]  # the work, in the thread of the link
+    key: str = ""  # variable and elements that it writes; it is replaced by a later ``latest_wins`` job of the same key
+    write: bool = False  # writes go before reads
+    retried: bool = True  # whether its unanswered requests are repeated, so that its failure means a lost link
     done: Future[Any] = field(default_factory=Future)
 
     def execute(self, client: Client) -> None:

@@ -33,21 +33,11 @@ class LinkState(Enum):
 
 @dataclass(frozen=True)
 class LinkStatus:
-    """State of the link.
+    """State of the link."""
 
-    Attributes
-    ----------
-    state : LinkState
-        How things stand.
-    reason : str
-        Why, one line.
-    remedy : str
-        What the user can do, empty when there is nothing to do.
-    """
-
-    state: LinkState
-    reason: str
-    remedy: str = ""
+    state: LinkState  # of the link
+    reason: str  # why, one line
+    remedy: str = ""  # what the user can do; empty: nothing
 
     def __str__(self) -> str:
         return f"{self.reason}; {self.remedy}" if self.remedy else self.reason

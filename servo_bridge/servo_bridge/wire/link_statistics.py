@@ -15,44 +15,25 @@ _ROUND_TRIPS: Final = 2000
 
 @dataclass(frozen=True)
 class LinkStatistics:
-    """A look at the link.
+    """A look at the link."""
 
-    Attributes
-    ----------
-    samples, connections, resets : int
-        Telemetry samples, times connected and board resets since the start.
-    sample_rate : float
-        Samples per second lately.
-    bytes_out_rate, bytes_in_rate : float
-        Bytes per second on the line lately, both directions.
-    timeouts, crc_errors, damaged, retries, refused, stray_bytes : int
-        Unanswered requests, answers with a wrong checksum, answers that were not intact for any reason, repeated
-        requests, requests that the board refused, bytes without a request.
-    round_trip_p50, round_trip_p99, round_trip_max : float
-        Time from request to answer of the latest samples [s].
-    writes : int
-        Writes that the board has acknowledged.
-    waiting : int
-        Jobs in the queue.
-    """
-
-    samples: int = 0
-    connections: int = 0
-    resets: int = 0
-    sample_rate: float = 0.0
-    bytes_out_rate: float = 0.0
-    bytes_in_rate: float = 0.0
-    timeouts: int = 0
-    crc_errors: int = 0
-    damaged: int = 0
-    retries: int = 0
-    refused: int = 0
-    stray_bytes: int = 0
-    round_trip_p50: float = 0.0
-    round_trip_p99: float = 0.0
-    round_trip_max: float = 0.0
-    writes: int = 0
-    waiting: int = 0
+    samples: int = 0  # telemetry samples since the start
+    connections: int = 0  # times connected since the start
+    resets: int = 0  # board resets since the start
+    sample_rate: float = 0.0  # recent [1/s]
+    bytes_out_rate: float = 0.0  # recent, bytes per second on the line
+    bytes_in_rate: float = 0.0  # recent, bytes per second on the line
+    timeouts: int = 0  # unanswered requests
+    crc_errors: int = 0  # answers with a wrong checksum
+    damaged: int = 0  # answers that were not intact for any reason
+    retries: int = 0  # repeated requests
+    refused: int = 0  # requests that the board refused
+    stray_bytes: int = 0  # bytes without a request
+    round_trip_p50: float = 0.0  # time from request to answer of the latest samples, median [s]
+    round_trip_p99: float = 0.0  # the same, 99th percentile [s]
+    round_trip_max: float = 0.0  # the same, maximum [s]
+    writes: int = 0  # that the board has acknowledged
+    waiting: int = 0  # jobs in the queue
 
 
 class StatisticsCollector:

@@ -67,31 +67,15 @@ class ScopeLayout:
 
 @dataclass(frozen=True)
 class Sample:
-    """One telemetry sample: all variables from the same tick.
+    """One telemetry sample: all variables from the same tick."""
 
-    Attributes
-    ----------
-    tick : int
-        PWM periods since reset, extended past 32 bits.
-    epoch : int
-        Board resets seen before.
-    request_ns, response_ns : int
-        Monotonic host time of request and answer [ns].
-    data : bytes
-        As it came over the line.
-    raw : tuple of int
-        Firmware integers of all elements.
-    layout : ScopeLayout
-        What they are.
-    """
-
-    tick: int
-    epoch: int
-    request_ns: int
-    response_ns: int
-    data: bytes
-    raw: tuple[int, ...]
-    layout: ScopeLayout
+    tick: int  # PWM periods since reset, extended past 32 bits
+    epoch: int  # board resets seen before
+    request_ns: int  # monotonic host time of the request [ns]
+    response_ns: int  # monotonic host time of the answer [ns]
+    data: bytes  # as received
+    raw: tuple[int, ...]  # firmware integers of all elements
+    layout: ScopeLayout  # of `raw`
 
     @property
     def applied_tick(self) -> int | None:

@@ -33,37 +33,21 @@ _LINK_TOLERANCE: Final = 2.0  # the clocks of two file systems may differ by a t
 
 
 class PortError(TransportError):
-    """The port cannot be opened.
-
-    Attributes
-    ----------
-    reason, remedy : str
-        What is wrong and what the user can do.
-    missing : bool
-        Whether there is just no device yet, so that waiting may help.
-    """
+    """The port cannot be opened."""
 
     def __init__(self, reason: str, remedy: str, *, missing: bool = False) -> None:
         super().__init__(f"{reason}; {remedy}")
-        self.reason = reason
-        self.remedy = remedy
-        self.missing = missing
+        self.reason = reason  # what is wrong
+        self.remedy = remedy  # what the user can do
+        self.missing = missing  # whether there is just no device yet, so that waiting may help
 
 
 @dataclass(frozen=True)
 class LowLatency:
-    """Whether the adapter hands over bytes at once.
+    """Whether the adapter hands over bytes at once."""
 
-    Attributes
-    ----------
-    enabled : bool or None
-        None where the port has no such mode.
-    text : str
-        The same for people.
-    """
-
-    enabled: bool | None
-    text: str
+    enabled: bool | None  # None: the port has no such mode
+    text: str  # the same in words
 
 
 class SerialPort:

@@ -25,21 +25,13 @@ _SHOWN: Final = 4
 
 
 class BoardMismatchError(FreemasterError):
-    """The variables of the board are not those of the catalogue; nothing may be commanded.
-
-    Attributes
-    ----------
-    reason, remedy : str
-        What differs and what the user can do.
-    stranger : bool
-        Whether it is no servo board at all.
-    """
+    """The variables of the board are not those of the catalogue; nothing may be commanded."""
 
     def __init__(self, reason: str, remedy: str, *, stranger: bool = False) -> None:
         super().__init__(f"{reason}; {remedy}")
-        self.reason = reason
-        self.remedy = remedy
-        self.stranger = stranger
+        self.reason = reason  # what differs
+        self.remedy = remedy  # what the user can do
+        self.stranger = stranger  # whether it is no servo board at all
 
 
 def element_bytes(variable: Variable, raw: Sequence[int], first: int = 0) -> tuple[int, bytes]:
@@ -75,18 +67,10 @@ def element_bytes(variable: Variable, raw: Sequence[int], first: int = 0) -> tup
 
 @dataclass(frozen=True)
 class BoardVariable:
-    """A variable on a board.
+    """A variable on a board."""
 
-    Attributes
-    ----------
-    target : TargetVariable
-        What the board says about it.
-    contract : Variable or None
-        What the catalogue says about it, when the board is one of ours; then values are SI.
-    """
-
-    target: TargetVariable
-    contract: Variable | None
+    target: TargetVariable  # description by the board
+    contract: Variable | None  # description by the catalogue, when the board is one of ours; then values are SI
 
     @property
     def name(self) -> str:
@@ -167,27 +151,13 @@ class BoardVariable:
 
 @dataclass(frozen=True)
 class Session:
-    """An identified board.
+    """An identified board."""
 
-    Attributes
-    ----------
-    client : Client
-        The line to it.
-    catalogue : Catalogue
-        What its variables mean if it is one of ours.
-    info : BoardInfo
-        What it says about itself.
-    variables : mapping
-        Its variables by name.
-    mismatch : BoardMismatchError or None
-        Why the catalogue does not fit it; then values are raw numbers.
-    """
-
-    client: Client
-    catalogue: Catalogue
-    info: BoardInfo
-    variables: Mapping[str, BoardVariable]
-    mismatch: BoardMismatchError | None
+    client: Client  # line to the board
+    catalogue: Catalogue  # meaning of its variables if it is one of ours
+    info: BoardInfo  # the board's description of itself
+    variables: Mapping[str, BoardVariable]  # of the board, by name
+    mismatch: BoardMismatchError | None  # why the catalogue does not fit it; then values are raw numbers
 
     def read(self, variable: BoardVariable) -> Value:
         """Read one variable."""

@@ -35,18 +35,10 @@ class MeasurementError(RuntimeError):
 
 @dataclass(frozen=True)
 class Recording:
-    """Samples of some variables at common instants.
+    """Samples of some variables at common instants."""
 
-    Attributes
-    ----------
-    step : float
-        Time between two samples [s].
-    columns : mapping
-        SI values by name, each of shape (samples,).
-    """
-
-    step: float
-    columns: Mapping[str, NDArray[np.float64]]
+    step: float  # time between two samples [s]
+    columns: Mapping[str, NDArray[np.float64]]  # SI values by name, each of shape (samples,)
 
     @property
     def time(self) -> NDArray[np.float64]:
@@ -56,16 +48,11 @@ class Recording:
 
 
 class BoardAccess(BlockMemory, Protocol):
-    """A board to measure on. Implementations derive from it.
-
-    Attributes
-    ----------
-    catalogue : Catalogue
-        Its variables.
-    """
+    """A board to measure on. Implementations derive from it."""
 
     @property
-    def catalogue(self) -> Catalogue: ...
+    def catalogue(self) -> Catalogue:
+        """Of its variables."""
 
     def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
         """Elements of a variable from `first` on, in one write; False if the board finds them out of range."""

@@ -53,16 +53,11 @@ class AxisUnderTest:
         Index of the axis.
     report : callable, optional
         Gets a line about what is done, and about what could not be brought back.
-
-    Attributes
-    ----------
-    unrestored : list of str
-        What is not as it was before, each with the reason; complete after `restored`.
     """
 
     def __init__(self, access: BoardAccess, axis: int, report: Callable[[str], None] = lambda text: None) -> None:
         self.access, self.axis, self.name, self.report = access, axis, axis_name(axis), report
-        self.unrestored: list[str] = []
+        self.unrestored: list[str] = []  # what is not as it was before, each with the reason; complete after `restored`
         self._set_point: tuple[str, float] | None = None
         self._due = 0.0  # when it has to be written again, by the clock of the access [s]
         self._find_interval()

@@ -45,30 +45,14 @@ _VOLTAGE: Final = ("u_d", "u_q")
 
 @dataclass(frozen=True)
 class Bode:
-    """A measured loop and its prediction.
+    """A measured loop and its prediction."""
 
-    Attributes
-    ----------
-    settings : Settings
-        With which it was measured.
-    bands : tuple of Band
-        Sweeps.
-    response : Response
-        Open loop.
-    figures : Figures
-        What it amounts to.
-    prediction : Prediction
-        Of the tuning code.
-    notes : tuple of str
-        What a reader has to know, a sentence each.
-    """
-
-    settings: Settings
-    bands: tuple[Band, ...]
-    response: Response
-    figures: Figures
-    prediction: Prediction
-    notes: tuple[str, ...]
+    settings: Settings  # of the measurement
+    bands: tuple[Band, ...]  # sweeps
+    response: Response  # open loop
+    figures: Figures  # crossover, margins and resonances of it
+    prediction: Prediction  # by the tuning code
+    notes: tuple[str, ...]  # for the reader, a sentence each
 
     @property
     def confirmed(self) -> bool:

@@ -37,27 +37,13 @@ _TIME_MAX: Final = 30.0  # longest motion [s]
 
 @dataclass(frozen=True)
 class Loop:
-    """One loop that can be measured.
+    """One loop that can be measured."""
 
-    Attributes
-    ----------
-    name : str
-        For the command line.
-    point : str
-        Where the test signal is added, a name of ``test_point_t``.
-    slow : bool
-        Sampled by the slow loop.
-    columns : tuple of str
-        Variables of the axis to record, besides the test signal.
-    unit : str
-        Of the test signal.
-    """
-
-    name: str
-    point: str
-    slow: bool
-    columns: tuple[str, ...]
-    unit: str
+    name: str  # for the command line
+    point: str  # where the test signal is added, a name of ``test_point_t``
+    slow: bool  # sampled by the slow loop
+    columns: tuple[str, ...]  # variables of the axis to record, besides the test signal
+    unit: str  # of the test signal
 
     def signals(self, axis: int, recording: Recording, scale: float) -> tuple[NDArray[np.float64], ...]:
         """Test signal, and input and output of the open loop, each (samples,), in `unit`; `scale`: full scale."""
@@ -82,61 +68,34 @@ LOOPS: Final = {
 
 @dataclass(frozen=True)
 class BodeRequest:
-    """What to measure.
+    """What to measure."""
 
-    Attributes
-    ----------
-    axis : int
-        Index.
-    loop : str
-        A name of `LOOPS`.
-    amplitude : float or None
-        Of the test signal [A], or [rad/s] for the position loop; None: from limits and prediction.
-    f_min, f_max : float or None
-        Band [Hz]; None: from a fifth of the predicted crossover to ten times of it.
-    speed : float or None
-        Constant speed meanwhile [rad/s]; 0: about the position where the shaft is; None: a part of the speed limit
-        that `way_max` and the soft limits leave room for.
-    way_max : float
-        How far the shaft may turn, to each side [rad].
-    repeats : int
-        Recordings per band.
-    """
-
-    axis: int
-    loop: str
-    amplitude: float | None = None
-    f_min: float | None = None
-    f_max: float | None = None
+    axis: int  # index
+    loop: str  # a name of `LOOPS`
+    amplitude: float | None = None  # of the test signal [A], position loop: [rad/s]; None: from limits and prediction
+    f_min: float | None = None  # lower end of the band [Hz]; None: a fifth of the predicted crossover
+    f_max: float | None = None  # upper end [Hz]; None: ten times the predicted crossover
     speed: float | None = None
-    way_max: float = math.inf
-    repeats: int = 4
+    """Constant speed during the measurement [rad/s]; 0: about the position where the shaft is; None: a part of the
+    speed limit that `way_max` and the soft limits leave room for."""
+    way_max: float = math.inf  # largest angle of the shaft, to each side [rad]
+    repeats: int = 4  # recordings per band
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is measured.
+    """What is measured: the fields of `BodeRequest` without gaps, and what follows from them."""
 
-    Attributes
-    ----------
-    swing : float
-        Speed by which the test signal moves the shaft at most, as predicted [rad/s].
-    deceleration : float
-        By which the shaft comes to rest afterwards [rad/s^2].
-    others
-        As those of `BodeRequest`, without gaps.
-    """
-
-    axis: int
+    axis: int  # index
     loop: Loop
-    amplitude: float
-    f_min: float
-    f_max: float
-    speed: float
-    way_max: float
-    repeats: int
-    swing: float = 0.0
-    deceleration: float = math.inf
+    amplitude: float  # of the test signal, in the unit of the loop
+    f_min: float  # lower end of the band [Hz]
+    f_max: float  # upper end of the band [Hz]
+    speed: float  # constant speed during the measurement [rad/s]
+    way_max: float  # largest angle of the shaft, to each side [rad]
+    repeats: int  # recordings per band
+    swing: float = 0.0  # largest speed by which the test signal moves the shaft, as predicted [rad/s]
+    deceleration: float = math.inf  # with which the shaft comes to rest afterwards [rad/s^2]
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -161,25 +120,13 @@ class Settings:
 
 @dataclass(frozen=True)
 class Band:
-    """One sweep and its recording.
+    """One sweep and its recording."""
 
-    Attributes
-    ----------
-    f_min, f_max : float
-        [Hz].
-    every : int
-        Calls of the loop per sample.
-    samples : int
-        Of the recording.
-    step : float
-        Time between two samples [s].
-    """
-
-    f_min: float
-    f_max: float
-    every: int
-    samples: int
-    step: float
+    f_min: float  # [Hz]
+    f_max: float  # [Hz]
+    every: int  # calls of the loop per sample
+    samples: int  # of the recording
+    step: float  # time between two samples [s]
 
     @property
     def seconds(self) -> float:

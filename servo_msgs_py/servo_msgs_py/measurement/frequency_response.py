@@ -36,24 +36,12 @@ _Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Response:
-    """Points of a frequency response, in the order of the frequencies.
+    """Points of a frequency response, in the order of the frequencies."""
 
-    Attributes
-    ----------
-    frequency : ndarray, shape (n,)
-        [Hz].
-    value : ndarray, shape (n,)
-        Complex gain.
-    sigma : ndarray, shape (n,)
-        Standard deviation of the value over its magnitude: of the gain as a part, and of the phase [rad].
-    coherence : ndarray, shape (n,)
-        Between test signal and error, or test signal and output, whichever is less; 0 .. 1.
-    """
-
-    frequency: _Float
-    value: _Complex
-    sigma: _Float
-    coherence: _Float
+    frequency: _Float  # (n,) [Hz]
+    value: _Complex  # (n,), complex gain
+    sigma: _Float  # (n,), standard deviation of `value` over its magnitude: relative one of the gain, phase in [rad]
+    coherence: _Float  # (n,), between test signal and error, or test signal and output, whichever is less; 0 .. 1
 
     @property
     def good(self) -> NDArray[np.bool_]:
@@ -73,57 +61,29 @@ class Response:
 
 @dataclass(frozen=True)
 class Measured:
-    """A number from a measurement.
+    """A number from a measurement."""
 
-    Attributes
-    ----------
-    value, sigma : float
-        With its standard deviation; infinite where that is not known.
-    """
-
-    value: float
-    sigma: float
+    value: float  # infinite where it is not known
+    sigma: float  # standard deviation; infinite where it is not known
 
 
 @dataclass(frozen=True)
 class Resonance:
-    """A peak or a notch of the gain.
+    """A peak or a notch of the gain."""
 
-    Attributes
-    ----------
-    frequency : float
-        [Hz].
-    height : float
-        Above the gain around it; of a notch negative [dB].
-    """
-
-    frequency: float
-    height: float
+    frequency: float  # [Hz]
+    height: float  # over the gain around it; of a notch negative [dB]
 
 
 @dataclass(frozen=True)
 class Figures:
-    """What a measured open loop amounts to; None: not determined.
+    """What a measured open loop amounts to; None: not determined."""
 
-    Attributes
-    ----------
-    crossover : Measured or None
-        Frequency at which the gain is 1 [Hz]; that of the smallest phase margin.
-    phase_margin : Measured or None
-        [degrees].
-    gain_margin : Measured or None
-        Factor by which the gain may grow.
-    resonances : tuple of Resonance
-        By frequency.
-    undetermined : tuple of str
-        Why a figure is None, a sentence each.
-    """
-
-    crossover: Measured | None
-    phase_margin: Measured | None
-    gain_margin: Measured | None
-    resonances: tuple[Resonance, ...]
-    undetermined: tuple[str, ...]
+    crossover: Measured | None  # frequency at which the gain is 1 [Hz]; that of the smallest phase margin
+    phase_margin: Measured | None  # [degrees]
+    gain_margin: Measured | None  # factor by which the gain may grow
+    resonances: tuple[Resonance, ...]  # by frequency
+    undetermined: tuple[str, ...]  # why a figure is None, a sentence each
 
 
 # ---- from samples to points ------------------------------------------------------------------------------------------
@@ -284,10 +244,10 @@ def _half_turn(phase: _Float, k: int) -> float:
 class _Crossing:
     """Where one quantity is zero: frequency [Hz] and the other quantity there, with standard deviations."""
 
-    frequency: float
-    sigma: float
-    other: float
-    other_sigma: float
+    frequency: float  # [Hz]
+    sigma: float  # standard deviation [Hz]
+    other: float  # the other quantity there
+    other_sigma: float  # its standard deviation
 
 
 def _crossing(f: _Float, zero: _Float, other: _Float, weight: _Float, k: int) -> _Crossing | None:

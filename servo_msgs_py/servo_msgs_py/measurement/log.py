@@ -26,48 +26,23 @@ _NO_LOG: Final = (KeyError, ValueError, IndexError, TypeError, AttributeError, E
 
 @dataclass(frozen=True)
 class Call:
-    """One call of a `BoardAccess`.
+    """One call of a `BoardAccess`."""
 
-    Attributes
-    ----------
-    kind : str
-        ``write``, ``wait`` or ``record``.
-    arguments : tuple
-        Of `BoardAccess.write_words`; the seconds; of `BoardAccess.record` without ``start``.
-    inner : tuple of Call
-        What ``start`` of a recording has called.
-    label : str
-        What a recording is for.
-    stage : str
-        Part of the measurement.
-    """
-
-    kind: str
-    arguments: tuple[Any, ...]
-    inner: tuple[Call, ...] = ()
-    label: str = ""
-    stage: str = ""
+    kind: str  # ``write``, ``wait`` or ``record``
+    arguments: tuple[Any, ...]  # of `BoardAccess.write_words`; the seconds; of `BoardAccess.record` without ``start``
+    inner: tuple[Call, ...] = ()  # what ``start`` of a recording has called
+    label: str = ""  # what a recording is for
+    stage: str = ""  # part of the measurement
 
 
 @dataclass
 class MeasurementLog:
-    """Calls in their order, and what was recorded.
+    """Calls in their order, and what was recorded."""
 
-    Attributes
-    ----------
-    axis : int
-        Index of the axis that was measured.
-    calls : list of Call
-    recordings : list of Recording
-        One per call of that kind.
-    notes : dict
-        What else was known: limits, first estimates, board time.
-    """
-
-    axis: int
+    axis: int  # index of the axis that was measured
     calls: list[Call] = field(default_factory=list)
-    recordings: list[Recording] = field(default_factory=list)
-    notes: dict[str, Any] = field(default_factory=dict)
+    recordings: list[Recording] = field(default_factory=list)  # one per call of that kind
+    notes: dict[str, Any] = field(default_factory=dict)  # what else was known: limits, first estimates, board time
 
     def labelled(self, label: str) -> list[Recording]:
         """Recordings of one purpose, in their order."""
@@ -166,19 +141,13 @@ class LoggedAccess(BoardAccess):
         The board.
     log : MeasurementLog
         Where to write it.
-
-    Attributes
-    ----------
-    stage : str
-        Part of the measurement that is made now.
-    label : str
-        What the next recording is for.
     """
 
     def __init__(self, access: BoardAccess, log: MeasurementLog) -> None:
         self._access = access
         self.log = log
-        self.stage = self.label = ""
+        self.stage = ""  # part of the measurement in progress
+        self.label = ""  # purpose of the next recording
         self._calls = log.calls
 
     @property

@@ -36,18 +36,10 @@ are what the board's calibration has left, along phase a and across it.
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and how well it is known.
+    """A number and how well it is known."""
 
-    Attributes
-    ----------
-    value : float
-        SI.
-    sigma : float
-        Standard uncertainty.
-    """
-
-    value: float
-    sigma: float
+    value: float  # SI
+    sigma: float  # standard uncertainty
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -62,18 +54,10 @@ class Estimate:
 
 @dataclass(frozen=True)
 class MotorEstimates:
-    """What a measurement has found out about an axis.
+    """What a measurement has found out about an axis."""
 
-    Attributes
-    ----------
-    values : mapping
-        By the names of `UNITS`.
-    undetermined : mapping
-        Why a value is not known, by name.
-    """
-
-    values: Mapping[str, Estimate]
-    undetermined: Mapping[str, str]
+    values: Mapping[str, Estimate]  # by the names of `UNITS`
+    undetermined: Mapping[str, str]  # why a value is not known, by name
 
     def __getitem__(self, name: str) -> float:
         return self.values[name].value
@@ -81,30 +65,14 @@ class MotorEstimates:
 
 @dataclass(frozen=True)
 class Limits:
-    """What the user permits, and knows.
+    """What the user permits, and knows."""
 
-    Attributes
-    ----------
-    voltage : float
-        Nominal voltage of the bus [V].
-    current : float
-        Largest current [A, peak].
-    speed : float
-        Largest speed [rad/s].
-    turns : float
-        The shaft stays within so many turns to both sides.
-    energy : float
-        What the bus can take from a shaft that brakes [J].
-    r_on : float
-        Resistance of a switch, which a measurement cannot tell from the winding's [ohm].
-    """
-
-    voltage: float
-    current: float
-    speed: float = 200.0
-    turns: float = 20.0
-    energy: float = 0.4
-    r_on: float = 0.0
+    voltage: float  # nominal voltage of the bus [V]
+    current: float  # largest current [A, peak]
+    speed: float = 200.0  # largest speed [rad/s]
+    turns: float = 20.0  # the shaft stays within so many turns to both sides
+    energy: float = 0.4  # that the bus can take from a braking shaft [J]
+    r_on: float = 0.0  # resistance of a switch, which a measurement cannot tell from the winding's [ohm]
 
     def __post_init__(self) -> None:
         for name in ("voltage", "current", "speed", "turns", "energy"):

@@ -38,24 +38,12 @@ def tuned_of_board(access: BoardAccess, axis: int) -> Tuned:
 
 @dataclass(frozen=True)
 class Prediction:
-    """An open loop as the tuning code models it.
+    """An open loop as the tuning code models it."""
 
-    Attributes
-    ----------
-    it : Tuned
-        Gains and nominal values.
-    loop : str
-        ``current``, ``current_d``, ``speed`` or ``position``.
-    speed : float
-        At which the shaft turns [rad/s]; it tells how old the M/T method's speed is. 0: edges are frequent.
-    observed : bool
-        Whether the speed observer is on.
-    """
-
-    it: Tuned
-    loop: str
-    speed: float
-    observed: bool
+    it: Tuned  # gains and nominal values
+    loop: str  # ``current``, ``current_d``, ``speed`` or ``position``
+    speed: float  # of the shaft [rad/s], for the age of the speed of the M/T method; 0: edges are frequent
+    observed: bool  # whether the speed observer is on
 
     @property
     def nyquist(self) -> float:

@@ -20,26 +20,14 @@ LOST_OFF: Final = 0.3
 
 @dataclass(frozen=True)
 class Steady:
-    """Means over a time at constant speed, each with its standard uncertainty.
+    """Means over a time at constant speed, each with its standard uncertainty."""
 
-    Attributes
-    ----------
-    speed : float
-        Of the shaft, from its way [rad/s].
-    acceleration : float
-        What is left of it [rad/s^2].
-    i_d, i_q : Estimate
-        [A].
-    u_q, u_d : Estimate or None
-        If they were recorded [V].
-    """
-
-    speed: float
-    acceleration: float
-    i_d: Estimate
-    i_q: Estimate
-    u_q: Estimate | None = None
-    u_d: Estimate | None = None
+    speed: float  # of the shaft, from its angle [rad/s]
+    acceleration: float  # that remains [rad/s^2]
+    i_d: Estimate  # [A]
+    i_q: Estimate  # [A]
+    u_q: Estimate | None = None  # [V]; None: not recorded
+    u_d: Estimate | None = None  # [V]; None: not recorded
 
 
 def second_half(recording: Recording) -> Recording:

@@ -33,24 +33,12 @@ def switching_share(x: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Ohmic:
-    """What direct current shows.
+    """What direct current shows."""
 
-    Attributes
-    ----------
-    resistance : Estimate
-        Of winding and one switch [ohm].
-    lost : Estimate
-        Voltage that a leg loses in dead time and drops [V].
-    band : float
-        Current of a leg within which it does not lose all of that [A].
-    rms : float
-        Of the residuals [V].
-    """
-
-    resistance: Estimate
-    lost: Estimate
-    band: float
-    rms: float
+    resistance: Estimate  # of winding and one switch [ohm]
+    lost: Estimate  # voltage that a leg loses by dead time and forward drops [V]
+    band: float  # current of a leg below which it loses only a part of that [A]
+    rms: float  # of the residuals [V]
 
 
 def ohmic(current: Floats, voltage: Floats, sigma: Floats) -> Ohmic:
@@ -77,21 +65,11 @@ def ohmic(current: Floats, voltage: Floats, sigma: Floats) -> Ohmic:
 
 @dataclass(frozen=True)
 class Impedance:
-    """What a test signal shows.
+    """What a test signal shows."""
 
-    Attributes
-    ----------
-    inductance : Estimate
-        [H].
-    delay : Estimate
-        From a sample of the current to the load of the duty that follows from it [s].
-    swing : float
-        Voltage per integral of the current, of a rotor that gives way [V/(A s)].
-    """
-
-    inductance: Estimate
-    delay: Estimate
-    swing: float
+    inductance: Estimate  # [H]
+    delay: Estimate  # from a sample of the current to the load of the duty that follows from it [s]
+    swing: float  # voltage per integral of the current, of a rotor that moves with it [V/(A s)]
 
 
 def _response(omega: Floats, r: float, inductance: float, delay: float, swing: float) -> Complex:

@@ -14,25 +14,13 @@ FAST_POINTS: Final = ("I_D", "I_Q")
 
 @dataclass(frozen=True)
 class SweptSine:
-    """A sine whose frequency grows exponentially.
+    """A sine whose frequency grows exponentially."""
 
-    Attributes
-    ----------
-    point : str
-        What it is added to: a name of ``test_point_t``.
-    amplitude : float
-        [A], [rad/s].
-    f_min, f_max : float
-        Frequency at its beginning and at its end [Hz].
-    seconds : float
-        Its length [s].
-    """
-
-    point: str
-    amplitude: float
-    f_min: float
-    f_max: float
-    seconds: float
+    point: str  # what it is added to: a name of ``test_point_t``
+    amplitude: float  # [A] or [rad/s], by the point
+    f_min: float  # frequency at its beginning [Hz]
+    f_max: float  # frequency at its end [Hz]
+    seconds: float  # its length [s]
 
     @property
     def period(self) -> float:

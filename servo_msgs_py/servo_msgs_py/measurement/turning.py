@@ -17,20 +17,11 @@ PAIRS_OFF_MAX: Final = 0.12
 
 @dataclass(frozen=True)
 class Turning:
-    """What a turning vector shows.
-
-    Attributes
-    ----------
-    pole_pairs : int
-    direction : int
-        1: the encoder counts upwards when the phases follow each other as a, b, c; -1: downwards.
-    measured : float
-        Electrical turns per turn of the shaft, before rounding.
-    """
+    """What a turning vector shows."""
 
     pole_pairs: int
-    direction: int
-    measured: float
+    direction: int  # 1: the encoder counts upwards when the phases follow each other as a, b, c; -1: downwards
+    measured: float  # electrical turns per turn of the shaft, before rounding
 
 
 def turning(position: Floats, theta_e: Floats) -> Turning:

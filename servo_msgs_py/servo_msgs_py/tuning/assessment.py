@@ -27,152 +27,70 @@ _TICKS_MAX: Final = 12_000
 
 @dataclass(frozen=True)
 class Loop:
-    """One loop.
+    """One loop."""
 
-    Attributes
-    ----------
-    name : str
-        For people.
-    in_force : bool
-        Whether it is on after reset.
-    wanted : float
-        Bandwidth that the gains were made for [Hz].
-    margins : Margins
-        Of the open loop.
-    tracking : Tracking
-        Of the closed one.
-    poles : tuple of Pole
-        Of the closed one.
-    """
-
-    name: str
-    in_force: bool
-    wanted: float
-    margins: Margins
-    tracking: Tracking
-    poles: tuple[Pole, ...]
+    name: str  # for people
+    in_force: bool  # whether it is enabled after reset
+    wanted: float  # bandwidth that the gains were made for [Hz]
+    margins: Margins  # of the open loop
+    tracking: Tracking  # of the closed loop
+    poles: tuple[Pole, ...]  # of the closed loop
 
 
 @dataclass(frozen=True)
 class DesignRule:
-    """DRM E43..E45, and what holds instead for the tuned speed loop.
+    """DRM E43..E45, and what holds instead for the tuned speed loop."""
 
-    Attributes
-    ----------
-    t_n_rotor, t_n_shaft : float
-        E43 with the inertia of the rotor alone and of all that turns [s].
-    k_p : float
-        E45 with the latter [rpm/rad].
-    k_v_rule : float
-        The same [1/s].
-    t_n_tuned : float
-        Time constant of a first-order lag with the crossover of the tuned speed loop [s].
-    k_v : float
-        Chosen gain of the position loop [1/s].
-    k_v_t : float
-        Its product with `t_n_tuned`; E45 takes 0.5.
-    """
-
-    t_n_rotor: float
-    t_n_shaft: float
-    k_p: float
-    k_v_rule: float
-    t_n_tuned: float
-    k_v: float
-    k_v_t: float
+    t_n_rotor: float  # E43 with the inertia of the rotor alone [s]
+    t_n_shaft: float  # E43 with the inertia of all that turns [s]
+    k_p: float  # E45 with `t_n_shaft` [rpm/rad]
+    k_v_rule: float  # the same as `k_p` [1/s]
+    t_n_tuned: float  # time constant of a first-order lag with the crossover of the tuned speed loop [s]
+    k_v: float  # chosen gain of the position loop [1/s]
+    k_v_t: float  # product of `k_v` and `t_n_tuned`; E45 takes 0.5
 
 
 @dataclass(frozen=True)
 class Arrival:
-    """End of a position move.
+    """End of a position move."""
 
-    Attributes
-    ----------
-    bare : float
-        Overshoot of a step that nothing shapes, over the step.
-    shaped : float
-        Overshoot of a move at the speed limit that ramp and path filter shape [counts].
-    lag : float
-        Between shaped set-point and shaft at the speed limit [rad].
-    """
-
-    bare: float
-    shaped: float
-    lag: float
+    bare: float  # overshoot of a step without shaping, over the step
+    shaped: float  # overshoot of a move at the speed limit that ramp and path filter shape [counts]
+    lag: float  # between shaped set-point and shaft at the speed limit [rad]
 
 
 @dataclass(frozen=True)
 class LoadStep:
-    """A load that jumps while the position is controlled.
+    """A load that jumps while the position is controlled."""
 
-    Attributes
-    ----------
-    torque : float
-        The load [N m].
-    deflection : float
-        Largest way of the shaft [rad].
-    stiffness : float
-        Torque over deflection [N m/rad].
-    recovery : float
-        Until the shaft is back within a tenth of it for good [s].
-    """
-
-    torque: float
-    deflection: float
-    stiffness: float
-    recovery: float
+    torque: float  # the load [N m]
+    deflection: float  # largest angle by which it displaces the shaft [rad]
+    stiffness: float  # torque over deflection [N m/rad]
+    recovery: float  # until the shaft stays within a tenth of the deflection [s]
 
 
 @dataclass(frozen=True)
 class Inertia:
-    """The same gains on a shaft with another inertia.
+    """The same gains on a shaft with another inertia."""
 
-    Attributes
-    ----------
-    factor : float
-        Over the nominal one.
-    observed : bool
-        With the speed observer instead of the M/T method.
-    stable : bool
-        Speed and position loop.
-    margins : Margins
-        Of the speed loop.
-    overshoot : float or None
-        Of a bare position step; None when unstable.
-    """
-
-    factor: float
-    observed: bool
-    stable: bool
-    margins: Margins
-    overshoot: float | None
+    factor: float  # over the nominal one
+    observed: bool  # with the speed observer instead of the M/T method
+    stable: bool  # whether speed and position loop are
+    margins: Margins  # of the speed loop
+    overshoot: float | None  # of a bare position step; None when unstable
 
 
 @dataclass(frozen=True)
 class Reach:
-    """What the limits of the axis allow and ask for.
+    """What the limits of the axis allow and ask for."""
 
-    Attributes
-    ----------
-    speed_idle, speed_rated : float
-        Where the voltage ends at the nominal bus, without load and at the rated current [rad/s].
-    path_omega_n : float
-        Of E40 [rad/s].
-    path_acceleration, path_current : float
-        Asked for at most by shaped set-points [rad/s^2], [A].
-    ramp_current : float
-        Asked for by the ramp of speed set-points [A].
-    friction_current : float
-        Against the friction at the speed limit [A].
-    """
-
-    speed_idle: float
-    speed_rated: float
-    path_omega_n: float
-    path_acceleration: float
-    path_current: float
-    ramp_current: float
-    friction_current: float
+    speed_idle: float  # voltage limit at the nominal bus without load [rad/s]
+    speed_rated: float  # voltage limit at the nominal bus and the rated current [rad/s]
+    path_omega_n: float  # of E40 [rad/s]
+    path_acceleration: float  # largest that shaped set-points ask for [rad/s^2]
+    path_current: float  # largest that shaped set-points ask for [A]
+    ramp_current: float  # that the ramp of speed set-points asks for [A]
+    friction_current: float  # against the friction at the speed limit [A]
 
 
 @dataclass(frozen=True)
@@ -181,7 +99,7 @@ class Assessment:
 
     name: str
     loops: tuple[Loop, ...]
-    edges: tuple[tuple[float, Margins], ...]
+    edges: tuple[tuple[float, Margins], ...]  # speed [rad/s], margins of the speed loop there
     rule: DesignRule
     arrival: Arrival
     load_step: LoadStep

@@ -31,25 +31,13 @@ PINS: Final = ("home", "limit_min", "limit_max", "enable", "brake")
 
 @dataclass(frozen=True)
 class Scales:
-    """Full scales of the contract, SI.
+    """Full scales of the contract, SI."""
 
-    Attributes
-    ----------
-    u_dc, u_s : float
-        Bus and stator voltage [V].
-    i : float
-        Current [A].
-    speed : float
-        Mechanical speed [rad/s].
-    torque_constant : float
-        Torque per current [N m/A].
-    """
-
-    u_dc: float
-    u_s: float
-    i: float
-    speed: float
-    torque_constant: float
+    u_dc: float  # bus voltage [V]
+    u_s: float  # stator voltage [V]
+    i: float  # current [A]
+    speed: float  # mechanical speed [rad/s]
+    torque_constant: float  # torque per current [N m/A]
 
     @classmethod
     def of(cls, catalogue: Catalogue) -> Scales:
@@ -63,28 +51,15 @@ class Scales:
 
 @dataclass(frozen=True)
 class Board:
-    """The group [board]; ``board("dead_time")`` and ``board("brake.power")`` are two of its values.
+    """The group [board]; ``board("dead_time")`` and ``board("brake.power")`` are two of its values."""
 
-    Attributes
-    ----------
-    values : mapping
-        By key, or by group and key.
-    temperature : Temperature
-        Of the heat sinks.
-    brake : bool
-        Whether there is a brake resistor.
-    passwords : mapping
-        Entry of each level that has one: a hash, or the name of an environment variable.
-    complete : bool
-        Whether the groups are there that no configuration block of an axis depends on, [board.brake] and
-        [board.regeneration]; both or neither.
-    """
-
-    values: Mapping[str, float]
-    temperature: Temperature
-    brake: bool
-    passwords: Mapping[str, str]
+    values: Mapping[str, float]  # by key, or by group and key
+    temperature: Temperature  # of the heat sinks
+    brake: bool  # whether there is a brake resistor
+    passwords: Mapping[str, str]  # entry of each level that has one: a hash, or the name of an environment variable
     complete: bool = True
+    """Whether the groups are there that no configuration block of an axis depends on, [board.brake] and
+    [board.regeneration]; both or neither."""
 
     def __call__(self, key: str) -> float:
         return self.values[key]
@@ -136,36 +111,17 @@ class Board:
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis with the defaults merged in; ``axis("motor.r_s")`` is one of its values.
+    """One axis with the defaults merged in; ``axis("motor.r_s")`` is one of its values."""
 
-    Attributes
-    ----------
-    name : str
-        ``axis1`` or ``axis2``.
-    groups : mapping
-        Numbers by group and key.
-    features : mapping
-        What is on after reset.
-    stops : Stops
-        How the axis comes to rest.
-    inherited : frozenset of str
-        Entries that come from [defaults].
-    feedback : str
-        Where angle and speed come from after reset, ``encoder`` or ``observer``.
-    pins : mapping
-        Which of `PINS` are fitted.
-    exact : mapping
-        Raw numbers of members of the configuration block, by C path, in the place of what is computed.
-    """
-
-    name: str
-    groups: Mapping[str, Mapping[str, float]]
-    features: Mapping[str, bool]
-    stops: Stops
-    inherited: frozenset[str]
-    feedback: str
-    pins: Mapping[str, bool]
+    name: str  # ``axis1`` or ``axis2``
+    groups: Mapping[str, Mapping[str, float]]  # numbers by group and key
+    features: Mapping[str, bool]  # what is enabled after reset
+    stops: Stops  # stop category by command and fault
+    inherited: frozenset[str]  # entries that come from [defaults]
+    feedback: str  # source of angle and speed after reset, ``encoder`` or ``observer``
+    pins: Mapping[str, bool]  # which of `PINS` are fitted
     exact: Mapping[str, int] = field(default_factory=dict)
+    """Raw numbers of members of the configuration block, by C path, in the place of what is computed."""
 
     def __call__(self, path: str) -> float:
         group, key = path.split(".")

@@ -87,11 +87,11 @@ class Motor(Protocol):
 class _Nominal(NamedTuple):
     """The motor of the configuration."""
 
-    r_s: float
-    l_d: float
-    l_q: float
-    psi_m: float
-    pole_pairs: float
+    r_s: float  # resistance of a phase [ohm]
+    l_d: float  # inductance, d axis [H]
+    l_q: float  # inductance, q axis [H]
+    psi_m: float  # flux linkage of the magnets [V s]
+    pole_pairs: float  # electrical turns per mechanical turn
 
     @classmethod
     def of(cls, axis: Axis) -> _Nominal:
@@ -99,19 +99,11 @@ class _Nominal(NamedTuple):
 
 
 class Reserve(NamedTuple):
-    """The most motoring torque at one speed.
+    """The most motoring torque at one speed."""
 
-    Attributes
-    ----------
-    i_d, i_q : float
-        The current [A].
-    torque : float
-        Of the air gap [N m]; 0 where the voltage does not suffice at any current.
-    """
-
-    i_d: float
-    i_q: float
-    torque: float
+    i_d: float  # [A]
+    i_q: float  # [A]
+    torque: float  # of the air gap [N m]; 0 where the voltage does not suffice at any current
 
 
 def reserve_at(motor: Motor, limit: float, speed: float, voltage: float, i_d_min: float) -> Reserve:
@@ -172,18 +164,10 @@ def idle_speed(axis: Axis, board: Board) -> float:
 
 @dataclass(frozen=True)
 class Loop:
-    """``K z^-1 / (z - 1)``: an integrator, and a tick until a change shows in the voltage.
+    """``K z^-1 / (z - 1)``: an integrator, and a tick until a change shows in the voltage."""
 
-    Attributes
-    ----------
-    gain : float
-        Of the whole loop per tick, K.
-    tick : float
-        [s].
-    """
-
-    gain: float
-    tick: float
+    gain: float  # of the whole loop per tick, K
+    tick: float  # [s]
 
     @property
     def stable(self) -> bool:

@@ -11,22 +11,12 @@ from servo_msgs_py.tuning.errors import refused
 
 @dataclass(frozen=True)
 class Format:
-    """Raw numbers ``low .. high``, each worth ``2 ** -fraction_bits``.
+    """Raw numbers ``low .. high``, each worth ``2 ** -fraction_bits``."""
 
-    Attributes
-    ----------
-    name : str
-        For messages.
-    fraction_bits : int
-        Of the value.
-    low, high : int
-        Range of the raw number.
-    """
-
-    name: str
-    fraction_bits: int
-    low: int
-    high: int
+    name: str  # for messages
+    fraction_bits: int  # of the value
+    low: int  # smallest raw number
+    high: int  # largest raw number
 
     def raw(self, entry: str, value: float, remedy: str, given: float | None = None) -> int:
         """Nearest raw number.

@@ -11,44 +11,22 @@ from servo_msgs_py.tuning.configuration import Axis, Board
 
 @dataclass(frozen=True)
 class Pi:
-    """A PI controller in discrete time: ``u_i += ki e + kc excess``, ``u = kp e + u_i`` (DRM E34..E37).
+    """A PI controller in discrete time: ``u_i += ki e + kc excess``, ``u = kp e + u_i`` (DRM E34..E37)."""
 
-    Attributes
-    ----------
-    kp : float
-        Proportional gain [output per input].
-    ki : float
-        Kp Ki Ts of E36 [output per input and sample].
-    kc : float
-        Anti-windup, 0 .. 1.
-    """
-
-    kp: float
-    ki: float
-    kc: float
+    kp: float  # proportional gain [output per input]
+    ki: float  # Kp Ki Ts of E36 [output per input and sample]
+    kc: float  # anti-windup, 0 .. 1
 
 
 @dataclass(frozen=True)
 class Gains:
-    """What follows from the configuration of one axis.
+    """What follows from the configuration of one axis."""
 
-    Attributes
-    ----------
-    current_d, current_q : Pi
-        Ampere to volt, per fast loop.
-    speed : Pi
-        rad/s to ampere, per slow loop.
-    position : float
-        K_v: rad to rad/s [1/s].
-    path_omega_n : float
-        Of E40 [rad/s].
-    """
-
-    current_d: Pi
-    current_q: Pi
-    speed: Pi
-    position: float
-    path_omega_n: float
+    current_d: Pi  # ampere to volt, per fast loop
+    current_q: Pi  # ampere to volt, per fast loop
+    speed: Pi  # rad/s to ampere, per slow loop
+    position: float  # K_v, rad to rad/s [1/s]
+    path_omega_n: float  # of E40 [rad/s]
 
     def named(self) -> Iterator[tuple[str, str, float]]:
         """Name, unit and value of each."""

@@ -54,21 +54,13 @@ def held(a: Matrix, b: Matrix, dt: float) -> tuple[Matrix, Matrix]:
 
 @dataclass(frozen=True)
 class System:
-    """``x(k+1) = a x(k) + b u(k)``, ``y(k) = c x(k) + d u(k)``.
+    """``x(k+1) = a x(k) + b u(k)``, ``y(k) = c x(k) + d u(k)``."""
 
-    Attributes
-    ----------
-    a, b, c, d : ndarray
-        As above.
-    dt : float
-        Sampling time [s].
-    """
-
-    a: Matrix
-    b: Matrix
-    c: Matrix
-    d: Matrix
-    dt: float
+    a: Matrix  # (n, n)
+    b: Matrix  # (n, inputs)
+    c: Matrix  # (outputs, n)
+    d: Matrix  # (outputs, inputs)
+    dt: float  # sampling time [s]
 
     @classmethod
     def of(cls, step: Callable[[Matrix, Matrix], tuple[Matrix, Matrix]], states: int, inputs: int, dt: float) -> System:
@@ -145,37 +137,19 @@ class System:
 
 @dataclass(frozen=True)
 class Tracking:
-    """How a closed loop follows its set-point.
+    """How a closed loop follows its set-point."""
 
-    Attributes
-    ----------
-    bandwidth : float or None
-        Frequency from which on less than 1 / sqrt 2 comes through [Hz]; None when that does not happen.
-    peak : float
-        Largest gain.
-    """
-
-    bandwidth: float | None
-    peak: float
+    bandwidth: float | None  # frequency above which less than 1 / sqrt 2 comes through [Hz]; None: there is none
+    peak: float  # largest gain
 
 
 @dataclass(frozen=True)
 class Margins:
-    """How far an open loop is from instability.
+    """How far an open loop is from instability."""
 
-    Attributes
-    ----------
-    crossover : float or None
-        Frequency at which the gain is 1 [Hz]; None when it never is.
-    phase : float or None
-        Phase margin there [degrees]; the smallest one of several crossings.
-    gain : float or None
-        Factor by which the gain may still grow; None when it may for ever.
-    """
-
-    crossover: float | None
-    phase: float | None
-    gain: float | None
+    crossover: float | None  # frequency at which the gain is 1 [Hz]; None: there is none
+    phase: float | None  # phase margin there [degrees]; the smallest one of several crossings
+    gain: float | None  # factor by which the gain may still grow; None: without limit
 
 
 def _root(f: Callable[[Omega], NDArray[np.float64]], low: float, high: float) -> float:
@@ -227,24 +201,12 @@ def spectral_radius(a: Matrix) -> float:
 
 @dataclass(frozen=True)
 class Pole:
-    """One pole of a discrete system and the continuous one that decays alike.
+    """One pole of a discrete system and the continuous one that decays alike."""
 
-    Attributes
-    ----------
-    z : complex
-        In the z plane; of a pair the one with the positive imaginary part.
-    frequency : float
-        Magnitude of ln(z) / Ts over 2 pi [Hz].
-    damping : float
-        Of that.
-    pair : bool
-        Whether there is a conjugate one.
-    """
-
-    z: complex
-    frequency: float
-    damping: float
-    pair: bool
+    z: complex  # in the z plane; of a pair the one with the positive imaginary part
+    frequency: float  # magnitude of ln(z) / Ts over 2 pi [Hz]
+    damping: float  # ratio, of the same ln(z)
+    pair: bool  # whether it has a conjugate one
 
 
 def poles(a: Matrix, dt: float) -> tuple[Pole, ...]:

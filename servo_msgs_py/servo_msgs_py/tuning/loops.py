@@ -25,22 +25,12 @@ from servo_msgs_py.tuning.sensors import EdgeDelay, SpeedSensor
 
 @dataclass(frozen=True)
 class CurrentLoop:
-    """One current controller with its winding at standstill.
+    """One current controller with its winding at standstill."""
 
-    Attributes
-    ----------
-    resistance, inductance : float
-        Of the winding [ohm], [H].
-    gains : Pi
-        Of the controller.
-    period : float
-        Fast loop [s].
-    """
-
-    resistance: float
-    inductance: float
-    gains: Pi
-    period: float
+    resistance: float  # of the winding [ohm]
+    inductance: float  # of the winding [H]
+    gains: Pi  # of the controller
+    period: float  # of the fast loop [s]
 
     @property
     def open(self) -> System:
@@ -96,28 +86,14 @@ class Out(IntEnum):
 
 @dataclass(frozen=True)
 class ShaftLoops:
-    """Speed and position loop around the q current loop of one axis.
+    """Speed and position loop around the q current loop of one axis."""
 
-    Attributes
-    ----------
-    axis, board
-        Of the configuration.
-    gains : Gains
-        As the integers give them.
-    back_emf : float
-        Decoupling of the controller [V s/rad].
-    inertia : float
-        Of the shaft [kg m^2]; it may differ from what the gains were made for.
-    sensor : SpeedSensor
-        Where the speed comes from.
-    """
-
-    axis: Axis
-    board: Board
-    gains: Gains
-    back_emf: float
-    inertia: float
-    sensor: SpeedSensor
+    axis: Axis  # of the configuration
+    board: Board  # of the configuration
+    gains: Gains  # after rounding to integers
+    back_emf: float  # decoupling of the controller [V s/rad]
+    inertia: float  # of the shaft [kg m^2]; it may differ from that of the design
+    sensor: SpeedSensor  # source of the speed
 
     def _motor(self) -> tuple[Matrix, Matrix]:
         """Half a PWM period: states current, speed, angle; inputs voltage, load torque."""

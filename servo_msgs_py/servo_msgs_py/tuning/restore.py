@@ -34,22 +34,12 @@ _CODES: Final = 4096
 
 @dataclass(frozen=True)
 class _Found:
-    """An entry that the tuning code finds.
+    """An entry that the tuning code finds."""
 
-    Attributes
-    ----------
-    entry, member : str
-        What is changed, and what it determines.
-    start : float
-        Where the search begins.
-    power : int
-        1 where the member grows with the entry, -1 where it falls.
-    """
-
-    entry: str
-    member: str
-    start: float
-    power: int = 1
+    entry: str  # that is changed
+    member: str  # that the entry determines
+    start: float  # where the search begins
+    power: int = 1  # 1 where the member grows with the entry, -1 where it falls
 
 
 _FOUND: Final = (

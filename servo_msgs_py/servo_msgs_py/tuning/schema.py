@@ -19,33 +19,15 @@ MOST: Final = 1e12
 
 @dataclass(frozen=True)
 class Entry:
-    """What one number of the configuration has to be.
+    """What one number of the configuration has to be."""
 
-    Attributes
-    ----------
-    unit : str
-        SI, or empty.
-    meaning : str
-        For people.
-    zero : bool
-        Whether 0 makes sense; less never does.
-    whole : bool
-        Whether it counts something.
-    maximum : float
-        Largest value that makes sense.
-    signed : bool
-        Whether it may be negative.
-    optional : bool
-        Whether it may be left out.
-    """
-
-    unit: str
-    meaning: str
-    zero: bool = False
-    whole: bool = False
-    maximum: float = math.inf
-    signed: bool = False
-    optional: bool = False
+    unit: str  # SI, or empty
+    meaning: str  # description
+    zero: bool = False  # whether 0 is valid
+    whole: bool = False  # whether it is an integer
+    maximum: float = math.inf  # largest valid magnitude
+    signed: bool = False  # whether it may be negative
+    optional: bool = False  # whether it may be left out
 
     def check(self, name: str, value: object) -> float:
         """The value as a number.

@@ -46,25 +46,13 @@ def slide_damping(omega_e: float) -> float:
 
 @dataclass(frozen=True)
 class BackEmfObserver:
-    """The observer with its gains.
+    """The observer with its gains."""
 
-    Attributes
-    ----------
-    r_s, inductance : float
-        Of the nominal winding [ohm], [H].
-    k1 : float
-        Correction of the current per error and period.
-    k2 : float
-        Correction of the back-EMF per error and period [V/A].
-    period : float
-        Of the samples [s].
-    """
-
-    r_s: float
-    inductance: float
-    k1: float
-    k2: float
-    period: float
+    r_s: float  # of the nominal winding [ohm]
+    inductance: float  # of the nominal winding [H]
+    k1: float  # correction of the current per error and period
+    k2: float  # correction of the back-EMF per error and period [V/A]
+    period: float  # of the samples [s]
 
     @property
     def a(self) -> float:
@@ -120,27 +108,13 @@ def _cosh(step: float, damping: float) -> float:
 
 @dataclass(frozen=True)
 class Pll:
-    """The loop that locks on the back-EMF: ``omega += omega_n^2 delta``, ``theta += omega + 2 zeta omega_n delta``.
+    """The loop that locks on the back-EMF: ``omega += omega_n^2 delta``, ``theta += omega + 2 zeta omega_n delta``."""
 
-    Attributes
-    ----------
-    rate : float
-        omega_n^2 over the electrical speed [1/s].
-    damping : float
-        At every speed.
-    acceleration : float
-        Mechanical acceleration per q current that it is told [rad/s^2/A].
-    load : float
-        Acceleration that it learns from the angle that is missing, per time, over omega_n^3.
-    size : float
-        Bandwidth with which its speed follows the size of the back-EMF [rad/s].
-    """
-
-    rate: float
-    damping: float
-    acceleration: float
-    load: float
-    size: float
+    rate: float  # omega_n^2 over the electrical speed [1/s]
+    damping: float  # at every speed
+    acceleration: float  # mechanical, expected per q current [rad/s^2/A]
+    load: float  # acceleration learned per angle error and time, over omega_n^3
+    size: float  # bandwidth with which the speed follows the magnitude of the back-EMF [rad/s]
 
     def omega_n(self, omega_e: float) -> float:
         """Natural frequency at an electrical speed [rad/s]."""
@@ -166,40 +140,18 @@ class Pll:
 
 @dataclass(frozen=True)
 class StartUp:
-    """Ramps of the turning current vector.
+    """Ramps of the turning current vector."""
 
-    Attributes
-    ----------
-    current_first, current_final : float
-        Length of the vector, before and after its ramp [A].
-    current_time : float
-        Of that ramp [s].
-    speed_final : float
-        Mechanical, at the end of the ramp of the speed [rad/s].
-    speed_time : float
-        Of that ramp [s].
-    time_max : float
-        Until the start-up has failed [s].
-    minimum_speed : float
-        Mean of the observed speed that it takes [rad/s].
-    swing : float
-        Angular frequency of the rotor's swing about the final vector [rad/s].
-    damping : float
-        Current across the vector per back-EMF across it [A/V].
-    torque : float
-        Largest part of the vector's torque that friction and acceleration take.
-    """
-
-    current_first: float
-    current_final: float
-    current_time: float
-    speed_final: float
-    speed_time: float
-    time_max: float
-    minimum_speed: float
-    swing: float
-    damping: float
-    torque: float
+    current_first: float  # length of the vector before its ramp [A]
+    current_final: float  # length of the vector after its ramp [A]
+    current_time: float  # duration of that ramp [s]
+    speed_final: float  # mechanical, at the end of the ramp of the speed [rad/s]
+    speed_time: float  # duration of that ramp [s]
+    time_max: float  # after which the start-up has failed [s]
+    minimum_speed: float  # mean of the observed speed that it requires [rad/s]
+    swing: float  # angular frequency of the rotor's oscillation about the final vector [rad/s]
+    damping: float  # current across the vector per back-EMF across it [A/V]
+    torque: float  # largest part of the vector's torque that friction and acceleration use
 
     @property
     def acceleration(self) -> float:
@@ -236,20 +188,12 @@ class StartUp:
 
 @dataclass(frozen=True)
 class Sensorless:
-    """All of it for one axis.
+    """All of it for one axis."""
 
-    Attributes
-    ----------
-    observer, pll, start_up
-        As above.
-    speed : Pi
-        The speed controller that goes with it, rad/s to ampere, per slow loop.
-    """
-
-    observer: BackEmfObserver
-    pll: Pll
-    start_up: StartUp
-    speed: Pi
+    observer: BackEmfObserver  # with its gains
+    pll: Pll  # phase-locked loop
+    start_up: StartUp  # open-loop start
+    speed: Pi  # speed controller that goes with it, rad/s to ampere, per slow loop
 
     @classmethod
     def of(cls, axis: Axis, board: Board) -> Sensorless:

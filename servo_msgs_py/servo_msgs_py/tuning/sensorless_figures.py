@@ -29,98 +29,51 @@ GONE: Final = 1e-9
 
 @dataclass(frozen=True)
 class ObserverPoles:
-    """Poles of the sampled observer.
+    """Poles of the sampled observer."""
 
-    Attributes
-    ----------
-    r_s, inductance : float
-        Of the winding in its equations, over the nominal value; K1 and K2 stay.
-    speed : float
-        Mechanical [rad/s].
-    poles : tuple of Pole
-        The slower first. They turn with the stator frame: none has a conjugate one.
-    """
-
-    r_s: float
-    inductance: float
-    speed: float
-    poles: tuple[Pole, ...]
+    r_s: float  # resistance of the winding in its equations over the nominal value; K1 and K2 stay
+    inductance: float  # inductance of the winding, likewise
+    speed: float  # mechanical [rad/s]
+    poles: tuple[Pole, ...]  # the slower first; they rotate with the stator frame: none has a conjugate one
 
 
 @dataclass(frozen=True)
 class AngleError:
-    """Steady error of the observed angle at the rated current, when the winding is not the nominal one.
+    """Steady error of the observed angle at the rated current, when the winding is not the nominal one."""
 
-    Attributes
-    ----------
-    r_s, inductance : float
-        True values over nominal ones.
-    speed : float
-        Mechanical [rad/s].
-    degrees : float
-        Electrical.
-    """
-
-    r_s: float
-    inductance: float
-    speed: float
-    degrees: float
+    r_s: float  # true resistance over the nominal one
+    inductance: float  # true inductance over the nominal one
+    speed: float  # mechanical [rad/s]
+    degrees: float  # electrical [degrees]
 
 
 @dataclass(frozen=True)
 class Lock:
-    """The phase-locked loop and the speed loop behind it at one speed.
+    """The phase-locked loop and the speed loop behind it at one speed."""
 
-    Attributes
-    ----------
-    speed : float
-        Mechanical [rad/s].
-    back_emf : float
-        [V]
-    frequency, damping : float
-        Natural frequency [Hz] and damping of the phase-locked loop.
-    slide_damping : float
-        With the slide's P gain.
-    speed_margins : Margins
-        Of the sensorless speed loop.
-    half_inertia, twice_inertia : bool
-        Whether it is stable on such a shaft.
-    """
-
-    speed: float
-    back_emf: float
-    frequency: float
-    damping: float
-    slide_damping: float
-    speed_margins: Margins
-    half_inertia: bool
-    twice_inertia: bool
+    speed: float  # mechanical [rad/s]
+    back_emf: float  # [V]
+    frequency: float  # natural frequency of the phase-locked loop [Hz]
+    damping: float  # damping ratio of the phase-locked loop
+    slide_damping: float  # damping ratio with the P gain of the slide
+    speed_margins: Margins  # of the sensorless speed loop
+    half_inertia: bool  # whether it is stable with half the inertia
+    twice_inertia: bool  # whether it is stable with twice the inertia
 
 
 @dataclass(frozen=True)
 class SensorlessFigures:
-    """All figures of one axis.
+    """All figures of one axis."""
 
-    Attributes
-    ----------
-    feedback : str
-        After reset.
-    trouble : str or None
-        Why the motor cannot be observed; then there is nothing else.
-    unexplained_speed : float
-        What `emf_check.floor` makes of the back-EMF's size, mechanical [rad/s].
-    blind_speed : float
-        Below it `limits.current` takes more voltage in a warm winding, besides the nominal one, than there is back-EMF:
-        while it brakes the observed angle turns round. Mechanical [rad/s].
-    """
-
-    feedback: str
-    trouble: str | None
+    feedback: str  # after reset
+    trouble: str | None  # why the motor cannot be observed; then the other figures are missing
     poles: tuple[ObserverPoles, ...]
     errors: tuple[AngleError, ...]
     locks: tuple[Lock, ...]
-    unexplained_speed: float = 0.0
+    unexplained_speed: float = 0.0  # speed of the back-EMF of `emf_check.floor`, mechanical [rad/s]
     blind_speed: float = 0.0
+    """Mechanical [rad/s]; below it `limits.current` takes more voltage in a warm winding, besides the nominal one, than
+    there is back-EMF: during braking the observed angle turns round."""
 
 
 def sensorless_figures(it: Tuned) -> SensorlessFigures:

@@ -65,19 +65,12 @@ class Observer:
     """The speed observer, as far as it is linear: where an error is larger than a count.
 
     Smaller ones it leaves alone; then the speed is what the current has driven.
-
-    Attributes
-    ----------
-    torque : float
-        Nominal acceleration per current [rad/s^2/A].
-    l_position, l_speed, l_acceleration : float
-        Corrections per error and slow period.
     """
 
-    torque: float
-    l_position: float
-    l_speed: float
-    l_acceleration: float
+    torque: float  # nominal acceleration per current [rad/s^2/A]
+    l_position: float  # correction of the position per error and slow period
+    l_speed: float  # correction of the speed per error and slow period
+    l_acceleration: float  # correction of the acceleration per error and slow period
     states: int = 3
 
     def step(self, x: Matrix, moved: Matrix, reference: Matrix, tick: float) -> tuple[Matrix, Sequence[Matrix]]:
@@ -102,25 +95,14 @@ class PllSpeed:
     not know. Where size and angle disagree for long, the angle is right.
 
     The observer before it and the period of the fast loop are short against it.
-
-    Attributes
-    ----------
-    omega_n, damping : float
-        At the speed at which the shaft turns [rad/s].
-    acceleration : float
-        Per q current that it is told [rad/s^2/A].
-    load : float
-        What it learns per angle and time, over omega_n^3.
-    follow, follow_load : float
-        What speed and load gain in a slow tick per speed that the size of the back-EMF tells more.
     """
 
-    omega_n: float
-    damping: float
-    acceleration: float
-    load: float
-    follow: float
-    follow_load: float
+    omega_n: float  # natural frequency at the speed of the shaft [rad/s]
+    damping: float  # damping ratio at the speed of the shaft
+    acceleration: float  # expected per q current [rad/s^2/A]
+    load: float  # learned per angle and time, over omega_n^3
+    follow: float  # increase of the speed per slow tick, per excess of the speed by the back-EMF's magnitude
+    follow_load: float  # increase of the load, likewise
     states: int = 5
 
     def step(self, x: Matrix, moved: Matrix, reference: Matrix, tick: float) -> tuple[Matrix, Sequence[Matrix]]:
@@ -141,18 +123,10 @@ class PllSpeed:
 
 @dataclass(frozen=True)
 class EdgeDelay:
-    """What M/T does to a slow signal.
+    """What M/T does to a slow signal."""
 
-    Attributes
-    ----------
-    window : float
-        Length of the mean [s].
-    delay : float
-        From the middle of it to its use [s].
-    """
-
-    window: float
-    delay: float
+    window: float  # length of the mean [s]
+    delay: float  # from the middle of the window to its use [s]
 
     def response(self, omega: Omega) -> NDArray[np.complex128]:
         """Frequency response at `omega` [rad/s], of the same shape."""

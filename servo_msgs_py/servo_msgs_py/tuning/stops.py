@@ -61,18 +61,10 @@ REFUSED: Final[Mapping[str, Mapping[str, str]]] = {
 
 @dataclass(frozen=True)
 class Stops:
-    """The categories of the group [stop].
+    """The categories of the group [stop]."""
 
-    Attributes
-    ----------
-    commands : mapping
-        Category by command.
-    faults : mapping
-        Category by fault, lower case; one that is not there coasts.
-    """
-
-    commands: Mapping[str, str]
-    faults: Mapping[str, str]
+    commands: Mapping[str, str]  # category by command
+    faults: Mapping[str, str]  # category by fault, lower case; a fault without one coasts
 
     @classmethod
     def taken_from(

@@ -19,20 +19,13 @@ _POINT: Final = 2
 
 @dataclass(frozen=True)
 class Temperature:
-    """Limit of the heat sinks and the curve of their sensor.
+    """Limit of the heat sinks and the curve of their sensor."""
 
-    Attributes
-    ----------
-    threshold, hysteresis : float
-        [deg C], [K].
-    table : sequence of (float, float)
-        Temperature [deg C] and code of the converter; linear between the points, and the codes only rise or only fall
-        (an NTC in a divider).
-    """
-
-    threshold: float
-    hysteresis: float
+    threshold: float  # [deg C]
+    hysteresis: float  # [K]
     table: Sequence[tuple[float, float]]
+    """Temperature [deg C] and code of the converter; linear between the points, and the codes only rise or only fall
+    (an NTC in a divider)."""
 
     @classmethod
     def of(cls, value: object) -> Temperature:

@@ -26,45 +26,25 @@ class GainRow(NamedTuple):
 
     name: str
     unit: str
-    designed: float
-    used: float
-    raw: int
+    designed: float  # in `unit`
+    used: float  # after rounding to an integer, in `unit`
+    raw: int  # integer of the firmware
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """One axis and what follows from its configuration.
+    """One axis and what follows from its configuration."""
 
-    Attributes
-    ----------
-    axis, board
-        Of the configuration.
-    designed, used : Gains
-        Before and after rounding to integers.
-    constants : mapping
-        The integers.
-    back_emf : float
-        Of the decoupling, as the integer gives it [V s/rad].
-    observer : Observer
-        The speed observer, as the integers give it.
-    sensorless : Sensorless
-        Observer of the back-EMF, phase-locked loop and start-up, as the integers give them.
-    designed_sensorless : Sensorless
-        The same before rounding.
-    trouble : ConfigError or None
-        Why this motor cannot be observed, where the axis does without.
-    """
-
-    axis: Axis
-    board: Board
-    designed: Gains
-    used: Gains
-    constants: AxisConstants
-    back_emf: float
-    observer: Observer
-    sensorless: Sensorless
-    designed_sensorless: Sensorless
-    trouble: ConfigError | None
+    axis: Axis  # of the configuration
+    board: Board  # of the configuration
+    designed: Gains  # before rounding to integers
+    used: Gains  # after rounding to integers
+    constants: AxisConstants  # the integers
+    back_emf: float  # of the decoupling, as the integer gives it [V s/rad]
+    observer: Observer  # the speed observer, as the integers give it
+    sensorless: Sensorless  # observer of the back-EMF, phase-locked loop and start-up, as the integers give them
+    designed_sensorless: Sensorless  # the same before rounding
+    trouble: ConfigError | None  # why this motor cannot be observed, where the axis does without
 
     @property
     def block(self) -> dict[str, int]:

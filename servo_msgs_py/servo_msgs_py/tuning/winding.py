@@ -34,32 +34,16 @@ _HEAT: Final = Format("q32", 32, 1, 2**30 - 1)
 
 @dataclass(frozen=True)
 class Winding:
-    """Nominal values of a winding.
+    """Nominal values of a winding."""
 
-    Attributes
-    ----------
-    r_s : float
-        Of a phase at `COLD` [ohm].
-    resistance : float
-        To the surroundings [K/W].
-    capacity : float
-        [J/K].
-    ambient : float
-        Temperature of the surroundings [deg C].
-    derating, maximum : float
-        Temperatures between which the current limit falls [deg C] ..
-    current, rated : float
-        .. from this one to that [A].
-    """
-
-    r_s: float
-    resistance: float
-    capacity: float
-    ambient: float
-    derating: float
-    maximum: float
-    current: float
-    rated: float
+    r_s: float  # resistance of a phase at `COLD` [ohm]
+    resistance: float  # thermal, to the surroundings [K/W]
+    capacity: float  # thermal [J/K]
+    ambient: float  # temperature of the surroundings [deg C]
+    derating: float  # temperature from which the current limit falls [deg C]
+    maximum: float  # temperature to which it falls [deg C]
+    current: float  # current limit at `derating` [A]
+    rated: float  # current limit at `maximum` [A]
 
     @classmethod
     def of(cls, axis: Axis) -> Winding:

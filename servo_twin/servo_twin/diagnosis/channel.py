@@ -36,42 +36,24 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """Something has changed.
-
-    Attributes
-    ----------
-    kind : Kind
-    changes : tuple of str
-        Names of the changes; empty if it is unknown.
-    value, low, high : float
-        Of the first one, with its 95 % interval: relative change, torque [N m] or electrical angle [rad].
-    since, detected : int
-        Ticks of its beginning and of its detection.
-    """
+    """Something has changed."""
 
     kind: Kind
-    changes: tuple[str, ...]
-    value: float
-    low: float
-    high: float
-    since: int
-    detected: int
+    changes: tuple[str, ...]  # names of the changes; empty if it is unknown
+    value: float  # of the first change: relative, torque [N m] or electrical angle [rad]
+    low: float  # lower end of its 95 % interval, in the same unit
+    high: float  # upper end, in the same unit
+    since: int  # tick of its beginning
+    detected: int  # tick of its detection
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """One value, with its 95 % interval.
-
-    Attributes
-    ----------
-    name : str
-    value, half_width : float
-        Relative change, torque [N m] or electrical angle [rad]; infinitely wide where nothing excites it.
-    """
+    """One value, with its 95 % interval."""
 
     name: str
-    value: float
-    half_width: float
+    value: float  # relative change, torque [N m] or electrical angle [rad]
+    half_width: float  # of its interval, in the same unit; infinite without excitation
 
 
 _BLOCKS_MIN: Final = {Kind.SINGLE: 1, Kind.SEVERAL: 4, Kind.UNKNOWN: 20, Kind.ONE_OF: 30}
@@ -91,11 +73,6 @@ class Channel(Generic[_Sample]):
         Mean square over its variance from which something is left to explain.
     prior, rows
         See `Window`.
-
-    Attributes
-    ----------
-    finding : Finding or None
-        None: nothing has changed.
     """
 
     def __init__(
@@ -113,7 +90,7 @@ class Channel(Generic[_Sample]):
         self._age = 0  # blocks since the first sign of a change
         self._likely: tuple[Kind, tuple[str, ...]] | None = None
         self._likely_blocks = 0  # for which that has been the most likely
-        self.finding: Finding | None = None
+        self.finding: Finding | None = None  # None: nothing has changed
 
     def clear(self) -> None:
         """Begin anew: the twin has another plant."""

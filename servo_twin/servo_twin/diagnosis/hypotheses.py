@@ -41,66 +41,31 @@ def _burst_part(a: _Array, b: _Array, blocks: int) -> float:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a window says.
+    """What a window says."""
 
-    Attributes
-    ----------
-    since, block : int
-        Since which block, and from which on it was judged.
-    change : int
-        Index into `CHANGES` of the change that explains most.
-    value, deviation : float
-        Its estimate and standard deviation.
-    ratio : float
-        Logarithm of its likelihood ratio against no change.
-    rest : float
-        The same without the strongest blocks, see `Unknowns.bursts`: a transient is no change.
-    rival : int
-        The change that explains most after it, alone.
-    rival_ratio : float
-        Of that one, since the same block.
-    second : int
-        The change that explains most of what is left.
-    second_ratio : float
-        How much that is, without its strongest blocks.
-    vector, joint : ndarray, shape (unknowns,)
-        All unknowns at that change, and at both.
-    """
-
-    since: int
-    block: int
-    change: int
-    value: float
-    deviation: float
-    ratio: float
-    rest: float
-    rival: int
-    rival_ratio: float
-    second: int
-    second_ratio: float
-    vector: _Array
-    joint: _Array
+    since: int  # first block of the change
+    block: int  # block from which it was judged
+    change: int  # index into `CHANGES` of the change that explains most
+    value: float  # estimate of this change
+    deviation: float  # standard deviation of the estimate
+    ratio: float  # logarithm of its likelihood ratio against no change
+    rest: float  # the same without the strongest blocks, see `Unknowns.bursts`: a transient is no change
+    rival: int  # the change that explains most after it, alone
+    rival_ratio: float  # of that one, since the same block
+    second: int  # the change that explains most of what is left
+    second_ratio: float  # how much that is, without the strongest blocks
+    vector: _Array  # (unknowns,), all unknowns at that change
+    joint: _Array  # (unknowns,), all unknowns at both changes
 
 
 @dataclass(frozen=True)
 class Unknowns:
-    """What may change in one set of equations.
-
-    Attributes
-    ----------
-    names : tuple of str
-    margins : ndarray, shape (unknowns,)
-        Within which the model may be wrong without anything having changed: so much explains nothing.
-    spread : ndarray, shape (unknowns,)
-        Standard deviation of an estimate over that of white noise.
-    bursts : sequence of int, length unknowns
-        How many blocks a transient lasts that looks like such a change. So many, the strongest, are no evidence.
-    """
+    """What may change in one set of equations."""
 
     names: tuple[str, ...]
-    margins: _Array
-    spread: _Array
-    bursts: Sequence[int]
+    margins: _Array  # (unknowns,), error of the model without any change; an estimate within it explains nothing
+    spread: _Array  # (unknowns,), standard deviation of an estimate over that of white noise
+    bursts: Sequence[int]  # (unknowns,), blocks of a transient like a change; so many, the strongest, are no evidence
 
     def vector(self, change: int, value: float) -> _Array:
         """All unknowns (unknowns,) at a single change; an encoder that has slipped also takes flux from the q axis."""

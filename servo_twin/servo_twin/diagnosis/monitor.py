@@ -47,16 +47,9 @@ _NEEDED: Final = ("u_dc", *(f"{axis_name(axis)}.{name}" for axis in range(AXES) 
 
 @dataclass(frozen=True)
 class Located:
-    """A finding and where it is.
+    """A finding and where it is."""
 
-    Attributes
-    ----------
-    axis : int or None
-        Index; None: the bus.
-    finding : Finding
-    """
-
-    axis: int | None
+    axis: int | None  # index; None: the bus
     finding: Finding
 
 
@@ -69,20 +62,11 @@ class DiagnosisMonitor:
         The twin's model of the plant.
     thresholds : Thresholds
         What a healthy pair shows.
-
-    Attributes
-    ----------
-    plant : PlantConfig
-        The twin's model of the plant.
-    watch : SignalWatch
-        Of what no equation describes.
-    missing : str
-        Variables that the telemetry lacks, so that nothing can be said; empty if there are none.
     """
 
     def __init__(self, plant: PlantConfig, thresholds: Thresholds) -> None:
         self.thresholds = thresholds
-        self.missing = ""
+        self.missing = ""  # variables that the telemetry lacks, so that no diagnosis is possible; empty: none
         self.axes = [
             Channel(
                 Unknowns(CHANGES, np.array(MARGINS), np.array(noise.spread), BURSTS),
@@ -95,12 +79,12 @@ class DiagnosisMonitor:
         ]
         bus = Unknowns((SUPPLY,), np.array([_BUS_MARGIN]), np.ones(1), (1,))
         self.bus = Channel(bus, thresholds.detect, np.array([np.inf]), np.empty(0), thresholds.bus_rows)
-        self.watch = SignalWatch([noise.means for noise in thresholds.axes])
+        self.watch = SignalWatch([noise.means for noise in thresholds.axes])  # of signals without an equation
         self.set_plant(plant)
 
     def set_plant(self, plant: PlantConfig) -> None:
         """The twin has another plant from now on."""
-        self.plant = plant
+        self.plant = plant  # the twin's model
         self.watch.interrupt()
         self._signals = [AxisSignals(axis, entry) for axis, entry in enumerate(plant.axes)]
         self._bus_signal = BusSignal(plant.bus)

@@ -55,13 +55,6 @@ class BoardPair:
         Of both boards.
     loss : float
         Part of the samples that do not arrive, 0 .. 1.
-
-    Attributes
-    ----------
-    board : Board
-        The real one.
-    twin : Twin
-        Its twin.
     """
 
     def __init__(
@@ -78,7 +71,7 @@ class BoardPair:
         self._lsb = [catalogue[name].lsb for name in _VARIABLES]
         self._random = random.Random(f"samples {seed}")
         self._loss = loss
-        self.board = Board(plant, seed=2 * seed + 1, level=level, catalogue=catalogue)
+        self.board = Board(plant, seed=2 * seed + 1, level=level, catalogue=catalogue)  # the real one
         self.real = Replica(self.board)
         self.twin = Twin(
             lambda: Board(twin_plant, seed=2 * seed + 2, level=level, catalogue=catalogue), None, catalogue
@@ -152,7 +145,7 @@ class BoardPair:
 class _Segment:
     """What one axis is doing until some time [s]."""
 
-    until: float
+    until: float  # board time [s]
     mode: int = 0
     speed: float = 0.0  # set-point of the mode SPEED [rad/s]
 

@@ -62,17 +62,12 @@ class SignalWatch:
     ----------
     limits : ndarray, shape (axes, signals)
         Largest mean of a healthy pair.
-
-    Attributes
-    ----------
-    complaint : tuple of (int, str) or None
-        Axis, and what is wrong with it in words; None if nothing is.
     """
 
     def __init__(self, limits: Sequence[Sequence[float]]) -> None:
         self._limits = np.array(limits)
         self._means = SignalMeans()
-        self.complaint: tuple[int, str] | None = None
+        self.complaint: tuple[int, str] | None = None  # axis, and its fault in words; None: there is none
 
     def interrupt(self) -> None:
         """The next pair does not follow on the last one."""

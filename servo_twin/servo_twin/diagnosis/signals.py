@@ -61,32 +61,17 @@ _Row = tuple[float, ...]
 
 
 class AxisEquations(NamedTuple):
-    """What one sample says.
+    """What one sample says."""
 
-    Attributes
-    ----------
-    y : tuple of float, shape (3,)
-        Left sides, per equation [N m], [V], [V].
-    phi : tuple of tuple of float, shape (3, 6)
-        Right sides, per equation and unknown.
-    alias : tuple of tuple of float, shape (3, 4)
-        What the alias is proportional to, per equation and entry of `ALIASES`.
-    share : float
-        Part of an independent sample that the torque equation is.
-    current, speed : float
-        Magnitudes at the sample [A], [rad/s].
-    error : float
-        By how much the voltage equations may be off because the dead time of the boards differs: with the bus, and with
-        a small current [V].
-    """
-
-    y: _Row
-    phi: tuple[_Row, ...]
-    alias: tuple[_Row, ...]
-    share: float
-    current: float
-    speed: float
+    y: _Row  # (3,), left sides, per equation [N m], [V], [V]
+    phi: tuple[_Row, ...]  # (3, 6), right sides, per equation and unknown
+    alias: tuple[_Row, ...]  # (3, 4), factors of the alias, per equation and entry of `ALIASES`
+    share: float  # weight of the torque equation as a part of an independent sample
+    current: float  # magnitude at the sample [A]
+    speed: float  # magnitude at the sample [rad/s]
     error: float
+    """Error of the voltage equations that different dead times of the boards cause: with the bus, and with a small
+    current [V]."""
 
 
 class _Filter:

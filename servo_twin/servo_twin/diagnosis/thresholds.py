@@ -51,34 +51,16 @@ class ThresholdsError(ValueError):
 
 @dataclass(frozen=True)
 class AxisNoise:
-    """Of the equations of one axis (`servo_twin.diagnosis.signals`), with a healthy board.
+    """Of the equations of one axis (`servo_twin.diagnosis.signals`), with a healthy board."""
 
-    Attributes
-    ----------
-    alias : tuple of float
-        Its coefficients, per entry of `ALIASES`.
-    torque : float
-        Standard deviation of the torque equation [N m].
-    voltage_q, voltage_d : tuple of float
-        Of the voltage equations, bin by bin of `CURRENTS`, within it of `SPEEDS` [V].
-    baseline : tuple of float
-        What the unknowns come to: the error of the twin's model.
-    spread : tuple of float
-        Standard deviation of an estimate over that of white noise, per unknown.
-    unexplained : tuple of float
-        Largest mean square of the residual over its variance, per equation, after all known changes.
-    means : tuple of float
-        Largest running mean of every signal of `servo_twin.diagnosis.signal_watch.WATCHED`.
-    """
-
-    alias: tuple[float, ...]
-    torque: float
-    voltage_q: tuple[float, ...]
-    voltage_d: tuple[float, ...]
-    baseline: tuple[float, ...]
-    spread: tuple[float, ...]
-    unexplained: tuple[float, ...]
-    means: tuple[float, ...]
+    alias: tuple[float, ...]  # its coefficients, per entry of `ALIASES`
+    torque: float  # standard deviation of the torque equation [N m]
+    voltage_q: tuple[float, ...]  # standard deviation by bin of `CURRENTS`, within it of `SPEEDS` [V]
+    voltage_d: tuple[float, ...]  # the same of the other voltage equation [V]
+    baseline: tuple[float, ...]  # estimates of the unknowns without a change: the error of the twin's model
+    spread: tuple[float, ...]  # standard deviation of an estimate over that of white noise, per unknown
+    unexplained: tuple[float, ...]  # by equation, largest mean square of residual over variance after all known changes
+    means: tuple[float, ...]  # largest running mean of every signal of `servo_twin.diagnosis.signal_watch.WATCHED`
 
     @property
     def prior(self) -> _Array:
@@ -117,27 +99,14 @@ _LENGTHS: Final = {
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Everything that was learned.
-
-    Attributes
-    ----------
-    axes : tuple of AxisNoise
-    bus_noise, bus_baseline : float
-        Of the bus voltage in a block of motion: relative standard deviation and mean.
-    detect : float
-        Logarithm of the likelihood ratio from which a change is one.
-    false_alarm_hours : float
-        Mean time between two false alarms that `detect` stands for, by the tail of the run [h of motion].
-    run_hours : float
-        How long the run was [h].
-    """
+    """Everything that was learned."""
 
     axes: tuple[AxisNoise, ...]
-    bus_noise: float
-    bus_baseline: float
-    detect: float
-    false_alarm_hours: float
-    run_hours: float
+    bus_noise: float  # of the bus voltage in a block of motion: relative standard deviation
+    bus_baseline: float  # the mean of the same, relative
+    detect: float  # logarithm of the likelihood ratio from which a change counts
+    false_alarm_hours: float  # mean time between false alarms at `detect`, by the tail of the run [h of motion]
+    run_hours: float  # duration of the run [h]
 
     def bus_rows(self, voltages: Sequence[float]) -> Rows:
         """Equations of relative differences of the bus voltage."""

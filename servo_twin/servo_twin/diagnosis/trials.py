@@ -27,18 +27,10 @@ _BEFORE: Final = (3.0, 6.0)  # of motion, until the change comes [s]
 
 @dataclass(frozen=True)
 class Change:
-    """A change of the real plant.
+    """A change of the real plant."""
 
-    Attributes
-    ----------
-    name : str
-        Key of `PLANT_VALUES`.
-    size : float
-        Factor; of a load the torque that is added [N m].
-    """
-
-    name: str
-    size: float
+    name: str  # key of `PLANT_VALUES`
+    size: float  # factor; of a load the additional torque [N m]
 
     @classmethod
     def parse(cls, text: str) -> Change:
@@ -68,38 +60,17 @@ class Change:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a trial has shown.
-
-    Attributes
-    ----------
-    number : int
-    truth : str
-        What was changed, such as ``axis1 friction``; `NOTHING` if nothing was.
-    said : str
-        What the diagnosis said at the end.
-    delay : float or None
-        From the change until it was named, to stay [s]; None: it was not.
-    value : float
-        Estimate of the change, relative or [N m].
-    covered : bool
-        Whether its interval holds the truth.
-    false_alarms : tuple of str
-        What was said before the change.
-    seconds : float
-        Time without a change [s].
-    problem : str
-        Why the trial could not be run; empty if it could.
-    """
+    """What a trial has shown."""
 
     number: int
-    truth: str
-    said: str
-    delay: float | None
-    value: float
-    covered: bool
-    false_alarms: tuple[str, ...]
-    seconds: float
-    problem: str = ""
+    truth: str  # true change, such as ``axis1 friction``; `NOTHING` if there was none
+    said: str  # result of the diagnosis at the end
+    delay: float | None  # from the change until it was named for good [s]; None: it was not
+    value: float  # estimate of the change, relative or [N m]
+    covered: bool  # whether its interval holds the truth
+    false_alarms: tuple[str, ...]  # results before the change
+    seconds: float  # time without a change [s]
+    problem: str = ""  # why the trial could not be run; empty if it could
 
 
 def _said(findings: Sequence[Located]) -> str:
@@ -115,29 +86,14 @@ def _said(findings: Sequence[Located]) -> str:
 
 @dataclass(frozen=True)
 class Trials:
-    """All trials of a run, to be run anywhere.
+    """All trials of a run, to be run anywhere."""
 
-    Attributes
-    ----------
-    plant : PlantConfig
-        Of the twin, and of the board before the change.
-    thresholds : Thresholds
-    changes : tuple of Change
-        One after the other, trial by trial; empty: nothing changes.
-    seed : int
-    seconds : float
-        After the change; without one of the whole trial [s].
-    loss : float
-        Part of the samples that do not arrive.
-    level : {"registers", "ideal"}
-    """
-
-    plant: PlantConfig
+    plant: PlantConfig  # of the twin, and of the board before the change
     thresholds: Thresholds
-    changes: tuple[Change, ...]
+    changes: tuple[Change, ...]  # one after the other, trial by trial; empty: nothing changes
     seed: int
-    seconds: float
-    loss: float
+    seconds: float  # after the change; without a change of the whole trial [s]
+    loss: float  # part of the samples that are lost
     level: Level
 
     def run(self, number: int) -> Answer:
@@ -198,21 +154,11 @@ def _follow(
 
 @dataclass(frozen=True)
 class HealthyRuns:
-    """Runs of virtual pairs in which nothing changes, to learn from.
+    """Runs of virtual pairs in which nothing changes, to learn from."""
 
-    Attributes
-    ----------
-    plant : PlantConfig
-        Of both boards.
-    seed : int
-    seconds : float
-        Of each run [s].
-    level : {"registers", "ideal"}
-    """
-
-    plant: PlantConfig
+    plant: PlantConfig  # of both boards
     seed: int
-    seconds: float
+    seconds: float  # of each run [s]
     level: Level
 
     def run(self, number: int) -> Learner:

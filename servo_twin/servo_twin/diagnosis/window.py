@@ -19,33 +19,21 @@ _Sample = TypeVar("_Sample")
 
 
 class Rows(NamedTuple):
-    """Equations of some samples.
+    """Equations of some samples."""
 
-    Attributes
-    ----------
-    y : ndarray, shape (rows, equations)
-        Left sides.
-    phi : ndarray, shape (rows, equations, unknowns + nuisances)
-        Right sides.
-    weight : ndarray, shape (rows, equations)
-        Independent samples per variance.
-    samples : ndarray, shape (rows, equations)
-        Independent samples.
-    """
-
-    y: _Array
-    phi: _Array
-    weight: _Array
-    samples: _Array
+    y: _Array  # (rows, equations), left sides
+    phi: _Array  # (rows, equations, unknowns + nuisances), right sides
+    weight: _Array  # (rows, equations), independent samples per variance
+    samples: _Array  # (rows, equations), independent samples
 
 
 class _Block(NamedTuple):
     """Normal equations of the samples of one block, per equation; `Sums` has the shapes."""
 
-    a: _Array
-    b: _Array
-    energy: _Array
-    samples: _Array
+    a: _Array  # (..., equations, unknowns + nuisances, unknowns + nuisances), information
+    b: _Array  # (..., equations, unknowns + nuisances), right sides
+    energy: _Array  # (..., equations), weighted squares of the left sides
+    samples: _Array  # (..., equations), independent samples
 
     @classmethod
     def of(cls, rows: Rows) -> _Block:
@@ -56,28 +44,16 @@ class _Block(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """Normal equations of a window.
+    """Normal equations of a window."""
 
-    Attributes
-    ----------
-    a : ndarray, shape (blocks, unknowns, unknowns)
-        Information since the beginning of each block, that of the nuisances eliminated.
-    b : ndarray, shape (blocks, unknowns)
-    parts_a : ndarray, shape (blocks, equations, unknowns + nuisances, unknowns + nuisances)
-    parts_b : ndarray, shape (blocks, equations, unknowns + nuisances)
-        The same of each block alone, per equation, before the elimination.
-    energy : ndarray, shape (blocks, equations)
-        Weighted squares of the left sides since the beginning of each block.
-    samples : ndarray, shape (blocks, equations)
-        Independent samples since the beginning of each block.
-    """
-
-    a: _Array
-    b: _Array
+    a: _Array  # (blocks, unknowns, unknowns), information since the beginning of each block, nuisances eliminated
+    b: _Array  # (blocks, unknowns), right sides that belong to `a`
     parts_a: _Array
-    parts_b: _Array
-    energy: _Array
-    samples: _Array
+    """(blocks, equations, unknowns + nuisances, unknowns + nuisances), information of each block alone, per equation,
+    before the elimination."""
+    parts_b: _Array  # (blocks, equations, unknowns + nuisances), right sides that belong to `parts_a`
+    energy: _Array  # (blocks, equations), weighted squares of the left sides since the beginning of each block
+    samples: _Array  # (blocks, equations), independent samples since the beginning of each block
 
 
 class Window(Generic[_Sample]):
@@ -91,16 +67,11 @@ class Window(Generic[_Sample]):
         What is known of the nuisances besides, unknowns of no interest: one over their variance.
     rows : callable
         Equations of the samples of a block.
-
-    Attributes
-    ----------
-    ticks : list of int
-        When each block began.
     """
 
     def __init__(self, size: int, prior: _Array, rows: Callable[[Sequence[_Sample]], Rows]) -> None:
         self._size, self._prior, self._rows = size, np.diag(prior), rows
-        self.ticks: list[int] = []
+        self.ticks: list[int] = []  # at which each block began
         self._blocks: _Block | None = None  # stacked, with room; the present ones begin at `_first`
         self._first = 0
         self._begin()

@@ -19,23 +19,14 @@ from servo_twin.plant import PlantConfig
 
 @dataclass(frozen=True)
 class Experiment:
-    """An entry of the registry.
+    """An entry of the registry."""
 
-    Attributes
-    ----------
-    name, help : str
-        For the command line.
-    run : callable
-        The experiment on a plant with a seed.
-    add_options, with_options : callable or None
-        What it can be told beyond these: options for its parser, and the experiment as parsed options ask for it.
-    """
-
-    name: str
-    help: str
-    run: Callable[[PlantConfig, int], Outcome]
-    add_options: Callable[[argparse.ArgumentParser], None] | None = None
+    name: str  # on the command line
+    help: str  # text for the command line
+    run: Callable[[PlantConfig, int], Outcome]  # the experiment on a plant with a seed
+    add_options: Callable[[argparse.ArgumentParser], None] | None = None  # adds its options to a parser
     with_options: Callable[[argparse.Namespace], Callable[[PlantConfig, int], Outcome]] | None = None
+    """The experiment as its parsed options request it."""
 
 
 def _entry(module: ModuleType) -> Experiment:

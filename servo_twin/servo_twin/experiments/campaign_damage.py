@@ -48,44 +48,22 @@ WORN_DAMPING: Final = 0.05  # of that resonance
 
 @dataclass(frozen=True)
 class Seen:
-    """What the plant went through between the cause and the name.
+    """What the plant went through between the cause and the name."""
 
-    Attributes
-    ----------
-    u_min, u_max : float
-        Extremes of the bus [V].
-    """
-
-    u_min: float
-    u_max: float
+    u_min: float  # smallest voltage of the bus [V]
+    u_max: float  # largest voltage of the bus [V]
 
 
 @dataclass(frozen=True)
 class Damage:
-    """One kind of damage with its parameters.
+    """One kind of damage with its parameters."""
 
-    Attributes
-    ----------
-    kind : str
-        One of `DAMAGES`.
-    text : str
-        The same with the parameters.
-    strike : callable
-        Does it to a board.
-    names : callable
-        Names that are right, given what the plant went through; `NOTHING` for none.
-    shows : bool
-        It has to be found at the latest when the axis is asked to move.
-    stalls : bool
-        The firmware loses count of its periods.
-    """
-
-    kind: str
-    text: str
-    strike: Callable[[Board], None]
-    names: Callable[[Seen], tuple[str, ...]]
-    shows: bool = True
-    stalls: bool = False
+    kind: str  # one of `DAMAGES`
+    text: str  # the same with the parameters
+    strike: Callable[[Board], None]  # applies it to a board
+    names: Callable[[Seen], tuple[str, ...]]  # correct names, given the course of the plant; `NOTHING` for none
+    shows: bool = True  # it has to be detected at the latest when the axis is commanded to move
+    stalls: bool = False  # the firmware loses count of its periods
 
 
 @dataclass(frozen=True)

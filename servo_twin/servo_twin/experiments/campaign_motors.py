@@ -57,24 +57,12 @@ DEVIATION: Final[Mapping[str, tuple[float, float]]] = {
 
 @dataclass(frozen=True)
 class Motor:
-    """One motor on its board.
+    """One motor on its board."""
 
-    Attributes
-    ----------
-    name : str
-        One of `MOTORS`.
-    axis : int
-        Index of its axis.
-    plant : PlantConfig
-        Nominal values of both motors of the board.
-    group : str
-        Names the board: that of the plant, or what to tune the firmware for.
-    """
-
-    name: str
-    axis: int
-    plant: PlantConfig
-    group: str
+    name: str  # one of `MOTORS`
+    axis: int  # index of its axis
+    plant: PlantConfig  # nominal values of both motors of the board
+    group: str  # names the board: that of the plant, or the plant that the firmware is tuned for
 
     @classmethod
     def of(cls, name: str, plant: PlantConfig) -> Motor:

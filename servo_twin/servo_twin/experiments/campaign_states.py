@@ -23,35 +23,19 @@ LOAD_STEPS: Final = 20  # of a load that grows, as an axis without an encoder ca
 
 @dataclass
 class Bench:
-    """A board, the axis that is looked at, and the other one.
-
-    Attributes
-    ----------
-    board : Board
-    axis : int
-    motor : AxisPlant
-        What is really there.
-    sensorless : bool
-        The axis does without its encoder.
-    slowest : float
-        Part of its speed limit below which it is asked for nothing then.
-    wanted : float
-        Largest speed that the axis has been asked for, in size [rad/s]; the speed limit where it was a current.
-    torque_of_load : float
-        External torque [N m].
-    """
+    """A board, the axis that is looked at, and the other one."""
 
     board: Board
     axis: int
-    motor: AxisPlant
-    sensorless: bool = False
-    slowest: float = 0.0
-    wanted: float = 0.0
-    torque_of_load: float = 0.0
-    speed_limit: float = field(init=False)
-    acceleration: float = field(init=False)
-    current: float = field(init=False)
-    other_limit: float = field(init=False)
+    motor: AxisPlant  # true parameters
+    sensorless: bool = False  # the axis works without its encoder
+    slowest: float = 0.0  # part of its speed limit below which no speed is commanded then
+    wanted: float = 0.0  # largest speed that was commanded, magnitude [rad/s]; for a current: the speed limit
+    torque_of_load: float = 0.0  # external torque [N m]
+    speed_limit: float = field(init=False)  # [rad/s]
+    acceleration: float = field(init=False)  # limit [rad/s^2]
+    current: float = field(init=False)  # limit of i_q [A]
+    other_limit: float = field(init=False)  # speed limit of the other axis [rad/s]
 
     def __post_init__(self) -> None:
         self.speed_limit = self._parameter("param.speed_limit", self.axis)
@@ -183,45 +167,22 @@ Event = tuple[float, Callable[[], None]]
 
 @dataclass(frozen=True)
 class Script:
-    """What goes on from the moment at which a state is reached.
+    """What goes on from the moment at which a state is reached."""
 
-    Attributes
-    ----------
-    window : float
-        Something breaks within so many seconds.
-    events : list of Event
-        What the axis is told meanwhile and afterwards.
-    wait : float
-        For a fault, after something has broken [s].
-    """
-
-    window: float
-    events: list[Event] = field(default_factory=list)
-    wait: float = 0.7
+    window: float  # the fault is injected within this time [s]
+    events: list[Event] = field(default_factory=list)  # commands to the axis in this time and afterwards
+    wait: float = 0.7  # for the detection, after the fault [s]
 
 
 @dataclass(frozen=True)
 class State:
-    """What an axis is doing.
-
-    Attributes
-    ----------
-    name : str
-    begin : callable
-        Brings a board that has just been switched on there.
-    sensorless : bool
-        It does so without an encoder.
-    calibrated : bool
-        The offsets of the current amplifiers have been measured.
-    aligned : bool
-        The rotor has been found, and will not be looked for again before the axis moves.
-    """
+    """What an axis is doing."""
 
     name: str
-    begin: Callable[[Bench, random.Random], Script]
-    sensorless: bool = False
-    calibrated: bool = True
-    aligned: bool = True
+    begin: Callable[[Bench, random.Random], Script]  # brings a board that has just been switched on into it
+    sensorless: bool = False  # without an encoder
+    calibrated: bool = True  # the offsets of the current amplifiers have been measured
+    aligned: bool = True  # the rotor position is known, no rotor search before the next motion
 
 
 def _sign(rng: random.Random) -> float:

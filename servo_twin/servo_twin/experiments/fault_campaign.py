@@ -51,30 +51,16 @@ class Trial:
     """One trial before it is run. Between processes only what it follows from travels: its functions cannot.
 
     One that does not follow from that, made by hand or with another damage, is not pickled: `TypeError`.
-
-    Attributes
-    ----------
-    seed, number : int
-        What it follows from, with the plant and the motors.
-    motor : Motor
-    state : State
-    damage : Damage
-    plant : PlantConfig
-        What is really there.
-    motors : tuple of str
-        Among which the motor was drawn.
-    nominal : PlantConfig or None
-        The plant that it follows from; None if it was not drawn.
     """
 
-    seed: int
-    number: int
+    seed: int  # determines the trial, with the number, the plant and the motors
+    number: int  # of the trial
     motor: Motor
     state: State
     damage: Damage
-    plant: PlantConfig
-    motors: tuple[str, ...] = tuple(MOTORS)
-    nominal: PlantConfig | None = None
+    plant: PlantConfig  # true parameters
+    motors: tuple[str, ...] = tuple(MOTORS)  # among which the motor was drawn
+    nominal: PlantConfig | None = None  # the plant that it follows from; None if it was not drawn
 
     def __reduce__(self) -> tuple[Callable[..., Trial], tuple[object, ...]]:
         if self.nominal is not None:
@@ -114,32 +100,15 @@ def draw(plant: PlantConfig, seed: int, number: int, motors: Sequence[str] = MOT
 # ---- running
 @dataclass(frozen=True)
 class Result:
-    """What came of a trial.
-
-    Attributes
-    ----------
-    trial : Trial
-    name : str
-        First fault, once it is final; empty without one.
-    right : tuple of str
-        Names that are right.
-    seconds : float or None
-        From the cause to outputs off; None if the axis had to be asked to move, or there was no fault.
-    beyond : float
-        Speed beyond what the axis had been asked for, or had already, between cause and outputs off [rad/s].
-    gained : float
-        Speed that the shaft gained after the outputs were off [rad/s].
-    complaints : tuple of str
-        What is wrong; a trial without any is not lost.
-    """
+    """What came of a trial."""
 
     trial: Trial
-    name: str
-    right: tuple[str, ...]
-    seconds: float | None
-    beyond: float
-    gained: float
-    complaints: tuple[str, ...]
+    name: str  # first fault in its final form; empty without one
+    right: tuple[str, ...]  # correct names
+    seconds: float | None  # from the cause to outputs off; None: the axis had to be commanded to move, or no fault
+    beyond: float  # speed beyond the commanded or initial one, between cause and outputs off [rad/s]
+    gained: float  # increase of the shaft's speed after the outputs were off [rad/s]
+    complaints: tuple[str, ...]  # criteria that are not met; empty: the trial is passed
 
     @property
     def lost(self) -> bool:

@@ -33,19 +33,11 @@ def reach(bound: Bound) -> float:
 
 @dataclass(frozen=True)
 class Pair:
-    """A figure at both levels.
+    """A figure at both levels."""
 
-    Attributes
-    ----------
-    name : str
-        Experiment and figure.
-    ideal, registers : Row or None
-        What was measured; None if the experiment could not be run there.
-    """
-
-    name: str
-    ideal: Row | None
-    registers: Row | None
+    name: str  # experiment and figure
+    ideal: Row | None  # as measured; None: the experiment could not be run at this level
+    registers: Row | None  # likewise
 
     @property
     def difference(self) -> float | None:

@@ -25,16 +25,10 @@ NOT_SHOWN: Final = "not shown"
 
 @dataclass(frozen=True)
 class Bound:
-    """Interval that a measured value has to lie in; an end that is None is open.
+    """Interval that a measured value has to lie in; an end that is None is open."""
 
-    Attributes
-    ----------
-    minimum, maximum : float or None
-        Smallest and largest value that agrees, in the unit of the row.
-    """
-
-    minimum: float | None = None
-    maximum: float | None = None
+    minimum: float | None = None  # smallest value that agrees, in the unit of the row
+    maximum: float | None = None  # largest value that agrees, in the unit of the row
 
     def holds(self, value: float | None) -> bool:
         """Whether a value in the unit of the bound lies within; None (nothing to measure) and NaN never do."""
@@ -53,30 +47,14 @@ class Bound:
 
 @dataclass(frozen=True)
 class Row:
-    """One measured figure against its bound.
+    """One measured figure against its bound."""
 
-    Attributes
-    ----------
-    name : str
-        What was measured.
-    reference : str
-        What the reference design states or shows about it.
-    measured : float or None
-        None: it did not happen, which never agrees.
-    unit : str
-        Unit of `measured` and `bound`.
-    bound : Bound
-        Where `measured` has to lie.
-    apart : float or None
-        How far the two levels of a board may be apart; None: as far as the bound allows.
-    """
-
-    name: str
-    reference: str
-    measured: float | None
-    unit: str
-    bound: Bound
-    apart: float | None = None
+    name: str  # measured quantity
+    reference: str  # value or description in the reference design
+    measured: float | None  # None: it did not happen, which never agrees
+    unit: str  # unit of `measured` and `bound`
+    bound: Bound  # range for `measured`
+    apart: float | None = None  # largest difference of the two levels of a board; None: as far as the bound allows
 
     @property
     def agrees(self) -> bool:
@@ -98,18 +76,10 @@ class Row:
 
 @dataclass(frozen=True)
 class Judge:
-    """Writes the rows of one subject, whose name comes before that of each figure.
+    """Writes the rows of one subject, whose name comes before that of each figure."""
 
-    Attributes
-    ----------
-    subject : str
-        With the punctuation that separates it, such as ``"axis1, "``.
-    reference : str
-        What the reference design says, where a row says nothing else.
-    """
-
-    subject: str = ""
-    reference: str = BEYOND
+    subject: str = ""  # with the punctuation that separates it, such as ``"axis1, "``
+    reference: str = BEYOND  # statement of the reference design, for rows without their own
 
     def __call__(
         self,
@@ -153,8 +123,8 @@ class Curve:
     """One line of a panel; `style` is a matplotlib format string such as ``"o"``."""
 
     label: str
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
+    x: NDArray[np.float64]  # (n,)
+    y: NDArray[np.float64]  # (n,)
     style: str = "-"
 
 
@@ -172,27 +142,13 @@ class Panel:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of one experiment.
+    """Result of one experiment."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the experiment.
-    rows : tuple of Row
-        Measured figures.
-    panels : tuple of Panel
-        Its picture.
-    notes : tuple of str
-        What else there is to know: conditions, figures without a bound.
-    level : str
-        Of the boards that it ran on.
-    """
-
-    name: str
-    rows: tuple[Row, ...]
-    panels: tuple[Panel, ...]
-    notes: tuple[str, ...] = ()
-    level: str = ""
+    name: str  # name of the experiment
+    rows: tuple[Row, ...]  # measured figures
+    panels: tuple[Panel, ...]  # of its figure
+    notes: tuple[str, ...] = ()  # conditions, and figures without a bound
+    level: str = ""  # of its boards
 
     @property
     def agrees(self) -> bool:

@@ -48,16 +48,10 @@ Pair = tuple[Recording, Recording]
 
 @dataclass(frozen=True)
 class Reversals:
-    """What the other axis does: set-points that change their sign twice a period.
+    """What the other axis does: set-points that change their sign twice a period."""
 
-    Attributes
-    ----------
-    speed, acceleration : float
-        Of the set-point [rad/s], [rad/s^2]; as much as the plant's motor can do with a half of its current.
-    """
-
-    speed: float
-    acceleration: float
+    speed: float  # of the set-point [rad/s]; as much as the plant's motor can do with a half of its current
+    acceleration: float  # likewise [rad/s^2]
 
     @classmethod
     def of(cls, plant: PlantConfig, seed: int, axis: int) -> Reversals:

@@ -101,22 +101,12 @@ in the simulation."""
 
 @dataclass(frozen=True)
 class Refinement:
-    """What came of it.
+    """What came of it."""
 
-    Attributes
-    ----------
-    estimates : MotorEstimates
-        With what was not refined as it was.
-    before, after : mapping
-        Root mean square of each signal's difference before and after [SI].
-    simulated : list of Recording
-        What a board with the refined values shows.
-    """
-
-    estimates: MotorEstimates
-    before: Mapping[str, float]
-    after: Mapping[str, float]
-    simulated: list[Recording]
+    estimates: MotorEstimates  # unchanged where not refined
+    before: Mapping[str, float]  # root mean square of each signal's difference before [SI]
+    after: Mapping[str, float]  # the same after the refinement [SI]
+    simulated: list[Recording]  # recordings of a board with the refined values
 
 
 def plant_of(plant: PlantConfig, axis: int, values: Mapping[str, float], limits: Mapping[str, float]) -> PlantConfig:
@@ -167,24 +157,13 @@ def simulated(log: MeasurementLog, plant: PlantConfig, load: float, level: Level
 
 @dataclass(frozen=True)
 class _Part:
-    """What is compared of one recording.
+    """What is compared of one recording."""
 
-    Attributes
-    ----------
-    number : int
-        Of the recording.
-    label, column : str
-    usable : ndarray of bool
-        Samples that are there.
-    group : ndarray of int
-        Of the usable ones: those of one number are averaged.
-    """
-
-    number: int
+    number: int  # of the recording
     label: str
     column: str
-    usable: NDArray[np.bool_]
-    group: NDArray[np.int64]
+    usable: NDArray[np.bool_]  # which samples are valid
+    group: NDArray[np.int64]  # of each usable sample: those of one number are averaged
 
     def means(self, samples: Floats) -> Floats:
         _, place, counts = np.unique(self.group, return_inverse=True, return_counts=True)
@@ -431,19 +410,11 @@ def _floor(values: Mapping[str, float], top: float) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class _Start:
-    """Where the minimisation begins.
+    """Where the minimisation begins."""
 
-    Attributes
-    ----------
-    values : dict
-        Estimates without their bias.
-    close, quick : list of Recording
-        What the close and the quick model show at about these values; what they differ by is added to the quick one.
-    """
-
-    values: dict[str, float]
-    close: list[Recording]
-    quick: list[Recording]
+    values: dict[str, float]  # estimates without their bias
+    close: list[Recording]  # recordings of the close model at about these values
+    quick: list[Recording]  # the same of the quick model; the difference is added to it
 
 
 def _corrected(

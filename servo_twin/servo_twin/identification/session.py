@@ -58,22 +58,12 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Identified:
-    """What a measurement gives.
-
-    Attributes
-    ----------
-    log : MeasurementLog
-    estimates : MotorEstimates
-        Refined if there is a refinement.
-    refinement : Refinement or None
-    problems : tuple of str
-        What is not determined or not explained; empty: success.
-    """
+    """What a measurement gives."""
 
     log: MeasurementLog
-    estimates: MotorEstimates
+    estimates: MotorEstimates  # refined if there is a refinement
     refinement: Refinement | None
-    problems: tuple[str, ...]
+    problems: tuple[str, ...]  # what is not determined or not explained; empty: success
 
 
 def measure_virtual(

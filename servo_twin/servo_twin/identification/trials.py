@@ -29,27 +29,13 @@ TIME_MAX: Final = 60.0  # board time per axis [s]
 
 @dataclass(frozen=True)
 class Trial:
-    """One motor.
+    """One motor."""
 
-    Attributes
-    ----------
-    errors : mapping
-        Relative errors by name.
-    covered : mapping
-        Whether the 95 % interval holds the truth, by name.
-    seconds : float
-        Time of the board [s].
-    problems : tuple of str
-        Why it was not identified; empty: success.
-    tuned : str
-        Why no configuration works; empty: one does.
-    """
-
-    errors: Mapping[str, float]
-    covered: Mapping[str, bool]
-    seconds: float
-    problems: tuple[str, ...]
-    tuned: str
+    errors: Mapping[str, float]  # relative errors by name
+    covered: Mapping[str, bool]  # whether the 95 % interval holds the truth, by name
+    seconds: float  # time of the board [s]
+    problems: tuple[str, ...]  # why it was not identified; empty: success
+    tuned: str  # why no configuration works; empty: one does
 
     @property
     def false_success(self) -> bool:
@@ -59,26 +45,13 @@ class Trial:
 
 @dataclass(frozen=True)
 class Trials:
-    """Numbered random motors, to be run anywhere.
+    """Numbered random motors, to be run anywhere."""
 
-    Attributes
-    ----------
-    plant : PlantConfig
-        For all that is not of the motor.
-    base : mapping
-        Parsed ``servo.toml``.
-    axis : int
-    limits : Limits
-    level : {"registers", "ideal"}
-        Of the boards that are measured.
-    seed : int
-    """
-
-    plant: PlantConfig
-    base: Mapping[str, Any]
+    plant: PlantConfig  # for all but the motor
+    base: Mapping[str, Any]  # parsed ``servo.toml``
     axis: int
     limits: Limits
-    level: Level
+    level: Level  # of the boards that are measured
     seed: int
 
     def run(self, number: int) -> Trial:

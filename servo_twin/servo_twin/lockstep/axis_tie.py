@@ -27,22 +27,14 @@ class AxisTie:
         Index of the axis.
     catalogue : Catalogue
         For the names of what a position is worth.
-
-    Attributes
-    ----------
-    memory : dict
-        Last raw number that was written to every command variable, as far as it is known.
-    stopping : bool
-        A stop was commanded or a set-point has expired, and the axis has not been told since where to go: each board
-        ramps down from the speed that it measures, so they come to rest at different places without either being wrong.
-    apart_since : int or None
-        Real tick since which the two cannot be compared; None while they can.
     """
 
     def __init__(self, number: int, catalogue: Catalogue) -> None:
-        self.memory: dict[str, int] = {}
-        self.apart_since: int | None = None
+        self.memory: dict[str, int] = {}  # last raw number written to every command variable, as far as it is known
+        self.apart_since: int | None = None  # real tick since which the two cannot be compared; None: they can
         self.stopping = False
+        """A stop was commanded or a set-point has expired, and no set-point has followed: each board ramps down from
+        the speed that it measures, so they come to rest at different places without either being wrong."""
         self._number = number
         self._name = axis_name(number)
         self._expired = False  # on either board, at the last sample
@@ -193,7 +185,7 @@ class AxisTie:
         """Bring a newly aligned axis to the commands that the real one has had."""
         mode = self.memory.get("cmd.mode", 0)
         # A mode that is written anew would end the hold that the real axis came under control with.
-        variables = ["cmd.mode"] if replica.read_raw("cmd.mode")[self._number] != mode else []
+        variables = ["cmd.mode"] if replica.read_words("cmd.mode")[self._number] != mode else []
         if self._withheld:
             variables.append(_SET_POINTS[mode])
             self._withheld = False

@@ -40,50 +40,25 @@ _NOT_TOLD: Final = "the twin was not there when the recorder was set up"
 
 @dataclass(frozen=True)
 class Alignment:
-    """How the twin's board lies to the real one, from a sample of the real board on.
+    """How the twin's board lies to the real one, from a sample of the real board on."""
 
-    Attributes
-    ----------
-    tick : int
-        Of that sample.
-    shift : int
-        Tick of the twin's board minus that of the real one.
-    offsets : tuple of int
-        Position of every real axis minus that of the twin's [counts].
-    difference : str
-        Why the two cannot be compared; empty when they can.
-    """
-
-    tick: int
-    shift: int
-    offsets: tuple[int, ...]
-    difference: str
+    tick: int  # of that sample
+    shift: int  # tick of the twin's board minus that of the real one
+    offsets: tuple[int, ...]  # position of every real axis minus that of the twin's [counts]
+    difference: str  # why the two cannot be compared; empty: they can
 
 
 @dataclass(frozen=True)
 class BurstAnswer:
-    """What the twin has of a burst.
+    """What the twin has of a burst."""
 
-    Attributes
-    ----------
-    label : str
-        What the burst is.
-    columns : sequence of str
-        Those of the burst that the twin has, in its order.
-    twin : array of float, shape (points, columns)
-        Values of the twin, SI, in ticks and positions of the real board; no points where it has none.
-    residual : array of float, shape (points, columns)
-        Real minus twin, angles and positions the short way round; ticks, times and stamps as they are. NaN where the
-        boards could not be compared.
-    note : str
-        What is missing and why, for people; empty when nothing is.
-    """
-
-    label: str
-    columns: Sequence[str]
-    twin: NDArray[np.float64]
+    label: str  # of the burst
+    columns: Sequence[str]  # those of the burst that the twin has, in its order
+    twin: NDArray[np.float64]  # (points, columns), SI, ticks and positions of the real board; empty where it has none
     residual: NDArray[np.float64]
-    note: str
+    """(points, columns), real minus twin, angles and positions the short way round; ticks, times and stamps as they
+    are; NaN where the boards could not be compared."""
+    note: str  # what is missing and why, for people; empty: nothing
 
 
 @dataclass(frozen=True)
@@ -92,8 +67,8 @@ class _Burst:
 
     label: str
     columns: Sequence[str]
-    table: NDArray[np.float64]
-    ticks: NDArray[np.int64]
+    table: NDArray[np.float64]  # (points, columns), SI
+    ticks: NDArray[np.int64]  # (points,), of the real board
 
 
 class BurstFollower:
@@ -162,7 +137,7 @@ class BurstFollower:
         if self._trouble:
             return
         try:
-            replica.sample(setup.recorder, list(self._elements.values()), room)
+            replica.board.sample(setup.recorder, list(self._elements.values()), room)
         except BoardError as error:
             self._trouble = f"the twin's board cannot sample it: {error}"
             return
@@ -255,7 +230,7 @@ class BurstFollower:
 
     def _stop(self) -> None:
         if self._replica is not None:
-            self._replica.end_sampling()
+            self._replica.board.end_sampling()
             self._replica = None
         self._alignments.clear()
 
@@ -278,7 +253,7 @@ class BurstFollower:
         alignments = list(self._alignments)
         begins = [alignment.tick for alignment in alignments]
         where = np.array([bisect_right(begins, tick) - 1 for tick in burst.ticks.tolist()])
-        points = replica.sampled()
+        points = replica.board.sampled()
         if not len(points) or where.min() < 0:
             return self._too_late(burst, begins[0] if begins else None)
         shifts = np.array([alignment.shift for alignment in alignments])[where]

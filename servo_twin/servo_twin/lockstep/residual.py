@@ -21,26 +21,15 @@ _FORGIVEN: Final = 0.25  # time in which the residual was large that is made up 
 
 @dataclass(frozen=True)
 class Residual:
-    """Real minus twin at one tick.
+    """Real minus twin at one tick."""
 
-    Attributes
-    ----------
-    tick : int
-        PWM periods since reset of the real board.
-    joints : sequence of str
-        Names in the order of the axes.
-    values : mapping
-        Difference of every variable of `COMPARED`; position [rad] and speed [rad/s] of the joint, i_q of the motor [A].
-    position, velocity, effort : tuple of float
-        Per joint [rad], [rad/s], [N m].
-    """
-
-    tick: int
-    joints: Sequence[str]
+    tick: int  # PWM periods since reset of the real board
+    joints: Sequence[str]  # names in the order of the axes
     values: Mapping[str, float]
-    position: tuple[float, ...]
-    velocity: tuple[float, ...]
-    effort: tuple[float, ...]
+    """Difference by variable of `COMPARED`; position [rad] and speed [rad/s] of the joint, i_q of the motor [A]."""
+    position: tuple[float, ...]  # per joint [rad]
+    velocity: tuple[float, ...]  # per joint [rad/s]
+    effort: tuple[float, ...]  # per joint [N m]
 
 
 def residual(
@@ -84,27 +73,13 @@ def residual(
 
 @dataclass(frozen=True)
 class Thresholds:
-    """What counts as small, in joint units.
+    """What counts as small, in joint units."""
 
-    Attributes
-    ----------
-    position : float
-        Largest difference of a position [rad].
-    velocity : float
-        Of a speed [rad/s].
-    effort : float
-        Of a torque [N m].
-    hold : float
-        How long the residual has to stay small before the twin is healthy [s].
-    grace : float
-        How long it may be large before the twin is not [s]; four times as much in which it is small make up for it.
-    """
-
-    position: float = 0.05
-    velocity: float = 10.0
-    effort: float = 0.05
-    hold: float = 0.5
-    grace: float = 0.1
+    position: float = 0.05  # largest difference of a position [rad]
+    velocity: float = 10.0  # largest difference of a speed [rad/s]
+    effort: float = 0.05  # largest difference of a torque [N m]
+    hold: float = 0.5  # time for which the residual must stay small until the twin is healthy [s]
+    grace: float = 0.1  # time for which it may be large [s]; four times as long a time with small ones cancels it
 
 
 class HealthMonitor:
@@ -114,19 +89,12 @@ class HealthMonitor:
     ----------
     thresholds : Thresholds
         What counts as small.
-
-    Attributes
-    ----------
-    healthy : bool
-        Whether it does.
-    reason : str
-        Why not; empty when healthy.
     """
 
     def __init__(self, thresholds: Thresholds) -> None:
         self.thresholds = thresholds
-        self.healthy = False
-        self.reason = "nothing compared yet"
+        self.healthy = False  # whether real board and twin agree
+        self.reason = "nothing compared yet"  # why not; empty: healthy
         self._small_since: int | None = None
         self._large = 0.0  # time for which it was large, less a quarter of that for which it was small since [s]
         self._tick: int | None = None

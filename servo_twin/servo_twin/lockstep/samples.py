@@ -54,41 +54,19 @@ def expired_mask(catalogue: Catalogue) -> int:
 
 @dataclass(frozen=True)
 class Sample:
-    """One sample of the real board.
+    """One sample of the real board."""
 
-    Attributes
-    ----------
-    tick : int
-        PWM periods since reset, extended past 32 bits.
-    stamp_ns : int
-        ROS time of the tick [ns].
-    applied_tick, applied_count : int
-        As the board sent them: uint32 and uint16.
-    labels : tuple of str
-        State of every axis, such as ``STOP`` or ``RUN/SPIN``.
-    position, position_ref : tuple of int
-        Shaft position and shaped set-point of every axis [counts].
-    faults : tuple of int
-        Captured faults of every axis; 0 where the telemetry has none.
-    expired : tuple of bool
-        Per axis, whether it has stopped because its set-point was not written again.
-    home_states : tuple of int
-        What the position of every axis is worth (home_state_t); 0 where the telemetry does not tell.
-    values : mapping
-        Everything in the sample, SI, by column name.
-    """
-
-    tick: int
-    stamp_ns: int
-    applied_tick: int
-    applied_count: int
-    labels: tuple[str, ...]
-    position: tuple[int, ...]
-    position_ref: tuple[int, ...]
-    faults: tuple[int, ...]
-    expired: tuple[bool, ...]
-    home_states: tuple[int, ...]
-    values: Mapping[str, float]
+    tick: int  # PWM periods since reset, extended past 32 bits
+    stamp_ns: int  # ROS time of the tick [ns]
+    applied_tick: int  # as the board sent it: uint32
+    applied_count: int  # as the board sent it: uint16
+    labels: tuple[str, ...]  # state of every axis, such as ``STOP`` or ``RUN/SPIN``
+    position: tuple[int, ...]  # of the shaft of every axis [counts]
+    position_ref: tuple[int, ...]  # shaped set-point of every axis [counts]
+    faults: tuple[int, ...]  # captured faults of every axis; 0: not in the telemetry
+    expired: tuple[bool, ...]  # per axis, whether it has stopped because its set-point was not written again
+    home_states: tuple[int, ...]  # validity of the position of every axis (home_state_t); 0: not in the telemetry
+    values: Mapping[str, float]  # everything in the sample, SI, by column name
 
 
 class SampleReader:

@@ -31,11 +31,12 @@ from servo_msgs_py.recorder_setup import RecorderSetup
 from servo_msgs_py.timed_points import shifted_points
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
+from servo_twin.board import Board
 from servo_twin.lockstep.axis_tie import POINTS, AxisTie
 from servo_twin.lockstep.blocks import TAKE, Blocks, blocks_of, bring, checksums_of, repeat
 from servo_twin.lockstep.bursts import Alignment, BurstAnswer, BurstFollower
 from servo_twin.lockstep.ledger import CommandLedger
-from servo_twin.lockstep.replica import ReplayBoard, Replica, slow_tick
+from servo_twin.lockstep.replica import Replica, slow_tick
 from servo_twin.lockstep.samples import OWN, Activity, RestWatch, Sample, SampleReader, activity
 from servo_twin.plant import PlantConfig
 
@@ -46,61 +47,29 @@ _SETTLE: Final = 2.0  # longest time from reset to STOP [s]
 
 @dataclass(frozen=True)
 class TwinSettings:
-    """Times of the twin, all in board time [s].
+    """Times of the twin, all in board time [s]."""
 
-    Attributes
-    ----------
-    report_timeout : float
-        How much newer telemetry may be before a sample stops waiting for a command that it says has taken effect.
-    from_reset : float
-        A board that is not up for longer is followed from its reset on, if all commands since are known.
-    gap : float
-        Silence of the telemetry after which the twin begins anew instead of following.
-    rest : float
-        How long the shafts have to be at rest before the twin begins in the middle.
-    search : float
-        How much longer a rotor search may take on one board than on the other.
-    disagreement : float
-        How long one board may be off and the other on otherwise.
-    """
-
-    report_timeout: float = 0.05
-    from_reset: float = 5.0
-    gap: float = 2.0
-    rest: float = 0.1
-    search: float = 4.0
-    disagreement: float = 0.5
+    report_timeout: float = 0.05  # longest wait for a command that a sample reports as applied, in telemetry time [s]
+    from_reset: float = 5.0  # longest time since reset to follow from there on, if all commands since are known [s]
+    gap: float = 2.0  # silence of the telemetry after which the twin synchronises anew [s]
+    rest: float = 0.1  # time for which the shafts must be at rest before it synchronises without a reset [s]
+    search: float = 4.0  # largest difference of the durations of a rotor search on the two boards [s]
+    disagreement: float = 0.5  # largest time for which one board may be off and the other on otherwise [s]
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Both boards at the same tick.
+    """Both boards at the same tick."""
 
-    Attributes
-    ----------
-    tick : int
-        Of the real board.
-    stamp_ns : int
-        ROS time of the real sample [ns].
-    real : mapping
-        The real sample, SI, by column name.
-    twin : mapping
-        The twin's values, SI, in ticks and positions of the real board; every column of `real` that the twin has.
-    difference : str
-        Empty when the two can be compared; otherwise what keeps them apart, for people.
-    stopping : tuple of bool
-        Per axis, whether it stops by itself, so that the positions say nothing; see `AxisTie.stopping`.
-    fault : str
-        Which axes of the real board have which faults, for people; empty when none has any.
-    """
-
-    tick: int
-    stamp_ns: int
-    real: Mapping[str, float]
+    tick: int  # of the real board
+    stamp_ns: int  # ROS time of the real sample [ns]
+    real: Mapping[str, float]  # the real sample, SI, by column name
     twin: Mapping[str, float]
-    difference: str
+    """Values of the twin, SI, in ticks and positions of the real board; every column of `real` that the twin has."""
+    difference: str  # why the two cannot be compared, for people; empty: they can
     stopping: tuple[bool, ...] = (False,) * AXES
-    fault: str = ""
+    """Per axis, whether it stops by itself, so that the positions are not comparable; see `AxisTie.stopping`."""
+    fault: str = ""  # axes of the real board and their faults, for people; empty: none
 
 
 class Twin:
@@ -114,32 +83,19 @@ class Twin:
         Times.
     catalogue : Catalogue, optional
         Table of variables; the packaged one by default.
-
-    Attributes
-    ----------
-    status : str
-        Why the twin does not follow; empty while it does.
-    fault : str
-        `Pair.fault` of the last sample, whether the twin followed or not.
-    synchronisations : int
-        How often it has begun.
-    parameters_known : bool
-        Whether the parameters of the real board have been told; until then the twin has those after reset.
-    torque_constants : list of float
-        What the firmware takes for the torque per current of every axis [N m/A]; empty before it has begun.
     """
 
     def __init__(
         self,
-        new_board: Callable[[], ReplayBoard],
+        new_board: Callable[[], Board],
         settings: TwinSettings | None = None,
         catalogue: Catalogue | None = None,
     ) -> None:
         self.settings = settings or TwinSettings()
-        self.status = "no telemetry yet"
-        self.fault = ""
-        self.synchronisations = 0
-        self.torque_constants: list[float] = []
+        self.status = "no telemetry yet"  # why the twin does not follow; empty: it does
+        self.fault = ""  # `Pair.fault` of the last sample, whether the twin followed or not
+        self.synchronisations = 0  # how often it has begun
+        self.torque_constants: list[float] = []  # of every axis in the firmware [N m/A]; empty before it has begun
         self._catalogue = catalogue or Catalogue.load()
         self._new_board = new_board
         self._reader = SampleReader(self._catalogue)
@@ -162,6 +118,7 @@ class Twin:
     # ---- in
     @property
     def parameters_known(self) -> bool:
+        """Whether those of the real board are known; until then the twin has those after reset."""
         return self._parameters is not None
 
     def parameters(self, values: RawParameters) -> None:
@@ -235,7 +192,7 @@ class Twin:
     def take_plant(self, plant: PlantConfig) -> None:
         """Have the present board be on another plant from here on, and go on following."""
         if self._replica is not None:
-            self._replica.take_plant(plant)
+            self._replica.board.take_plant(plant)
 
     def resync(self, reason: str) -> None:
         """Throw the twin's board away and begin anew as soon as the real one is at rest."""
@@ -414,7 +371,7 @@ class Twin:
     def _switch_on(self) -> Replica:
         self._replica = replica = Replica(self._new_board())
         self._note_torque(replica)
-        self._in_force = self._parameters or {v.name: replica.read_raw(v.name) for v in parameters(self._catalogue)}
+        self._in_force = self._parameters or {v.name: replica.read_words(v.name) for v in parameters(self._catalogue)}
         self._shift = 0
         self.synchronisations += 1
         self.status = self._cause = ""
@@ -422,7 +379,7 @@ class Twin:
         return replica
 
     def _note_torque(self, replica: Replica) -> None:
-        constants = (replica.read(f"{axis_name(axis)}.torque_constant") for axis in range(AXES))
+        constants = (replica.board.read(f"{axis_name(axis)}.torque_constant") for axis in range(AXES))
         self.torque_constants = [float(value) for value in constants if isinstance(value, (int, float))]
 
     def _wait(self, reason: str) -> None:
@@ -434,7 +391,7 @@ class Twin:
             if name in _POSITIONS:
                 low, high = self._catalogue[name].raw_range
                 raw = [min(max(x - axis.offset, low), high) for x, axis in zip(raw, self._axes, strict=True)]
-            replica.write_all(name, raw)
+            replica.board.write_raw(name, raw)
 
     def _drop(self, reason: str) -> None:
         if self._replica is not None:
@@ -466,7 +423,7 @@ class Twin:
 
     def _check_blocks(self, replica: Replica) -> None:
         """Begin anew where the twin's board has not taken the blocks: it may move while the real one rests."""
-        if replica.read_raw("config.refusal") != [0]:
+        if replica.read_words("config.refusal") != [0]:
             self._cause = "the twin's board did not take another configuration while it moved"
             self.resync(self._cause)
 
@@ -490,7 +447,7 @@ class Twin:
 
     def _warm(self, replica: Replica, number: int) -> None:
         if self._windings:
-            replica.set_winding_estimate(number, self._windings[number])
+            replica.board.set_winding_estimate(number, self._windings[number])
 
     def _take_over_rest(self, replica: Replica, sample: Sample) -> None:
         """After a stop, let the twin's axes be where the real ones came to rest."""

@@ -26,24 +26,12 @@ _MOST_BACKLOG: Final = 3.0  # of board time that may wait [s]
 
 @dataclass(frozen=True)
 class WorkerFigures:
-    """How the simulation gets on.
+    """How the simulation gets on."""
 
-    Attributes
-    ----------
-    samples : int
-        Samples of the real board that were dealt with.
-    backlog : float
-        Board time between the newest sample and the last one dealt with [s].
-    load : float
-        Share of the time that the thread worked since `TwinWorker.figures` was called before.
-    overruns : int
-        How often the samples that waited were thrown away because there were too many.
-    """
-
-    samples: int
-    backlog: float
-    load: float
-    overruns: int
+    samples: int  # processed samples of the real board
+    backlog: float  # board time between the newest sample and the last one processed [s]
+    load: float  # share of the time that the thread worked since the last call of `TwinWorker.figures`
+    overruns: int  # times that the waiting samples were discarded because there were too many
 
 
 class TwinWorker:

@@ -21,18 +21,10 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Runner:
-    """Where trials run.
+    """Where trials run."""
 
-    Attributes
-    ----------
-    workers : int or None
-        Processes of this machine; None: one per core that we may use. With one the trials run in this process.
-    scheduler : str or None
-        Address of a Dask scheduler, instead.
-    """
-
-    workers: int | None = None
-    scheduler: str | None = None
+    workers: int | None = None  # processes of this machine; None: one per core that we may use; 1: run in this process
+    scheduler: str | None = None  # address of a Dask scheduler to use instead
 
     @staticmethod
     def add_options(parser: argparse.ArgumentParser) -> None:

@@ -21,21 +21,11 @@ class Work(Protocol[Result_co]):
 
 
 class Answer(NamedTuple):
-    """What a worker answers.
+    """What a worker answers."""
 
-    Attributes
-    ----------
-    number : int
-        Of the trial.
-    value : object
-        Its result.
-    problem : str or None
-        Why there is none: the message of a `SimulationError`, the traceback of another exception.
-    """
-
-    number: int
-    value: Any
-    problem: str | None
+    number: int  # of the trial
+    value: Any  # its result
+    problem: str | None  # why there is none: the message of a `SimulationError`, the traceback of another exception
 
     def result(self) -> Any:
         """The result; raises `TrialError` where there is none."""

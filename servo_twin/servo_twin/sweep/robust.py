@@ -28,16 +28,9 @@ Candidate = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Objective:
-    """The figure that is to become small, or large.
+    """The figure that is to become small, or large."""
 
-    Attributes
-    ----------
-    figure : str
-        Name of a row of the experiment.
-    direction : {"minimize", "maximize"}
-    """
-
-    figure: str
+    figure: str  # name of a row of the experiment
     direction: Literal["minimize", "maximize"] = "minimize"
 
     @property
@@ -57,23 +50,13 @@ class Objective:
 
 @dataclass(frozen=True)
 class Score:
-    """What a candidate is worth.
+    """What a candidate is worth."""
 
-    Attributes
-    ----------
-    candidate : mapping
-        Its values by name; empty: today's.
-    nominal, mean, worst : float
-        The figure on the nominal plant, over all plants, on the worst; infinite where it did not happen.
-    violations : int
-        Trials in which a figure left its bound, or that could not be run.
-    """
-
-    candidate: Candidate
-    nominal: float
-    mean: float
-    worst: float
-    violations: int
+    candidate: Candidate  # its values by name; empty: the present ones
+    nominal: float  # figure on the nominal plant; infinite: it did not happen
+    mean: float  # over all plants, likewise
+    worst: float  # of all plants, likewise
+    violations: int  # trials with a figure outside its bound, or that could not be run
 
     @classmethod
     def of(cls, candidate: Candidate, objective: Objective, trials: Sequence[Trial]) -> Score:
@@ -90,23 +73,11 @@ class Score:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Every candidate on every plant: trial number = candidate x plants + plant, plant 0 being the nominal one.
+    """Every candidate on every plant: trial number = candidate x plants + plant, plant 0 being the nominal one."""
 
-    Attributes
-    ----------
-    measure : str
-        Name of an experiment.
-    base : Base
-        Nominal plant and configuration.
-    plants : Space
-        The others.
-    level : {"registers", "ideal"}
-    candidates : tuple of mapping
-    """
-
-    measure: str
-    base: Base
-    plants: Space
+    measure: str  # name of an experiment
+    base: Base  # nominal plant and configuration
+    plants: Space  # the other plants
     level: Level
     candidates: tuple[Candidate, ...]
 

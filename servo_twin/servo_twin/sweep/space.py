@@ -35,28 +35,14 @@ class SpaceError(ValueError):
 
 @dataclass(frozen=True)
 class Varied:
-    """One value that is varied.
+    """One value that is varied."""
 
-    Attributes
-    ----------
-    name : str
-        As in `servo_twin.sweep.variant`.
-    levels : tuple of float
-        Its values, if there are only some.
-    low, high : float
-        Ends of its range otherwise; mean and standard deviation if `kind` is ``normal``.
-    kind : {"even", "log", "normal"}
-        Its distribution.
-    factor : bool
-        Whether the values are factors of the nominal one.
-    """
-
-    name: str
-    levels: tuple[float, ...] = ()
-    low: float = 0.0
-    high: float = 0.0
-    kind: Literal["even", "log", "normal"] = "even"
-    factor: bool = False
+    name: str  # as in `servo_twin.sweep.variant`
+    levels: tuple[float, ...] = ()  # the values of a discrete one
+    low: float = 0.0  # lower end of its range otherwise; the mean if `kind` is ``normal``
+    high: float = 0.0  # upper end of its range; the standard deviation if `kind` is ``normal``
+    kind: Literal["even", "log", "normal"] = "even"  # its distribution
+    factor: bool = False  # whether the values are factors of the nominal one
 
     @classmethod
     def parse(cls, text: str) -> Varied:
@@ -140,24 +126,12 @@ def shuffled(index: int, count: int, key: str) -> int:
 
 @dataclass(frozen=True)
 class Space:
-    """The points of all trials.
+    """The points of all trials."""
 
-    Attributes
-    ----------
-    varied : tuple of Varied
-        What is varied.
-    method : {"grid", "latin", "random"}
-        Every combination; a Latin hypercube, which spreads each value evenly; or each point by itself.
-    count : int
-        Number of points.
-    seed : int
-        Of the random ones.
-    """
-
-    varied: tuple[Varied, ...]
-    method: Method
-    count: int
-    seed: int
+    varied: tuple[Varied, ...]  # what is varied
+    method: Method  # every combination; a Latin hypercube, which spreads each value evenly; or each point by itself
+    count: int  # number of points
+    seed: int  # of random points
 
     @classmethod
     def of(cls, varied: Sequence[Varied], method: Method | None, count: int | None, seed: int) -> Space:

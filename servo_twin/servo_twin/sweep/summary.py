@@ -16,26 +16,16 @@ WORST: Final = 3
 
 @dataclass
 class FigureSummary:
-    """One figure over all trials; what it holds does not grow with them.
-
-    Attributes
-    ----------
-    unit : str
-    count, absent, outside : int
-        Trials that have it; in which it did not happen; in which it is outside its bound.
-    mean, minimum, maximum : float
-    worst : list of (float, int)
-        Slack, negated, and number of the trials with the least.
-    """
+    """One figure over all trials; what it holds does not grow with them."""
 
     unit: str
-    count: int = 0
-    absent: int = 0
-    outside: int = 0
-    mean: float = 0.0
-    minimum: float = math.inf
-    maximum: float = -math.inf
-    worst: list[tuple[float, int]] = field(default_factory=list)
+    count: int = 0  # trials that have it
+    absent: int = 0  # trials in which it did not happen
+    outside: int = 0  # trials in which it is outside its bound
+    mean: float = 0.0  # in `unit`
+    minimum: float = math.inf  # in `unit`
+    maximum: float = -math.inf  # in `unit`
+    worst: list[tuple[float, int]] = field(default_factory=list)  # negated slack and number of the worst trials
 
     def add(self, number: int, figure: Figure) -> None:
         self.count += 1
@@ -55,21 +45,12 @@ class FigureSummary:
 
 
 class Summary:
-    """Everything that is said about a sweep.
-
-    Attributes
-    ----------
-    trials : int
-    figures : dict
-        By name.
-    problems : dict
-        Number of trials that could not be run by reason, and the first of them.
-    """
+    """Everything that is said about a sweep."""
 
     def __init__(self, trials: Iterable[Trial]) -> None:
-        self.trials = 0
-        self.figures: dict[str, FigureSummary] = {}
-        self.problems: dict[str, tuple[int, int]] = {}
+        self.trials = 0  # number of them
+        self.figures: dict[str, FigureSummary] = {}  # by name
+        self.problems: dict[str, tuple[int, int]] = {}  # by reason, number of trials and the first of them
         for trial in trials:
             self.trials += 1
             for name, figure in trial.figures.items():

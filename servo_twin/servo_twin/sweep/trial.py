@@ -52,20 +52,11 @@ MEASURES: Final[Mapping[str, Callable[[PlantConfig, int], Outcome]]] = {
 
 @dataclass(frozen=True)
 class Figure:
-    """A measured figure.
+    """A measured figure."""
 
-    Attributes
-    ----------
-    value : float or None
-        None: it did not happen.
-    unit : str
-    slack : float or None
-        Distance to the nearer end of its bound, over the size of that end; below 0 outside. None: there is no bound.
-    """
-
-    value: float | None
+    value: float | None  # None: it did not happen
     unit: str
-    slack: float | None
+    slack: float | None  # distance to nearer end of the bound over the size of that end; < 0: outside; None: no bound
 
     @property
     def inside(self) -> bool:
@@ -85,23 +76,12 @@ class Figure:
 
 @dataclass(frozen=True)
 class Trial:
-    """What came of a trial.
-
-    Attributes
-    ----------
-    number : int
-    point : mapping
-        What was varied, by name.
-    figures : mapping
-        By name; empty if it could not be run.
-    problem : str
-        Why it could not.
-    """
+    """What came of a trial."""
 
     number: int
-    point: Mapping[str, float]
-    figures: Mapping[str, Figure]
-    problem: str = ""
+    point: Mapping[str, float]  # what was varied, by name
+    figures: Mapping[str, Figure]  # by name; empty if it could not be run
+    problem: str = ""  # why it could not
 
     def as_dict(self) -> dict[str, Any]:
         """For a file of results."""
@@ -138,24 +118,12 @@ def trial_at(number: int, measure: str, base: Base, point: Mapping[str, float], 
 
 @dataclass(frozen=True)
 class Sweep:
-    """All trials of a sweep, to be run anywhere.
+    """All trials of a sweep, to be run anywhere."""
 
-    Attributes
-    ----------
-    measure : str
-        Name of `MEASURES`.
-    base : Base
-        What is varied.
-    space : Space
-        How.
-    level : {"registers", "ideal"}
-        Of the boards.
-    """
-
-    measure: str
-    base: Base
-    space: Space
-    level: Level
+    measure: str  # name of `MEASURES`
+    base: Base  # what is varied
+    space: Space  # how
+    level: Level  # of the boards
 
     def outcome(self, number: int) -> Outcome:
         """Everything that the experiment says in a trial; see `outcome_at`."""

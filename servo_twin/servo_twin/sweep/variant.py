@@ -33,18 +33,10 @@ _SERVO: Final = "servo."
 
 @dataclass(frozen=True)
 class Base:
-    """What variants differ from.
+    """What variants differ from."""
 
-    Attributes
-    ----------
-    plant : PlantConfig
-        What is really there.
-    servo : mapping
-        Parsed ``servo.toml``; empty where none can be varied.
-    """
-
-    plant: PlantConfig
-    servo: Mapping[str, Any]
+    plant: PlantConfig  # true parameters
+    servo: Mapping[str, Any]  # parsed ``servo.toml``; empty where none can be varied
 
     def resolved(self, varied: Varied) -> Varied:
         """The same with values instead of factors.
@@ -94,20 +86,11 @@ class Base:
 
 @dataclass(frozen=True)
 class Variant:
-    """One trial's plant, and what its boards get before they run.
-
-    Attributes
-    ----------
-    plant : PlantConfig
-    servo : mapping
-        Parsed ``servo.toml`` with other values; empty: that of the firmware.
-    parameters : mapping
-        Values by name.
-    """
+    """One trial's plant, and what its boards get before they run."""
 
     plant: PlantConfig
-    servo: Mapping[str, Any]
-    parameters: Mapping[str, float]
+    servo: Mapping[str, Any]  # parsed ``servo.toml`` with other values; empty: that of the firmware
+    parameters: Mapping[str, float]  # values by name
 
     def prepare(self, board: Board) -> None:
         """Give a fresh board its configuration and parameters.

@@ -30,28 +30,14 @@ SLOTS: Final = {
 
 @dataclass(frozen=True)
 class Loop:
-    """One of the two loops.
-
-    Attributes
-    ----------
-    name : str
-    vector : int
-    phases : tuple of int
-        Its submodules.
-    sample : int
-        Number of its motor's first sample.
-    release : int
-        Address of MCTRL, whose LDOK releases the duties.
-    outputs : int
-        Address of OUTEN.
-    """
+    """One of the two loops."""
 
     name: str
     vector: int
-    phases: tuple[int, ...]
-    sample: int
-    release: int
-    outputs: int
+    phases: tuple[int, ...]  # its submodules
+    sample: int  # number of its motor's first sample
+    release: int  # address of MCTRL, whose LDOK releases the duties
+    outputs: int  # address of OUTEN
 
 
 LOOPS: Final = (

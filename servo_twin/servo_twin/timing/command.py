@@ -36,24 +36,13 @@ ENTRIES: Final = 100  # of a trace, per PWM period
 
 @dataclass(frozen=True)
 class Measured:
-    """A scenario and what was recorded.
+    """A scenario and what was recorded."""
 
-    Attributes
-    ----------
-    boot : Trace
-        From power-on until both loops run.
-    trace : Trace
-    first_m1 : int
-        Clock of the first M1 since reset.
-    late_loops, overruns : int
-        Counters of the board at the end.
-    """
-
-    boot: Trace
+    boot: Trace  # from power-on until both loops run
     trace: Trace
-    first_m1: int
-    late_loops: int
-    overruns: int
+    first_m1: int  # clock of the first M1 since reset
+    late_loops: int  # counter of the board at the end
+    overruns: int  # counter of the board at the end
 
 
 def record(

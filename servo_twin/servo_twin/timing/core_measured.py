@@ -55,22 +55,12 @@ SPREAD: Final = 0.15
 
 @dataclass(frozen=True)
 class Row:
-    """One handler in one state.
+    """One handler in one state."""
 
-    Attributes
-    ----------
-    state, handler : str
-        Which.
-    instructions : float
-        Mean of the virtual board.
-    measured : float
-        Mean width of the pulse on silicon [clocks].
-    """
-
-    state: str
-    handler: str
-    instructions: float
-    measured: float
+    state: str  # of the drive
+    handler: str  # of the interrupt
+    instructions: float  # mean of the virtual board
+    measured: float  # mean width of the pulse on silicon [clocks]
 
     @property
     def cycles(self) -> float:

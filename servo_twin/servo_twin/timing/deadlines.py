@@ -31,34 +31,18 @@ BUSY_MAX: Final = 0.75
 
 @dataclass(frozen=True)
 class Handler:
-    """All runs of one kind of handler.
+    """All runs of one kind of handler."""
 
-    Attributes
-    ----------
-    name : str
-        The loop and what runs behind it.
-    runs : int
-    begin, end : float
-        Latest begin and end, from the sample [s].
-    written : float
-        Latest release of the loop's duties, from the sample; the latest end where none were written [s]. Without duties
-        because the outputs are off nothing is late: such runs count only if there are no others.
-    deadline : float
-        Load of the duties, from the sample [s].
-    room : float
-        Least part of the time from sample to load that was left. Negative: missed.
-    busy : float
-        Share of the core's time.
-    """
-
-    name: str
+    name: str  # the loop and the work that follows it
     runs: int
-    begin: float
+    begin: float  # latest begin, from the sample [s]
     written: float
-    end: float
-    deadline: float
-    room: float
-    busy: float
+    """Latest release of the loop's duties, from the sample; the latest end where none were written [s]. Without duties
+    because the outputs are off nothing is late: such runs count only if there are no others."""
+    end: float  # latest end, from the sample [s]
+    deadline: float  # load of the duties, from the sample [s]
+    room: float  # smallest part of the time from sample to load that was left; negative: missed
+    busy: float  # share of the core's time
 
 
 def handlers(trace: Trace, first_m1: int) -> list[Handler]:
@@ -78,26 +62,14 @@ def handlers(trace: Trace, first_m1: int) -> list[Handler]:
 
 @dataclass(frozen=True)
 class Runs:
-    """Runs of one loop's handler, an element each [clocks].
+    """Runs of one loop's handler, an element each [clocks]."""
 
-    Attributes
-    ----------
-    begin, end : ndarray
-        Of the handler.
-    sample, load : ndarray
-        Sample that it answers; load of its duties, which is its deadline.
-    released : ndarray
-        When it released the duties; its end if it did not.
-    judged : ndarray of bool
-        False where it released none because the outputs were off: there is no deadline then.
-    """
-
-    begin: NDArray[np.int64]
-    end: NDArray[np.int64]
-    sample: NDArray[np.int64]
-    load: NDArray[np.int64]
-    released: NDArray[np.int64]
-    judged: NDArray[np.bool_]
+    begin: NDArray[np.int64]  # of the handler
+    end: NDArray[np.int64]  # of the handler
+    sample: NDArray[np.int64]  # that it answers
+    load: NDArray[np.int64]  # of its duties, which is its deadline
+    released: NDArray[np.int64]  # time at which it released the duties; its end if it did not
+    judged: NDArray[np.bool_]  # false where it released none because the outputs were off: there is no deadline then
 
 
 def runs_of(trace: Trace, loop: Loop) -> Runs:

@@ -23,26 +23,13 @@ _AHEAD: Final = 16
 
 @dataclass(frozen=True)
 class Scenario:
-    """A state of the board.
-
-    Attributes
-    ----------
-    name : str
-    prepare : callable
-        Brings a fresh board there.
-    seconds : float
-        How long it is looked at [s].
-    during : callable
-        What happens while it is.
-    baud : float
-        Of the serial line.
-    """
+    """A state of the board."""
 
     name: str
-    prepare: Callable[[Board], None]
-    seconds: float = 0.05
-    during: Callable[[Board], None] = lambda board: None
-    baud: float = 115200.0
+    prepare: Callable[[Board], None]  # brings a fresh board into it
+    seconds: float = 0.05  # observed time [s]
+    during: Callable[[Board], None] = lambda board: None  # actions meanwhile
+    baud: float = 115200.0  # of the serial line
 
 
 def _features(board: Board, every: bool) -> None:

@@ -25,13 +25,6 @@ class BoardTime:
     ----------
     start_ns : int
         ROS time at which the recording began [ns].
-
-    Attributes
-    ----------
-    first : float
-        Time of the first telemetry [s]; infinite before.
-    resets : int
-        Resets of the board seen.
     """
 
     def __init__(self, start_ns: int) -> None:
@@ -40,8 +33,8 @@ class BoardTime:
         self._last_tick = 0
         self._stamps = np.empty(0, np.int64)
         self._times = np.empty(0)
-        self.first = math.inf
-        self.resets = 0
+        self.first = math.inf  # time of the first telemetry [s]; infinite before
+        self.resets = 0  # of the board, seen so far
 
     @property
     def newest(self) -> float:
