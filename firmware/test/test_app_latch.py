@@ -187,13 +187,13 @@ def test_locked_tick_does_not_repeat_a_fresh_write(bench: Bench) -> None:
 def test_parameter_counts_from_the_tick_after_it_was_written(bench: Bench, core: Core) -> None:
     """Written over the wire, not only standing in memory; of both axes and of the board."""
     core.lib.probe_run(bench.servo, 8)
-    before = [bench.axis(i).following_error for i in range(2)]
+    before = [bench.axis(i).following_error_max for i in range(2)]
     bench.servo.parameter.following_error = [7, 8]
     core.lib.probe_run(bench.servo, 8)
-    assert [bench.axis(i).following_error for i in range(2)] == before
+    assert [bench.axis(i).following_error_max for i in range(2)] == before
     bench.write_raw("param.host_timeout", [321])
     core.lib.probe_run(bench.servo, 8)
-    assert [bench.axis(i).following_error for i in range(2)] == [7, 8]
+    assert [bench.axis(i).following_error_max for i in range(2)] == [7, 8]
     assert bench.servo.settings.host_timeout == 321
     assert not bench.servo.marks.parameters
 

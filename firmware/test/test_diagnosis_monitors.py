@@ -517,10 +517,10 @@ def test_a_back_emf_elsewhere_for_five_ticks(turning: Diagnosis) -> None:
         {"ticks_without_movement": 1},
         {"features": DEAD_TIME},
         {"features": BUS_COMPENSATION},
-        {"conducting": 5},
+        {"conducting_phases": 5},
         {"voltage": (15000, 3000)},  # too much for a back-EMF
         {"emf": EMF_FLOOR // 4},
-        {"current_size": SILENT - 1},
+        {"current_magnitude": SILENT - 1},
     ],
 )
 def test_what_is_no_evidence_of_another_angle(turning: Diagnosis, change: dict[str, object]) -> None:
