@@ -41,7 +41,7 @@ static bool contradicts(const angle_monitor_t *m, const winding_config_t *config
     const int32_t size = o->current_magnitude;
     const int32_t emf = i32_abs(o->emf);
     const int32_t turned = i32_gain(asr32(i32_abs(o->omega_e) * size, 15), loop->omega_l_q);
-    const bool certain = size >= 2 * (int32_t)config->silent;
+    const bool certain = size >= 2 * (int32_t)config->current_min;
     const int32_t lost = certain ? config->emf_floor / 4 : 2 * (int32_t)config->emf_floor;
     const int32_t known = sat16(lost + turned / 4 + i32_gain(o->current_change, config->inductance) + emf / 2);
     const int32_t along = o->drop / 2;
@@ -56,7 +56,7 @@ void angle_monitor_step(angle_monitor_t *m, const winding_config_t *config, cons
                         const observation_t *o, evidence_t *evidence)
 {
     const bool moves = o->ticks_without_movement == 0U; /* otherwise the encoder count itself is in doubt */
-    if (!moves || (o->features & NEEDED) != NEEDED || o->current_magnitude < (int32_t)config->silent) {
+    if (!moves || (o->features & NEEDED) != NEEDED || o->current_magnitude < (int32_t)config->current_min) {
         m->unexplained_voltage = (dq_t){0, 0};
         m->ticks = 0;
         m->conducting_phases = 0;

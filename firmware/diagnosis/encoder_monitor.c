@@ -3,19 +3,19 @@
 #include "config/contract_gen.h"
 
 #define REST_COUNTS 2   /* dither of a shaft at rest */
-#define CALM_TICKS 4U   /* without counts for so long, the shaft is too slow for a back-EMF that matters here */
+#define STANDSTILL_TICKS 4U   /* without counts for so long, the shaft is too slow for a back-EMF that matters here */
 #define WINDOW 32U      /* slow ticks */
 #define TOGGLES_MIN 12U /* changes of the count per window: 375 Hz, faster than any shaft can dither */
 #define WINDOWS_MAX 2U
-#define TURNING_TICKS 8U
-#define SWEPT_MAX 16384U /* a quarter of a turn; the criterion is an eighth */
+#define UNEXPLAINED_TICKS 8U
+#define ROTATION_MAX 16384U /* a quarter of a turn; the criterion is an eighth */
 #define TEST_TICKS 4U    /* longer than the settling time of the current controllers */
-#define WINDUP_TICKS 60U /* of voltage with a constant direction */
+#define WINDUP_TICKS 60U /* slow ticks of voltage with a constant direction */
 #define SHORT_TICKS 8U
-#define SUDDEN_COUNTS 8U  /* per slow tick: a slower shaft cannot drive a current that causes a trip */
+#define ABRUPT_COUNTS 8U  /* counts per slow tick: a slower shaft cannot drive a current that causes a trip */
 #define SETTLED_TICKS 8U  /* settling time of the probing current */
 #define PROBE_TICKS 80U   /* total: ends before the speed of the M/T method, without its enhancement, falls to zero */
-#define SWINGS_MAX 4U
+#define VOLTAGE_CHANGES_MAX 4U
 
 void encoder_monitor_start(encoder_monitor_t *monitor, int32_t position)
 {
@@ -67,7 +67,7 @@ static void check_count(encoder_monitor_t *m, int32_t position, evidence_t *evid
         return;
     }
     m->stopped_abruptly =
-        m->stopped_abruptly || m->step_counts >= SUDDEN_COUNTS || m->earlier_step_counts >= SUDDEN_COUNTS;
+        m->stopped_abruptly || m->step_counts >= ABRUPT_COUNTS || m->earlier_step_counts >= ABRUPT_COUNTS;
     m->step_counts = 0;
     m->earlier_step_counts = 0;
     if (m->ticks_without_movement < UINT16_MAX) {
@@ -97,14 +97,14 @@ static void note_unexplained(encoder_monitor_t *m, gain_t resistance, const obse
 
 static bool current_flows(const winding_config_t *config, const observation_t *o)
 {
-    return o->current_magnitude >= 2 * (int32_t)config->silent;
+    return o->current_magnitude >= 2 * (int32_t)config->current_min;
 }
 
 /* Voltage that half of the resistance, dead time and switches may account for. Dead time is not compensated at small
  * currents. */
 static int32_t tolerated(const winding_config_t *config, const observation_t *o)
 {
-    const bool exact = (o->features & FEATURE_DEAD_TIME) != 0U && o->current_magnitude > config->silent;
+    const bool exact = (o->features & FEATURE_DEAD_TIME) != 0U && o->current_magnitude > config->current_min;
     return (exact ? 1 : 2) * (int32_t)config->emf_floor + asr32(o->drop, 1);
 }
 
@@ -113,7 +113,7 @@ static int32_t tolerated(const winding_config_t *config, const observation_t *o)
 static void note_voltage(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o, int32_t beyond)
 {
     const dq_t voltage = m->unexplained_voltage;
-    const bool rigid = !m->direction_changed && m->expected_rotation > SWEPT_MAX;
+    const bool rigid = !m->direction_changed && m->expected_rotation > ROTATION_MAX;
     if (m->unexplained_ticks == 0U || rigid) {
         m->reference_voltage = voltage;
         m->expected_rotation = 0;
@@ -121,7 +121,7 @@ static void note_voltage(encoder_monitor_t *m, const winding_config_t *config, c
         m->ticks_without_current = 0;
         m->direction_was_constant = rigid || (m->unexplained_ticks > 0U && m->direction_was_constant);
     }
-    m->expected_rotation += (uint32_t)asr64((int64_t)beyond * config->turn_per_voltage, 15);
+    m->expected_rotation += (uint32_t)asr64((int64_t)beyond * config->rotation_per_voltage, 15);
     const int32_t along =
         asr32((int32_t)voltage.d * m->reference_voltage.d, 1) + asr32((int32_t)voltage.q * m->reference_voltage.q, 1);
     const int32_t across =
@@ -134,7 +134,7 @@ static void note_voltage(encoder_monitor_t *m, const winding_config_t *config, c
 
 static frac16_t test_size(const winding_config_t *config, const observation_t *o)
 {
-    const int32_t wanted = 4 * (int32_t)config->silent;
+    const int32_t wanted = 4 * (int32_t)config->current_min;
     return (wanted < o->current_limit) ? (frac16_t)wanted : o->current_limit;
 }
 
@@ -209,7 +209,7 @@ static bool steps(encoder_monitor_t *m, const winding_config_t *config, gain_t k
 static bool needs_test_current(const encoder_monitor_t *m, const winding_config_t *config, const observation_t *o)
 {
     return m->stopped_abruptly && m->test_ticks == 0U && m->ticks_without_movement >= ENCODER_CONFIRM_TICKS &&
-           !current_flows(config, o) && f16_abs(o->current_ref.q) < 2 * (int32_t)config->silent;
+           !current_flows(config, o) && f16_abs(o->current_ref.q) < 2 * (int32_t)config->current_min;
 }
 
 /* At constant current the voltage is constant, unless the rotor turns. A change of the set-point ends the probe: the
@@ -231,8 +231,8 @@ static void probe(encoder_monitor_t *m, const winding_config_t *config, const ob
         length_about((int32_t)steady.d - m->reference_voltage.d, (int32_t)steady.q - m->reference_voltage.q);
     m->voltage_change_ticks =
         (flows && swing > (int32_t)config->emf_floor / 2) ? (uint8_t)(m->voltage_change_ticks + 1U) : 0U;
-    const bool turns = m->voltage_change_ticks >= SWINGS_MAX;
-    const bool changed = f16_abs(f16_sub(o->current_ref.q, m->i_q_ref_at_probe)) > config->silent / 2;
+    const bool turns = m->voltage_change_ticks >= VOLTAGE_CHANGES_MAX;
+    const bool changed = f16_abs(f16_sub(o->current_ref.q, m->i_q_ref_at_probe)) > config->current_min / 2;
     if (turns || changed || m->probe_ticks > PROBE_TICKS) {
         m->probe_ticks = 0;
         m->stopped_abruptly = false;
@@ -265,7 +265,7 @@ static void check_voltage(encoder_monitor_t *m, const winding_config_t *config, 
                           evidence_t *evidence)
 {
     const bool stepped = steps(m, config, kp, o);
-    if (m->ticks_without_movement < CALM_TICKS) {
+    if (m->ticks_without_movement < STANDSTILL_TICKS) {
         m->unexplained_ticks = 0;
         m->windup_ticks = 0;
         return;
@@ -277,7 +277,7 @@ static void check_voltage(encoder_monitor_t *m, const winding_config_t *config, 
     if (!stepped) {
         judge(m, config, o);
     }
-    if (m->test_ticks > 0U || (m->unexplained_ticks >= TURNING_TICKS && m->direction_changed)) {
+    if (m->test_ticks > 0U || (m->unexplained_ticks >= UNEXPLAINED_TICKS && m->direction_changed)) {
         test_emf(m, config, o, evidence);
     } else if (m->windup_ticks >= WINDUP_TICKS) {
         evidence->confirmed |= FOUND(FINDING_CURRENT_NOT_FOLLOWING);
@@ -288,9 +288,9 @@ static void check_voltage(encoder_monitor_t *m, const winding_config_t *config, 
 static void check_shorted(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o,
                           evidence_t *evidence)
 {
-    const bool flows = o->current_magnitude > 2 * (int32_t)config->silent;
+    const bool flows = o->current_magnitude > 2 * (int32_t)config->current_min;
     m->unexplained_ticks =
-        (m->ticks_without_movement >= CALM_TICKS && flows) ? (uint16_t)(m->unexplained_ticks + 1U) : 0U;
+        (m->ticks_without_movement >= STANDSTILL_TICKS && flows) ? (uint16_t)(m->unexplained_ticks + 1U) : 0U;
     if (m->unexplained_ticks >= SHORT_TICKS) {
         evidence->confirmed |= FOUND(FINDING_SHORT_CURRENT_WITHOUT_COUNT);
     }

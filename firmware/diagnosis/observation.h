@@ -13,12 +13,12 @@
 
 /* Thresholds and nominal values of motor and inverter. */
 typedef struct {
-    frac16_t silent; /* smaller phase currents count as zero, Q1.15 of full-scale current */
-    frac16_t direction_min; /* largest phase current above which octants without current are recorded */
+    frac16_t current_min; /* smaller phase currents count as zero, Q1.15 of full-scale current */
+    frac16_t direction_current_min; /* largest phase current above which octants without current are recorded */
     gain_t resistance; /* voltage / current, of full scales */
     gain_t inductance; /* voltage / change of the current per slow tick, of full scales */
     frac16_t emf_floor; /* voltage error by switches and dead time, Q1.15 of full-scale voltage */
-    int32_t turn_per_voltage; /* rotation per slow tick / back-EMF, 2^16 is one turn, back-EMF of full scale */
+    int32_t rotation_per_voltage; /* rotation per slow tick / back-EMF, 2^16 is one turn, back-EMF of full scale */
 } winding_config_t;
 
 /* ADC code sampled at the centre of the high side, where the shunt carries no current. */

@@ -30,7 +30,7 @@ static void guide_pll(axis_t *axis, int32_t step)
 static frac16_t floor_of(const axis_t *axis)
 {
     const dq_t i = axis->current_loop.current;
-    const bool certain = length_about(i.d, i.q) > 2 * (int32_t)axis->config->winding.silent;
+    const bool certain = length_about(i.d, i.q) > 2 * (int32_t)axis->config->winding.current_min;
     return certain ? axis->config->emf_check.floor
                    : f16_add(axis->config->emf_check.floor, axis->config->winding.emf_floor);
 }

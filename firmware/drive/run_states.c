@@ -257,10 +257,10 @@ static void align_fast(axis_t *axis)
 /* Finding for a shaft that has not moved, or on which no torque acts. */
 static finding_t search_failure(const axis_t *axis)
 {
-    const int32_t silent = axis->config->winding.silent;
-    const bool asked = axis->current_ref.d > 2 * silent;
-    return (asked && f16_abs(axis->current_loop.current.d) < silent) ? FINDING_SEARCH_NO_CURRENT
-                                                                     : FINDING_SEARCH_NO_MOVEMENT;
+    const int32_t current_min = axis->config->winding.current_min;
+    const bool asked = axis->current_ref.d > 2 * current_min;
+    return (asked && f16_abs(axis->current_loop.current.d) < current_min) ? FINDING_SEARCH_NO_CURRENT
+                                                                          : FINDING_SEARCH_NO_MOVEMENT;
 }
 
 /* One slow tick of the stall test: the vector rotates at full current. */

@@ -51,7 +51,7 @@ class Estimator:
 
     def leave_size_out(self) -> None:
         """Let the PLL find the speed by the angle alone."""
-        self._pll.follow = self._pll.follow_load = 0
+        self._pll.amplitude_gain = self._pll.amplitude_load_gain = 0
 
     def start(self, theta: float, omega: float) -> None:
         """Set the PLL to an electrical angle and speed [rad, rad/s]."""

@@ -352,7 +352,7 @@ static void weakening(run_t *run)
         input.demand = draw_dq(run);
         input.u_max = draw_limit16(run);
         input.emf = draw16(run);
-        input.wanted = draw(run) % 8U != 0U;
+        input.enabled = draw(run) % 8U != 0U;
         field_weakening_step(&state, &config, &input);
         take(run, state.d);
         take(run, state.q);
