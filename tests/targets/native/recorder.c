@@ -340,7 +340,7 @@ void __wrap_servo_edge_isr(servo_t *servo, uint16_t axis)
 
 void __wrap_servo_over_current_isr(servo_t *servo, uint16_t axis)
 {
-    begin(CALL_BREAK, axis);
+    begin(CALL_OVER_CURRENT, axis);
     __real_servo_over_current_isr(servo, axis);
     end(servo);
 }
@@ -506,7 +506,7 @@ void __wrap_hal_pwm_enable(hal_t *hal, uint16_t axis, bool on)
 
 void __wrap_hal_over_current_clear(hal_t *hal, uint16_t axis)
 {
-    out_head(&recorder.out, OUT_BREAK_CLEAR, axis);
+    out_head(&recorder.out, OUT_OVER_CURRENT_CLEAR, axis);
     __real_hal_over_current_clear(hal, axis);
 }
 

@@ -62,7 +62,7 @@ bool hal_over_current_active(hal_t *hal, uint16_t axis)
     return take(hal) != 0U;
 }
 
-void hal_over_current_clear(hal_t *hal, uint16_t axis) { out_head(&hal->out, OUT_BREAK_CLEAR, axis); }
+void hal_over_current_clear(hal_t *hal, uint16_t axis) { out_head(&hal->out, OUT_OVER_CURRENT_CLEAR, axis); }
 
 uint16_t hal_encoder_count(hal_t *hal, uint16_t axis)
 {
@@ -241,7 +241,7 @@ bool replay_call(servo_t *servo, hal_t *hal, const trace_call_t *call)
     case CALL_EDGE:
         servo_edge_isr(servo, axis);
         return true;
-    case CALL_BREAK:
+    case CALL_OVER_CURRENT:
         servo_over_current_isr(servo, axis);
         return true;
     default:
