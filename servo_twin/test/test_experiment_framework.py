@@ -89,7 +89,7 @@ class TestLevels:
         ("bound", "reach"), [(Bound(maximum=2.0), 2.0), (Bound(1.0, 2.5), 1.5), (Bound(minimum=3.0), math.inf)]
     )
     def test_how_far_apart_values_may_be(self, bound: Bound, reach: float) -> None:
-        assert levels.reach(bound) == reach
+        assert levels.permitted_difference(bound) == reach
 
     @pytest.mark.parametrize(
         ("ideal", "registers", "agrees"), [(0.5, 1.0, True), (0.5, 1.1, False), (-0.5, 1.0, False), (0.5, None, False)]

@@ -50,4 +50,4 @@ def test_a_nominal_value_that_is_half_right_is_noticed(monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize(("times", "left"), [(1.0, 0.0), (2.0, 0.5), (0.5, 1.0), (0.25, 3.0)])
 def test_what_is_left(times: float, left: float) -> None:
-    assert friction.left(times) == pytest.approx(left)
+    assert friction.uncompensated(times) == pytest.approx(left)

@@ -15,7 +15,7 @@ from servo_twin.experiments.plant_limits import (
     path_demands,
     top_speed,
 )
-from servo_twin.experiments.rig import COUNT, TICK, Recording, choose_mode, command_speed, spinning, watch
+from servo_twin.experiments.rig import COUNT, TICK, Recording, choose_mode, command_speed, record, spinning
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -122,18 +122,18 @@ def test_a_fault_is_not_measured(plant: PlantConfig, may_fail: bool) -> None:
         choose_mode(board, 1, "SPEED")
         command_speed(board, 1, 200.0)
         if may_fail:
-            words = watch(board, [1], 1.0, may_fail=True)[1].faults
+            words = record(board, [1], 1.0, may_fail=True)[1].faults
             assert words[-1] & board.catalogue.flag("faults", "UNDER_VOLTAGE").mask
         else:
             with pytest.raises(SimulationError, match=r"axis\d ended in a fault. UNDER_VOLTAGE"):
-                watch(board, [1], 1.0)
+                record(board, [1], 1.0)
 
 
 def test_true_shaft_in_counts(plant: PlantConfig) -> None:
     with spinning(plant, 3) as board:
         choose_mode(board, 0, "SPEED")
         command_speed(board, 0, 10.0)
-        recording = watch(board, [0], 0.2)[0]
+        recording = record(board, [0], 0.2)[0]
     assert recording.position[-1] > 900
     # The position is latched some microseconds before the end of the tick.
     late = recording.omega * TICK / COUNT

@@ -18,7 +18,7 @@ from servo_msgs_py.tuning.field_weakening import top_speed as speed_left
 from servo_twin.board import Board
 from servo_twin.experiments.outcome import BEYOND, Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.plant_limits import MODULATION
-from servo_twin.experiments.rig import RPM, TICK, Recording, at, command_speed, set_up, spinning, watch
+from servo_twin.experiments.rig import RPM, TICK, Recording, at, command_speed, record, set_up, spinning
 from servo_twin.fault_injection import HotPowerStage
 from servo_twin.plant import AxisPlant, PlantConfig
 
@@ -103,7 +103,7 @@ def run_with(
     """Run up to the rated speed, with events."""
     with at_rated(plant, seed, axes, weak=weak) as board:
         act = at({time: functools.partial(do, board) for time, do in events.items()})
-        return watch(board, axes, seconds, act, may_fail=may_fail)
+        return record(board, axes, seconds, act, may_fail=may_fail)
 
 
 def _load(torque: float, axes: Sequence[int] = (AXIS,)) -> Callable[[Board], object]:
@@ -197,9 +197,9 @@ def _dip_at(plant: PlantConfig, seed: int, speed: float) -> float:
     """Speed that a load step takes from a slower shaft [rad/s]."""
     with at_rated(plant, seed, [AXIS], weak=False) as board:
         command_speed(board, AXIS, speed)
-        watch(board, [AXIS], RUN_UP)
+        record(board, [AXIS], RUN_UP)
         board.set_load(AXIS, STEP)
-        return speed - float(watch(board, [AXIS], DIP)[AXIS].omega.min())
+        return speed - float(record(board, [AXIS], DIP)[AXIS].omega.min())
 
 
 # ---- a supply that sags ----------------------------------------------------------------------------------------------

@@ -291,10 +291,10 @@ def unhomed(plant: PlantConfig, seed: int) -> Unhomed:
         board.run(0.01)
         for axis in range(AXES):
             rig.command_position(board, axis, here[axis] + round(FAR / COUNT))
-        still = rig.watch(board, range(AXES), 0.3)
+        still = rig.record(board, range(AXES), 0.3)
         for axis in range(AXES):
             rig.set_up(board, axis, "SPEED", SPEED)
-        return Unhomed(here, still, rig.watch(board, range(AXES), 1.0), reach, mask)
+        return Unhomed(here, still, rig.record(board, range(AXES), 1.0), reach, mask)
 
 
 # ---- the experiment --------------------------------------------------------------------------------------------------

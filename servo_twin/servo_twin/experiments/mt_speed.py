@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording, edge_shift, features, fresh_board, watch
+from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording, edge_shift, features, fresh_board, record
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "mt-speed"
@@ -165,7 +165,7 @@ def drive(plant: PlantConfig, seed: int, speed_at: Callable[[int], float], secon
             drag = axis.friction + axis.viscous * 0.5 * (omega + wanted)
             board.set_load(AXIS, -(axis.inertia * (wanted - omega) / TICK + drag))
 
-        return watch(board, [AXIS], seconds, act)[AXIS]
+        return record(board, [AXIS], seconds, act)[AXIS]
 
 
 def start_angle(plant: PlantConfig, seed: int) -> float:

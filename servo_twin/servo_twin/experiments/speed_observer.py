@@ -12,7 +12,7 @@ from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
 from servo_twin.experiments import rig
-from servo_twin.experiments.dead_time_torque import pushed, whole_counts
+from servo_twin.experiments.dead_time_torque import displacement, displacement_counts
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import NominalShaft, nominal_shafts
 from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording
@@ -72,7 +72,7 @@ def creep(plant: PlantConfig, seed: int, axis: int, speed: float) -> Pair:
 
     def play(board: Board) -> Recording:
         rig.set_up(board, axis, "SPEED", speed)
-        return rig.watch(board, [axis], SETTLE + MEASURED)[axis].part(SETTLE)
+        return rig.record(board, [axis], SETTLE + MEASURED)[axis].part(SETTLE)
 
     return both(plant, seed, axis, play)
 
@@ -90,7 +90,7 @@ def move(plant: PlantConfig, seed: int, axis: int) -> Pair:
     def play(board: Board) -> Recording:
         rig.features(board, axis, SPEED_FORWARD=True, ACCELERATION_FORWARD=True)
         rig.command_position(board, axis, rig.position_of(board, axis) + round(MOVE * COUNTS_PER_TURN))
-        return rig.watch(board, [axis], ARRIVED + HELD)[axis]
+        return rig.record(board, [axis], ARRIVED + HELD)[axis]
 
     return both(plant, seed, axis, play)
 
@@ -100,7 +100,7 @@ def push(plant: PlantConfig, seed: int, axis: int) -> Pair:
 
     def play(board: Board) -> Recording:
         board.set_load(axis, LOAD * plant.axes[axis].torque_constant)
-        return rig.watch(board, [axis], HELD)[axis]
+        return rig.record(board, [axis], HELD)[axis]
 
     return both(plant, seed, axis, play)
 
@@ -118,7 +118,7 @@ def chance(without: Recording, axis: AxisPlant, speed: float) -> float:
     relative standard deviation of sqrt(1 / 2 n), and the ratio of two one of sqrt(1 / n).
     """
     edges = MEASURED * speed / COUNT / 2.0
-    disturbed = np.gradient(pushed(without, axis, position=False) * COUNT, TICK)
+    disturbed = np.gradient(displacement(without, axis, position=False) * COUNT, TICK)
     share = min(float(np.mean(disturbed**2)) / rms(without, speed) ** 2, 1.0)
     return share / math.sqrt(edges)
 
@@ -156,7 +156,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         for inertia, friction in HOLDS:
             other = shaft(plant, axis, nominal, inertia, friction)
             without, observed = move(other, seed, axis)
-            pushed_max = whole_counts(observed, other.axes[axis], ARRIVED, inertia)
+            pushed_max = displacement_counts(observed, other.axes[axis], ARRIVED, inertia)
             calm = max(CYCLE_MAX + 2.0 * pushed_max, held(without))
             what = f"{name} holds, inertia x {inertia:g}, friction x {friction:g}, "
             yield Judge(what)("movement", held(observed), "counts", maximum=calm)

@@ -106,7 +106,7 @@ def play(
             parameters = {"following_error": FOLLOWING, "speed_limit": bench.speeds[axis]}
             rig.set_up(board, axis, parameters=parameters, FOLLOWING_ERROR=on, OVER_SPEED=on)
             prepare(bench, board, axis)
-        return rig.watch(board, range(AXES), seconds, lambda k: act(board, k), may_fail=True)
+        return rig.record(board, range(AXES), seconds, lambda k: act(board, k), may_fail=True)
 
 
 # ---- what the axes do, and what happens to them ----------------------------------------------------------------------
