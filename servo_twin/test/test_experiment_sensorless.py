@@ -71,7 +71,7 @@ def test_observer_notices_errors_and_a_compensation_that_does_nothing(
         return {k: dataclasses.replace(p, mean=p.mean + 17.0) for k, p in genuine(*args).items()}
 
     monkeypatch.setattr(observer, "measure", shifted)
-    monkeypatch.setattr(observer, "paper", lambda *_: 0.0)
+    monkeypatch.setattr(observer, "theoretical_error", lambda *_: 0.0)
     slow = (1.0 / 15.0,)
 
     def uncompensated(plant: PlantConfig, seed: int, axis: int) -> Point:

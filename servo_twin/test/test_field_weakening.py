@@ -72,8 +72,8 @@ def test_switched_off_in_motion_the_speed_falls_to_what_the_voltage_allows(rated
     features(rated, AXIS, FIELD_WEAKENING=False)
     run = record(rated, [AXIS], 0.3)[AXIS]
     assert float(np.abs(run.i_d[40:]).mean()) < 0.1
-    aim = field_weakening.formula(PlantConfig.load().axes[AXIS], 24.0, field_weakening.STEP, weak=False)
-    assert float(run.omega[-100:].mean()) == pytest.approx(aim, rel=field_weakening.FORMULA)
+    target = field_weakening.theoretical_speed(PlantConfig.load().axes[AXIS], 24.0, field_weakening.STEP, weak=False)
+    assert float(run.omega[-100:].mean()) == pytest.approx(target, rel=field_weakening.SPEED_TOLERANCE)
 
 
 def test_the_angle_check_raises_no_alarm(rated: Board) -> None:
@@ -109,9 +109,9 @@ def test_works_without_an_encoder() -> None:
             board.set_load(AXIS, load)
             board.set_supply(supply)
             run = record(board, [AXIS], 0.4)[AXIS].part(0.2)
-            aim = field_weakening.formula(board.plant.axes[AXIS], supply, load, weak=True)
-            assert float(run.omega.mean()) == pytest.approx(aim, rel=field_weakening.FORMULA)
-            assert float(run.omega.std()) < field_weakening.RESTLESS
+            target = field_weakening.theoretical_speed(board.plant.axes[AXIS], supply, load, weak=True)
+            assert float(run.omega.mean()) == pytest.approx(target, rel=field_weakening.SPEED_TOLERANCE)
+            assert float(run.omega.std()) < field_weakening.SPEED_DEVIATION_MAX
             assert float(run.i_d.mean()) < -0.4
             used, true = board.read("axis1.theta_e"), board.plant.axes[AXIS].pole_pairs * board.truth(AXIS).theta_m
             assert isinstance(used, float)
