@@ -11,7 +11,7 @@ from servo_msgs_py.axis_config_transfer import BlockMemory, read_block, send_blo
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.tuning.reading import load
 from servo_msgs_py.tuning.report import axis_reports
-from servo_msgs_py.tuning.restore import restored, toml_text
+from servo_msgs_py.tuning.restore import restore_table, toml_text
 
 Block = Mapping[str, int]
 
@@ -43,8 +43,8 @@ def computed(path: Path, catalogue: Catalogue) -> Computed:
 
 
 def file_of(blocks: Sequence[Block], timeouts: tuple[float, float], catalogue: Catalogue) -> str:
-    """Text of the file that gives these blocks and time-outs [s]; see `servo_msgs_py.tuning.restore.restored`."""
-    return toml_text(restored(blocks, timeouts, catalogue), _HEADING)
+    """Text of the file that gives these blocks and time-outs [s]; see `servo_msgs_py.tuning.restore.restore_table`."""
+    return toml_text(restore_table(blocks, timeouts, catalogue), _HEADING)
 
 
 def read_blocks(memory: BlockMemory, axes: Collection[int] = range(AXES)) -> dict[int, Block]:
