@@ -148,7 +148,7 @@ def test_the_command_line_has_to_make_sense(desk: Desk, tmp_path: Path) -> None:
     from servo_bridge.tool_values import UsageError
 
     for arguments in (("save",), ("save", "--to-board", str(tmp_path / "a.toml"))):
-        with pytest.raises(UsageError, match="give a FILE"):
+        with pytest.raises(UsageError, match="write a FILE"):
             desk.tool(*arguments)
 
 

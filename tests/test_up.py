@@ -130,7 +130,7 @@ def test_the_demonstration_moves_records_and_draws(tmp_path: Path) -> None:
         check=False,
     )
     assert result.returncode == 0, result.stdout + result.stderr
-    assert "both axes got there" in result.stdout
+    assert "both axes reached their targets" in result.stdout
     figures = json.loads((tmp_path / "demo.json").read_text())
     assert figures["trouble"] is None
     assert (tmp_path / "demo.png").read_bytes().startswith(b"\x89PNG")
@@ -149,7 +149,7 @@ def test_the_demonstration_never_moves_a_real_board(capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["--port", ""], "it is empty"),
+        (["--port", ""], "empty; write a device"),
         (["--domain-id", "999"], "'999' is no ROS domain; they are 0 .. 232"),
         (["--set", "param.features[0]=FOO"], "'FOO' is not a number or one of the names none, ANTI_WINDUP"),
         (["--set", "param.i_q_limit=9,9"], "outside 0.1 .. 4 A"),

@@ -80,11 +80,11 @@ def test_state_names_faults_and_limits(rig: Rig, command: Command) -> None:
     assert lines[4].startswith("    at limit POSITION: a soft limit of the position holds the shaft back")
 
 
-def test_state_tells_what_a_hot_winding_leaves(rig: Rig, command: Command) -> None:
+def test_state_prints_derating_of_current_limit(rig: Rig, command: Command) -> None:
     rig.up(SPIN, SPIN)
     assert command("set", "param.i_q_limit=4,4")[0] == 0
     rig.link.values |= {"axis2.winding_temperature": 118, "axis2.winding_current": 3}
-    rig.until(lambda: "hot winding: 75 %" in rig.diagnosis("axis2").message)
+    rig.until(lambda: "derated to 75 %" in rig.diagnosis("axis2").message)
     status, out, _ = command("state")
     rig.link.values |= {"axis2.winding_current": 9}
     rig.until(lambda: rig.diagnosis("axis2").level == b"\x00")
@@ -124,7 +124,7 @@ def test_without_a_board(rig: Rig, command: Command) -> None:
     status, _, err = command("get")
     assert (status, "the board is not connected" in err) == (1, True)
     status, out, _ = command("set", "param.host_timeout=0.5")
-    assert (status, out) == (0, "the board is not connected; it gets them when it is\n")
+    assert (status, out) == (0, "the board is not connected; the parameters are set after the connection\n")
     status, out, _ = command("state")
     assert (status, out.startswith("DISCONNECTED")) == (0, True)
 

@@ -73,7 +73,7 @@ class Rig:
         speeds = {f"axis{k}.speed": self.speed for k in (1, 2)}
         snapshot = Snapshot(self.tick, self.epoch, 0, speeds, self.tick, self.applied, axes, (0, 0))
         snapshot = self.homing.completed(snapshot)
-        self.arbiter.board_seen(axes)
+        self.arbiter.update_axes(axes)
         self.dispatcher.on_sample(snapshot.tick, snapshot.applied_tick, snapshot.applied_count)
         self.homing.on_snapshot(snapshot, self.features)
 

@@ -76,7 +76,7 @@ def test_every_transition_from_unconfigured_to_finalized() -> None:
 
         rig.link.written.clear()
         assert change(rig, "activate") == (True, ACTIVE)
-        assert "outputs have not been enabled over this bridge" in rejected(rig)
+        assert "the outputs have not been enabled by this bridge" in rejected(rig)
         assert rig.link.written == []
         assert not rig.armed()
         assert rig.enable(True)[0]

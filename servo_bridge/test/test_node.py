@@ -224,7 +224,7 @@ def test_a_set_point_that_expires_is_told_once_with_the_time_of_the_board(rig: R
     assert "EXPIRED" in rig.diagnosis("axis2").message
 
 
-WRONG = [  # what its form can be: test_setpoints.py
+WRONG = [  # what its form can be: test_set_points.py
     (JointState(name=["elbow"], position=[1.0]), "joint 'elbow' does not exist; the joints are axis1, axis2"),
     (JointState(name=["axis1"], effort=[1.0], velocity=[1.0]), "a velocity and an effort, but no position"),
     (JointState(name=["axis1"], position=[1e9]), "outside -1.68663e+06 .. 1.68663e+06 rad"),
@@ -467,7 +467,7 @@ def test_a_board_reset_starts_time_and_positions_anew(rig: Rig) -> None:
         ({"variables": ["axis1.posision"]}, "parameter variables: no variable 'axis1.posision'; did you mean"),
         ({"telemetry": ["snapshot"]}, "parameter telemetry: snapshot is a block"),
         ({"position_min": [2.0, 0.0], "position_max": [1.0, 1.0]}, "position_min 2 is above position_max 1"),
-        ({"velocity_max": [-1.0, 1.0]}, "cannot be negative"),
+        ({"velocity_max": [-1.0, 1.0]}, "must not be negative"),
         ({"effort_max": [1.0]}, "one per joint"),
         ({"baud": "fast"}, "parameter baud"),
         ({"baud": 3}, "parameter baud"),
@@ -580,7 +580,7 @@ def value(name: str, raw: int) -> float:
 def test_the_parameters_of_the_board_are_told_at_every_connection(rig: Rig) -> None:
     rig.up()
     rig.until(lambda: rig.parameters() == rig.link.parameters)
-    assert rig.diagnosis("parameters").message == "as wanted"
+    assert rig.diagnosis("parameters").message == "as requested"
     rig.link.lose()
     rig.link.parameters["param.features"] = [7, 8]
     rig.up()
@@ -642,7 +642,7 @@ def test_wanted_parameters_that_the_board_cannot_have_are_trouble() -> None:
         assert (status.level, "nothing could move" in status.message) == (b"\x01", True)
         rig.link.stubborn = "param.features"
         assert rig.set_parameter("board_parameters", ["param.features[0]=FRICTION"])[0]
-        rig.until(lambda: any("the board keeps another value" in text for text in rig.logs()))
+        rig.until(lambda: any("the board has another value" in text for text in rig.logs()))
 
 
 def test_parameters_that_make_no_sense_keep_the_bridge_from_starting() -> None:

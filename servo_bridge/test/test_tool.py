@@ -67,7 +67,7 @@ def test_info_shows_the_board_and_its_contract(
     assert run("info") == 0
     out = capsys.readouterr().out
     assert "servo test target" in out
-    assert "agrees" in out
+    assert "matches" in out
     assert "axis1.state" in out
     assert "FAULT" in out
 
@@ -198,7 +198,7 @@ def test_set_flags_by_name(fake_port: FakePort, run: Run, fake_board: FakeServo)
         (["cmd.speed", "1,2", "--element", "0"], "2 value(s) given, 1 expected"),
         (["cmd.speed", "1", "--element", "2"], "elements 0 .. 1"),
         (["cmd.speed", "1", "--element", "-1"], "elements 0 .. 1"),
-        (["cmd.speed[0]", "1", "--element", "0"], "names an element already"),
+        (["cmd.speed[0]", "1", "--element", "0"], "already has an element"),
         (["cmd.speed", "fast,slow"], "'fast' is not a number"),
         (["cmd.mode", "warp,0"], "POSITION, SPEED, TORQUE"),
         (["cmd.mode", "SPEED+TORQUE,0"], "is not a number"),
@@ -319,7 +319,7 @@ def test_a_saved_limit_can_be_loaded_again(
         ("[parameters]\n'param.position_min' = [5.0, 1.0]\n'param.position_max' = [4.0, 1.0]", "nothing could move"),
         ("[parameters]\n'param.position_min' = [5000.0, 1.0]", "nothing could move"),
         ("catalogue_hash = 1\n[parameters]\n'param.features' = [1, 0]", "another version of the board"),
-        ("[parameters]\n'param.speed_limit' = true", "neither a number"),
+        ("[parameters]\n'param.speed_limit' = true", "is not a number, a name"),
         ("[parameters]\n'param.speed_limit' = [1.0]", "1 values in the file, 2 on the board"),
         ("[parameters]\n'param.unknown' = 1", "no parameter param.unknown"),
         ("[parameters]\n'param.speed_limit' = [1.0, 1e9]", "outside"),
@@ -360,7 +360,7 @@ def test_a_file_of_another_kind(
     fake_port: FakePort, run: Run, tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(command, str(tmp_path / "x.txt")) == 2
-    assert "end in .toml or .json" in capsys.readouterr().err
+    assert "end with .toml or .json" in capsys.readouterr().err
     assert not (tmp_path / "x.txt").exists()
 
 
@@ -543,7 +543,7 @@ def test_recording_what_no_scope_can_carry(
 ) -> None:
     file = tmp_path / "x.csv"
     assert run("record", "gain", "table", "-o", str(file), "--duration", "0.1", "--rate", "100") == 0
-    assert "each was read alone" in capsys.readouterr().out
+    assert "each was read separately" in capsys.readouterr().out
     assert file.read_text().splitlines()[0] == "time [s],gain,table[0],table[1],table[2]"
 
 
@@ -590,7 +590,7 @@ def test_a_silent_board(fake_port: FakePort, run: Run, capsys: pytest.CaptureFix
         (["get"], "NAME"),
         (["info", "--baud", "abc"], "'abc' is not a finite number"),
         (["info", "--baud", "9600.5"], "9600.5 is not a whole number"),
-        (["info", "--port", ""], "it is empty"),
+        (["info", "--port", ""], "empty; write a device"),
         (["watch", "x", "--rate", "-1"], "-1 is not above 0"),
         (["watch", "x", "--count", "-1"], "-1 is not above 0"),
     ],

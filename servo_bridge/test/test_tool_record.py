@@ -126,7 +126,7 @@ def test_a_recording_for_rerun(servo: FakeServo, run: Run, tmp_path: Path) -> No
         (["--fast", *MANY], 1, "record fewer"),
         (["axis1.i_q", "--slow"], 1, "no recorder 1; recorders: 0 .. 0"),
         (["axis1.i_q", "--fast", "--rate", "5000"], 2, "5333.33 or 4000 Hz, not 5000 Hz"),
-        (["axis1.i_q", "--fast", "--duration", "1"], 2, "--duration is for rows"),
+        (["axis1.i_q", "--fast", "--duration", "1"], 2, "--duration is not for bursts"),
         (["axis1.i_q", "--level"], 2, "give one with --trigger"),
         (["axis1.i_q", "--before", "200", "--points", "100", "--trigger", "axis1.i_q > 1"], 1, "not less than all 100"),
         (["snapshot", "--fast"], 2, "block of bytes"),

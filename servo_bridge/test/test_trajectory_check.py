@@ -81,7 +81,7 @@ def test_the_first_violation_of_all_joints_is_told() -> None:
     limits = [Limits(velocity_max=0.5), Limits(velocity_max=1.0)]
     with pytest.raises(
         TrajectoryError,
-        match=r"^velocity of axis2 goes above its limit 1 rad/s at 0\.\d+ s and reaches 1\.\d+ rad/s; give the motion",
+        match=r"^velocity of axis2 is above its limit 1 rad/s at 0\.\d+ s with a peak of 1\.\d+ rad/s; use more time",
     ):
         require(path, limits)
     require(path, [Limits(), Limits()])

@@ -91,10 +91,10 @@ def test_a_wrong_json_file_is_refused(tmp_path: File, text: str, sentence: str) 
 
 
 def test_files_that_cannot_be_read(tmp_path: File) -> None:
-    with pytest.raises(TrajectoryError, match=r"path\.txt: unknown kind of file; give one"):
+    with pytest.raises(TrajectoryError, match=r"path\.txt: unknown format; use a file"):
         read(tmp_path, "path.txt", "")
     with pytest.raises(TrajectoryError, match=r"none\.csv: cannot be read \(No such file or directory\)"):
         read_waypoints(tmp_path / "none.csv", JOINTS)
     (tmp_path / "bytes.csv").write_bytes(b"time,axis1\n\xff\n")
-    with pytest.raises(TrajectoryError, match=r"bytes\.csv: is no text in UTF-8"):
+    with pytest.raises(TrajectoryError, match=r"bytes\.csv: is not UTF-8 text"):
         read_waypoints(tmp_path / "bytes.csv", JOINTS)

@@ -137,7 +137,7 @@ def test_a_waypoint_at_the_start_gives_way_to_the_state() -> None:
     ("arguments", "sentence"),
     [
         ((JOINTS, [], []), "there are no waypoints"),
-        (((), [0.0], [[]]), "no joint is named"),
+        (((), [0.0], [[]]), "there are no joint names"),
         ((("axis1", "axis1"), [0.0], [[0, 0]]), "joint axis1 is named twice; name each joint once"),
         ((JOINTS, [0, np.nan], [[0, 0], [1, 1]]), "time of point #1 is nan"),
         ((JOINTS, [0, 1, 1], [[0, 0]] * 3), "time between points 1 and 2 is not strictly increasing"),
@@ -159,8 +159,12 @@ def test_wrong_waypoints_are_refused(arguments: Any, sentence: str) -> None:
     [
         ([0.0, 1.0], State.at_rest([0.02, 0.0]), "axis1 is at 0.02 rad and point #0 wants 0 rad at once"),
         ([-0.5, 1.0], State.at_rest([0.0, 0.0]), "point #0 is 0.5 s before the start"),
-        ([1.0], None, "a single waypoint needs a state to start from"),
-        ([0.0], State(*np.array([[0.0, 0.0], [0.0, 1.0], [0.0, 0.0], [0.0, 0.0]])), "the joints move and point #0"),
+        ([1.0], None, "a single waypoint needs a start state"),
+        (
+            [0.0],
+            State(*np.array([[0.0, 0.0], [0.0, 1.0], [0.0, 0.0], [0.0, 0.0]])),
+            "the joints move, and the only point",
+        ),
     ],
 )
 def test_what_does_not_fit_the_start(times: list[float], state: State | None, sentence: str) -> None:

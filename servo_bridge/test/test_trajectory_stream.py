@@ -259,7 +259,7 @@ def test_the_delay_changes_slowly() -> None:
     clock = PlayoutClock(LEAD, 0.2)
     stamps = []
     for k in range(400):
-        clock.heard(0.01 * k, 5.0 + 0.01 * k + (0.1 if k % 2 and k > 50 else 0.0))
+        clock.add_message(0.01 * k, 5.0 + 0.01 * k + (0.1 if k % 2 and k > 50 else 0.0))
         stamp, rate = clock.due(5.0 + 0.01 * k, 0.01)
         stamps.append(stamp)
         if k:

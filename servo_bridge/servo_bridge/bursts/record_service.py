@@ -20,8 +20,8 @@ from std_srvs.srv import SetBool
 from servo_bridge.bursts.burst import Burst
 from servo_bridge.bursts.recording import POLL, Phase, Recording
 from servo_bridge.bursts.request import TICK, BurstRequest
+from servo_bridge.deferred_service import DeferredService, Outcome
 from servo_bridge.outcome import error_of
-from servo_bridge.services import DeferredService, Outcome
 from servo_bridge.wire.session import Call
 from servo_msgs_py import topics
 

@@ -10,7 +10,6 @@ from typing import Final
 
 from servo_bridge.freemaster import commands
 from servo_bridge.freemaster.board_info import DEFAULT_MTU, BoardInfo
-from servo_bridge.freemaster.codec import MAX_ANSWER_DATA
 from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
 from servo_bridge.freemaster.dialect import Dialect
 from servo_bridge.freemaster.dialect_v3 import DialectV3
@@ -27,6 +26,7 @@ from servo_bridge.freemaster.errors import (
     StatusError,
     WrongProtocolError,
 )
+from servo_bridge.freemaster.frames import MAX_ANSWER_DATA
 from servo_bridge.freemaster.line import Exchange, Line
 from servo_bridge.freemaster.pipe import Pipe
 from servo_bridge.freemaster.recorder import Recorder

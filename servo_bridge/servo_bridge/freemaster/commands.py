@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from servo_bridge.freemaster.codec import MAX_ANSWER_DATA, V4, Framing, decode_uleb, encode_uleb
 from servo_bridge.freemaster.errors import CodecError
+from servo_bridge.freemaster.frames import MAX_ANSWER_DATA, V4, Framing, decode_uleb, encode_uleb
 
 SCOPE_SIZES: Final = (1, 2, 4, 8)
 """Sizes that a scope slot can have [bytes]."""

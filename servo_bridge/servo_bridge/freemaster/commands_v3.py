@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from servo_bridge.freemaster.codec import V3
 from servo_bridge.freemaster.commands import COMMAND_IDLE, Request, ScopeSlot, TsaTable
 from servo_bridge.freemaster.errors import CodecError
+from servo_bridge.freemaster.frames import V3
 from servo_bridge.freemaster.tsa import ByteOrder
 
 INFO_SIZE: Final = 35

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 from servo_bridge.freemaster import commands
 from servo_bridge.freemaster.board_info import DEFAULT_MTU, BoardInfo
-from servo_bridge.freemaster.codec import V4, decode_uleb
 from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
 from servo_bridge.freemaster.dialect import Ask
 from servo_bridge.freemaster.errors import FreemasterError, Status, StatusError
+from servo_bridge.freemaster.frames import V4, decode_uleb
 from servo_bridge.freemaster.line import Fence
 from servo_bridge.freemaster.recorder import Recorder
 from servo_bridge.freemaster.recorder_v4 import RecorderV4

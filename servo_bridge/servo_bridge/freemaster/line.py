@@ -14,7 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from servo_bridge.freemaster.codec import AnswerParser
 from servo_bridge.freemaster.commands import Request
 from servo_bridge.freemaster.errors import (
     AnswerTimeoutError,
@@ -23,6 +22,7 @@ from servo_bridge.freemaster.errors import (
     Status,
     StatusError,
 )
+from servo_bridge.freemaster.frames import AnswerParser
 from servo_bridge.freemaster.round_trip import RoundTrip
 
 _BITS_PER_BYTE: Final = 10  # 8N1

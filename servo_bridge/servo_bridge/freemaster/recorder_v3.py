@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from servo_bridge.freemaster.codec import V3
 from servo_bridge.freemaster.commands import Request
 from servo_bridge.freemaster.errors import RecorderError, Status, StatusError
+from servo_bridge.freemaster.frames import V3
 from servo_bridge.freemaster.recorder import Compare, Limits, SampleMemory, Setup, State, Trigger
 
 if TYPE_CHECKING:

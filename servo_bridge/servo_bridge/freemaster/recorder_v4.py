@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from servo_bridge.freemaster.codec import decode_uleb, encode_sleb, encode_uleb
 from servo_bridge.freemaster.commands import Command, Request
 from servo_bridge.freemaster.errors import CodecError, RecorderError, Status, StatusError
+from servo_bridge.freemaster.frames import decode_uleb, encode_sleb, encode_uleb
 from servo_bridge.freemaster.recorder import Compare, Limits, SampleMemory, Setup, State, Trigger, too_many_points
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from servo_msgs_py.tuning.errors import ConfigError
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from servo_bridge.services import DeferredService, Outcome
+from servo_bridge.deferred_service import DeferredService, Outcome
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.tuning.plan import Plan, read_blocks

@@ -37,7 +37,7 @@ from servo_bridge.wire.scope import Sample, ScopeLayout
 from servo_bridge.wire.scope_reader import BoardResetError, ScopeReader
 from servo_bridge.wire.serial_port import LowLatency, SerialPort
 from servo_bridge.wire.session import BoardVariable, Session, connect, element_bytes
-from servo_bridge.wire.take_over import taken_over
+from servo_bridge.wire.stop_at_connection import stopped_at_connection
 
 __all__ = [
     "FinalWrite",
@@ -311,7 +311,7 @@ class Link:
         )
         client = Client(line)
         client.ask_password = lambda: self._config.password
-        with taken_over(client, self._catalogue):
+        with stopped_at_connection(client, self._catalogue):
             session = connect(client, self._catalogue)
             if session.mismatch is not None:
                 raise session.mismatch

@@ -25,7 +25,7 @@ _NAME: Final = b"servo"
 
 
 @contextmanager
-def taken_over(client: Client, catalogue: Catalogue) -> Iterator[None]:
+def stopped_at_connection(client: Client, catalogue: Catalogue) -> Iterator[None]:
     """Stop the axes of a board, and keep it from counting the host as silent during what follows.
 
     The program that set its axes in motion may be gone, and to identify the board takes seconds on a slow line.
