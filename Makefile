@@ -20,6 +20,8 @@ endif
 TIMEOUTS := --timeout 900 --timeout-method signal -o faulthandler_exit_on_timeout=true
 # Tests in real time mostly wait for the clock.
 REALTIME := --timeout 120 -o faulthandler_timeout=180
+# Only their files are collected, unless PYTEST_ARGS may name others.
+REALTIME_FILES = $(if $(PYTEST_ARGS),,$(shell grep -rl --include='test_*.py' 'mark\.realtime' firmware $(PACKAGES) tests))
 # Many tests compile the C sources. With ccache (if there is one) a file that has been compiled is taken from the cache, where
 # the compiler lists the headers (-MD) without a run of the preprocessor; without link-time optimisation the rest takes a
 # fourth of the time. The numbers are the same bits.
@@ -113,7 +115,7 @@ test: $(VENV)/.native $(VENV)/.dev ## every check and every test
 	run() { echo "== pytest: $$1"; shift; $(BIN)/python -m pytest $(TIMEOUTS) $(PYTEST_ARGS) "$$@"; result=$$?; }; \
 	run "on every core" -m "not realtime$(if $(MARKS), and ($(MARKS)))" -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart 0; \
 	[ $$result -eq 0 ] || [ $$result -eq 5 ] || status=1; \
-	set -- -m "realtime$(if $(MARKS), and ($(MARKS)))" $(REALTIME); \
+	set -- -m "realtime$(if $(MARKS), and ($(MARKS)))" $(REALTIME) $(REALTIME_FILES); \
 	run "in real time" "$$@" -n 2 --dist loadfile --max-worker-restart 1; \
 	if [ $$result -eq 1 ]; then \
 	  repeated=$$(failed); run "what failed in real time, alone" "$$@" --last-failed; repeated=$$((repeated - $$(failed))); \

@@ -28,8 +28,8 @@ _PATH_UNITS = ("", "", "s", "counts", "counts", "mrad", "counts", "ticks", "coun
 class Residual:
     """Real minus twin position over a move [rad]."""
 
-    rms: float
-    max: float
+    rms: float  # [rad]
+    max: float  # largest magnitude [rad]
     samples: int
 
 

@@ -182,22 +182,22 @@ class Settings:
     """Checked parameter values; see `PARAMETERS` for their meaning."""
 
     port: str
-    baud: int
+    baud: int  # [bit/s]
     joints: tuple[Joint, ...]
     telemetry: tuple[str, ...]
-    telemetry_rate: float
+    telemetry_rate: float  # [Hz]
     variables: tuple[str, ...]
-    variable_rate: float
-    joint_states_rate: float
-    snapshot_period: float
+    variable_rate: float  # [Hz]
+    joint_states_rate: float  # [Hz]
+    snapshot_period: float  # [s]
     command_interfaces: Mapping[str, frozenset[str]] | None
-    stream_delay_max: float
+    stream_delay_max: float  # [s]
     goal_defaults: GoalDefaults
     board_parameters: tuple[Assignment, ...]
     recording: BurstRequest
     tuning: str
     preferred_source: str
-    home_positions: tuple[float, ...]
+    home_positions: tuple[float, ...]  # by axis, joint units [rad]
     restore_positions: bool
 
     @property

@@ -71,8 +71,8 @@ class Scale:
 
     name: str
     unit: str
-    full_scale: float | None
-    lsb: float | None
+    full_scale: float | None  # SI value of 1.0; fractions only
+    lsb: float | None  # SI value of one raw unit; integers only
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,7 @@ class Flag:
     bit: int
     cause: str
     remedy: str
-    always: bool = False
-    """A fault that cannot be switched off."""
+    always: bool = False  # a fault that cannot be switched off
 
     @property
     def mask(self) -> int:

@@ -26,13 +26,7 @@ PARAMETERS: Final = {
 
 
 class Calibration(ServoTwin):
-    """A twin that learns instead of judging, in a namespace of its own.
-
-    Attributes
-    ----------
-    finished : bool
-        Whether the file has been written.
-    """
+    """A twin that learns instead of judging, in a namespace of its own; `finished` when the file has been written."""
 
     NAMESPACE = "twin_calibration"
     PARAMETERS = PARAMETERS

@@ -32,8 +32,8 @@ class RawFault(NamedTuple):
     kind: str
     axis: int = 0
     part: int = 0
-    value: float = 0.0
-    seconds: float = 0.0
+    value: float = 0.0  # in the unit of the kind
+    seconds: float = 0.0  # duration [s]
 
 
 def _axis(axis: int) -> int:
@@ -121,8 +121,8 @@ class LockedRotor:
 class SupplyDip:
     """The supply has another open-circuit voltage for some time [V], [s]; 0 V: it is disconnected."""
 
-    volts: float = 0.0
-    seconds: float = math.inf
+    volts: float = 0.0  # open-circuit voltage meanwhile; 0: disconnected [V]
+    seconds: float = math.inf  # duration [s]
 
     def raw(self) -> RawFault:
         if not self.seconds > 0.0:
@@ -135,7 +135,7 @@ class CurrentNoise:
     """Standard deviation of every current sample of an axis, in place of the usual one [A]."""
 
     axis: int
-    amperes: float
+    amperes: float  # [A]
 
     def raw(self) -> RawFault:
         return RawFault("BOARD_CURRENT_NOISE", _axis(self.axis), value=_amount(self.amperes, "noise"))
@@ -145,7 +145,7 @@ class CurrentNoise:
 class BusNoise:
     """Standard deviation of every sample of the bus voltage, in place of the usual one [V]."""
 
-    volts: float
+    volts: float  # [V]
 
     def raw(self) -> RawFault:
         return RawFault("BOARD_BUS_NOISE", value=_amount(self.volts, "noise"))
@@ -157,7 +157,7 @@ class EncoderGlitches:
 
     axis: int
     line: Line
-    per_second: float
+    per_second: float  # mean rate [1/s]
 
     def raw(self) -> RawFault:
         line = _one_of(_LINES, self.line, "line")
@@ -168,7 +168,7 @@ class EncoderGlitches:
 class StalledCore:
     """The software stands still for some time [s], or until the watchdog resets the board."""
 
-    seconds: float
+    seconds: float  # duration [s]
 
     def raw(self) -> RawFault:
         return RawFault("BOARD_STALLED_CORE", seconds=_amount(self.seconds, "time"))
@@ -205,7 +205,7 @@ class WeakMagnet:
     """The magnet keeps this part of its flux, 0 .. 1."""
 
     axis: int
-    part: float
+    part: float  # of the flux that is left, 0 .. 1
 
     def applied(self, plant: PlantConfig) -> PlantConfig:
         if not 0.0 <= self.part <= 1.0:
@@ -218,7 +218,7 @@ class BadContact:
     """All phases have more resistance: a connector that corrodes, turns that are lost [ohm]."""
 
     axis: int
-    ohms: float
+    ohms: float  # additional resistance of each phase [ohm]
 
     def applied(self, plant: PlantConfig) -> PlantConfig:
         return plant.with_axis(_axis(self.axis), r_s=plant.axes[self.axis].r_s + _amount(self.ohms, "resistance"))
@@ -229,7 +229,7 @@ class WornShaft:
     """A shaft with a second mass has more play [rad]."""
 
     axis: int
-    radians: float
+    radians: float  # additional play [rad]
 
     def applied(self, plant: PlantConfig) -> PlantConfig:
         shaft = plant.axes[_axis(self.axis)]
@@ -243,8 +243,8 @@ class ShiftedDisc:
     """The encoder's disc is off the shaft's centre: an error once per turn, with its phase [rad]."""
 
     axis: int
-    radians: float
-    phase: float = 0.0
+    radians: float  # amplitude [rad]
+    phase: float = 0.0  # [rad]
 
     def applied(self, plant: PlantConfig) -> PlantConfig:
         return plant.with_axis(_axis(self.axis), disc_eccentricity=self.radians, disc_phase=self.phase)
@@ -255,7 +255,7 @@ class DryBearing:
     """Coulomb and viscous friction are so many times as large."""
 
     axis: int
-    times: float
+    times: float  # factor of both
 
     def applied(self, plant: PlantConfig) -> PlantConfig:
         shaft = plant.axes[_axis(self.axis)]
@@ -268,7 +268,7 @@ class HotPowerStage:
     """The power stage of an axis is at a temperature and stays there [deg C]."""
 
     axis: int
-    celsius: float
+    celsius: float  # [deg C]
 
     def raw(self) -> RawFault:
         return RawFault("BOARD_HEAT", _axis(self.axis), value=float(self.celsius))

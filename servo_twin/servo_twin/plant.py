@@ -7,11 +7,11 @@ import difflib
 import math
 import random
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any, Final, Literal, cast
+from typing import Annotated, Any, Final, Literal, NamedTuple, TypeVar, cast, get_type_hints
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -28,14 +28,6 @@ FASTEST: Final = 8000.0
 DAMPED: Final = 5e4
 """Of a twist, at most [1/s]: a shaft's torque is worked out every 6 to 8 us."""
 
-BUILT_IN: Final = frozenset(
-    {
-        "ambient", "pwm_frequency", "pole_pairs", "theta_start", "dead_time", "i_settle",
-        "encoder_lines", "encoder_jitter", "encoder_duty_error", "encoder_hysteresis",
-    }
-)  # fmt: skip
-"""What is as it is from power-on, at both levels; all other numbers of a plant can change while a board runs."""
-
 DEFAULT_FILE: Final = Path(__file__).with_name("plant.toml")
 
 
@@ -46,165 +38,142 @@ class PlantError(ValueError):
     """A description of the plant is not usable; the message names the value and what it should be."""
 
 
-_Rule = tuple[str, Callable[[float], bool]]
+class _Rule(NamedTuple):
+    """What a number of the plant has to be."""
 
-_POSITIVE: Final[_Rule] = ("above 0", lambda x: x > 0.0)
-_NOT_NEGATIVE: Final[_Rule] = ("0 or more", lambda x: x >= 0.0)
-_WHOLE: Final[_Rule] = ("a whole number from 1", lambda x: x >= 1.0 and x == int(x))
-_ANY: Final[_Rule] = ("a finite number", lambda x: True)
-_SWITCH: Final[_Rule] = ("0 or 1", lambda x: x in (0.0, 1.0))
+    text: str
+    holds: Callable[[float], bool]
 
-_AXIS_RULES: Final[Mapping[str, _Rule]] = {
-    "r_s": _POSITIVE,
-    "l_d": _POSITIVE,
-    "l_q": _POSITIVE,
-    "psi_m": _NOT_NEGATIVE,
-    "pole_pairs": _WHOLE,
-    "inertia": _POSITIVE,
-    "friction": _NOT_NEGATIVE,
-    "viscous": _NOT_NEGATIVE,
-    "load_torque": _ANY,
-    "load_inertia": _NOT_NEGATIVE,
-    "shaft_stiffness": _NOT_NEGATIVE,
-    "shaft_damping": _NOT_NEGATIVE,
-    "backlash": _NOT_NEGATIVE,
-    "load_friction": _NOT_NEGATIVE,
-    "cogging_torque": _NOT_NEGATIVE,
-    "cogging_periods": _WHOLE,
-    "cogging_phase": _ANY,
-    "i_saturation_d": _NOT_NEGATIVE,
-    "i_saturation_q": _NOT_NEGATIVE,
-    "winding_warms": _SWITCH,
-    "magnet_coefficient": ("between -0.01 and 0.01", lambda x: -0.01 < x < 0.01),
-    "magnet_time": _NOT_NEGATIVE,
-    "disc_eccentricity": ("0 or more and below 0.2", lambda x: 0.0 <= x < 0.2),
-    "disc_phase": _ANY,
-    "stop_min": _ANY,
-    "stop_max": _ANY,
-    "stop_stiffness": _NOT_NEGATIVE,
-    "stop_damping": _NOT_NEGATIVE,
-    "encoder_lines": _WHOLE,
-    "i_full_scale": _POSITIVE,
-    "i_noise": _NOT_NEGATIVE,
-    "i_break": _POSITIVE,
-    "dead_time": _NOT_NEGATIVE,
-    "v_drop": _NOT_NEGATIVE,
-    "r_on": _NOT_NEGATIVE,
-    "dead_time_min": _NOT_NEGATIVE,
-    "i_settle": _NOT_NEGATIVE,
-    "encoder_jitter": _NOT_NEGATIVE,
-    "encoder_duty_error": ("between -0.2 and 0.2", lambda x: -0.2 < x < 0.2),
-    "encoder_hysteresis": ("between 0 and 0.5", lambda x: 0.0 <= x < 0.5),
-    "winding_capacity": _POSITIVE,
-    "winding_resistance": _POSITIVE,
-    "sink_capacity": _POSITIVE,
-    "sink_resistance": _POSITIVE,
-}
 
-_BUS_RULES: Final[Mapping[str, _Rule]] = {
-    "u_source": _NOT_NEGATIVE,
-    "r_source": _POSITIVE,
-    "capacitance": _POSITIVE,
-    "u_full_scale": _POSITIVE,
-    "u_noise": _NOT_NEGATIVE,
-    "r_brake": _NOT_NEGATIVE,
-    "brake_capacity": _POSITIVE,
-    "brake_resistance": _POSITIVE,
-}
+_T = TypeVar("_T")
+_FINITE: Final = _Rule("a finite number", math.isfinite)
+_FIXED: Final = "fixed"
+
+Positive = Annotated[float, _Rule("above 0", lambda x: 0.0 < x < math.inf)]
+NotNegative = Annotated[float, _Rule("0 or more", lambda x: 0.0 <= x < math.inf)]
+Whole = Annotated[float, _Rule("a whole number from 1", lambda x: 1.0 <= x < math.inf and x == int(x))]
+Finite = Annotated[float, _FINITE]
+Angle = Annotated[float, _Rule("an angle, finite or infinite", lambda x: not math.isnan(x))]
+Switch = Annotated[float, _Rule("0 or 1", lambda x: x in (0.0, 1.0))]
+MagnetChange = Annotated[float, _Rule("between -0.01 and 0.01", lambda x: -0.01 < x < 0.01)]
+Eccentricity = Annotated[float, _Rule("0 or more and below 0.2", lambda x: 0.0 <= x < 0.2)]
+DutyError = Annotated[float, _Rule("between -0.2 and 0.2", lambda x: -0.2 < x < 0.2)]
+Hysteresis = Annotated[float, _Rule("between 0 and 0.5", lambda x: 0.0 <= x < 0.5)]
+
+Fixed = Annotated[_T, _FIXED]
+"""As it is from power-on, at both levels; all other numbers of a plant can change while a board runs."""
+
+
+@cache
+def _marks(part: type) -> Sequence[tuple[str, object]]:
+    """Rules and other marks of the fields, in their order, with the name of the field."""
+    hints = get_type_hints(part, include_extras=True).items()
+    return [(name, mark) for name, hint in hints for mark in getattr(hint, "__metadata__", ())]
 
 
 def _check(where: str, value: object, rule: _Rule) -> None:
-    """Raise a `PlantError` unless `value` is a finite number that fulfils the rule."""
-    text, holds = rule
+    """Raise a `PlantError` unless `value` is a number that fulfils the rule."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise PlantError(f"{where}: {value!r} is not a number")
-    if not math.isfinite(value) or not holds(value):
-        raise PlantError(f"{where}: {value!r} is not {text}")
+    if not rule.holds(value):
+        raise PlantError(f"{where}: {value!r} is not {rule.text}")
+
+
+def _check_fields(part: Any) -> None:
+    """The same for all fields that have a rule."""
+    for name, mark in _marks(part.__class__):
+        if isinstance(mark, _Rule):
+            _check(name, getattr(part, name), mark)
 
 
 @dataclass(frozen=True)
 class PinsPlant:
     """What is wired to the pins of one axis."""
 
-    home_from: float = math.inf  # mechanical angle from which the home switch is closed [rad]
-    home_to: float = -math.inf  # mechanical angle up to which it is closed [rad]
-    limit_min: float = -math.inf  # mechanical angle below which the lower limit switch opens [rad]; infinite: never
-    limit_max: float = math.inf  # mechanical angle above which the upper one opens [rad]; infinite: never
-    enable_closed: float = 1.0  # 1: the enable circuit is closed; 0: it is open
-    brake_torque: float = 0.0  # of the holding brake; 0: there is none [N m]
-    brake_open_time: float = 0.0  # from energising the coil to the open brake [s]
-    brake_close_time: float = 0.0  # from de-energising the coil to the closed brake [s]
+    home_from: Angle = math.inf  # mechanical angle from which the home switch is closed [rad]
+    home_to: Angle = -math.inf  # mechanical angle up to which it is closed [rad]
+    limit_min: Angle = -math.inf  # mechanical angle below which the lower limit switch opens [rad]; infinite: never
+    limit_max: Angle = math.inf  # mechanical angle above which the upper one opens [rad]; infinite: never
+    enable_closed: Switch = 1.0  # 1: the enable circuit is closed; 0: it is open
+    brake_torque: NotNegative = 0.0  # of the holding brake; 0: there is none [N m]
+    brake_open_time: NotNegative = 0.0  # from energising the coil to the open brake [s]
+    brake_close_time: NotNegative = 0.0  # from de-energising the coil to the closed brake [s]
 
     def __post_init__(self) -> None:
-        for name in ("home_from", "home_to", "limit_min", "limit_max"):
-            value: object = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or math.isnan(value):
-                raise PlantError(f"{name}: {value!r} is not an angle, finite or infinite")
-        for name in ("brake_torque", "brake_open_time", "brake_close_time"):
-            _check(name, getattr(self, name), _NOT_NEGATIVE)
-        _check("enable_closed", self.enable_closed, _SWITCH)
+        _check_fields(self)
 
 
 @dataclass(frozen=True)
 class AxisPlant:
     """Motor, shaft, encoder, inverter and current sensors of one axis."""
 
-    r_s: float  # stator resistance [ohm]
-    l_d: float  # stator inductance, d axis [H]
-    l_q: float  # stator inductance, q axis [H]
-    psi_m: float  # permanent-magnet flux linkage, electrical [V s]
-    pole_pairs: float  # pole pairs
-    inertia: float  # total inertia [kg m^2]
-    friction: float  # Coulomb friction [N m]
-    viscous: float  # viscous friction [N m s]
-    load_torque: float  # external, slows positive motion, drives negative; on the second mass if there is one [N m]
-    load_inertia: float  # second mass at the end of an elastic shaft; 0: there is none, `inertia` is all [kg m^2]
-    shaft_stiffness: float  # of the elastic shaft [N m/rad]
-    shaft_damping: float  # of the elastic shaft [N m s]
-    backlash: float  # of the elastic shaft, from one flank to the other [rad]
-    load_friction: float  # Coulomb friction of the second mass [N m]
-    cogging_torque: float  # amplitude [N m]
-    cogging_periods: float  # per turn
-    cogging_phase: float  # [rad]
-    i_saturation_d: float  # current scale of the saturation of `l_d`, which is that without current; 0: none [A]
-    i_saturation_q: float  # the same of `l_q` [A]
-    winding_warms: float  # 1: `r_s` follows the winding's temperature at level ``ideal`` too; at ``registers`` always
-    magnet_coefficient: float  # relative change of `psi_m`, which is that at the ambient temperature [1/K]
-    magnet_time: float  # time constant with which the magnet follows the winding's temperature [s]
-    disc_eccentricity: float  # amplitude of the encoder's error once per turn [rad]
-    disc_phase: float  # phase of that error [rad]
-    stop_min: float  # mechanical rotor angle of the lower end stop [rad]
-    stop_max: float  # mechanical rotor angle of the upper end stop [rad]
-    stop_stiffness: float  # of both end stops; 0: there are none [N m/rad]
-    stop_damping: float  # of both end stops [N m s]
-    encoder_lines: float  # lines per turn; counts are four times as many
-    theta_start: float | Literal["random"]  # mechanical rotor angle at time zero [rad]; random: by the seed
-    i_full_scale: float  # range of the ADC: ``-i_full_scale .. +i_full_scale`` [A]
+    r_s: Positive  # stator resistance [ohm]
+    l_d: Positive  # stator inductance, d axis [H]
+    l_q: Positive  # stator inductance, q axis [H]
+    psi_m: NotNegative  # permanent-magnet flux linkage, electrical [V s]
+    pole_pairs: Fixed[Whole]  # electrical turns per mechanical turn
+
+    inertia: Positive  # total inertia [kg m^2]
+    friction: NotNegative  # Coulomb friction [N m]
+    viscous: NotNegative  # viscous friction [N m s]
+
+    load_torque: Finite  # external, slows positive motion, drives negative; on the second mass if there is one [N m]
+    load_inertia: NotNegative  # second mass at the end of an elastic shaft; 0: there is none, `inertia` is all [kg m^2]
+    shaft_stiffness: NotNegative  # of the elastic shaft [N m/rad]
+    shaft_damping: NotNegative  # of the elastic shaft [N m s]
+    backlash: NotNegative  # of the elastic shaft, from one flank to the other [rad]
+    load_friction: NotNegative  # Coulomb friction of the second mass [N m]
+
+    cogging_torque: NotNegative  # amplitude [N m]
+    cogging_periods: Whole  # per turn
+    cogging_phase: Finite  # [rad]
+
+    i_saturation_d: NotNegative  # current scale of the saturation of `l_d`, which is that without current; 0: none [A]
+    i_saturation_q: NotNegative  # the same of `l_q` [A]
+    winding_warms: Switch  # 1: `r_s` follows the winding's temperature at level ``ideal`` too; at ``registers`` always
+    magnet_coefficient: MagnetChange  # relative change of `psi_m`, which is that at the ambient temperature [1/K]
+    magnet_time: NotNegative  # time constant with which the magnet follows the winding's temperature [s]
+
+    disc_eccentricity: Eccentricity  # amplitude of the encoder's error once per turn [rad]
+    disc_phase: Finite  # phase of that error [rad]
+
+    stop_min: Finite  # mechanical rotor angle of the lower end stop [rad]
+    stop_max: Finite  # mechanical rotor angle of the upper end stop [rad]
+    stop_stiffness: NotNegative  # of both end stops; 0: there are none [N m/rad]
+    stop_damping: NotNegative  # of both end stops [N m s]
+
+    encoder_lines: Fixed[Whole]  # lines per turn; counts are four times as many
+    theta_start: Fixed[float | Literal["random"]]  # mechanical rotor angle at time zero [rad]; random: by the seed
+
+    i_full_scale: Positive  # range of the ADC: ``-i_full_scale .. +i_full_scale`` [A]
     i_offset: tuple[float, float, float]  # offset of each current amplifier [A]
-    i_noise: float  # standard deviation of a current sample [A]
-    i_break: float  # hardware over-current threshold of a phase [A]
-    dead_time: float  # time for which both switches of a leg are open at every edge [s]
-    v_drop: float  # forward drop of switch and diode [V]
-    r_on: float  # resistance of switch and diode [ohm]
-    dead_time_min: float
+    i_noise: NotNegative  # standard deviation of a current sample [A]
+    i_break: Positive  # hardware over-current threshold of a phase [A]
+
+    dead_time: Fixed[NotNegative]  # time for which both switches of a leg are open at every edge [s]
+    v_drop: NotNegative  # forward drop of switch and diode [V]
+    r_on: NotNegative  # resistance of switch and diode [ohm]
+
+    dead_time_min: NotNegative
     """Shortest dead time of the switches: with less the leg is a short for the rest of it, which trips the comparator
     [s]. This and all that follows has an effect at switching level only."""
-    i_settle: float  # time constant of the current amplifiers [s]
-    encoder_jitter: float  # standard deviation of an edge of the encoder [counts]
-    encoder_duty_error: float  # part of its period for which an encoder line is high, minus 1/2
-    encoder_hysteresis: float  # distance of an edge between the two directions, against chattering [counts]
-    winding_capacity: float  # thermal capacity of the winding [J/K]
-    winding_resistance: float  # thermal resistance from the winding to the air [K/W]
-    sink_capacity: float  # thermal capacity of the inverter's heatsink [J/K]
-    sink_resistance: float  # thermal resistance from the heatsink to the air [K/W]
+    i_settle: Fixed[NotNegative]  # time constant of the current amplifiers [s]
+    encoder_jitter: Fixed[NotNegative]  # standard deviation of an edge of the encoder [counts]
+    encoder_duty_error: Fixed[DutyError]  # part of its period for which an encoder line is high, minus 1/2
+    encoder_hysteresis: Fixed[Hysteresis]  # distance of an edge between the two directions, against chattering [counts]
+
+    winding_capacity: Positive  # thermal capacity of the winding [J/K]
+    winding_resistance: Positive  # thermal resistance from the winding to the air [K/W]
+    sink_capacity: Positive  # thermal capacity of the inverter's heatsink [J/K]
+    sink_resistance: Positive  # thermal resistance from the heatsink to the air [K/W]
+
     pins: PinsPlant = field(default_factory=PinsPlant)  # what is wired to the pins
 
     def __post_init__(self) -> None:
         pins: object = self.pins
         if isinstance(pins, Mapping):
             object.__setattr__(self, "pins", _part(PinsPlant, "pins", {"pins": pins}))
-        for name, rule in _AXIS_RULES.items():
-            _check(name, getattr(self, name), rule)
+        _check_fields(self)
         if self.stop_min > self.stop_max:
             raise PlantError(f"stop_min: {self.stop_min!r} is not below stop_max = {self.stop_max!r}")
         if self.load_inertia > 0.0 and self.shaft_stiffness == 0.0:
@@ -220,12 +189,12 @@ class AxisPlant:
                 f" with these masses the most is {DAMPED / self._per_mass:.3g}"
             )
         if self.theta_start != "random":
-            _check("theta_start", self.theta_start, _ANY)
+            _check("theta_start", self.theta_start, _FINITE)
         offsets: object = self.i_offset
         if not isinstance(offsets, (tuple, list)) or len(offsets) != 3:
             raise PlantError(f"i_offset: {offsets!r} is not a list of three currents")
         for value in offsets:
-            _check("i_offset", value, _ANY)
+            _check("i_offset", value, _FINITE)
         object.__setattr__(self, "i_offset", tuple(map(float, offsets)))
 
     def members(self) -> dict[str, Any]:
@@ -252,18 +221,17 @@ class AxisPlant:
 class BusPlant:
     """Supply and capacitor that both axes share, and the voltage sensor."""
 
-    u_source: float  # open-circuit voltage of the supply [V]
-    r_source: float  # its resistance [ohm]; it takes no energy back
-    capacitance: float  # capacitance of the bus [F]
-    u_full_scale: float  # full scale of the ADC [V]
-    u_noise: float  # standard deviation of a voltage sample [V]
-    r_brake: float  # brake resistor [ohm]; 0: there is none
-    brake_capacity: float  # heat capacity of the brake resistor [J/K]
-    brake_resistance: float  # thermal resistance from the brake resistor to the air [K/W]
+    u_source: NotNegative  # open-circuit voltage of the supply [V]
+    r_source: Positive  # its resistance [ohm]; it takes no energy back
+    capacitance: Positive  # capacitance of the bus [F]
+    u_full_scale: Positive  # full scale of the ADC [V]
+    u_noise: NotNegative  # standard deviation of a voltage sample [V]
+    r_brake: NotNegative  # brake resistor [ohm]; 0: there is none
+    brake_capacity: Positive  # heat capacity of the brake resistor [J/K]
+    brake_resistance: Positive  # thermal resistance from the brake resistor to the air [K/W]
 
     def __post_init__(self) -> None:
-        for name, rule in _BUS_RULES.items():
-            _check(name, getattr(self, name), rule)
+        _check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -272,12 +240,11 @@ class PlantConfig:
 
     axes: tuple[AxisPlant, AxisPlant]  # axis 1 and axis 2
     bus: BusPlant  # the DC bus
-    pwm_frequency: float  # carrier of the inverters [Hz]
-    ambient: float  # temperature of the air around motors and heatsinks [deg C]
+    pwm_frequency: Fixed[Positive]  # carrier of the inverters [Hz]
+    ambient: Fixed[Finite]  # temperature of the air around motors and heatsinks [deg C]
 
     def __post_init__(self) -> None:
-        _check("pwm_frequency", self.pwm_frequency, _POSITIVE)
-        _check("ambient", self.ambient, _ANY)
+        _check_fields(self)
         if len(self.axes) != 2:
             raise PlantError(f"axes: {len(self.axes)} given, a board has two")
         quarter_ns = 1e9 / self.pwm_frequency / 4.0
@@ -370,6 +337,10 @@ class PlantConfig:
     def with_bus(self, **changes: Any) -> PlantConfig:
         """Copy with some values of the bus replaced."""
         return dataclasses.replace(self, bus=dataclasses.replace(self.bus, **changes))
+
+
+BUILT_IN: Final = frozenset(name for part in (AxisPlant, PlantConfig) for name, mark in _marks(part) if mark == _FIXED)
+"""Names of the fixed numbers."""
 
 
 def _replaced(place: Any, name: str, value: float) -> Any:

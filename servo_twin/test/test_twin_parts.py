@@ -201,7 +201,7 @@ class TestReplica:
     def test_the_mask_leaves_axes_alone(self, replica: Replica) -> None:
         replica.write("cmd.position", [5, 6], 3)
         replica.write("cmd.position", [7, 8], 2)
-        assert replica.read("cmd.position") == pytest.approx([5 * 0.0015707963, 8 * 0.0015707963])
+        assert replica.board.read("cmd.position") == pytest.approx([5 * 0.0015707963, 8 * 0.0015707963])
 
     def test_knows_an_expired_set_point(self, replica: Replica) -> None:
         assert not replica.expired(0)

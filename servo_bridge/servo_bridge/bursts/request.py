@@ -27,8 +27,8 @@ _RATE_TOLERANCE: Final = 0.01
 class Before:
     """How much of a burst lies before its trigger: a part of all points, or a number of them."""
 
-    part: float | None = None
-    points: int | None = None
+    part: float | None = None  # of all points, 0 .. 1
+    points: int | None = None  # number of points
 
     def of(self, total: int) -> int:
         """Points before the trigger of so many in all."""

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 from servo_bridge.freemaster.board_info import BoardInfo
 from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
-from servo_bridge.freemaster.line import Exchange, Fence
+from servo_bridge.freemaster.line import Ask, Fence
 from servo_bridge.freemaster.recorder import Recorder
-
-Ask = Callable[[Request], Exchange]
-"""Sends a request and returns its answer; see `Line.exchange`."""
 
 
 class Dialect(Protocol):

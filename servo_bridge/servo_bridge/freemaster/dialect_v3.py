@@ -9,10 +9,9 @@ from servo_bridge.freemaster import commands_v3
 from servo_bridge.freemaster.board_info import BoardInfo
 from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
 from servo_bridge.freemaster.commands_v3 import MemoryForm
-from servo_bridge.freemaster.dialect import Ask
 from servo_bridge.freemaster.errors import CodecError, FreemasterError, RecorderError, Status, StatusError
 from servo_bridge.freemaster.frames import V3
-from servo_bridge.freemaster.line import Fence
+from servo_bridge.freemaster.line import Ask, Fence
 from servo_bridge.freemaster.recorder import Recorder
 from servo_bridge.freemaster.recorder_v3 import RecorderV3
 

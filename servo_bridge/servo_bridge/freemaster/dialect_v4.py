@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 
 from servo_bridge.freemaster import commands
 from servo_bridge.freemaster.board_info import DEFAULT_MTU, BoardInfo
-from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
-from servo_bridge.freemaster.dialect import Ask
 from servo_bridge.freemaster.errors import FreemasterError, Status, StatusError
 from servo_bridge.freemaster.frames import V4, decode_uleb
-from servo_bridge.freemaster.line import Fence
+from servo_bridge.freemaster.line import Ask, Fence
 from servo_bridge.freemaster.recorder import Recorder
 from servo_bridge.freemaster.recorder_v4 import RecorderV4
 
@@ -24,6 +21,18 @@ def password_key(password: str, salt: bytes) -> bytes:
 
 class DialectV4:
     """Version 4; see `Dialect`. It depends on nothing that the target says."""
+
+    read_memory = staticmethod(commands.read_memory)
+    write_memory = staticmethod(commands.write_memory)
+    set_scope = staticmethod(commands.set_scope)
+    read_scope = staticmethod(commands.read_scope)
+    get_tsa_info = staticmethod(commands.get_tsa_info)
+    parse_tsa_info = staticmethod(commands.parse_tsa_info)
+    get_string_length = staticmethod(commands.get_string_length)
+    parse_size = staticmethod(commands.parse_size)
+    send_command = staticmethod(commands.send_command)
+    get_command_status = staticmethod(commands.get_command_status)
+    exchange_pipe = staticmethod(commands.exchange_pipe)
 
     def identify(self, ask: Ask) -> BoardInfo:
         def text(key: str) -> str:
@@ -67,39 +76,6 @@ class DialectV4:
             if error.code in (Status.ACCESS_DENIED, Status.UNKNOWN_COMMAND):
                 return None
             raise
-
-    def read_memory(self, address: int, size: int) -> Request:
-        return commands.read_memory(address, size)
-
-    def write_memory(self, address: int, data: bytes) -> Request:
-        return commands.write_memory(address, data)
-
-    def set_scope(self, slots: Sequence[ScopeSlot], *, scope: int, payload_limit: int) -> list[Request]:
-        return commands.set_scope(slots, scope=scope, payload_limit=payload_limit)
-
-    def read_scope(self, size: int, *, scope: int) -> Request:
-        return commands.read_scope(size, scope=scope)
-
-    def get_tsa_info(self, index: int) -> Request:
-        return commands.get_tsa_info(index)
-
-    def parse_tsa_info(self, data: bytes) -> TsaTable:
-        return commands.parse_tsa_info(data)
-
-    def get_string_length(self, address: int) -> Request:
-        return commands.get_string_length(address)
-
-    def parse_size(self, data: bytes) -> int:
-        return commands.parse_size(data)
-
-    def send_command(self, code: int, arguments: bytes) -> Request:
-        return commands.send_command(code, arguments)
-
-    def get_command_status(self) -> Request:
-        return commands.get_command_status()
-
-    def exchange_pipe(self, payload: bytes) -> Request:
-        return commands.exchange_pipe(payload)
 
     def log_in(self, ask: Ask, level: int, password: str) -> int:
         challenge = ask(commands.begin_login(level)).data

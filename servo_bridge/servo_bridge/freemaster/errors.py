@@ -10,8 +10,7 @@ class Status:
 
     OK: Final = 0x00
     OK_VARIABLE: Final = 0x40
-    RECORDER_RUNNING: Final = 0x01
-    """Version 3 only, as the next."""
+    RECORDER_RUNNING: Final = 0x01  # version 3 only, as the next
     RECORDER_STOPPED: Final = 0x02
     UNKNOWN_COMMAND: Final = 0x81
     CHECKSUM: Final = 0x82

@@ -76,6 +76,10 @@ class Exchange:
     status: int = Status.OK
 
 
+Ask = Callable[[Request], Exchange]
+"""Sends a request and returns its answer; see `Line.exchange`."""
+
+
 @dataclass(frozen=True)
 class Fence:
     """A request that changes nothing, and its answer, which is always the same; both as they go over the line."""

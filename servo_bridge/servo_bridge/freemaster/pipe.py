@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from servo_bridge.freemaster.dialect import Ask, Dialect
+from servo_bridge.freemaster.dialect import Dialect
 from servo_bridge.freemaster.errors import CodecError
+from servo_bridge.freemaster.line import Ask
 
 PORT_MAX: Final = 127
 _TOGGLE: Final = 0x80
@@ -21,7 +22,7 @@ class Pipe:
     Parameters
     ----------
     ask : callable
-        Sends a request; see `Dialect`.
+        Sends a request; see `Line.exchange`.
     dialect : Dialect
         Version of the protocol.
     port : int

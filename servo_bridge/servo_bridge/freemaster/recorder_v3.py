@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from servo_bridge.freemaster.commands import Request
+from servo_bridge.freemaster.commands_v3 import MemoryForm
 from servo_bridge.freemaster.errors import RecorderError, Status, StatusError
 from servo_bridge.freemaster.frames import V3
+from servo_bridge.freemaster.line import Ask
 from servo_bridge.freemaster.recorder import Compare, Limits, SampleMemory, Setup, State, Trigger
-
-if TYPE_CHECKING:
-    from servo_bridge.freemaster.commands_v3 import MemoryForm
-    from servo_bridge.freemaster.dialect import Ask
 
 _SLOTS_MAX: Final = 8
 _NUMBER_MAX: Final = 0xFFFF

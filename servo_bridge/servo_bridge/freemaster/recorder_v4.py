@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from servo_bridge.freemaster.commands import Command, Request
 from servo_bridge.freemaster.errors import CodecError, RecorderError, Status, StatusError
 from servo_bridge.freemaster.frames import decode_uleb, encode_sleb, encode_uleb
+from servo_bridge.freemaster.line import Ask
 from servo_bridge.freemaster.recorder import Compare, Limits, SampleMemory, Setup, State, Trigger, too_many_points
-
-if TYPE_CHECKING:
-    from servo_bridge.freemaster.dialect import Ask
 
 _CONFIGURE, _VARIABLE, _START, _STOP = 0x01, 0x02, 0x03, 0x04
 _NAME, _LIMITS, _INFO, _STATE = 0x81, 0x82, 0x83, 0x84

@@ -91,7 +91,7 @@ class _Axis:
 class _Request:
     joints: tuple[int, ...]
     plan: Plan
-    start: float
+    start: float  # not before this time [s]
     begun: Callable[[float], None]
     refused: Callable[[TrajectoryError], None]
     abandoned: Callable[[str], None] | None

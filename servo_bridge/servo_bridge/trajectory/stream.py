@@ -52,13 +52,13 @@ class _Joint:
     """Set-points of one joint, sorted by stamp: (stamp, position, velocity or NaN, effort)."""
 
     tracker: Tracker
-    gear_ratio: float = 1.0
-    points: list[tuple[float, float, float, float]] = field(default_factory=list)
+    gear_ratio: float = 1.0  # turns of the motor per turn of the joint
+    points: list[tuple[float, float, float, float]] = field(default_factory=list)  # in the order of stamps
     active: bool = False
     begins: bool = False
     starved: bool = False
-    effort: float = 0.0
-    out: list[tuple[int, float, float, float]] = field(default_factory=list)
+    effort: float = 0.0  # [N m]
+    out: list[tuple[int, float, float, float]] = field(default_factory=list)  # tick, position, velocity, effort
 
     def take(self, stamp: float, position: float, velocity: float, effort: float) -> None:
         k = bisect_left(self.points, (stamp,))

@@ -65,6 +65,7 @@ class _Joint:
     stream: Stream | None = None
     plan: Plan | None = None  # of the path
     waiting: deque[tuple[float, float, JointSetPoint]] = field(default_factory=lambda: deque(maxlen=_WAITING_MAX))
+    """Stamp [s], arrival [s] and set-point of each message."""
 
 
 class Streamer:

@@ -86,14 +86,14 @@ class BodeRequest:
 class Settings:
     """What is measured: the fields of `BodeRequest` without gaps, and what follows from them."""
 
-    axis: int
+    axis: int  # index
     loop: Loop
-    amplitude: float
-    f_min: float
-    f_max: float
-    speed: float
-    way_max: float
-    repeats: int
+    amplitude: float  # of the test signal, in the unit of the loop
+    f_min: float  # lower end of the band [Hz]
+    f_max: float  # upper end of the band [Hz]
+    speed: float  # constant speed during the measurement [rad/s]
+    way_max: float  # largest angle of the shaft, to each side [rad]
+    repeats: int  # recordings per band
     swing: float = 0.0  # largest speed by which the test signal moves the shaft, as predicted [rad/s]
     deceleration: float = math.inf  # with which the shaft comes to rest afterwards [rad/s^2]
 

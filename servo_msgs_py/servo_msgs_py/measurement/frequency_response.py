@@ -244,10 +244,10 @@ def _half_turn(phase: _Float, k: int) -> float:
 class _Crossing:
     """Where one quantity is zero: frequency [Hz] and the other quantity there, with standard deviations."""
 
-    frequency: float
-    sigma: float
-    other: float
-    other_sigma: float
+    frequency: float  # [Hz]
+    sigma: float  # standard deviation [Hz]
+    other: float  # the other quantity there
+    other_sigma: float  # its standard deviation
 
 
 def _crossing(f: _Float, zero: _Float, other: _Float, weight: _Float, k: int) -> _Crossing | None:

@@ -42,8 +42,8 @@ class Spec:
 
     default: Any
     description: str
-    low: float | None = None
-    high: float | None = None
+    low: float | None = None  # smallest value; None: no limit
+    high: float | None = None  # largest value; None: no limit
     read_only: bool = True
 
     def descriptor(self, *, managed: bool = False) -> ParameterDescriptor:
@@ -132,11 +132,9 @@ def setting_up(node: Node) -> Iterator[None]:
 class Runnable(Protocol):
     """A node that can be ended."""
 
-    failure: str
-    """Why it cannot go on; empty while it can."""
+    failure: str  # why it cannot go on; empty while it can
 
-    finished: bool
-    """Whether it has ended in order by itself."""
+    finished: bool  # whether it has ended in order by itself
 
     def shutdown(self) -> None: ...
 

@@ -99,7 +99,7 @@ class Assessment:
 
     name: str
     loops: tuple[Loop, ...]
-    edges: tuple[tuple[float, Margins], ...]
+    edges: tuple[tuple[float, Margins], ...]  # speed [rad/s], margins of the speed loop there
     rule: DesignRule
     arrival: Arrival
     load_step: LoadStep

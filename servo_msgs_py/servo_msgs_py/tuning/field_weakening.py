@@ -87,11 +87,11 @@ class Motor(Protocol):
 class _Nominal(NamedTuple):
     """Motor data of the configuration."""
 
-    r_s: float
-    l_d: float
-    l_q: float
-    psi_m: float
-    pole_pairs: float
+    r_s: float  # resistance of a phase [ohm]
+    l_d: float  # inductance, d axis [H]
+    l_q: float  # inductance, q axis [H]
+    psi_m: float  # flux linkage of the magnets [V s]
+    pole_pairs: float  # electrical turns per mechanical turn
 
     @classmethod
     def of(cls, axis: Axis) -> _Nominal:

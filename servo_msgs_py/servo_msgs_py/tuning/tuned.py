@@ -26,9 +26,9 @@ class GainRow(NamedTuple):
 
     name: str
     unit: str
-    designed: float
-    used: float
-    raw: int
+    designed: float  # in `unit`
+    used: float  # after rounding to an integer, in `unit`
+    raw: int  # integer of the firmware
 
 
 @dataclass(frozen=True)

@@ -145,7 +145,7 @@ class BoardPair:
 class _Segment:
     """What one axis is doing until some time [s]."""
 
-    until: float
+    until: float  # board time [s]
     mode: int = 0
     speed: float = 0.0  # set-point of the mode SPEED [rad/s]
 

@@ -30,10 +30,10 @@ class Rows(NamedTuple):
 class _Block(NamedTuple):
     """Normal equations of the samples of one block, per equation; `Sums` has the shapes."""
 
-    a: _Array
-    b: _Array
-    energy: _Array
-    samples: _Array
+    a: _Array  # (..., equations, unknowns + nuisances, unknowns + nuisances), information
+    b: _Array  # (..., equations, unknowns + nuisances), right sides
+    energy: _Array  # (..., equations), weighted squares of the left sides
+    samples: _Array  # (..., equations), independent samples
 
     @classmethod
     def of(cls, rows: Rows) -> _Block:

@@ -54,14 +54,10 @@ SHORT: Final = 1.0  # stop category
 class Stop:
     """Both axes from a speed to rest, one entry per slow tick."""
 
-    u_dc: NDArray[np.float64]
-    """Bus [V]."""
-    omega: NDArray[np.float64]
-    """True speeds, shape (ticks, axes) [rad/s]."""
-    burnt: NDArray[np.float64]
-    """In the resistor so far [J]."""
-    flags: frozenset[str]
-    """Limits and faults that came up."""
+    u_dc: NDArray[np.float64]  # bus [V]
+    omega: NDArray[np.float64]  # true speeds, shape (ticks, axes) [rad/s]
+    burnt: NDArray[np.float64]  # in the resistor so far [J]
+    flags: frozenset[str]  # limits and faults that came up
 
     @property
     def seconds(self) -> float | None:
@@ -116,12 +112,9 @@ def lossless(plant: PlantConfig, speed: float) -> float:
 class Budget:
     """What a supply above the switching voltage does to the resistor."""
 
-    burnt: float
-    """Until it was switched off [J]."""
-    seconds: float
-    """Until then [s]."""
-    rest: float | None
-    """Until it was used again [s]."""
+    burnt: float  # until it was switched off [J]
+    seconds: float  # until then [s]
+    rest: float | None  # until it was used again [s]
 
 
 def spend(plant: PlantConfig, seed: int, resistor: float) -> Budget:

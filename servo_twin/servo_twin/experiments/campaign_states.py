@@ -32,10 +32,10 @@ class Bench:
     slowest: float = 0.0  # part of its speed limit below which no speed is commanded then
     wanted: float = 0.0  # largest speed that was commanded, magnitude [rad/s]; for a current: the speed limit
     torque_of_load: float = 0.0  # external torque [N m]
-    speed_limit: float = field(init=False)
-    acceleration: float = field(init=False)
-    current: float = field(init=False)
-    other_limit: float = field(init=False)
+    speed_limit: float = field(init=False)  # [rad/s]
+    acceleration: float = field(init=False)  # limit [rad/s^2]
+    current: float = field(init=False)  # limit of i_q [A]
+    other_limit: float = field(init=False)  # speed limit of the other axis [rad/s]
 
     def __post_init__(self) -> None:
         self.speed_limit = self._parameter("param.speed_limit", self.axis)

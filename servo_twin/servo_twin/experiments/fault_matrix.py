@@ -163,14 +163,11 @@ class Damage:
     """One kind of damage."""
 
     name: str
-    fault: InjectedFault
-    """For the plant."""
-    faults: tuple[str, ...]
-    """Names that are right; `NOTHING` for what is no fault."""
+    fault: InjectedFault  # for the plant
+    faults: tuple[str, ...]  # expected names; `NOTHING`: no fault
     periods_max: int | None = SOON
     """Outputs off after so many PWM periods in a turning motor; None: it takes what it takes."""
-    provoked: bool = True
-    """It has to be found when the axis moves."""
+    provoked: bool = True  # it has to be detected when the axis moves
     apart: float | None = None
     """Part of the time until it shows by itself by which the levels of a board may differ, beside the slow tick that
     the supervision may come later; None: it is not the same twice."""
@@ -206,16 +203,12 @@ class Case:
 
     damage: Damage
     state: str
-    name: str
-    """First fault, once it is final; empty without one."""
+    name: str  # first fault in its final form; empty without one
     periods: int | None
     """PWM periods from the cause to the fault; None if the axis had to be asked to move, or there was none."""
-    gained: float
-    """Speed that the shaft gained after the outputs were off [rad/s]."""
-    gain_max: float
-    """What the current that is left in the winding may give it [rad/s]."""
-    other: bool
-    """Axis 2 did what it should."""
+    gained: float  # increase of the speed of the shaft after the outputs were off [rad/s]
+    gain_max: float  # largest that the remaining current of the winding explains [rad/s]
+    other: bool  # whether axis 2 continued as commanded
 
     @property
     def named(self) -> bool:

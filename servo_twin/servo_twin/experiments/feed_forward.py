@@ -58,14 +58,11 @@ class Move:
     """One move of one axis."""
 
     recording: Recording
-    error: float
-    """Largest distance of the true shaft from the shaped set-point [counts]."""
-    overshoot: float
-    """Farthest beyond the target [counts]."""
+    error: float  # largest distance of the true shaft from the shaped set-point [counts]
+    overshoot: float  # farthest beyond the target [counts]
     settling: float | None
     """From the command until the shaft stays within 2 counts of the target, and what it swerves [s]."""
-    swerve: float
-    """What current that the inverter keeps back moves the shaft once the set-point has arrived [counts]."""
+    swerve: float  # motion by current that the inverter keeps back, after the set-point has arrived [counts]
 
     @property
     def window(self) -> float:
@@ -107,8 +104,8 @@ def travel(
 class Mismatch:
     """True inertia or friction against the nominal value."""
 
-    there: float
-    nominal: float
+    there: float  # true value
+    nominal: float  # in the same unit
 
     @property
     def heavier(self) -> float:

@@ -51,7 +51,7 @@ class Shaft:
     """What judges a run: the motor, and its inertia over the one that the loops are tuned for, if that is less."""
 
     axis: AxisPlant
-    heavier: float
+    heavier: float  # inertia over the one that the loops are tuned for; 1 for less
 
 
 def left(times: float) -> float:
@@ -147,18 +147,13 @@ class Task:
     """What the axes do, what is measured of it, and how it is drawn."""
 
     name: str
-    note: str
-    """Its name in the notes."""
-    run: Callable[[PlantConfig, int, bool], dict[int, Recording]]
-    """Both axes, without the feature or with it."""
+    note: str  # its name in the notes
+    run: Callable[[PlantConfig, int, bool], dict[int, Recording]]  # both axes, without the feature or with it
     figure: str
-    measure: Callable[[Recording, Shaft], float]
-    """Root mean square [counts]."""
+    measure: Callable[[Recording, Shaft], float]  # root mean square [counts]
     label: str
-    signal: Callable[[Recording], NDArray[np.float64]]
-    """What is drawn [counts]."""
-    shown: float
-    """The picture begins so late [s]."""
+    signal: Callable[[Recording], NDArray[np.float64]]  # curve of the picture [counts]
+    shown: float  # begin of the picture [s]
 
 
 END: Final = SETTLE + MEASURED

@@ -71,10 +71,10 @@ what a lag of half a tick adds to the force."""
 class Settings:
     """What the board is configured with: speed [rad/s], current [A], reach [rad], turns."""
 
-    speed: float
-    current: float
-    reach: float
-    turns_max: float
+    speed: float  # [rad/s]
+    current: float  # [A]
+    reach: float  # [rad]
+    turns_max: float  # [turns]
 
     @classmethod
     def of(cls, board: Board) -> Settings:
@@ -87,27 +87,21 @@ class Settings:
 class Stop:
     """A pair of end stops: distance from the start [rad], stiffness [N m/rad], damping [N m s]."""
 
-    away: float
-    stiffness: float
-    damping: float
+    away: float  # distance from the start [rad]
+    stiffness: float  # [N m/rad]
+    damping: float  # [N m s]
 
 
 @dataclass(frozen=True)
 class Contact:
     """What two homings of an axis to the same stop have shown."""
 
-    done: bool
-    """Both have succeeded."""
-    spread: float
-    """Larger one of both [counts]."""
-    repeats: float
-    """Distance of the two references, beyond what friction may hold back [counts]."""
-    place: float
-    """Distance of the first one from where the current holds the shaft against the stop, likewise."""
-    current: float
-    """Largest true current over the limit, without the ripple."""
-    force: float
-    """Largest torque of the stop over what the current and the moving shaft can do to an ideal spring."""
+    done: bool  # both have succeeded
+    spread: float  # larger one of both [counts]
+    repeats: float  # distance of the two references, beyond what friction may hold back [counts]
+    place: float  # distance of the first one from where the current holds the shaft against the stop, likewise
+    current: float  # largest true current over the limit, without the ripple
+    force: float  # largest torque of the stop over what the current and the moving shaft can do to an ideal spring
 
 
 def stops_of(plant: PlantConfig, seed: int, kind: str, trial: int) -> tuple[PlantConfig, list[Stop]]:
@@ -230,8 +224,8 @@ class Switch:
     """A homing to a switch: success, place of the reference beyond the switch's edge and spread [counts]."""
 
     done: bool
-    place: float
-    spread: float
+    place: float  # of the reference beyond the switch's edge [counts]
+    spread: float  # of the reference [counts]
 
 
 def to_switches(plant: PlantConfig, seed: int, trial: int) -> list[Switch]:
@@ -280,16 +274,11 @@ def missing(plant: PlantConfig, seed: int) -> Iterator[Row]:
 class Unhomed:
     """Axes with the feature that are not homed, sent away by a far position and by a speed."""
 
-    here: list[int]
-    """Where they were enabled [counts]."""
-    still: dict[int, Recording]
-    """After the far position."""
-    turning: dict[int, Recording]
-    """With the speed."""
-    reach: float
-    """How far they may turn [counts]."""
-    mask: int
-    """Of the limit that has to name itself."""
+    here: list[int]  # where they were enabled [counts]
+    still: dict[int, Recording]  # after the far position
+    turning: dict[int, Recording]  # with the speed
+    reach: float  # how far they may turn [counts]
+    mask: int  # bit of the expected limit
 
 
 def unhomed(plant: PlantConfig, seed: int) -> Unhomed:

@@ -50,14 +50,10 @@ AWAY_MAX: Final = 1.5
 class Descent:
     """One axis on its way down."""
 
-    speeds: tuple[float, ...]
-    """Speeds that were held [rad/s]."""
-    end: str
-    """What ended it."""
-    fastest: float
-    """Largest true speed in the direction of the set-point or against it [rad/s]."""
-    trace: Trace
-    """The lowest speed that was held."""
+    speeds: tuple[float, ...]  # speeds that were held [rad/s]
+    end: str  # what ended it
+    fastest: float  # largest true speed in the direction of the set-point or against it [rad/s]
+    trace: Trace  # the lowest speed that was held
 
 
 def loaded(board: Board, axis: int, torque: float) -> None:

@@ -59,8 +59,8 @@ def worked_example() -> tuple[Fraction, ...]:
 class Edges:
     """Encoder edges of a recording: time of each [s] and its number; even numbers are edges of track B."""
 
-    time: NDArray[np.float64]
-    number: NDArray[np.int64]
+    time: NDArray[np.float64]  # [s]
+    number: NDArray[np.int64]  # even numbers are edges of track B
 
     def of_b(self) -> Edges:
         b = self.number % 2 == 0
@@ -138,23 +138,16 @@ def doubt_of(
 class Methods:
     """Speeds [rad/s] at every slow tick, by method, and what the methods saw."""
 
-    m: NDArray[np.float64]
-    """From the true edges; T likewise."""
-    t: NDArray[np.float64]
-    mt: NDArray[np.float64]
-    """From the firmware; enhanced M/T likewise."""
-    enhanced: NDArray[np.float64]
-    m2: NDArray[np.float64]
-    """Timer ticks between the last two captured edges (M/T)."""
-    age: NDArray[np.float64]
-    """Timer ticks since the last captured edge."""
-    from_edges: NDArray[np.float64]
-    """What E33 and F19 give for these edges [rad/s]."""
-    t_m2: NDArray[np.float64]
-    """As `m2`, for the pulses of the T method; `t_age` likewise."""
-    t_age: NDArray[np.float64]
-    doubt: Doubt
-    """What the encoder leaves open of `m2` and `age`."""
+    m: NDArray[np.float64]  # M method, from the true edges [rad/s]
+    t: NDArray[np.float64]  # T method, from the true edges [rad/s]
+    mt: NDArray[np.float64]  # M/T method, from the firmware [rad/s]
+    enhanced: NDArray[np.float64]  # enhanced M/T method, from the firmware [rad/s]
+    m2: NDArray[np.float64]  # between the last two captured edges (M/T) [timer ticks]
+    age: NDArray[np.float64]  # since the last captured edge [timer ticks]
+    from_edges: NDArray[np.float64]  # what E33 and F19 give for these edges [rad/s]
+    t_m2: NDArray[np.float64]  # as `m2`, for the pulses of the T method [timer ticks]
+    t_age: NDArray[np.float64]  # as `age`, for the pulses of the T method [timer ticks]
+    doubt: Doubt  # what the encoder leaves open of `m2` and `age`
 
 
 def drive(plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float, enhanced: bool) -> Recording:
@@ -239,14 +232,14 @@ def _intervals(
 class Steady:
     """Largest relative errors at one speed; `floor` is what M2 and its edges leave, the `_times` are errors over it."""
 
-    m: float
-    t: float
-    mt: float
-    enhanced: float
-    floor: float
-    mt_times: float
-    enhanced_times: float
-    m2: float
+    m: float  # relative error, M method
+    t: float  # relative error, T method
+    mt: float  # relative error, M/T method
+    enhanced: float  # relative error, enhanced M/T method
+    floor: float  # relative error that M2 and its edges leave
+    mt_times: float  # error over its floor, M/T method
+    enhanced_times: float  # error over its floor, enhanced M/T method
+    m2: float  # median [timer ticks]
 
 
 def steady(plant: PlantConfig, seed: int, speed: float) -> Steady:
@@ -297,10 +290,10 @@ def stagnation(speed: NDArray[np.float64], overdue: NDArray[np.bool_]) -> float:
 class Slowing:
     """A shaft that slows down: longest stagnation by method [s]; largest deviation from E33 and F19 [timer ticks]."""
 
-    t: float
-    mt: float
-    enhanced: float
-    deviation: float
+    t: float  # stagnation, T method [s]
+    mt: float  # stagnation, M/T method [s]
+    enhanced: float  # stagnation, enhanced M/T method [s]
+    deviation: float  # largest, from E33 and F19 [timer ticks]
 
 
 def slowing(brake: Recording, slow: Methods) -> Slowing:

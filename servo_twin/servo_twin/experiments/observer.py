@@ -64,16 +64,11 @@ MEASURED: Final = 0.3  # and then [s]
 class Point:
     """One speed with one load."""
 
-    speed: float
-    """[rad/s]"""
-    i_q: float
-    """Mean of the true current [A]."""
-    mean: float
-    """Of the error of the observed angle [deg]; the following ones likewise."""
-    deviation: float
-    """Standard deviation."""
-    amplitude: float
-    """Largest distance from the mean."""
+    speed: float  # [rad/s]
+    i_q: float  # mean of the true current [A]
+    mean: float  # of the error of the observed angle [deg]; the following ones likewise
+    deviation: float  # standard deviation
+    amplitude: float  # largest distance from the mean
     trace: Trace
 
 

@@ -123,8 +123,8 @@ class Curve:
     """One line of a panel; `style` is a matplotlib format string such as ``"o"``."""
 
     label: str
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
+    x: NDArray[np.float64]  # (n,)
+    y: NDArray[np.float64]  # (n,)
     style: str = "-"
 
 

@@ -120,10 +120,8 @@ class Hang:
 
     drops: list[tuple[float, ...]]
     """By axis: enabled for the first time, again, disabled, and switched off by the enable input [rad]."""
-    time: NDArray[np.float64]
-    """Of the first enabling [s]."""
-    ways: NDArray[np.float64]
-    """Shafts meanwhile, one row per axis [rad]."""
+    time: NDArray[np.float64]  # of the first enabling [s]
+    ways: NDArray[np.float64]  # shafts meanwhile, one row per axis [rad]
 
 
 def _ways(board: Board, seconds: float) -> NDArray[np.float64]:
@@ -218,14 +216,10 @@ def open_enable(plant: PlantConfig, seed: int) -> tuple[float, bool]:
 class Overrun:
     """A switch that an axis reaches at speed."""
 
-    beyond: float
-    """Way past the switch [rad]."""
-    named: bool
-    """LIMIT_SWITCH, and nothing else."""
-    into: float
-    """Way after a set-point beyond the switch [counts]."""
-    off: float
-    """Way after one back [counts]."""
+    beyond: float  # way past the switch [rad]
+    named: bool  # LIMIT_SWITCH, and nothing else
+    into: float  # way after a set-point beyond the switch [counts]
+    off: float  # way after one back [counts]
 
 
 def overrun(plant: PlantConfig, seed: int) -> list[Overrun]:

@@ -53,10 +53,8 @@ PROBE_SLOPE: Final = 10  # [slow ticks] between two points of its speed
 class NominalShaft:
     """Nominal values of one axis in the controller, from the torque that its current makes on the plant's motor."""
 
-    friction: float
-    """Of a slowly turning shaft [N m]."""
-    inertia: float
-    """[kg m^2]"""
+    friction: float  # of a slowly turning shaft [N m]
+    inertia: float  # [kg m^2]
 
 
 @dataclass(frozen=True)
@@ -65,8 +63,7 @@ class Demand:
 
     acceleration: float
     """The largest, per speed: the path filter asks for it in proportion to the speed of its ramp [1/s]."""
-    current: float
-    """The limit [A]."""
+    current: float  # the limit [A]
 
 
 def nominal_shafts(plant: PlantConfig, seed: int) -> tuple[NominalShaft, ...]:

@@ -45,18 +45,14 @@ class Move:
     """What one move gave [counts], unless it says otherwise."""
 
     recording: Recording
-    overshoot: float
-    """Farthest beyond the target."""
-    cycle: float
-    """From the lowest to the highest position after arrival, over the last half second."""
-    error: float
-    """Mean distance from the target over that time."""
+    overshoot: float  # farthest beyond the target
+    cycle: float  # from the lowest to the highest position after arrival, over the last half second
+    error: float  # mean distance from the target over that time
     settling: float | None
     """From the end of the set-point's ramp until the shaft stays within 2 counts, and what it swerves [s]."""
     swerve: float
     """What current that the inverter keeps back moves the shaft from where it would be, the set-point arrived."""
-    swing: float
-    """The same, from the lowest to the highest, over the last half second."""
+    swing: float  # the same, from the lowest to the highest, over the last half second
 
 
 def measure(recording: Recording, target: int, ramp_end: float, shaft: AxisPlant) -> Move:

@@ -45,27 +45,21 @@ FINE: Final = PERIOD_NS * 1e-9  # [s]
 class Seen:
     """One figure with its curve."""
 
-    value: float
-    """What the drive shows, in the unit of the effect."""
-    expected: float
-    """What the equation says, likewise."""
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
+    value: float  # what the drive shows, in the unit of the effect
+    expected: float  # what the equation says, likewise
+    x: NDArray[np.float64]  # (n,), of the curve
+    y: NDArray[np.float64]  # (n,), of the curve
 
 
 @dataclass(frozen=True)
 class Effect:
     """One part of the plant."""
 
-    name: str
-    """Of its figure."""
+    name: str  # of its figure
     unit: str
-    tolerance: float
-    """Of the figure, relative to what the equation says."""
-    changes: Callable[[AxisPlant], Mapping[str, float]]
-    """Values of the plant for a motor."""
-    measure: Callable[[Board, int], Seen]
-    """The figure of an axis on a board that spins."""
+    tolerance: float  # of the figure, relative to what the equation says
+    changes: Callable[[AxisPlant], Mapping[str, float]]  # values of the plant for a motor
+    measure: Callable[[Board, int], Seen]  # the figure of an axis on a board that spins
     x_label: str
     y_label: str
 

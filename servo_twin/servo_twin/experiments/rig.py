@@ -42,29 +42,25 @@ SLOW: Final = 0.2 * COUNT / TICK  # hardly moves between what truth and snapshot
 class Recording:
     """One axis over time, one entry per slow tick."""
 
-    time: NDArray[np.float64]
-    """Since the beginning of the recording [s]."""
-    position: NDArray[np.float64]
-    """What the firmware reports [counts]; the following ones likewise."""
-    position_ref: NDArray[np.float64]  # [counts]
-    speed_ref: NDArray[np.float64]  # [rad/s]
-    speed: NDArray[np.float64]  # [rad/s]
-    i_q_ref: NDArray[np.float64]  # [A]
-    i_q: NDArray[np.float64]  # [A]
-    i_d: NDArray[np.float64]  # [A]
-    u_d: NDArray[np.float64]  # [V]
-    u_q: NDArray[np.float64]  # [V]
-    limits: NDArray[np.int64]
-    """Words of the firmware; the following ones likewise."""
-    faults: NDArray[np.int64]
-    state: NDArray[np.int64]
-    substate: NDArray[np.int64]
-    theta: NDArray[np.float64]
-    """Truth of the plant: mechanical angle [rad]; the following ones likewise."""
-    omega: NDArray[np.float64]  # mechanical speed [rad/s]
-    i_q_true: NDArray[np.float64]  # [A]
-    torque: NDArray[np.float64]  # of the air gap [N m]
-    u_dc: NDArray[np.float64]  # of the bus [V]
+    time: NDArray[np.float64]  # since the beginning of the recording [s]
+    position: NDArray[np.float64]  # as the firmware reports it [counts]
+    position_ref: NDArray[np.float64]  # likewise [counts]
+    speed_ref: NDArray[np.float64]  # likewise [rad/s]
+    speed: NDArray[np.float64]  # likewise [rad/s]
+    i_q_ref: NDArray[np.float64]  # likewise [A]
+    i_q: NDArray[np.float64]  # likewise [A]
+    i_d: NDArray[np.float64]  # likewise [A]
+    u_d: NDArray[np.float64]  # likewise [V]
+    u_q: NDArray[np.float64]  # likewise [V]
+    limits: NDArray[np.int64]  # words of the firmware
+    faults: NDArray[np.int64]  # likewise
+    state: NDArray[np.int64]  # likewise
+    substate: NDArray[np.int64]  # likewise
+    theta: NDArray[np.float64]  # truth of the plant: mechanical angle [rad]
+    omega: NDArray[np.float64]  # truth: mechanical speed [rad/s]
+    i_q_true: NDArray[np.float64]  # truth [A]
+    torque: NDArray[np.float64]  # truth: of the air gap [N m]
+    u_dc: NDArray[np.float64]  # truth: of the bus [V]
 
     @property
     def shaft(self) -> NDArray[np.float64]:

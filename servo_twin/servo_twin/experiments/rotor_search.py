@@ -62,12 +62,9 @@ class Damage:
     """What keeps a search from succeeding."""
 
     name: str
-    fault: str
-    """Name that the firmware has to give it."""
-    do: Callable[[Board, int], None]
-    """Does it to an axis of a board."""
-    maximum: float = NAMED_MAX
-    """Time until the fault is named [s]."""
+    fault: str  # expected name
+    do: Callable[[Board, int], None]  # does it to an axis of a board
+    maximum: float = NAMED_MAX  # time until the fault is named [s]
 
 
 HELD: Final = Damage("shaft held", "ROTOR_SEARCH", lambda board, axis: board.lock_shaft(axis))
@@ -110,20 +107,13 @@ UNDER_WAY: Final = (0.08, 0.10, 0.12, 0.14, 0.16, 0.18)
 class Search:
     """One search of one axis."""
 
-    error: float | None
-    """Found minus true electrical angle [degrees]; None when nothing was found."""
-    searches: int
-    """Vectors tried."""
-    time: float
-    """Length of ALIGN [s]."""
-    movement: float
-    """From the lowest to the highest position of the shaft [degrees mechanical]."""
-    current: float
-    """Largest current [A]."""
-    faults: frozenset[str]
-    """Names of the faults at the end."""
-    counts: NDArray[np.float64]
-    """Position over time [counts]."""
+    error: float | None  # found minus true electrical angle [degrees]; None when nothing was found
+    searches: int  # vectors tried
+    time: float  # length of ALIGN [s]
+    movement: float  # from the lowest to the highest position of the shaft [degrees mechanical]
+    current: float  # largest current [A]
+    faults: frozenset[str]  # names of the faults at the end
+    counts: NDArray[np.float64]  # position over time [counts]
     theta_m: NDArray[np.float64]
     """Angle of the current vector over time [degrees electrical], NaN while none pulls; empty unless traced."""
 

@@ -25,21 +25,17 @@ LOOK: Final = 0.01  # between two looks at the state [s]
 class Trace:
     """One axis over time, one entry per slow tick."""
 
-    time: NDArray[np.float64]
-    """Since the beginning [s]."""
-    theta_e: NDArray[np.float64]
-    """Truth of the plant: electrical angle [rad]; the following ones likewise."""
-    omega: NDArray[np.float64]  # mechanical speed [rad/s]
-    i_d: NDArray[np.float64]  # [A]
-    i_q: NDArray[np.float64]  # [A]
-    angle: NDArray[np.float64]
-    """What the observer sees: electrical angle [rad]."""
-    speed: NDArray[np.float64]  # mechanical speed [rad/s]
-    used: NDArray[np.float64]
-    """Electrical angle that the controllers use [rad]."""
+    time: NDArray[np.float64]  # since the beginning [s]
+    theta_e: NDArray[np.float64]  # truth of the plant: electrical angle [rad]
+    omega: NDArray[np.float64]  # truth: mechanical speed [rad/s]
+    i_d: NDArray[np.float64]  # truth [A]
+    i_q: NDArray[np.float64]  # truth [A]
+    angle: NDArray[np.float64]  # of the observer: electrical angle [rad]
+    speed: NDArray[np.float64]  # of the observer: mechanical speed [rad/s]
+    used: NDArray[np.float64]  # electrical angle that the controllers use [rad]
     speed_ref: NDArray[np.float64]  # [rad/s]
     substate: NDArray[np.int64]  # words of the firmware
-    faults: NDArray[np.int64]
+    faults: NDArray[np.int64]  # likewise
 
     def part(self, start: float, end: float | None = None) -> Trace:
         """Ticks after `start` and up to `end` [s]."""

@@ -46,16 +46,11 @@ BACK: Final = 0.1  # Deviation of the mean speed from the set-point at the end o
 class Borne:
     """One speed."""
 
-    speed: float
-    """[rad/s]"""
-    torque: float = 0.0
-    """Largest step that was borne, as all smaller ones were [N m]."""
-    lost: float = 0.0
-    """Speed that it took [rad/s]."""
-    trace: Trace | None = None
-    """Of that step."""
-    end: str = ""
-    """What the next one did; empty when there was none."""
+    speed: float  # [rad/s]
+    torque: float = 0.0  # largest step that was borne, as all smaller ones were [N m]
+    lost: float = 0.0  # speed that it took [rad/s]
+    trace: Trace | None = None  # of that step
+    end: str = ""  # what the next one did; empty when there was none
 
 
 def lost_on_paper(motor: AxisPlant, torque: float) -> float:

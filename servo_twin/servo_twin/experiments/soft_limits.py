@@ -84,14 +84,12 @@ MODES: Final[dict[str, tuple[Ask, Ask]]] = {
 
 @dataclass(frozen=True)
 class Run:
-    """One axis that was sent into a limit: recording, and the part of the time in which the limit named itself."""
+    """One axis that was sent into a limit: recording, and the part of the time in which the limit was reported."""
 
-    limit: int
-    """Of the position [counts]."""
+    limit: int  # of the position [counts]
     out: Recording
-    named: float
-    back: Recording | None = None
-    """Commanded back, away from the limit."""
+    named: float  # part of the time in which the limit was reported
+    back: Recording | None = None  # commanded back, away from the limit
 
     @property
     def beyond(self) -> float:

@@ -69,12 +69,9 @@ LOAD_STEP: Final = 0.25
 class Stall:
     """A shaft that was caught."""
 
-    noticed: float | None
-    """From the stall to outputs off [s]."""
-    faults: str
-    """What the drive called it."""
-    by_variance: float | None
-    """When the variance of the observed speed would have told, had nothing else watched [s]."""
+    noticed: float | None  # from the stall to outputs off [s]
+    faults: str  # reported faults
+    by_variance: float | None  # until the variance of the observed speed alone would have shown it [s]
     trace: Trace
 
 
@@ -148,12 +145,10 @@ def _spring(board: Board, axis: int, frequency: float) -> Callable[[float], None
 class Operation:
     """A long run."""
 
-    false: tuple[str, ...]
-    """Faults of shafts that turned."""
+    false: tuple[str, ...]  # faults of shafts that turned
     true: tuple[str, ...]
     """Faults of shafts that had come to a stand: load and ramps were too much for the speed controller."""
-    ran: float
-    """Simulated time [s]."""
+    ran: float  # simulated time [s]
 
 
 def operate(plant: PlantConfig, seed: int, seconds: float) -> Operation:

@@ -69,14 +69,10 @@ SPEED_MAX: Final = 0.1  # deviation of the true speed from the set-point then, o
 class Start:
     """One start of one axis."""
 
-    criterion: float | None
-    """From the beginning of the start-up to the closed loop [s]."""
-    converged: float | None
-    """Until the error of the angle stays small [s]."""
-    end: str
-    """What went wrong; empty when nothing did."""
-    what: str = ""
-    """Conditions, for people."""
+    criterion: float | None  # from the beginning of the start-up to the closed loop [s]
+    converged: float | None  # until the error of the angle stays small [s]
+    end: str  # reason of a failure; empty without one
+    what: str = ""  # conditions, for people
 
     @property
     def succeeded(self) -> bool:
@@ -87,14 +83,10 @@ class Start:
 class Draw:
     """Conditions of one start."""
 
-    inertia: float
-    """Over the nominal one."""
-    friction: float
-    """Likewise."""
-    load: float
-    """Torque at the set-point, over that of half of the current limit."""
-    set_point: float
-    """Part of the speed limit, with sign."""
+    inertia: float  # over the nominal one
+    friction: float  # likewise
+    load: float  # torque at the set-point, over that of half of the current limit
+    set_point: float  # part of the speed limit, with sign
 
     def __str__(self) -> str:
         return (

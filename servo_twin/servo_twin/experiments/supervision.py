@@ -59,12 +59,9 @@ REST: Final = 0.6  # [s]
 class Accident:
     """What followed a cause on one axis."""
 
-    time: float | None
-    """From the cause until the outputs were off [s]."""
-    fault: int
-    """Faults at that moment."""
-    turned: float
-    """Way of the shaft from the cause until then, or until the end [turns]."""
+    time: float | None  # from the cause until the outputs were off [s]
+    fault: int  # faults at that moment
+    turned: float  # way of the shaft from the cause until then, or until the end [turns]
     recording: Recording
 
     @classmethod
@@ -85,10 +82,8 @@ class Bench:
 
     plant: PlantConfig
     seed: int
-    speeds: list[float]
-    """Limits for moves that the plant can follow, by axis [rad/s]."""
-    peaks: list[float]
-    """Torque of each axis at its current limit [N m]."""
+    speeds: list[float]  # limits for moves that the plant can follow, by axis [rad/s]
+    peaks: list[float]  # torque of each axis at its current limit [N m]
 
     @classmethod
     def of(cls, plant: PlantConfig, seed: int) -> Bench:
@@ -153,8 +148,7 @@ class Cause:
 
     name: str
     fault: str
-    prepare: Do
-    """What the axis does until then."""
+    prepare: Do  # what the axis does until then
     do: Do
     maximum: Callable[[Bench, int], float] = lambda bench, axis: OVER_SPEED_LASTS + ANSWER
     """Time until the outputs are off [s]; with OVER_SPEED from when the true speed passes the limit."""

@@ -50,16 +50,11 @@ REST: Final = 0.05
 class Motor:
     """A motor, and the nominal values of its winding."""
 
-    rated: float
-    """Current that leads to the maximum for ever [A]."""
-    capacity: float
-    """Nominal heat capacity of the winding [J/K]."""
-    r_s: float | None = None
-    """Of a phase, in the place of the plant's [ohm]."""
-    resistance_error: float = 1.0
-    """Nominal thermal resistance over the true one."""
-    capacity_error: float = 1.0
-    """The same of the heat capacity."""
+    rated: float  # current that leads to the maximum for ever [A]
+    capacity: float  # nominal heat capacity of the winding [J/K]
+    r_s: float | None = None  # of a phase, in the place of the plant's [ohm]
+    resistance_error: float = 1.0  # nominal thermal resistance over the true one
+    capacity_error: float = 1.0  # the same of the heat capacity
 
 
 @dataclass(frozen=True)
@@ -88,18 +83,12 @@ CASES: Final = (
 class Course:
     """One axis over time."""
 
-    time: NDArray[np.float64]
-    """[s]"""
-    estimate: NDArray[np.float64]
-    """Of the temperature of the winding [deg C]."""
-    truth: NDArray[np.float64]
-    """That temperature [deg C]."""
-    current: NDArray[np.float64]
-    """Set-point i_q [A]."""
-    bears: NDArray[np.float64]
-    """Current that the firmware lets the winding bear [A]."""
-    faults: int
-    """Bits that have been there."""
+    time: NDArray[np.float64]  # [s]
+    estimate: NDArray[np.float64]  # of the temperature of the winding [deg C]
+    truth: NDArray[np.float64]  # that temperature [deg C]
+    current: NDArray[np.float64]  # set-point i_q [A]
+    bears: NDArray[np.float64]  # current limit of the winding in the firmware [A]
+    faults: int  # all bits that were set
 
     @property
     def derated_from(self) -> float | None:

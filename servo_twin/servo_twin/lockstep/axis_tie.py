@@ -185,7 +185,7 @@ class AxisTie:
         """Bring a newly aligned axis to the commands that the real one has had."""
         mode = self.memory.get("cmd.mode", 0)
         # A mode that is written anew would end the hold that the real axis came under control with.
-        variables = ["cmd.mode"] if replica.read_raw("cmd.mode")[self._number] != mode else []
+        variables = ["cmd.mode"] if replica.read_words("cmd.mode")[self._number] != mode else []
         if self._withheld:
             variables.append(_SET_POINTS[mode])
             self._withheld = False

@@ -67,8 +67,8 @@ class _Burst:
 
     label: str
     columns: Sequence[str]
-    table: NDArray[np.float64]
-    ticks: NDArray[np.int64]
+    table: NDArray[np.float64]  # (points, columns), SI
+    ticks: NDArray[np.int64]  # (points,), of the real board
 
 
 class BurstFollower:
@@ -137,7 +137,7 @@ class BurstFollower:
         if self._trouble:
             return
         try:
-            replica.sample(setup.recorder, list(self._elements.values()), room)
+            replica.board.sample(setup.recorder, list(self._elements.values()), room)
         except BoardError as error:
             self._trouble = f"the twin's board cannot sample it: {error}"
             return
@@ -230,7 +230,7 @@ class BurstFollower:
 
     def _stop(self) -> None:
         if self._replica is not None:
-            self._replica.end_sampling()
+            self._replica.board.end_sampling()
             self._replica = None
         self._alignments.clear()
 
@@ -253,7 +253,7 @@ class BurstFollower:
         alignments = list(self._alignments)
         begins = [alignment.tick for alignment in alignments]
         where = np.array([bisect_right(begins, tick) - 1 for tick in burst.ticks.tolist()])
-        points = replica.sampled()
+        points = replica.board.sampled()
         if not len(points) or where.min() < 0:
             return self._too_late(burst, begins[0] if begins else None)
         shifts = np.array([alignment.shift for alignment in alignments])[where]

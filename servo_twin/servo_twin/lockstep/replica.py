@@ -7,43 +7,18 @@ between two slow ticks takes effect with the later one, on the real board as her
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final, Protocol
+from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-from servo_msgs_py.catalogue import AXES, Catalogue, Value, Variable, axis_name, numbers
+from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.convert import state_label
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
+from servo_twin.board import Board
 from servo_twin.board_memory import BoardError
 from servo_twin.lockstep.samples import expired_mask
-from servo_twin.plant import PlantConfig
 
 _WRAP: Final = 1 << 32
 _OUT_OF_RANGE: Final = 0x97  # FreeMASTER status of a value that the board does not take
-
-
-class ReplayBoard(Protocol):
-    """What a replica needs of a `servo_twin.board.Board`."""
-
-    catalogue: Catalogue
-
-    def record(self, until_ns: int) -> NDArray[np.void]:
-        """Run until a time [ns]; snapshots, one per slow tick, raw."""
-
-    def read(self, name: str) -> Value: ...
-    def address(self, name: str) -> int: ...
-    def write_memory(self, address: int, data: bytes) -> None: ...
-    def set_winding_estimate(self, axis: int, celsius: float) -> None:
-        """Set the firmware's estimate of the temperature of a winding [deg C]."""
-
-    def close(self) -> None: ...
-    def sample(self, recorder: int, elements: Sequence[tuple[Variable, int]], room: int) -> None: ...
-    def sampled(self) -> NDArray[np.void]:
-        """Raw samples that were kept, oldest first."""
-
-    def end_sampling(self) -> None: ...
-    def take_plant(self, plant: PlantConfig) -> None: ...
 
 
 def slow_tick(tick: int) -> int:
@@ -60,8 +35,8 @@ class Replica:
         A board that was just switched on.
     """
 
-    def __init__(self, board: ReplayBoard) -> None:
-        self._board = board
+    def __init__(self, board: Board) -> None:
+        self.board = board
         self._catalogue = board.catalogue
         self._expired = expired_mask(board.catalogue)
         self.tick = 0  # last completed slow tick [PWM periods since reset]
@@ -69,7 +44,7 @@ class Replica:
 
     def close(self) -> None:
         """Give the board's memory back."""
-        self._board.close()
+        self.board.close()
 
     def run_to(self, tick: int) -> None:
         """Run until slow tick `tick` is over; one that is over already does nothing.
@@ -83,19 +58,19 @@ class Replica:
             raise ValueError(f"tick {tick} is not a multiple of {SLOW_PERIODS}")
         if tick <= self.tick:
             return
-        log = self._board.record((tick + 1) * PERIOD_NS)  # the handler of the slow tick may last into the next period
+        log = self.board.record((tick + 1) * PERIOD_NS)  # the handler of the slow tick may last into the next period
         self.tick = tick
         self.raw = dict(zip(log.dtype.names or (), log[-1].tolist(), strict=True))
         assert self.raw["tick"] == tick % _WRAP
 
     def run_until(self, condition: Callable[[], bool], maximum: int) -> bool:
-        """Run until the condition holds, at most `most` ticks; returns whether it does.
+        """Run until the condition holds, at most `maximum` ticks; returns whether it does.
 
         Parameters
         ----------
         condition : callable
             Looked at every 16 slow ticks.
-        most : int
+        maximum : int
             Longest run [PWM periods].
         """
         end = self.tick + maximum
@@ -104,26 +79,6 @@ class Replica:
                 return False
             self.run_to(self.tick + 16 * SLOW_PERIODS)
         return True
-
-    def sample(self, recorder: int, elements: Sequence[tuple[Variable, int]], room: int) -> None:
-        """Have a recorder of the board sample from now on; see `servo_twin.board.Board.sample`."""
-        self._board.sample(recorder, elements, room)
-
-    def sampled(self) -> NDArray[np.void]:
-        """What `sample` has kept, oldest first."""
-        return self._board.sampled()
-
-    def end_sampling(self) -> None:
-        """End what `sample` has begun."""
-        self._board.end_sampling()
-
-    def set_winding_estimate(self, axis: int, celsius: float) -> None:
-        """What the firmware takes for the temperature of a winding from now on [deg C]."""
-        self._board.set_winding_estimate(axis, celsius)
-
-    def take_plant(self, plant: PlantConfig) -> None:
-        """Have another plant from now on; see `servo_twin.board.Board.take_plant`."""
-        self._board.take_plant(plant)
 
     def write(self, variable: str, raw: Sequence[int], mask: int) -> None:
         """Write the masked axes of a command variable; takes effect with the next slow tick.
@@ -139,42 +94,31 @@ class Replica:
         """
         size = self._catalogue[variable].element_size
         data = self._catalogue[variable].encode_raw(raw)
-        address = self._board.address(variable)
+        address = self.board.address(variable)
         for axis in range(AXES):
             if mask >> axis & 1:
-                self._board.write_memory(address + axis * size, data[axis * size : (axis + 1) * size])
+                self.board.write_memory(address + axis * size, data[axis * size : (axis + 1) * size])
 
     def write_first(self, variable: str, raw: Sequence[int]) -> None:
         """Write the first elements of a variable, all at once."""
         words = [*raw, *[0] * (self._catalogue[variable].count - len(raw))]
         data = self._catalogue[variable].encode_raw(words)
-        self._board.write_memory(
-            self._board.address(variable), data[: len(raw) * self._catalogue[variable].element_size]
-        )
-
-    def write_all(self, variable: str, raw: Sequence[int]) -> None:
-        """Write all elements of a variable."""
-        self._board.write_memory(self._board.address(variable), self._catalogue[variable].encode_raw(raw))
+        self.board.write_memory(self.board.address(variable), data[: len(raw) * self._catalogue[variable].element_size])
 
     def read_words(self, name: str) -> list[int]:
-        """As `read_raw`; for `servo_msgs_py.axis_config_transfer`."""
-        return self.read_raw(name)
+        """Firmware integers of any variable, one per element."""
+        return self.board.read_raw(name)
 
     def write_words(self, name: str, words: Sequence[int]) -> bool:
         """Write the first elements of a variable, all at once; False if the board finds them out of range."""
         pack = self._catalogue[name].raw_type.pack
         try:
-            self._board.write_memory(self._board.address(name), b"".join(pack(word) for word in words))
+            self.board.write_memory(self.board.address(name), b"".join(pack(word) for word in words))
         except BoardError as error:
             if error.status != _OUT_OF_RANGE:
                 raise
             return False
         return True
-
-    def read_raw(self, variable: str) -> list[int]:
-        """Firmware integers of any variable, one per element."""
-        lsb = self._catalogue[variable].lsb
-        return [round(x / lsb) for x in numbers(self._board.read(variable))]
 
     def label(self, axis: int) -> str:
         """State of an axis, such as ``STOP`` or ``RUN/SPIN``."""
@@ -186,7 +130,3 @@ class Replica:
     def expired(self, axis: int) -> bool:
         """Whether an axis has stopped because its set-point was not written again."""
         return bool(self.raw.get(f"{axis_name(axis)}.limits", 0) & self._expired)
-
-    def read(self, variable: str) -> Value:
-        """SI value of any variable."""
-        return self._board.read(variable)

@@ -31,11 +31,12 @@ from servo_msgs_py.recorder_setup import RecorderSetup
 from servo_msgs_py.timed_points import shifted_points
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
+from servo_twin.board import Board
 from servo_twin.lockstep.axis_tie import POINTS, AxisTie
 from servo_twin.lockstep.blocks import TAKE, Blocks, blocks_of, bring, checksums_of, repeat
 from servo_twin.lockstep.bursts import Alignment, BurstAnswer, BurstFollower
 from servo_twin.lockstep.ledger import CommandLedger
-from servo_twin.lockstep.replica import ReplayBoard, Replica, slow_tick
+from servo_twin.lockstep.replica import Replica, slow_tick
 from servo_twin.lockstep.samples import OWN, Activity, RestWatch, Sample, SampleReader, activity
 from servo_twin.plant import PlantConfig
 
@@ -86,7 +87,7 @@ class Twin:
 
     def __init__(
         self,
-        new_board: Callable[[], ReplayBoard],
+        new_board: Callable[[], Board],
         settings: TwinSettings | None = None,
         catalogue: Catalogue | None = None,
     ) -> None:
@@ -191,7 +192,7 @@ class Twin:
     def take_plant(self, plant: PlantConfig) -> None:
         """Have the present board be on another plant from here on, and go on following."""
         if self._replica is not None:
-            self._replica.take_plant(plant)
+            self._replica.board.take_plant(plant)
 
     def resync(self, reason: str) -> None:
         """Throw the twin's board away and begin anew as soon as the real one is at rest."""
@@ -370,7 +371,7 @@ class Twin:
     def _switch_on(self) -> Replica:
         self._replica = replica = Replica(self._new_board())
         self._note_torque(replica)
-        self._in_force = self._parameters or {v.name: replica.read_raw(v.name) for v in parameters(self._catalogue)}
+        self._in_force = self._parameters or {v.name: replica.read_words(v.name) for v in parameters(self._catalogue)}
         self._shift = 0
         self.synchronisations += 1
         self.status = self._cause = ""
@@ -378,7 +379,7 @@ class Twin:
         return replica
 
     def _note_torque(self, replica: Replica) -> None:
-        constants = (replica.read(f"{axis_name(axis)}.torque_constant") for axis in range(AXES))
+        constants = (replica.board.read(f"{axis_name(axis)}.torque_constant") for axis in range(AXES))
         self.torque_constants = [float(value) for value in constants if isinstance(value, (int, float))]
 
     def _wait(self, reason: str) -> None:
@@ -390,7 +391,7 @@ class Twin:
             if name in _POSITIONS:
                 low, high = self._catalogue[name].raw_range
                 raw = [min(max(x - axis.offset, low), high) for x, axis in zip(raw, self._axes, strict=True)]
-            replica.write_all(name, raw)
+            replica.board.write_raw(name, raw)
 
     def _drop(self, reason: str) -> None:
         if self._replica is not None:
@@ -422,7 +423,7 @@ class Twin:
 
     def _check_blocks(self, replica: Replica) -> None:
         """Begin anew where the twin's board has not taken the blocks: it may move while the real one rests."""
-        if replica.read_raw("config.refusal") != [0]:
+        if replica.read_words("config.refusal") != [0]:
             self._cause = "the twin's board did not take another configuration while it moved"
             self.resync(self._cause)
 
@@ -446,7 +447,7 @@ class Twin:
 
     def _warm(self, replica: Replica, number: int) -> None:
         if self._windings:
-            replica.set_winding_estimate(number, self._windings[number])
+            replica.board.set_winding_estimate(number, self._windings[number])
 
     def _take_over_rest(self, replica: Replica, sample: Sample) -> None:
         """After a stop, let the twin's axes be where the real ones came to rest."""

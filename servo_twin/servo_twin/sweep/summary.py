@@ -22,9 +22,9 @@ class FigureSummary:
     count: int = 0  # trials that have it
     absent: int = 0  # trials in which it did not happen
     outside: int = 0  # trials in which it is outside its bound
-    mean: float = 0.0
-    minimum: float = math.inf
-    maximum: float = -math.inf
+    mean: float = 0.0  # in `unit`
+    minimum: float = math.inf  # in `unit`
+    maximum: float = -math.inf  # in `unit`
     worst: list[tuple[float, int]] = field(default_factory=list)  # negated slack and number of the worst trials
 
     def add(self, number: int, figure: Figure) -> None:

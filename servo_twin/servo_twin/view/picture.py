@@ -45,7 +45,7 @@ class _Row:
 
     quantity: str
     label: str
-    factor: float
+    factor: float  # of the plotted unit per SI unit
 
 
 _ROWS: Final = (
