@@ -112,7 +112,7 @@ def test_without_a_board_everything_stays_up_until_a_child_dies_which_is_named(
     started.append(up)
     up.wait_for("Ctrl-C ramps down")
     assert "no board on /dev/ttyNoSuchPort yet" in up.text()
-    assert "there is no port /dev/ttyNoSuchPort" in up.text()
+    assert "the port /dev/ttyNoSuchPort does not exist" in up.text()
     os.kill(up.child("bin/servo_twin\0"), signal.SIGKILL)
     assert up.process.wait(30.0) == 1
     assert "servo_twin has ended with status -9" in up.text()

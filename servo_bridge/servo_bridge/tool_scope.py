@@ -16,9 +16,9 @@ from servo_msgs_py.recording_names import burst_parts, telemetry_parts
 
 from servo_bridge.bursts import request as burst_request
 from servo_bridge.bursts.burst import Burst, Channel, channels_of
-from servo_bridge.bursts.placing import BoardTime, HostTime, Placing
 from servo_bridge.bursts.recording import Phase, Recording
 from servo_bridge.bursts.request import TICK, BurstRequest
+from servo_bridge.bursts.timeline import BoardTime, HostTime, Timeline
 from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.sampler import Sampler
 from servo_bridge.scope_view import Curve, ScopeView, ViewLostError
@@ -98,7 +98,7 @@ class _Telemetry:
             raise UsageError(
                 f"the board cannot read {len(names)} variables simultaneously; select fewer with --telemetry"
             )
-        self.placing: Placing = BoardTime() if ticks else HostTime()  # timeline of rows and bursts
+        self.timeline: Timeline = BoardTime() if ticks else HostTime()  # timeline of rows and bursts
         self.rows = 0  # read so far
         self._times: list[float] = []
         self._values: list[list[float]] = []
@@ -109,7 +109,7 @@ class _Telemetry:
         reading = self._sampler.read()
         values = list(reading.values)
         tick = int(numbers(values.pop(0))[0]) if self._ticks else None
-        moment = self.placing.row(reading.time_ns, tick)
+        moment = self.timeline.row(reading.time_ns, tick)
         if moment is None:
             return  # same sample as before
         cells: list[float] = []
@@ -201,7 +201,7 @@ class _Run:
     def _show(self, view: ScopeView, burst: Burst) -> None:
         assert self._stopped_ns is not None
         self.bursts += 1
-        times = self._telemetry.placing.burst(burst, self._stopped_ns)
+        times = self._telemetry.timeline.burst(burst, self._stopped_ns)
         at = times[0] - burst.times[0]
         text = f"burst {self.bursts} at {at:.6f} s: {self._recording.text}"
         columns = [

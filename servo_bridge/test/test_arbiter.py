@@ -225,7 +225,7 @@ def test_limits_of_a_reversed_joint_are_told_in_its_own_units() -> None:
 
 def test_nothing_moves_before_the_board_is_seen() -> None:
     subject = Arbiter(CATALOGUE, DEFAULT_JOINTS)
-    assert "not connected (the board has not been seen yet)" in refused(subject, request({0: 1.0}))
+    assert "not connected (no board since the start)" in refused(subject, request({0: 1.0}))
 
 
 def test_nothing_moves_before_enable_even_if_the_board_spins() -> None:

@@ -132,7 +132,7 @@ def test_without_a_board(rig: Rig, command: Command) -> None:
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["position", "axis1=1", "axis1=2"], "axis1 is named twice"),
+        (["position", "axis1=1", "axis1=2"], "axis1 is given twice"),
         (["position", "axis1=nan"], "nan is not a finite number"),
         (["position", "axis1"], "write JOINT=VALUE"),
         (["set", "param.features[0]=FOO"], "'FOO' is not a number or one of the names none, ANTI_WINDUP"),

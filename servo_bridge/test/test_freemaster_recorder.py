@@ -177,9 +177,9 @@ def test_what_cannot_be_recorded() -> None:
 
 
 def test_a_memory_that_cannot_be() -> None:
-    with pytest.raises(RecorderError, match="cannot be"):
+    with pytest.raises(RecorderError, match="not plausible"):
         memory_checked(SampleMemory(0, 4, 10, 10))
-    with pytest.raises(RecorderError, match="cannot be"):
+    with pytest.raises(RecorderError, match="not plausible"):
         memory_checked(SampleMemory(0, 1 << 20, 1 << 20, 0))
 
 

@@ -82,7 +82,7 @@ def test_enable_does_not_wait_for_ever() -> None:
     rig.sample(SPINNING, STOPPED)
     success, text = answer.result(0)
     assert success
-    assert "not ready yet: axis1 is in RUN/SPIN, axis2 is in STOP; set-points are let through when armed is" in text
+    assert "enabling in progress: axis1 is in RUN/SPIN, axis2 is in STOP; set-points are accepted when armed is" in text
 
 
 def test_enable_says_what_the_inputs_hold_back() -> None:
@@ -162,7 +162,7 @@ def test_clear_faults_looks_again_after_the_effect() -> None:
     rig.sample(faults=(0, 2))
     success, text = answer.result(0)
     assert not success
-    assert text.startswith("still there: axis2: UNDER_VOLTAGE")
+    assert text.startswith("not cleared, the cause persists: axis2: UNDER_VOLTAGE")
     assert not rig.arbiter.armed
 
 

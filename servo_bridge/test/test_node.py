@@ -461,9 +461,9 @@ def test_a_board_reset_starts_time_and_positions_anew(rig: Rig) -> None:
 @pytest.mark.parametrize(
     ("parameters", "sentence"),
     [
-        ({"joints": ["one"]}, "give 2 different names"),
-        ({"joints": ["a", "a"]}, "give 2 different names"),
-        ({"joints": ["a b", "c"]}, "give 2 different names"),
+        ({"joints": ["one"]}, "write 2 different names"),
+        ({"joints": ["a", "a"]}, "write 2 different names"),
+        ({"joints": ["a b", "c"]}, "write 2 different names"),
         ({"variables": ["axis1.posision"]}, "parameter variables: no variable 'axis1.posision'; did you mean"),
         ({"telemetry": ["snapshot"]}, "parameter telemetry: snapshot is a block"),
         ({"position_min": [2.0, 0.0], "position_max": [1.0, 1.0]}, "position_min 2 is above position_max 1"),

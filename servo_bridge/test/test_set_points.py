@@ -91,10 +91,10 @@ def test_a_velocity_that_is_held_counts_as_soon_as_the_axes_obey() -> None:
     [
         ({"names": ["elbow"], "position": [1.0]}, "joint 'elbow' does not exist; the joints are axis1, axis2"),
         ({"names": [], "position": [1.0, 2.0]}, "name is empty; write the names of the joints"),
-        ({"names": ["axis1", "axis1"], "position": [1.0, 2.0]}, "named twice"),
+        ({"names": ["axis1", "axis1"], "position": [1.0, 2.0]}, "occurs twice"),
         (
             {"names": ["axis1", "axis2"], "position": [1.0]},
-            "position has 1 values for 2 names; give one value per name",
+            "position has 1 values for 2 names; write one value per name",
         ),
         ({"names": ["axis1"], "velocity": [1.0, 2.0]}, "velocity has 2 values for 1 names"),
         ({"names": ["axis1"]}, "position, velocity and effort are empty; fill position, velocity or effort"),

@@ -87,7 +87,7 @@ def test_the_first_violation_of_all_joints_is_told() -> None:
     require(path, [Limits(), Limits()])
     low = first_violation(path, [Limits(), Limits(velocity_max=1.0, position_min=0.5, position_max=3.0)])
     assert low is not None
-    assert str(low).startswith("position of axis2 goes below its limit 0.5 rad at 0 s and reaches 0 rad; move the")
+    assert str(low).startswith("position of axis2 is below its limit 0.5 rad at 0 s with a peak of 0 rad; move the")
 
 
 def test_friction_at_a_turn_and_a_shaft_at_rest() -> None:

@@ -206,7 +206,7 @@ def test_a_velocity_limit() -> None:
     ("arguments", "sentence"),
     [
         (([1.0],), "1 positions for 2 joints"),
-        (([1.0, math.inf],), "positions of axis2 is inf; give a finite number, or NaN for none"),
+        (([1.0, math.inf],), "positions of axis2 is inf; send a finite number, or NaN for none"),
         (([1.0, 1.0], [1.0]), "1 velocities for 2 joints"),
         (([1.0, 1.0], None, [0.0, -math.inf]), "efforts of axis2 is -inf"),
     ],
