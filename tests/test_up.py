@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from chain import DOMAIN, user
 from sensor_msgs.msg import JointState
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_twin.processes import Child, executable
 from servo_twin.up import Stack, main, parser
 
@@ -68,7 +68,9 @@ class Up:
         program = [sys.executable, "-c", f"{before}\n{MAIN}"] if before else [str(executable("servo-up"))]
         with self.log.open("wb") as output:
             self.process = subprocess.Popen(
-                bound_to_us([*program, *IDEAL, "--no-web", "--domain-id", str(DOMAIN), "--out", str(out), *arguments]),
+                with_parent_death_signal(
+                    [*program, *IDEAL, "--no-web", "--domain-id", str(DOMAIN), "--out", str(out), *arguments]
+                ),
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,

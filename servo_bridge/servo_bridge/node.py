@@ -12,7 +12,7 @@ from typing import Any
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.runtime.node_shell import claim_name, full_name, run, setting_up
+from servo_msgs_py.runtime.node_shell import claim_name, destroyed_on_error, full_name, run
 
 from servo_bridge.board_link import LinkFactory
 from servo_bridge.entities import Entities
@@ -58,7 +58,7 @@ class ServoBridge(LifecycleNode):
         self._call_soon = call_soon
         self._link_factory = link_factory
         self._error: Exception | None = None  # of the last transition
-        with setting_up(self):
+        with destroyed_on_error(self):
             claim_name(self)
             self._catalogue = Catalogue.load()
             self._entities = Entities(self)
@@ -155,7 +155,7 @@ class ServoBridge(LifecycleNode):
     def _reject_invalid_transitions(self) -> None:
         """Answer impossible transitions of the service change_state; in rclpy they end the executor."""
         service = self._service_change_state
-        carry_out = service.callback
+        execute_request = service.callback
 
         def change_state(request: Any, response: Any) -> Any:
             requested, possible = request.transition, self._state_machine.available_transitions
@@ -170,7 +170,7 @@ class ServoBridge(LifecycleNode):
                 )
                 response.success = False
                 return response
-            response = carry_out(request, response)
+            response = execute_request(request, response)
             if isinstance(self._error, ParameterError):
                 self.get_logger().error(f"not configured: {self._error}")
             return response

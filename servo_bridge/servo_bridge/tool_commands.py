@@ -15,7 +15,7 @@ from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue, Value, numbers
 from servo_msgs_py.units import PERIOD_NS
-from servo_msgs_py.value_text import words_of
+from servo_msgs_py.value_text import name_text
 
 from servo_bridge import parameter_file
 from servo_bridge.freemaster.client import LEVELS
@@ -378,7 +378,7 @@ def _named(variable: BoardVariable, value: Value, catalogue: Catalogue) -> list[
     contract = variable.contract
     if contract is None:
         return list(numbers(value))
-    return [words_of(contract, number, catalogue) or number for number in numbers(value)]
+    return [name_text(contract, number, catalogue) or number for number in numbers(value)]
 
 
 def _change_text(context: Context, variable: BoardVariable, old: bytes, new: bytes) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from servo_msgs_py.board_storage import Kind, StorageRefusedError, carry_out, read_storage, success_text
+from servo_msgs_py.board_storage import Kind, StorageRefusedError, execute_request, read_storage, success_text
 
 from servo_bridge.tuning.block_session import BlockSession
 
@@ -35,7 +35,7 @@ def _carry_out(context: Context, kind: Kind) -> int:
         return 1
     memory = BlockSession(context.session)
     try:
-        storage = carry_out(memory, kind, memory.wait)
+        storage = execute_request(memory, kind, memory.wait)
     except StorageRefusedError as error:
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1

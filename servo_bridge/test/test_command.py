@@ -65,7 +65,7 @@ def test_what_the_bridge_refuses_is_said(rig: Rig, command: Command) -> None:
     rig.until(lambda: rig.parameters()["param.position_max"] == one)
     status, out, err = command("set", "param.position_min[0]=2")
     assert (status, out) == (1, "")
-    assert err.startswith("servo-command: set was refused: param.position_min[0] 1.99962 rad would be above")
+    assert err.startswith("servo-command: set was refused: param.position_min[0] 1.99962 rad exceeds")
 
 
 def test_state_names_faults_and_limits(rig: Rig, command: Command) -> None:
@@ -111,7 +111,7 @@ def test_a_parameter_that_the_board_refuses_is_named(rig: Rig, command: Command)
     rig.link.stubborn = ""
     assert status == 1
     assert err.startswith("servo-command: set failed: param.over_speed is ")
-    assert "and not 310, 310 rad/s" in err
+    assert "requested 310, 310 rad/s" in err
 
 
 def test_without_a_board(rig: Rig, command: Command) -> None:
@@ -136,7 +136,7 @@ def test_without_a_board(rig: Rig, command: Command) -> None:
         (["position", "axis1=nan"], "nan is not a finite number"),
         (["position", "axis1"], "write JOINT=VALUE"),
         (["set", "param.features[0]=FOO"], "'FOO' is not a number or one of the names none, ANTI_WINDUP"),
-        (["set", "cmd.enable[0]=1"], "cmd.enable is no parameter"),
+        (["set", "cmd.enable[0]=1"], "cmd.enable is not a parameter"),
         (["get", "param.i_q_limt"], "did you mean param.i_q_limit"),
     ],
 )

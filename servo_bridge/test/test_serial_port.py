@@ -184,13 +184,18 @@ USER = 4321
     ("mode", "owner", "group", "remedy"),
     [
         (0o660, 0, 20, r"mode 0660, owner root, group dialout; join its group .*usermod -aG dialout \$USER"),
-        (0o600, 0, 20, r"mode 0600, owner root, group dialout, and the mode keeps its group out: sudo chmod g\+rw "),
+        (
+            0o600,
+            0,
+            20,
+            r"mode 0600, owner root, group dialout, and the mode denies access to the group: sudo chmod g\+rw ",
+        ),
         (0o660, 0, 0, r"mode 0660, owner root, group root: sudo chgrp dialout "),
         (
             0o060,
             USER,
             20,
-            r"mode 0060, owner \S+, group dialout, and the mode keeps its owner out: chmod u",
+            r"mode 0060, owner \S+, group dialout, and the mode denies access to the owner: chmod u",
         ),
     ],
 )
@@ -208,7 +213,7 @@ def test_a_port_without_permission_is_named_with_its_remedy(
     names = {0: "root", 20: "dialout"}
     with monkeypatch.context() as made_up:
         made_up.setattr(serial, "serial_for_url", refuse)
-        made_up.setattr(serial_port, "_refuse_left_over_link", lambda _: None)
+        made_up.setattr(serial_port, "_refuse_stale_link", lambda _: None)
         made_up.setattr(os, "stat", look)
         made_up.setattr(os, "geteuid", lambda: USER)
         made_up.setattr(grp, "getgrgid", lambda number: SimpleNamespace(gr_name=names[number]))

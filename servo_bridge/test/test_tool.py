@@ -18,7 +18,7 @@ from fake_port import FakePort, NoiseDevice
 from fake_servo import CATALOGUE, FakeServo
 from fake_target import CONST, ENUM, NONE, RO, RW, STRUCT, FakeEntry, FakeTarget
 from fake_target_v3 import FakeTargetV3
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 
 from servo_bridge import tool
 
@@ -207,8 +207,8 @@ def test_set_flags_by_name(fake_port: FakePort, run: Run, fake_board: FakeServo)
         (["cmd.enable[0]", "0.6"], "cmd.enable: 0.6 is not a whole number"),
         (["cmd.mode", "0.4,1"], "cmd.mode: 0.4 is not a whole number"),
         (["--raw", "cmd.enable[0]", "0.6"], "is not an integer"),
-        (["param.position_min[1]", "1001"], "would be above param.position_max[1]"),
-        (["param.position_max", "-1001,0"], "would be above param.position_max[0]"),
+        (["param.position_min[1]", "1001"], "exceeds param.position_max[1]"),
+        (["param.position_max", "-1001,0"], "exceeds param.position_max[0]"),
         (["axis1.speed", "1"], "can only be read"),
     ],
 )
@@ -235,7 +235,7 @@ def test_a_value_that_the_board_refuses_is_named_with_its_range(
         (["--raw", "param.i_q_limit[0]", "-0.5"], "param.i_q_limit[0]: -4.125 is outside 0.1 .. 4 A"),
         (
             ["cmd.position[1]", "2e6"],
-            "cmd.position[1]: 2e+06 rad is more than 1.68663e+06 rad away from the shaft; go there in steps",
+            "cmd.position[1]: 2e+06 rad is more than 1.68663e+06 rad away from the shaft; move in steps",
         ),
     ):
         assert run("set", *arguments) == 1
@@ -316,8 +316,11 @@ def test_a_saved_limit_can_be_loaded_again(
         ("[parameters]\n'param.speed_limit' = ['fast', 1]", "'fast' is not a number"),
         ("[parameters]\n'param.features' = ['WARP', 0]", "'WARP' is not a number or one of the names none"),
         ("[parameters]\n'param.features' = [1.5, 0]", "1.5 is not a whole number"),
-        ("[parameters]\n'param.position_min' = [5.0, 1.0]\n'param.position_max' = [4.0, 1.0]", "nothing could move"),
-        ("[parameters]\n'param.position_min' = [5000.0, 1.0]", "nothing could move"),
+        (
+            "[parameters]\n'param.position_min' = [5.0, 1.0]\n'param.position_max' = [4.0, 1.0]",
+            "no motion would be possible",
+        ),
+        ("[parameters]\n'param.position_min' = [5000.0, 1.0]", "no motion would be possible"),
         ("catalogue_hash = 1\n[parameters]\n'param.features' = [1, 0]", "another version of the board"),
         ("[parameters]\n'param.speed_limit' = true", "is not a number, a name"),
         ("[parameters]\n'param.speed_limit' = [1.0]", "1 values in the file, 2 on the board"),
@@ -495,7 +498,10 @@ def test_a_password_opens_its_level(locked: FakeTarget, run: Run, capsys: pytest
     assert run("--password", "look", "get", "x") == 0
     locked.reset()
     assert run("set", "x", "7", "--password", "look") == 1
-    assert "password needed; put one that opens this level" in capsys.readouterr().err
+    assert (
+        "password needed; set the environment variable SERVO_PASSWORD to a password of this level"
+        in capsys.readouterr().err
+    )
     assert run("set", "x", "7", "--password", "move") == 0
     assert locked.peek(0x1000, 2) == b"\x07\x00"
     assert run("info", "--password", "look") == 0
@@ -616,7 +622,7 @@ def test_baud_from_the_environment(fake_port: FakePort, run: Run, monkeypatch: p
 def process(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     """The tool as a process of its own, which does not outlive the test."""
     tool_process = subprocess.Popen(
-        bound_to_us([sys.executable, "-m", "servo_bridge.tool", *arguments]),
+        with_parent_death_signal([sys.executable, "-m", "servo_bridge.tool", *arguments]),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -72,7 +72,7 @@ def test_a_board_of_others_is_shown_by_the_clock_of_the_host(
         (["axis1.iq"], 1, "did you mean axis1.i_q"),
         (["axis1.i_q", "--telemetry", "axis1.sped"], 1, "did you mean axis1.speed"),
         (["axis1.i_q", "--telemetry", "snapshot"], 2, "block of bytes"),
-        (["axis1.i_q", "--level"], 2, "give one with --trigger"),
+        (["axis1.i_q", "--level"], 2, "add --trigger"),
         (["axis1.i_q", "--rate", "5000"], 2, "5333.33 or 4000 Hz"),
         (["axis1.i_q", "--save", "x.csv"], 2, "must end with .rrd"),
         (["axis1.i_q", "--save", "/nowhere/x.rrd"], 2, "cannot be written: No such file"),

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.joints import Joint, joint_names
-from servo_msgs_py.timed_points import POINTS_TOGETHER, TimedPoint, encode_points
+from servo_msgs_py.timed_points import POINTS_PER_WRITE, TimedPoint, encode_points
 
 from servo_bridge.trajectory.blend import extended, spliced
 from servo_bridge.trajectory.errors import TrajectoryError
@@ -342,7 +342,7 @@ class Follower:
     def next_points(self) -> tuple[int, ...] | None:
         """Words of the next points, the earliest first, limited by one write and the queues of the board."""
         chosen: list[TimedPoint] = []
-        while len(chosen) < POINTS_TOGETHER:
+        while len(chosen) < POINTS_PER_WRITE:
             ready = [one for one in self._axes if one.waiting and len(one.sent) < _QUEUE]
             if not ready:
                 break

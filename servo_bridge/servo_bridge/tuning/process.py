@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.tuning.errors import ConfigError
 
 from servo_bridge.tuning.plan import Computed, computed, file_of
@@ -68,7 +68,7 @@ class TuningProcess:
                 self._process.kill()
 
     def _request(self, question: Mapping[str, object]) -> Any:
-        command = bound_to_us([sys.executable, "-m", __name__])
+        command = with_parent_death_signal([sys.executable, "-m", __name__])
         pipe = subprocess.PIPE
         with self._lock:
             if self._closed:

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Final, Protocol, TypeVar
 
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
-from servo_msgs_py.variable_table import texts_of
+from servo_msgs_py.variable_table import texts_by_address
 
 from servo_bridge.freemaster.client import BoardInfo, Client
 from servo_bridge.freemaster.discovery import TableRow, discover
@@ -190,7 +190,7 @@ class Session:
 
 def _known_texts(client: Client, catalogue: Catalogue, rows: Sequence[TableRow]) -> Mapping[int, bytes]:
     """Texts of the variable table if the board matches this catalogue; reading them would triple the time."""
-    texts = texts_of(catalogue, [row[:2] for row in rows])
+    texts = texts_by_address(catalogue, [row[:2] for row in rows])
     for name, _, address, _ in rows if texts else ():
         if texts[name] == _HASH.encode():
             with suppress(StatusError):
