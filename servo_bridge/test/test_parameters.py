@@ -83,7 +83,7 @@ def test_joints_have_gears_and_limits_in_their_units() -> None:
     ("name", "value", "said"),
     [
         ("gear_ratio", [1.0], "parameter gear_ratio is [1.0]; write 2 numbers, one per joint"),
-        ("gear_ratio", [1.0, 0.0], "parameter gear_ratio of axis2 is 0; give turns of the motor"),
+        ("gear_ratio", [1.0, 0.0], "parameter gear_ratio of axis2 is 0; give motor revolutions"),
         ("direction", [0, 1], "parameter direction of axis1 is 0; give 1, or -1"),
         ("offset", [float("nan"), 0.0], "parameter offset is [nan, 0.0]"),
         ("offset", [0.0, 1e7], "parameter offset of axis2 is 1e+07 rad"),

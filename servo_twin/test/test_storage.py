@@ -175,7 +175,7 @@ def test_the_loops_go_on_while_the_flash_is_written(kept: Kept) -> None:
     assert list(np.diff(rows["tick"])) == [8] * (len(rows) - 1)
     assert kept.board.read("late_loops") == 0
     assert [kept.board.read(f"axis{n}.state") for n in (1, 2)] == [CATALOGUE.enums["state_t"]["RUN"]] * 2
-    with pytest.raises(ValueError, match="at rest"):
+    with pytest.raises(ValueError, match="moving or enabled"):
         request_result(kept.memory, token)
 
 
