@@ -118,7 +118,7 @@ def test_ctrl_c_keeps_the_recordings_and_leaves_the_board_as_it_was(
     assert log.labelled("sweep_q")
     assert "Ctrl-C" in log.notes["problem"]
     said = capsys.readouterr().err
-    assert ("is being brought to rest" in said) == (len(presses) > 1)
+    assert ("the axis is being stopped" in said) == (len(presses) > 1)
 
 
 def test_a_line_that_was_lost_is_named_and_the_board_restored(
