@@ -170,7 +170,7 @@ def test_shaft_hardly_moves(core: Core, axis: int, inertia: float, friction: flo
         assert result.travel <= result.searches * 2 * (seen + 2), degrees
 
 
-def test_brake_is_the_pull_played_backwards(core: Core) -> None:
+def test_deceleration_mirrors_the_pull(core: Core) -> None:
     """Growing and reversed, shrinking: a shaft without friction has lost by then what it had won."""
     currents: list[float] = []
     speeds: list[float] = []
@@ -684,7 +684,7 @@ def test_a_shaft_follows_the_vector_by_three_counts(stepped: Stepped, counts: in
 
 
 @pytest.mark.parametrize(("before", "phase"), [(1, REST), (2, HELD)])
-def test_a_shaft_that_does_not_follow_three_times_is_held(stepped: Stepped, before: int, phase: int) -> None:
+def test_a_shaft_that_does_not_follow_three_times_is_blocked(stepped: Stepped, before: int, phase: int) -> None:
     s = stepped.state
     stepped.to_verification()
     s.verify_failures = before

@@ -30,8 +30,9 @@ from servo_twin.sweep.trial import MEASURES, Sweep
 from servo_twin.sweep.variant import Base
 
 _HELP: Final = f"""\
-Run an experiment on many boards, each with other values of the plant file (plant.axis1.inertia, plant.bus.u_source), of
-servo.toml (servo.axis1.speed.bandwidth), or of the board's parameters (param.i_q_limit[0]), and collect its figures.
+Run an experiment on many boards with varied values of the plant file (plant.axis1.inertia, plant.bus.u_source), of
+servo.toml (servo.axis1.control.speed_bandwidth), or of the parameters of the board (param.i_q_limit[0]), and collect
+its figures.
 
   servo-sim sweep move --vary "plant.axis1.inertia=*0.3..3 log" --vary "plant.bus.u_source=20..28" --count 1000
 
