@@ -95,8 +95,8 @@ def test_a_finding_without_suspicions_has_its_own_name(rig: Diagnosis, name: str
     mine = BITS[RULES[name].fault]
     assert verdict(rig, rig.finding(name)) == (mine, mine)
     assert rig.lib.fault_names(rig.finding(name)) == mine
-    assert rig.lib.fault_wanted(rig.finding(name), mine) == rig.finding(name)
-    assert rig.lib.fault_wanted(rig.finding(name), ALL & ~mine) == 0
+    assert rig.lib.fault_enabled(rig.finding(name), mine) == rig.finding(name)
+    assert rig.lib.fault_enabled(rig.finding(name), ALL & ~mine) == 0
 
 
 @pytest.mark.parametrize("suspicion", CAUSES)
