@@ -249,8 +249,8 @@ static void align_fast(axis_t *axis)
         stall_test_add(test, &axis->config->rotor_search, axis->current_loop.voltage.d);
     } else if (rotor_search_drives(&axis->search)) {
         drive_current(axis, rotor_search_angle(&axis->search));
-        rotor_search_watch(&axis->search, &axis->config->rotor_search, axis->current_loop.current.d,
-                           axis->current_loop.voltage.q);
+        rotor_search_add(&axis->search, &axis->config->rotor_search, axis->current_loop.current.d,
+                         axis->current_loop.voltage.q);
     }
 }
 

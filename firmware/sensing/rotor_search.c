@@ -316,8 +316,7 @@ static void turn_step(rotor_search_t *search, const rotor_search_config_t *confi
     }
 }
 
-void rotor_search_watch(rotor_search_t *search, const rotor_search_config_t *config, frac16_t current,
-                        frac16_t u_across)
+void rotor_search_add(rotor_search_t *search, const rotor_search_config_t *config, frac16_t current, frac16_t u_across)
 {
     if (search->phase == ROTOR_SEARCH_TURN) {
         rotor_follow_add(&search->follow, &config->follow, u_across);
