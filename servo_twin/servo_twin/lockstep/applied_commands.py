@@ -1,7 +1,8 @@
-"""Which commands took effect on the board, and whether all of them are known. Pure.
+"""Command writes that took effect on the board, and detection of missing ones. Pure.
 
-A sample says how many command writes have taken effect so far and when the last one did. The writes themselves come on
-another topic, so one may be late or lost. A sample may be replayed only when every write that it counts is known.
+A sample contains the number of command writes that have taken effect and the tick of the last one. The writes
+themselves are reported on another topic and may be late or lost. A sample is replayed only when all counted writes have
+been reported.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ _COUNT_WRAP: Final = 0xFFFF
 _TICK_WRAP: Final = 0xFFFF_FFFF
 
 
-class CommandLedger:
-    """Commands that wait for their sample, in the order of their ticks."""
+class AppliedCommands:
+    """Queue of commands that wait for their sample, sorted by tick."""
 
     def __init__(self) -> None:
         self._waiting: list[AppliedCommand] = []
@@ -24,52 +25,52 @@ class CommandLedger:
         self._count = 0
 
     def add(self, command: AppliedCommand) -> bool:
-        """Note a command; returns False for one that is known or that the last settled sample already contained."""
+        """Add a command; False if it is already in the queue or not after the last settled sample."""
         if command.tick <= self._tick or command in self._waiting:
             return False
         insort(self._waiting, command, key=_tick)
         return True
 
     def settle(self, tick: int, count: int) -> None:
-        """Count from a sample on: everything that took effect up to it is dealt with.
+        """Remove the commands up to a sample and start counting there.
 
         Parameters
         ----------
         tick : int
             Tick of the sample, extended past 32 bits.
         count : int
-            Its `applied_count`.
+            `applied_count` of the sample.
         """
         del self._waiting[: bisect_right(self._waiting, tick, key=_tick)]
         self._tick, self._count = tick, count
 
     def forget(self) -> None:
-        """Begin anew with a board that has just been reset."""
+        """Restart after a reset of the board."""
         self._waiting.clear()
         self._tick = self._count = 0
 
     @property
     def from_reset(self) -> bool:
-        """Whether everything since the reset of the board is still counted."""
+        """True if all commands since the reset of the board are counted."""
         return self._tick == 0 and self._count == 0
 
     def missing(self, tick: int, applied_tick: int, applied_count: int) -> int:
-        """How many writes that a sample counts are not known.
+        """Number of writes that a sample counts and that have not been reported.
 
         Parameters
         ----------
         tick : int
             Tick of the sample, extended past 32 bits.
         applied_tick, applied_count : int
-            uint32 and uint16, as the board sent them.
+            Variables of the board, uint32 and uint16.
         """
         last = tick - ((tick - applied_tick) & _TICK_WRAP)
-        # Writes that a slow tick latches together count once.
+        # Writes that take effect in the same slow tick count once.
         known = len({command.tick for command in self.until(last)})
         return max(((applied_count - self._count) & _COUNT_WRAP) - known, 0)
 
     def until(self, tick: int) -> list[AppliedCommand]:
-        """Waiting commands that took effect not later than `tick`, in order."""
+        """Waiting commands that took effect up to `tick`, in order."""
         return self._waiting[: bisect_right(self._waiting, tick, key=_tick)]
 
 

@@ -6,11 +6,11 @@ import math
 from typing import Any
 
 import pytest
-from servo_bridge.setpoints import (
+from servo_bridge.set_points import (
     JointSetPoint,
     Mode,
     Rejected,
-    Repeats,
+    RepeatedSetPoints,
     from_array,
     from_joint_command,
     from_single,
@@ -68,33 +68,33 @@ def test_arrays_that_some_joints_are_not_in() -> None:
 
 
 def test_repeats_of_what_came_before_enabling() -> None:
-    repeats = Repeats(pause=1.0)
+    repeats = RepeatedSetPoints(pause=1.0)
     zero, one = {0: JointSetPoint(0.0), 1: JointSetPoint(0.0, 0.0)}, {0: JointSetPoint(0.0), 1: JointSetPoint(1.0, 0.0)}
-    assert repeats.fresh(0.0, zero) == zero
+    assert repeats.without_repeats(0.0, zero) == zero
     repeats.refused(1.0, zero)
     for k in range(30):
-        assert repeats.fresh(1.1 + 0.1 * k, zero) == {}
-    assert repeats.fresh(4.1, one) == {1: JointSetPoint(1.0, 0.0)}
-    assert repeats.fresh(4.2, zero) == {1: JointSetPoint(0.0, 0.0)}
-    assert repeats.fresh(5.2, zero) == zero, "after a pause it is meant"
+        assert repeats.without_repeats(1.1 + 0.1 * k, zero) == {}
+    assert repeats.without_repeats(4.1, one) == {1: JointSetPoint(1.0, 0.0)}
+    assert repeats.without_repeats(4.2, zero) == {1: JointSetPoint(0.0, 0.0)}
+    assert repeats.without_repeats(5.2, zero) == zero, "after a pause it is meant"
 
 
 def test_a_velocity_that_is_held_counts_as_soon_as_the_axes_obey() -> None:
-    repeats = Repeats(pause=1.0)
+    repeats = RepeatedSetPoints(pause=1.0)
     held = {0: JointSetPoint(velocity=50.0)}
     repeats.refused(1.0, held)
-    assert repeats.fresh(1.1, held) == held
+    assert repeats.without_repeats(1.1, held) == held
 
 
 @pytest.mark.parametrize(
     ("fields", "sentence"),
     [
         ({"names": ["elbow"], "position": [1.0]}, "joint 'elbow' does not exist; the joints are axis1, axis2"),
-        ({"names": [], "position": [1.0, 2.0]}, "name is empty; name the joints"),
-        ({"names": ["axis1", "axis1"], "position": [1.0, 2.0]}, "named twice"),
+        ({"names": [], "position": [1.0, 2.0]}, "name is empty; write the names of the joints"),
+        ({"names": ["axis1", "axis1"], "position": [1.0, 2.0]}, "occurs twice"),
         (
             {"names": ["axis1", "axis2"], "position": [1.0]},
-            "position has 1 values for 2 names; give one value per name",
+            "position has 1 values for 2 names; write one value per name",
         ),
         ({"names": ["axis1"], "velocity": [1.0, 2.0]}, "velocity has 2 values for 1 names"),
         ({"names": ["axis1"]}, "position, velocity and effort are empty; fill position, velocity or effort"),

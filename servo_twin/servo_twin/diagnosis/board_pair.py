@@ -1,4 +1,4 @@
-"""A board in the part of the real one and its twin in lock step, without ROS: for trials and calibration."""
+"""Two virtual boards, one as the real board and one as its twin, without ROS: for trials and calibration."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from servo_twin.lockstep.twin import Pair, Twin
 from servo_twin.plant import PlantConfig
 
 SAMPLE_TICKS: Final = 17
-"""Slow ticks between two samples: 8.5 ms, what a line of 115200 baud carries of the default telemetry."""
+"""Slow ticks between two samples: 8.5 ms, the rate of the default telemetry at 115200 baud."""
 
 _VARIABLES: Final = (
     *("tick", "applied_tick", "applied_count", "u_dc"),
@@ -37,11 +37,11 @@ _VARIABLES: Final = (
     ),
 )
 _COLUMNS: Final = (*_VARIABLES, *topics.STAMP_COLUMNS)
-_TIME_MAX: Final = 8.0  # from reset to control [s]
+_TIME_MAX: Final = 8.0  # from reset to closed-loop control [s]
 
 
 class BoardPair:
-    """Runs the real board and feeds the twin.
+    """Runs the real board and passes its samples and commands to the twin.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class BoardPair:
     level : {"registers", "ideal"}, optional
         Of both boards.
     loss : float
-        Part of the samples that do not arrive, 0 .. 1.
+        Fraction of lost samples, 0 .. 1.
     """
 
     def __init__(
@@ -89,23 +89,23 @@ class BoardPair:
 
     @property
     def time(self) -> float:
-        """Of the real board since its reset [s]."""
+        """Time of the real board since its reset [s]."""
         return self.real.tick * PERIOD_NS * 1e-9
 
     def write(self, variable: str, values: Sequence[float], mask: int = (1 << AXES) - 1) -> None:
-        """Write the masked axes of a command variable, SI; its effect is reported with the next sample."""
+        """Write the masked axes of a command variable, SI; the next sample reports the effect."""
         raw = tuple(self._catalogue[variable].to_raw(x) if mask >> n & 1 else 0 for n, x in enumerate(values))
         self.real.write(variable, raw, mask)
         self._written.append((variable, raw, mask))
 
     def write_points(self, points: Sequence[TimedPoint]) -> None:
-        """Write timed points; their effect is reported with the next sample."""
+        """Write timed points; the next sample reports the effect."""
         words = tuple(encode_points(self._catalogue, points))
         self.real.write_first("cmd.points", words)
         self._written.append(("cmd.points", words, axes_of_points(words)))
 
     def sample(self) -> list[Pair]:
-        """Run the real board to its next sample and hand that to the twin; the pairs that follow."""
+        """Run the real board to its next sample, pass it to the twin, and return the new pairs."""
         step = SAMPLE_TICKS + self._random.choice((-1, 0, 0, 1))
         self.real.run_to(self.real.tick + SLOW_PERIODS * step)
         raw = self.real.raw
@@ -124,12 +124,12 @@ class BoardPair:
         return [self.real.label(axis) for axis in range(AXES)]
 
     def enable(self) -> None:
-        """Bring both axes of both boards under control.
+        """Enable both axes of both boards and wait for closed-loop control.
 
         Raises
         ------
         SimulationError
-            If that takes too long.
+            On a timeout.
         """
         while self.time < 0.1:
             self.sample()
@@ -138,25 +138,25 @@ class BoardPair:
             self.sample()
             if set(self.labels()) == {"RUN/SPIN"} and set(self.twin.labels()) == {"RUN/SPIN"}:
                 return
-        raise SimulationError(f"the axes do not come under control: {self.labels()}")
+        raise SimulationError(f"no closed-loop control {_TIME_MAX:g} s after the reset: axes in {self.labels()}")
 
 
 @dataclass
 class _Segment:
-    """What one axis is doing until some time [s]."""
+    """Present motion of one axis."""
 
-    until: float  # board time [s]
+    until: float  # end, board time [s]
     mode: int = 0
     speed: float = 0.0  # set-point of the mode SPEED [rad/s]
 
 
 class Motion:
-    """Ordinary motion of both axes, another one for every seed: moves of 1 to 80 rad, and speeds up to 250 rad/s.
+    """Random motion of both axes: moves of 1 to 80 rad and speeds up to 250 rad/s.
 
     Parameters
     ----------
     pair : BoardPair
-        With the axes under control.
+        With both axes in closed-loop control.
     seed : int
         Of the motion.
     """
@@ -170,12 +170,12 @@ class Motion:
         self._repeat = pair.time
 
     def run(self, seconds: float) -> Iterator[Pair]:
-        """Pairs of so much time of the board [s].
+        """Pairs of `seconds` of board time [s].
 
         Raises
         ------
         SimulationError
-            If the board has a fault: there is no motion then.
+            If the board has a fault.
         """
         end = self._pair.time + seconds
         while self._pair.time < end:
@@ -190,7 +190,7 @@ class Motion:
         for axis, segment in enumerate(self._segments):
             if now >= segment.until:
                 self._next(axis, segment, now)
-        if now >= self._repeat:  # a velocity set-point holds for half a second only
+        if now >= self._repeat:  # a velocity set-point expires after 0.5 s
             self._repeat = now + 0.2
             mask = sum(1 << axis for axis, segment in enumerate(self._segments) if segment.mode == self._speed)
             if mask:

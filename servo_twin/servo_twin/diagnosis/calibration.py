@@ -1,4 +1,4 @@
-"""Thresholds from a healthy run: noise and model error of every signal, and the tail of what they imitate. Pure."""
+"""Calibration: noise, model error and detection threshold from runs without a change. Pure."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import PERIOD_NS
 
-from servo_twin.diagnosis.hypotheses import Unknowns
-from servo_twin.diagnosis.monitor import BURSTS, MARGINS
-from servo_twin.diagnosis.signal_watch import WATCHED, SignalMeans
+from servo_twin.diagnosis.likelihood_ratio import Unknowns
+from servo_twin.diagnosis.monitor import MARGINS, TRANSIENT_BLOCKS
+from servo_twin.diagnosis.signal_monitor import MONITORED, SignalMeans
 from servo_twin.diagnosis.signals import (
     ALIASES,
     CHANGES,
@@ -32,22 +32,22 @@ from servo_twin.lockstep.twin import Pair
 from servo_twin.plant import PlantConfig
 
 FALSE_ALARM_HOURS: Final = 48.0
-"""Mean time between false alarms that is aimed at [h of motion]."""
+"""Target of the mean time between false alarms [h of motion]."""
 
-_SPAN: Final = 100  # blocks of which one maximum is taken for the tail, and one estimate for the spread
-_MEAN_SPAN: Final = 10.0  # of which one maximum of the running means is taken [s]
+_SPAN: Final = 100  # blocks per maximum of the likelihood ratio
+_MEAN_SPAN: Final = 10.0  # time per maximum of the running means [s]
 _DETECT_MIN: Final = 12.0
-_FEW: Final = 100  # samples of a bin from which its own noise is used
-_SPANS_MIN: Final = 20  # spans from which a tail is worth something
-_ENOUGH: Final = 5  # blocks from which a mean square is one
-_INFLATION: Final = 2.0  # of the largest mean square of the residual that was seen
+_SAMPLES_MIN: Final = 100  # fewest samples for the noise of a bin
+_SPANS_MIN: Final = 20  # fewest spans for the fit of the tail
+_BLOCKS_MIN: Final = 5  # fewest blocks for a mean square
+_INFLATION: Final = 2.0  # of the largest measured mean square of the residual
 
 _Array = NDArray[np.float64]
 _Span = Window[AxisEquations]
 
 
-class Learner:
-    """Takes the pairs of a healthy run.
+class Calibrator:
+    """Calculates thresholds from the pairs of a healthy run.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Learner:
         self._tick: int | None = None
 
     def add(self, pair: Pair) -> None:
-        """Take a pair."""
+        """Add a pair."""
         if pair.difference or pair.fault:
             self.interrupt()
             return
@@ -93,23 +93,23 @@ class Learner:
         np.maximum(self._mean_maxima[-1], np.abs(means), out=self._mean_maxima[-1])
 
     def interrupt(self) -> None:
-        """The next pair does not follow on the last one."""
+        """Restart the filters: the next pair does not continue the last one."""
         self._means.interrupt()
         self._mean_begin = self._tick = None
         for signals in self._signals:
             signals.interrupt()
         self._bus.interrupt()
 
-    def join(self, other: Learner) -> None:
-        """Take what another one has learned, from another run."""
-        for mine, theirs in zip(self._equations, other._equations, strict=True):
-            mine += theirs
+    def merge(self, other: Calibrator) -> None:
+        """Merge the data of another run."""
+        for own, others in zip(self._equations, other._equations, strict=True):
+            own += others
         self._voltages += other._voltages
         self._mean_maxima += other._mean_maxima
         self._seconds += other._seconds
 
     def thresholds(self, hours: float = FALSE_ALARM_HOURS) -> Thresholds:
-        """What follows from the run.
+        """Thresholds from all added pairs.
 
         Parameters
         ----------
@@ -119,31 +119,32 @@ class Learner:
         Raises
         ------
         ThresholdsError
-            If an axis has not moved enough.
+            If an axis has moved too little, or the bus was always above its supply.
         """
         axes: list[AxisNoise] = []
         maxima: list[float] = []
         for axis, entries in enumerate(self._equations):
-            if len(entries) < 2 * _FEW:
+            if len(entries) < 2 * _SAMPLES_MIN:
                 raise ThresholdsError(
-                    f"{axis_name(axis)} has hardly moved: move both axes to and fro while calibrating"
+                    f"{axis_name(axis)} moved too little: move both axes back and forth during the calibration"
                 )
             noise = _noise([equations for _, equations in entries])
             spans, spread = _spans(entries, noise)
-            of_means = np.array([one[axis] for one in self._mean_maxima])
-            limits = tuple(_tail(of_means[:, k], hours * 3600.0 / _MEAN_SPAN) for k in range(len(WATCHED)))
+            mean_maxima = np.array([one[axis] for one in self._mean_maxima])
+            limits = tuple(_tail(mean_maxima[:, k], hours * 3600.0 / _MEAN_SPAN) for k in range(len(MONITORED)))
             ratios, squares = _maxima(spans, np.array(spread))
             maxima += ratios
             unexplained = tuple((_INFLATION * squares).tolist())
             axes.append(replace(noise, spread=spread, unexplained=unexplained, means=limits))
         if len(maxima) < _SPANS_MIN:
             raise ThresholdsError(
-                f"{len(maxima) * _SPAN * BLOCK:.0f} s of motion are not enough, {_SPANS_MIN * _SPAN * BLOCK:.0f} s are"
+                f"{len(maxima) * _SPAN * BLOCK:.0f} s of motion are not enough: move for at least "
+                f"{_SPANS_MIN * _SPAN * BLOCK:.0f} s"
             )
         span_hours = _SPAN * BLOCK / 3600.0
         voltages = np.array(self._voltages)
-        if len(voltages) < _FEW:
-            raise ThresholdsError("the bus is lifted above its supply all the time: move with less braking")
+        if len(voltages) < _SAMPLES_MIN:
+            raise ThresholdsError("the bus voltage is always raised by braking: brake less during the calibration")
         return Thresholds(
             axes=tuple(axes),
             bus_noise=float(voltages.std()),
@@ -155,20 +156,20 @@ class Learner:
 
 
 def _noise(entries: Sequence[AxisEquations]) -> AxisNoise:
-    """Alias, noise and baseline of an axis."""
+    """Alias coefficients, noise and baseline of an axis."""
     y, phi, z = (np.array(part) for part in zip(*((e.y, e.phi, e.alias) for e in entries), strict=True))
     share = np.array([e.share for e in entries])
     bins = bin_of(np.array([e.current for e in entries]), np.array([e.speed for e in entries]))
     alias = np.linalg.lstsq(z.reshape(-1, len(ALIASES)), y.ravel(), rcond=None)[0]
-    left = y - z @ alias
+    without_alias = y - z @ alias
     baseline = np.zeros(len(CHANGES))
     for _ in range(3):
-        rest = left - phi @ baseline
-        torque = _root_mean_square(rest[share > 0.0, TORQUE])
-        voltages = {k: _by_bin(rest[:, k], bins) for k in (VOLTAGE_Q, VOLTAGE_D)}
+        residual = without_alias - phi @ baseline
+        torque = _root_mean_square(residual[share > 0.0, TORQUE])
+        voltages = {k: _by_bin(residual[:, k], bins) for k in (VOLTAGE_Q, VOLTAGE_D)}
         weight = np.stack([share / torque**2, *(voltages[k][bins] ** -2 for k in (VOLTAGE_Q, VOLTAGE_D))], axis=1)
         information = np.einsum("nei,ne,nej->ij", phi, weight, phi)
-        baseline = np.linalg.solve(information, np.einsum("nei,ne,ne->i", phi, weight, left))
+        baseline = np.linalg.solve(information, np.einsum("nei,ne,ne->i", phi, weight, without_alias))
     return AxisNoise(
         alias=tuple(alias.tolist()),
         torque=torque,
@@ -177,7 +178,7 @@ def _noise(entries: Sequence[AxisEquations]) -> AxisNoise:
         baseline=tuple(baseline.tolist()),
         spread=(1.0,) * len(CHANGES),
         unexplained=(1.0,) * len(EQUATIONS),
-        means=(1.0,) * len(WATCHED),
+        means=(1.0,) * len(MONITORED),
     )
 
 
@@ -185,15 +186,15 @@ def _root_mean_square(values: _Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _by_bin(rest: _Array, bins: NDArray[np.int64]) -> _Array:
-    """Root mean square in every bin; where there are few samples, that of all."""
-    whole = _root_mean_square(rest[rest != 0.0])
-    parts = [rest[(bins == k) & (rest != 0.0)] for k in range(BINS)]
-    return np.array([_root_mean_square(part) if len(part) >= _FEW else whole for part in parts])
+def _by_bin(residual: _Array, bins: NDArray[np.int64]) -> _Array:
+    """RMS per bin; with fewer than `_SAMPLES_MIN` samples, the RMS of all bins."""
+    whole = _root_mean_square(residual[residual != 0.0])
+    parts = [residual[(bins == k) & (residual != 0.0)] for k in range(BINS)]
+    return np.array([_root_mean_square(part) if len(part) >= _SAMPLES_MIN else whole for part in parts])
 
 
 def _spans(entries: Sequence[tuple[int, AxisEquations]], noise: AxisNoise) -> tuple[list[_Span], tuple[float, ...]]:
-    """Windows of `_SPAN` blocks one after the other, and the spread of their estimates."""
+    """Consecutive windows of `_SPAN` blocks, and the spread of their estimates."""
     spans: list[_Span] = []
     window = Window(len(CHANGES), noise.prior, noise.rows)
     before: int | None = None
@@ -206,7 +207,7 @@ def _spans(entries: Sequence[tuple[int, AxisEquations]], noise: AxisNoise) -> tu
             window = Window(len(CHANGES), noise.prior, noise.rows)
     if len(spans) < 2:
         return spans, (1.0,) * len(CHANGES)
-    units: list[_Array] = []  # estimates of tenths of a span over their deviations for white noise
+    units: list[_Array] = []  # estimates of tenths of a span, relative to their deviations for white noise
     for span in spans:
         sums = span.sums()
         tenths = range(0, len(sums.samples), _SPAN // 10)
@@ -219,21 +220,23 @@ def _spans(entries: Sequence[tuple[int, AxisEquations]], noise: AxisNoise) -> tu
 
 
 def _maxima(spans: Sequence[_Span], spread: _Array) -> tuple[list[float], _Array]:
-    """Per span the strongest likelihood ratio; per equation the largest mean square of every beginning in any."""
-    unknowns = Unknowns(CHANGES, np.array(MARGINS), spread, BURSTS)
+    """Largest likelihood ratio per span, and largest mean square per equation over all spans and start blocks."""
+    unknowns = Unknowns(CHANGES, np.array(MARGINS), spread, TRANSIENT_BLOCKS)
     ratios: list[float] = []
     squares = np.ones(len(EQUATIONS))
     for span in spans:
         sums = span.sums()
         ratios.append(unknowns.strongest(sums))
-        enough = slice(None, max(len(sums.samples) - _ENOUGH, 1))
-        squares = np.maximum(squares, (sums.energy[enough] / np.maximum(sums.samples[enough], 1.0)).max(axis=0))
+        long_enough = slice(None, max(len(sums.samples) - _BLOCKS_MIN, 1))
+        squares = np.maximum(
+            squares, (sums.energy[long_enough] / np.maximum(sums.samples[long_enough], 1.0)).max(axis=0)
+        )
     return ratios, squares
 
 
 def _tail(maxima: _Array, count: float) -> float:
-    """Level that the largest of `count` maxima passes once on average, by an exponential tail of their upper half."""
+    """Level that `count` maxima exceed once on average, from an exponential fit to the upper half of the maxima."""
     middle = float(np.median(maxima))
-    beyond = maxima[maxima > middle] - middle
-    slope = float(beyond.mean()) if len(beyond) else 0.0
+    excess = maxima[maxima > middle] - middle
+    slope = float(excess.mean()) if len(excess) else 0.0
     return middle + slope * math.log(0.5 * count)

@@ -1,4 +1,4 @@
-"""Whether the mean difference of each signal is that of a healthy pair: what no equation describes shows here. Pure."""
+"""Compares the mean difference of each signal with a healthy pair; also detects changes without an equation. Pure."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.lockstep.twin import Pair
 
-WATCHED: Final = {"position": "rad", "speed": "rad/s", "i_q": "A", "u_q": "V", "u_d": "V"}
-"""Variables of an axis, in the motor's units."""
+MONITORED: Final = {"position": "rad", "speed": "rad/s", "i_q": "A", "u_q": "V", "u_d": "V"}
+"""Variables of an axis and units, referred to the motor."""
 
-_NAMES: Final = tuple(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in WATCHED)
-_TIME: Final = 0.2  # over which a mean is taken [s]
-_AFTER: Final = 2.0  # of it, after which a mean is one
+_NAMES: Final = tuple(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in MONITORED)
+_TIME: Final = 0.2  # time constant of the mean [s]
+_SETTLING: Final = 2.0  # settling time of the mean [_TIME]
 
 _Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ class SignalMeans:
     """Running means of the differences of both axes."""
 
     def __init__(self) -> None:
-        self._means = np.zeros((AXES, len(WATCHED)))
+        self._means = np.zeros((AXES, len(MONITORED)))
         self.interrupt()
 
     def interrupt(self) -> None:
@@ -37,7 +37,7 @@ class SignalMeans:
         self._tick: int | None = None
 
     def update(self, pair: Pair) -> _Array | None:
-        """Means [units of `WATCHED`], shape (axes, signals); None while they are too young. Missing signals are 0."""
+        """Means, shape (axes, signals), in the units of `MONITORED`; None while settling. Missing signals are 0."""
         if pair.difference or pair.fault:
             self.interrupt()
             return None
@@ -50,12 +50,12 @@ class SignalMeans:
         real, twin = pair.real, pair.twin
         difference = np.array([real[name] - twin[name] if name in twin else 0.0 for name in _NAMES])
         difference = difference.reshape(self._means.shape)
-        difference[list(pair.stopping), 0] = 0.0  # each comes to rest elsewhere
+        difference[list(pair.stopping), 0] = 0.0  # the boards stop at different positions
         self._means += share * (difference - self._means)
-        return self._means if self._age > _AFTER * _TIME else None
+        return self._means if self._age > _SETTLING * _TIME else None
 
 
-class SignalWatch:
+class SignalMonitor:
     """Compares the means with those of a healthy pair.
 
     Parameters
@@ -67,22 +67,22 @@ class SignalWatch:
     def __init__(self, limits: Sequence[Sequence[float]]) -> None:
         self._limits = np.array(limits)
         self._means = SignalMeans()
-        self.complaint: tuple[int, str] | None = None  # axis, and its fault in words; None: there is none
+        self.deviation: tuple[int, str] | None = None  # axis, and the deviation as text; None: no deviation
 
     def interrupt(self) -> None:
         """The next pair does not follow on the last one."""
         self._means.interrupt()
-        self.complaint = None
+        self.deviation = None
 
     def update(self, pair: Pair) -> None:
-        """Take a pair."""
+        """Evaluate a pair."""
         means = self._means.update(pair)
-        self.complaint = None
+        self.deviation = None
         if means is None:
             return
         excess = np.abs(means) / self._limits
         axis, signal = (int(k) for k in np.unravel_index(int(np.argmax(excess)), excess.shape))
         if excess[axis, signal] > 1.0:
-            name, unit = list(WATCHED.items())[signal]
-            text = f"{name} differs by {means[axis, signal]:+.3g} {unit} on average, allowed are "
-            self.complaint = axis, f"{text}{self._limits[axis, signal]:.3g}"
+            name, unit = list(MONITORED.items())[signal]
+            text = f"{name} differs by {means[axis, signal]:+.3g} {unit} on average, limit "
+            self.deviation = axis, f"{text}{self._limits[axis, signal]:.3g}"
