@@ -24,7 +24,7 @@ oscillates, so that the rotor oscillates sinusoidally at the stalled position. T
 from the variance of the last 64 observed speeds, and states that this fails if the rotor oscillates sinusoidally at
 the stalled position (ST document, stall detection). Measured: time from the stall to outputs off, and the reported
 fault; the notes give the time of the variance criterion alone. Then both axes run for a long time with random
-set-points and load steps: there must be no fault."""
+set-points and load steps: a fault is permitted only if the load has stopped the shaft."""
 
 SPEEDS: Final = (0.06, 0.2, 0.8)
 """Speeds before the stall, relative to the speed limit."""
