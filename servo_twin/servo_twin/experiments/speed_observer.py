@@ -79,7 +79,7 @@ def creep(plant: PlantConfig, seed: int, axis: int, speed: float) -> Pair:
 def shaft(
     plant: PlantConfig, axis: int, nominal: NominalShaft, inertia: float = 1.0, friction: float = 1.0
 ) -> PlantConfig:
-    """Plant with so many times (ratios) the nominal inertia and friction."""
+    """Plant with inertia and friction as multiples of the nominal values."""
     return plant.with_axis(axis, inertia=inertia * nominal.inertia, friction=friction * nominal.friction)
 
 
