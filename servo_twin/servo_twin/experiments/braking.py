@@ -19,11 +19,11 @@ from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "braking"
 HELP: Final = """\
-Both axes brake at once from 3500 rpm with a supply that cannot absorb energy, with and without a brake resistor; the
-energy budget of the resistor; the current of shorted windings over speed, and the speed above which the short is
-refused. The ST training describes both kinds of braking and gives the steady-state current of the short as K_e w /
-sqrt(R_s^2 + w^2 L_s^2), to be compared with the current limit first; it shows no measurement. The energy stored in
-both shafts would raise the bus above 33 V."""
+Both axes brake simultaneously from 3500 rpm with a supply that cannot absorb energy, with and without a brake
+resistor; the energy budget of the resistor; the current of shorted windings over speed, and the speed above which
+the short is refused. The ST training describes both kinds of braking and gives the steady-state current of the short
+as K_e w / sqrt(R_s^2 + w^2 L_s^2), to be compared with the current limit first; it shows no measurement. The energy
+stored in both shafts would raise the bus above 33 V."""
 
 BRAKE_FROM: Final = 3500.0 * RPM  # largest initial speed
 RESISTOR: Final = 4.7  # nominal value of the firmware, also where the plant has none [ohm]

@@ -25,7 +25,7 @@ from servo_twin.plant import STOP_STIFFNESS_MAX, PlantConfig
 
 NAME: Final = "homing"
 HELP: Final = """\
-Beyond the reference design, whose position counts from where the rotor was first found (E41). Shown: both axes home to
+Beyond the reference design, whose position is relative to the rotor search (E41). Shown: both axes home to
 hard stops at random positions on both sides, with random stiffness and damping, twice each: spread, repeatability and
 position error against the true angle of the stop, current and force of the contact. The same with home switches,
 starting off and on the switch. A missing stop is a fault within the configured distance. With the feature HOMING an
@@ -69,7 +69,7 @@ additional force by a lag of half a tick."""
 
 @dataclass(frozen=True)
 class Settings:
-    """What the board is configured with: speed [rad/s], current [A], reach [rad], turns."""
+    """Configuration of the homing of a board."""
 
     speed: float  # [rad/s]
     current: float  # [A]
@@ -78,7 +78,7 @@ class Settings:
 
     @classmethod
     def of(cls, board: Board) -> Settings:
-        """Settings of axis 1, which are those of both axes."""
+        """Settings of axis 1; axis 2 has the same."""
         block, members = read_block(Replica(board), 0), AxisConfigTable.load().members
         return cls(*(block[f"home.{name}"] * members[f"home.{name}"].lsb for name in cls.__dataclass_fields__))
 
@@ -221,7 +221,7 @@ def contacts(plant: PlantConfig, seed: int, kind: str, trial: int) -> list[Conta
 
 @dataclass(frozen=True)
 class Switch:
-    """A homing to a switch: success, place of the reference beyond the switch's edge and spread [counts]."""
+    """Result of a homing to a switch."""
 
     done: bool
     place: float  # position of the reference beyond the edge of the switch [counts]

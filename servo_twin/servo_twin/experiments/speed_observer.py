@@ -56,7 +56,7 @@ Pair = tuple[Recording, Recording]
 
 
 def both(plant: PlantConfig, seed: int, axis: int, play: Callable[[Board], Recording]) -> Pair:
-    """Play something to a fresh board, once without and once with the observer."""
+    """Run `play` on a new board without, and on another one with the observer."""
 
     def once(observer: bool) -> Recording:
         with rig.spinning(plant, seed) as board:

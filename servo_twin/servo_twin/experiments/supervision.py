@@ -20,7 +20,7 @@ from servo_twin.plant import PlantConfig
 
 NAME: Final = "supervision"
 HELP: Final = """\
-Beyond the reference design, which has no faults of the motion: position too far from its set-point (feature
+Beyond the reference design, which does not monitor the motion: following error too large (feature
 FOLLOWING_ERROR, param.following_error) or speed too high (OVER_SPEED, param.over_speed). Shown, without and with each:
 the shaft is blocked during a move; a load of 1.25 times the peak torque stops a move and drives the shaft back; such a
 load drives the shaft of an axis in torque mode; a set-point commands more speed than the machine permits. Time from

@@ -19,10 +19,10 @@ from servo_twin.plant import PlantConfig
 
 NAME: Final = "two-axes"
 HELP: Final = """\
-One axis holds its position or turns evenly while the other reverses on the same bus; then both brake at once.
+One axis holds its position or a constant speed while the other reverses on the same bus; then both brake together.
 The reference design drives two motors from one supply and one controller (1, 4.3) and shows no measurement of their
-influence on each other; the ripple compensation (2.3) has to keep it small. Where the bus of the plant cannot take what
-comes back from both shafts at 3000 rpm, both brake from less."""
+influence on each other; the ripple compensation (2.3) has to keep it small. If the bus of the plant cannot absorb the
+energy of both shafts at 3000 rpm, both brake from a lower speed."""
 
 REVERSE: Final = 2500.0 * RPM  # largest speed of the disturbing axis
 CURRENT: Final = 0.5  # current of a reversal, relative to the current limit
@@ -98,7 +98,7 @@ def turn(plant: PlantConfig, seed: int, observed: int, reversals: Reversals | No
 
 
 def hold(plant: PlantConfig, seed: int, observed: int, reversals: Reversals) -> Recording:
-    """The observed axis holds its position while the other one reverses."""
+    """The observed axis holds its position while the other axis reverses."""
     with rig.spinning(plant, seed) as board:
         return rig.record(board, [observed], MEASURED, reversals.prepare(board, 1 - observed))[observed]
 

@@ -23,12 +23,12 @@ from servo_twin.simulation import enable
 
 NAME: Final = "winding"
 HELP: Final = """\
-Both motors turn against a brake at a speed that they cannot reach, so that the largest current flows: 4 A into
+Both motors turn against a brake at a speed that they cannot reach, so that the current is at its limit: 4 A into
 windings rated for 2 A continuously. The current limit must be constant until the winding reaches the derating
 temperature, and then fall to the rated current, with the temperature settling at its maximum, without a fault.
 Estimated and true temperature are compared; also for motors with other windings and heat capacities, and for a
 controller with nominal thermal resistance and heat capacity wrong by 30 %. The reference design does not show
-this. The heat capacities are those of a few grams, so that half a minute is enough. The bounds follow from the
+this. The heat capacities are small, so that half a minute is sufficient. The bounds follow from the
 heat balance."""
 
 SECONDS: Final = 40.0
