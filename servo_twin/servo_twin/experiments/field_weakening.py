@@ -24,7 +24,7 @@ from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "field-weakening"
 HELP: Final = """\
-The drive at its rated 4000 rpm, where the back-EMF is as large as the voltage of 24 V, with and without the feature
+The drive at its rated 4000 rpm, where the back-EMF reaches the voltage limit at 24 V, with and without the feature
 FIELD_WEAKENING: torque over speed, voltage margin, load steps, a supply that sags and returns, a fault, motors that
 differ by 10 % from their nominal data, and both axes together. The reference design ends at 3000 rpm, without field
 weakening."""
