@@ -150,7 +150,7 @@ def test_a_load_on_an_axis_in_mode_torque_does_not_fall(access: VirtualBoardAcce
     access.board.set_load(0, 0.02)
     access.wait(1.0)
     said: list[str] = []
-    measure(access, BodeRequest(0, "speed", repeats=2), say=said.append)
+    measure(access, BodeRequest(0, "speed", repeats=2), report=said.append)
     start = access.board.truth(0).theta_m
     access.wait(0.5)
     assert access.board.truth(0).theta_m == pytest.approx(start, abs=0.05)

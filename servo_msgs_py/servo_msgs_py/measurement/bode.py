@@ -65,7 +65,7 @@ def measure(
     request: BodeRequest,
     *,
     enable: bool = False,
-    say: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
     progress: Callable[[str, int, int], None] = lambda *_: None,
 ) -> Bode:
     """Measure an open loop.
@@ -78,7 +78,7 @@ def measure(
         Specification of the measurement.
     enable : bool
         Enable the axis if it is not enabled, and disable it afterwards.
-    say : callable
+    report : callable
         Called with a sentence about the motion before it begins.
     progress : callable
         Called with the current step, the number of completed recordings and their total number.
@@ -92,9 +92,9 @@ def measure(
     """
     settings, prediction, bands = complete_settings(access, request)
     refuse_settings(access, settings, bands)
-    say(motion_text(settings, bands))
+    report(motion_text(settings, bands))
     total = len(bands) * settings.repeats + _CHECKS
-    rig = BodeRig(access, settings, say)
+    rig = BodeRig(access, settings, report)
     with rig.prepared(enable):
         initial = rig.value("position")
 
