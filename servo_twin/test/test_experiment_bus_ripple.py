@@ -26,7 +26,7 @@ def test_bounds_notice_a_missing_compensation(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_steady_bus_is_no_experiment(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bus_ripple, "FOLLOWS", 1e3)
+    monkeypatch.setattr(bus_ripple, "DISCHARGE_FRACTION", 1e3)
     assert not bus_ripple.run(PlantConfig.load(), seed=9).row("axis1, ripple of the bus").agrees
 
 

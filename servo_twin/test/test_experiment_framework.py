@@ -52,7 +52,7 @@ class TestReport:
         assert text.count("  yes") == 1
         assert text.count("  NO") == 2
         assert REFERENCE in text
-        assert "never" in text
+        assert "none" in text
         assert "a note" in text
 
     def test_every_row_of_the_summary_has_the_same_keys(self) -> None:
@@ -88,8 +88,8 @@ class TestLevels:
     @pytest.mark.parametrize(
         ("bound", "reach"), [(Bound(maximum=2.0), 2.0), (Bound(1.0, 2.5), 1.5), (Bound(minimum=3.0), math.inf)]
     )
-    def test_how_far_apart_values_may_be(self, bound: Bound, reach: float) -> None:
-        assert levels.reach(bound) == reach
+    def test_permitted_difference_of_a_bound(self, bound: Bound, reach: float) -> None:
+        assert levels.permitted_difference(bound) == reach
 
     @pytest.mark.parametrize(
         ("ideal", "registers", "agrees"), [(0.5, 1.0, True), (0.5, 1.1, False), (-0.5, 1.0, False), (0.5, None, False)]
@@ -103,14 +103,14 @@ class TestLevels:
         assert pair.difference == (None if registers is None else pytest.approx(registers - ideal))
 
     @pytest.mark.parametrize(("ideal", "registers", "part"), [(0.5, 0.5, 0.0), (0.5, 0.75, 0.25), (0.5, None, None)])
-    def test_part_of_what_a_difference_may_be(self, ideal: float, registers: float | None, part: float | None) -> None:
+    def test_difference_relative_to_tolerance(self, ideal: float, registers: float | None, part: float | None) -> None:
         assert levels.pairs(outcome("a", ideal), outcome("a", registers))[0].part == part
 
-    def test_equal_figures_that_are_not(self) -> None:
+    def test_exact_figures_that_differ(self) -> None:
         exact = [Outcome("a", (Row("x", REFERENCE, value, "", Bound(1.0, 1.0)),), ()) for value in (1.0, 0.9)]
         assert levels.pairs(*exact)[0].part == math.inf
 
-    def test_a_figure_may_say_itself_how_far(self) -> None:
+    def test_figure_with_own_tolerance(self) -> None:
         rows = [
             Row("x", REFERENCE, value, "s", Bound(maximum=0.01), apart=apart)
             for value, apart in ((-0.5, 0.1), (-0.1, 0.5))

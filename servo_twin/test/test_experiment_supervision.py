@@ -35,12 +35,12 @@ def test_supervision_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyP
 def test_a_false_alarm_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """So tight a bound that the load steps go beyond it."""
     monkeypatch.setattr(supervision, "FOLLOWING", 0.05)
-    assert supervision.legal(Bench.of(PlantConfig.load(), 7), forward=False) != 0
+    assert supervision.permitted_operation(Bench.of(PlantConfig.load(), 7), forward=False) != 0
 
 
 def test_a_late_fault_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """The bound leaves no room for a fault that comes some milliseconds after it could."""
     bench = Bench.of(PlantConfig.load(), 7)
-    for axis, event in enumerate(supervision.BLOCKED.accidents(bench, True)):
+    for axis, event in enumerate(supervision.BLOCKED.responses(bench, True)):
         assert event.time is not None
         assert event.time < supervision.blocked_max(bench, axis) < event.time + 0.004
