@@ -40,7 +40,7 @@ class Rig:
             self._read,
             lambda function: function(),
             moved=self.moved.append,
-            say=self.said.append,
+            info=self.said.append,
             warn=self.said.append,
         )
         self.features = [features, features]

@@ -166,7 +166,7 @@ def test_the_final_writes_are_sent_before_the_link_closes(connected: Watcher, fa
         connected.link.write("cmd.enable", [1.0, 1.0]).result(TIMEOUT)
 
 
-def test_last_words_into_silence(fake_port: FakePort, connected: Watcher) -> None:
+def test_final_writes_without_response(fake_port: FakePort, connected: Watcher) -> None:
     fake_port.silent = True
     begin = time.monotonic()
     assert not connected.link.close([("cmd.enable", [0.0, 0.0])])
@@ -174,7 +174,9 @@ def test_last_words_into_silence(fake_port: FakePort, connected: Watcher) -> Non
     assert not [t for t in threading.enumerate() if t.name == "servo link"]
 
 
-def test_last_words_are_not_for_strangers(fake_port: FakePort, start_link: StartLink, fake_board: FakeServo) -> None:
+def test_final_writes_are_not_sent_to_another_device(
+    fake_port: FakePort, start_link: StartLink, fake_board: FakeServo
+) -> None:
     fake_board.put("catalogue_hash", 1)
     watcher = start_link()
     watcher.wait_state(LinkState.FAILED)

@@ -269,7 +269,7 @@ def test_the_delay_changes_slowly() -> None:
     assert clock.delay == pytest.approx(LEAD + 0.11)
 
 
-def test_effort_goes_along() -> None:
+def test_effort_is_copied_to_points() -> None:
     stream = Stream(["axis1"], State.at_rest([0.0]), [LIMIT], lead=LEAD)
     efforts: list[float] = []
     for k in range(100):

@@ -69,7 +69,7 @@ def test_points_lie_on_the_path_at_rounded_times(seed: int) -> None:
         assert np.isin(rounded, points.periods).all()
 
 
-def test_the_end_is_exact() -> None:
+def test_last_point_is_exact() -> None:
     path = path_through(Waypoints.of(["axis1"], [1.00002], [[6.28]]), State.at_rest([0.0]))
     points = timed_points(path)["axis1"]
     assert (points.positions[-1], points.velocities[-1]) == (6.28, 0.0)
@@ -113,7 +113,7 @@ def test_breakpoints_closer_than_the_board_can_take() -> None:
         timed_points(Path.hold(["axis1"], [0.0], 0.0, 0.0005))
 
 
-def test_effort_goes_along() -> None:
+def test_effort_is_copied_to_points() -> None:
     path = path_through(Waypoints.of(["axis1"], [0, 1], [[0], [1]], efforts=[[0.1], [0.3]]))
     np.testing.assert_allclose(timed_points(path)["axis1"].efforts, [0.1, 0.3])
     assert math.isclose(TOLERANCE, 0.2 * 2 * math.pi / 4000)

@@ -33,5 +33,5 @@ def test_bands_cover_what_was_asked_for(slow: bool, capacity: int, low: float, w
 
 def test_a_band_that_cannot_be_is_refused() -> None:
     for low, high in ((900.0, 950.0), (100.0, 50.0), (0.0, 10.0)):
-        with pytest.raises(MeasurementError, match="has to lie between 0 and 800 Hz"):
+        with pytest.raises(MeasurementError, match="must be between 0 and 800 Hz"):
             bands_of(low, high, 1000, True)

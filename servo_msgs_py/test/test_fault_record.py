@@ -36,8 +36,8 @@ def test_samples_come_oldest_first_and_scaled() -> None:
 
 
 @pytest.mark.parametrize(("tick", "periods"), [(8003, 7), (8004, 8), (8005, 1), (8008, 4)])
-def test_the_last_sample_is_of_the_fault_and_the_others_of_the_periods_of_the_watches(tick: int, periods: int) -> None:
-    """Those are the fourth, the twelfth and so on; a fault that a watch raises is the sample of its period."""
+def test_sample_times_of_the_record(tick: int, periods: int) -> None:
+    """Samples are taken in periods 4, 12 and so on; a fault raised by a monitor has the sample of that period."""
     time = column(FaultRecord.of(0, record(tick=tick), CATALOGUE), "time")
     assert time[-1] == 0.0
     assert time[-2] == pytest.approx(-periods * 62.5e-6)
