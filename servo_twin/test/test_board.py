@@ -192,7 +192,7 @@ class TestPlant:
         assert (truth.theta_m, truth.omega_m, truth.i_q, truth.u_dc) == (start, 0.0, 0.0, 24.0)
         assert board.stats().watchdog_services == 40
 
-    def test_moves_where_it_is_told(self, board: Board) -> None:
+    def test_move_reaches_its_target(self, board: Board) -> None:
         enable(board)
         offsets = [board.truth(k).theta_m - float(board.read_raw(f"axis{k + 1}.position")[0]) * math.tau / 4000
                    for k in (0, 1)]  # fmt: skip
@@ -271,7 +271,7 @@ class TestPlant:
 
 
 class TestLife:
-    def test_a_closed_board_says_so(self) -> None:
+    def test_closed_board_raises_an_error(self) -> None:
         board = Board()
         board.close()
         board.close()
@@ -296,7 +296,7 @@ class TestBuildScript:
         with pytest.raises(ValueError, match="CFFI-BEGIN"):
             _build_native.declarations("int a;")
 
-    def test_misses_the_firmware_in_words(self, tmp_path_factory: pytest.TempPathFactory) -> None:
+    def test_missing_firmware_is_reported(self, tmp_path_factory: pytest.TempPathFactory) -> None:
         with pytest.raises(FileNotFoundError, match="checkout of the whole repository"):
             _build_native.firmware_sources(tmp_path_factory.mktemp("alone") / "firmware")
 

@@ -140,7 +140,7 @@ def test_same_calls_same_bits() -> None:
     assert run() == run()
 
 
-def test_how_time_is_cut_changes_nothing() -> None:
+def test_result_does_not_depend_on_the_length_of_the_runs() -> None:
     ends = []
     for step in (3_000_000, 777_770, 62_500):
         with Board(level="registers", seed=2) as board:
@@ -179,7 +179,7 @@ class TestTrace:
             assert board.trace(5_000_000, capacity=10).size == 10
             assert board.time_ns == 5_000_000
 
-    def test_looking_changes_nothing(self) -> None:
+    def test_trace_does_not_change_the_result(self) -> None:
         with Board(level="registers", seed=4) as plain, Board(level="registers", seed=4) as traced:
             plain.advance(20_000_000)
             traced.trace(20_000_000)
@@ -245,7 +245,7 @@ class TestCore:
 
 
 class TestErrors:
-    def test_what_is_not_modelled_reaches_python(self) -> None:
+    def test_unmodelled_register_value_raises_an_error(self) -> None:
         with Board(level="registers") as board:
             board.run(0.005)
             with pytest.raises(ChipError, match=r"ADC GC1 = 0001h: .* \(at \d+\.\d\d us\)"):

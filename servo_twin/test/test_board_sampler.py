@@ -40,7 +40,7 @@ def test_every_period_is_sampled_with_what_only_the_loops_have() -> None:
         assert len(set(volts.tolist())) > 10
 
 
-def test_what_is_not_there_or_too_much_is_refused_and_the_recorder_is_free_again() -> None:
+def test_invalid_requests_are_refused_and_the_recorder_is_released() -> None:
     with Board() as board:
         with pytest.raises(BoardError, match="no sampling is active"):
             board.sampled()

@@ -175,7 +175,7 @@ def test_the_other_axis_is_stopped_as_before_when_its_set_points_end(access: Vir
     assert places[-1] == pytest.approx(places[1], abs=0.1)
 
 
-def test_what_the_limits_forbid_moves_nothing(access: VirtualBoardAccess) -> None:
+def test_request_beyond_the_limits_starts_no_motion(access: VirtualBoardAccess) -> None:
     place = access.read("axis1.position")
     for request, why in (
         (BodeRequest(0, "speed", speed=1000.0), "exceed the limit of axis1"),

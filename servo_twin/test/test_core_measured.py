@@ -15,7 +15,7 @@ COUNTS = {"off": {"m1": 400.0, "m2": 380.0}, "hold": {"m1": 700.0, "m2": 650.0}}
 US = 1e-6
 
 
-def test_one_number_comes_back_out_of_widths_that_have_it() -> None:
+def test_cycles_per_instruction_from_pulse_widths() -> None:
     widths = {state: {h: 2.3 * n * 10e-9 for h, n in handlers.items()} for state, handlers in COUNTS.items()}
     rows, cycles = compare(widths, COUNTS)
     assert cycles == pytest.approx(2.3)
@@ -39,7 +39,7 @@ def test_long_handlers_count_more_where_one_number_does_not_fit() -> None:
         ({"hold": {"m2": 63.0 * US}}, "hold: m2 = 63 us"),
     ],
 )
-def test_what_makes_no_sense_is_refused(measured: dict[str, dict[str, float]], why: str) -> None:
+def test_implausible_measurements_are_refused(measured: dict[str, dict[str, float]], why: str) -> None:
     with pytest.raises(ValueError, match=why):
         compare(measured, COUNTS)
 

@@ -25,7 +25,7 @@ def test_bounds_notice_a_missing_compensation(monkeypatch: pytest.MonkeyPatch) -
     assert wrong == {f"axis{n}, current ripple{what}" for n in (1, 2) for what in (", with over without", " with")}
 
 
-def test_a_steady_bus_is_no_experiment(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_constant_bus_voltage_does_not_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bus_ripple, "DISCHARGE_FRACTION", 1e3)
     assert not bus_ripple.run(PlantConfig.load(), seed=9).row("axis1, ripple of the bus").agrees
 

@@ -86,7 +86,7 @@ def test_trials_on_a_motor_with_a_firmware_of_its_own() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("motor", "seed", "number"), [("fast", 4, 9)])
-def test_a_shaft_that_comes_to_rest_is_not_taken_for_one_that_turns(motor: str, seed: int, number: int) -> None:
+def test_shaft_that_stops_is_not_taken_for_a_rotating_one(motor: str, seed: int, number: int) -> None:
     """Without current, drops and dead time of the switching plant echo the voltage that is to hold the current off."""
     group = OTHERS[:2] if motor in OTHERS[:2] else OTHERS[2:]
     trial = draw(PLANT, seed, number, group)
@@ -136,7 +136,7 @@ def slip(state: str, rng: random.Random) -> InjectedFaultCase:
     return make(rng, Context(PLANT, 0, STATES[state]))
 
 
-def test_what_a_slip_may_be_called() -> None:
+def test_expected_faults_of_a_slip() -> None:
     """The same slips before the rotor has been found, and afterwards."""
     rng, again = random.Random(3), random.Random(3)
     seen = BusRange(24.0, 24.0)
@@ -165,7 +165,7 @@ def test_a_slip_has_its_name(state: str) -> None:
     assert result.name == "ANGLE_MISMATCH"
 
 
-def test_no_speed_below_that_at_which_the_start_up_gives_up() -> None:
+def test_slowest_speed_is_above_the_minimum_of_the_start_up() -> None:
     """0.04 of the limit in the defaults, 0.16 for the tiny motor."""
     assert Motor.of("axis1", PLANT).slowest == pytest.approx(1.1 * 0.04)
     assert Motor.of("fast", PLANT).slowest == pytest.approx(1.1 * 0.16)
@@ -200,7 +200,7 @@ def test_a_trial_follows_from_its_number() -> None:
     assert one.plant != another.plant
 
 
-def test_a_trial_says_what_replays_it() -> None:
+def test_trial_shows_the_options_that_repeat_it() -> None:
     """Other motors to choose from make it another trial."""
     result = Result(draw(PLANT, 1, 7), NOTHING, (), None, 0.0, 0.0, ())
     assert str(result).startswith("--seed 1 --trial 7: ")

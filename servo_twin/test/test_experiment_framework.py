@@ -47,7 +47,7 @@ class TestBounds:
 
 
 class TestReport:
-    def test_table_names_what_does_not_agree(self) -> None:
+    def test_table_marks_figures_that_do_not_agree(self) -> None:
         text = table(outcome("a", 0.5, 3.0, None))
         assert text.count("  yes") == 1
         assert text.count("  NO") == 2
@@ -150,7 +150,7 @@ class TestCommand:
         for name in set(EXPERIMENTS) - set(seen):
             monkeypatch.delitem(EXPERIMENTS, name)
 
-    def test_exit_status_tells(self, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_exit_status(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert cli.main(["experiment", "good"]) == 0
         assert cli.main(["experiment", "bad"]) == 1
         assert "does not agree: bad: figure 0" in capsys.readouterr().out
@@ -210,7 +210,7 @@ class TestCommand:
             cli.main(["timing", "--level", "ideal"])
         assert "--level" in capsys.readouterr().err
 
-    def test_help_says_what_is_shown(self, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_help_of_an_experiment_is_printed(self, capsys: pytest.CaptureFixture[str]) -> None:
         with pytest.raises(SystemExit):
             cli.main(["experiment", "bad", "--help"])
         assert "bad things" in capsys.readouterr().out

@@ -29,7 +29,7 @@ def test_switches_that_are_elsewhere_are_noticed(monkeypatch: pytest.MonkeyPatch
     assert all(one.done and not low <= one.place <= high for one in found)
 
 
-def test_without_a_switch_that_is_fitted_nothing_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_homing_fails_without_a_configured_switch(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(homing, "fit", lambda board, *pins: None)
     monkeypatch.setattr(homing, "HOMING_TIMEOUT", 3.0)
     assert not any(one.done for one in homing.to_switches(PlantConfig.load(), 6, 0))

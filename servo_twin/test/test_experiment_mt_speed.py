@@ -29,7 +29,7 @@ def test_worked_example_gives_exact_fractions() -> None:
 
 
 @pytest.mark.usefixtures("level")
-def test_the_shaft_turns_as_told(plant: PlantConfig) -> None:
+def test_driven_shaft_has_the_commanded_speed(plant: PlantConfig) -> None:
     turned = mt_speed.drive(plant, 1, lambda k: 10.0, 0.02, enhanced=True)
     # the switching plant takes viscous friction as constant within its steps of some 30 us
     assert turned.omega == pytest.approx(10.0, rel=1e-4)

@@ -20,7 +20,7 @@ def test_a_load_without_a_brake_is_noticed(monkeypatch: pytest.MonkeyPatch) -> N
         pins.measure_drops(PlantConfig.load(), 2, 1.0)
 
 
-def test_a_firmware_that_knows_nothing_of_its_pins_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_firmware_without_configured_pins_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pins, "fit", lambda board, *names: None)
     plant = PlantConfig.load()
     with pytest.raises(SimulationError, match=r"in SPIN|after the search"):

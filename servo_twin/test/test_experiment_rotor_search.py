@@ -105,7 +105,7 @@ def test_one_axis_may_fail_alone(plant: PlantConfig, search_fault: SearchFault) 
     assert second.faults == {search_fault.fault}
 
 
-def test_damages_are_told_apart_without_dead_time_compensation(plant: PlantConfig) -> None:
+def test_faults_are_distinguished_without_dead_time_compensation(plant: PlantConfig) -> None:
     """The host may switch it off; the search compares voltages and does not let it."""
     for k, search_fault in enumerate((rotor_search.LOCKED, rotor_search.UNPLUGGED)):
         with Board(rotor_search.start_at(plant, 75.0), seed=k) as board:

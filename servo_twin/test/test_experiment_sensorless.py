@@ -158,7 +158,7 @@ def test_minimum_speed_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
     assert outcome.row("axis1, load 25 %, lowest speed").measured == pytest.approx(5.0)
 
 
-def test_minimum_speed_notices_what_is_not_slow(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_minimum_speed_notices_excessive_speeds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(minimum_speed, "LOADS", (0.0,))
     monkeypatch.setattr(minimum_speed, "STEPS", (0.3, 0.1))
     assert wrong(run(minimum_speed)) == ["axis1, no load, lowest speed", "axis2, no load, lowest speed"]
@@ -173,7 +173,7 @@ def test_load_step_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
     assert wrong(run(sensorless_load_step)) == []
 
 
-def test_load_step_notices_what_was_not_borne() -> None:
+def test_load_step_beyond_the_current_limit_is_noticed() -> None:
     """More than the current can hold: the shaft goes back, and the step before is what was borne."""
     it = sensorless_load_step.largest_step(PLANT, SEED, 0, 0.1, (0.3, 1.2))
     assert it.torque == pytest.approx(0.3 * 4.0 * PLANT.axes[0].torque_constant, rel=1e-3)
@@ -183,7 +183,7 @@ def test_load_step_notices_what_was_not_borne() -> None:
 # ---- stall ----------------------------------------------------------------------------------------------------------
 
 
-def test_the_variance_alone_tells_noise_and_not_a_steady_speed() -> None:
+def test_variance_criterion_detects_noise_but_not_a_steady_speed() -> None:
     noise = np.random.default_rng(1).normal(0.0, 30.0, 3000)
     told = variance_detection_time(trace(noise), 0.0)
     assert told is not None

@@ -27,7 +27,7 @@ def test_a_softer_bus_brakes_from_less() -> None:
     assert wrong(PlantConfig.load().with_bus(capacitance=1e-3)) == set()
 
 
-def test_what_the_bus_cannot_take_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_excessive_bus_voltage_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """With a limit that the energy of both shafts reaches from the full speed."""
     monkeypatch.setattr(two_axes, "top_speed", lambda plant, axes, wanted: wanted)
     monkeypatch.setattr(two_axes, "OVER_VOLTAGE", 28.0)

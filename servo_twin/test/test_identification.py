@@ -109,7 +109,7 @@ def test_a_locked_shaft_has_no_flux(tmp_path: Path, capsys: pytest.CaptureFixtur
         ("correct --voltage", 48.0, ""),
     ],
 )
-def test_what_cannot_be_measured_is_named(reason: str, voltage: float, what: str) -> None:
+def test_reason_of_a_failed_measurement_is_reported(reason: str, voltage: float, what: str) -> None:
     def prepare(board: Board) -> None:
         if what == "reverse":
             board.reverse_encoder(0)
@@ -202,7 +202,7 @@ def _protected(board: Board) -> None:
     board.run(0.05)
 
 
-def test_what_protects_the_axis_holds_and_all_is_left_as_it_was() -> None:
+def test_limits_hold_and_settings_are_restored() -> None:
     with Board(PlantConfig.load(), seed=1, level="ideal") as board:
         _protected(board)
         before = _state(board)
@@ -271,7 +271,7 @@ def test_a_line_that_fails_for_a_while_does_not_end_the_restoration() -> None:
 
 
 @pytest.mark.parametrize("seconds", [10.0, math.inf])
-def test_a_shaft_that_does_not_come_to_rest_is_waited_for_and_told(seconds: float) -> None:
+def test_shaft_that_does_not_stop_is_awaited_and_reported(seconds: float) -> None:
     """A load that turns the shaft once the outputs are off."""
 
     class Loaded(_Watched):
@@ -375,7 +375,7 @@ def test_what_leaves_too_little_room_is_refused_before_anything_moves(limits: Li
         assert access.way < 0.01
 
 
-def test_iron_that_saturates_is_no_success(tmp_path: Path) -> None:
+def test_saturation_is_not_a_success(tmp_path: Path) -> None:
     plant = PlantConfig.load().with_axis(0, i_saturation_d=5.0, i_saturation_q=5.0)
     log, problem = measure_virtual(plant, 0, LIMITS, servo_table(), level="ideal", seed=1)
     result = identified(log, PlantConfig.load(), problem, refined=False)
@@ -429,7 +429,7 @@ def test_uncertainties_of_few_points_are_not_too_small() -> None:
     assert np.all(np.diag(found) < 2.0 * np.diag(true))
 
 
-def test_trials_that_are_ended_leave_what_they_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_trials_keep_their_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def run(_: Trials, number: int) -> Trial:
         if number == 2:
             raise KeyboardInterrupt

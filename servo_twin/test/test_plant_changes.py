@@ -68,7 +68,7 @@ def test_a_change_is_what_the_drive_sees(name: str, level: Level) -> None:
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_what_is_set_by_other_hands_stays_when_something_else_changes(level: Level) -> None:
+def test_other_settings_survive_a_change_of_the_plant(level: Level) -> None:
     with Board(level=level) as board:
         board.set_load(0, 0.011)
         board.set_supply(25.0)
@@ -127,7 +127,7 @@ def test_a_noisy_sensor_outlives_a_change_and_heals_to_the_present_value(level: 
         ("pwm_frequency", 8000.0, "pwm_frequency: cannot be changed on a running board"),
     ],
 )
-def test_what_cannot_change_says_so(name: str, value: float, text: str) -> None:
+def test_fixed_values_are_refused(name: str, value: float, text: str) -> None:
     with Board(level="ideal") as board, pytest.raises(PlantError, match=text):
         board.set_plant(name, value)
 

@@ -203,7 +203,7 @@ def test_two_masses_against_an_integration_in_fine_steps(level: Level) -> None:
         ({"backlash": -1.0}, "backlash: -1.0 is not 0 or more"),
     ],
 )
-def test_a_shaft_that_cannot_be_says_so(level: Level, changes: dict[str, float], text: str) -> None:
+def test_impossible_shaft_is_refused(level: Level, changes: dict[str, float], text: str) -> None:
     with pytest.raises(PlantError, match=text):
         free(**changes)
 

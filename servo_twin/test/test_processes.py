@@ -73,7 +73,7 @@ def test_all_are_stopped_in_order_and_the_killed_ones_are_named(children: list[C
     assert not any(child.running for child in children)
 
 
-def test_a_child_that_dies_is_named_with_its_last_words(children: list[Child], tmp_path: Path) -> None:
+def test_error_contains_the_last_output_of_the_child(children: list[Child], tmp_path: Path) -> None:
     child = start(children, tmp_path, "print('the reason'); raise SystemExit(3)")
     with pytest.raises(ChildError, match=r"(?s)child0 has ended with status 3.*the reason"):
         wait_until(lambda: False, [child], 10.0)

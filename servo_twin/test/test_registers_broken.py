@@ -398,6 +398,6 @@ def test_access_behind_a_closed_gate_is_named(board: Board) -> None:
         board.run(0.001)
 
 
-def test_what_is_not_modelled_is_named(board: Board) -> None:
+def test_unmodelled_register_value_is_reported(board: Board) -> None:
     with pytest.raises(ChipError, match="SCTRL"):
         board.poke(SCTRL, 0x0010)

@@ -94,7 +94,7 @@ def test_results_come_while_others_are_still_run() -> None:
         assert {next(results)[0] for _ in range(10)} <= set(range(20))
 
 
-def test_a_worker_that_dies_costs_nothing_but_time(tmp_path: Path) -> None:
+def test_trials_of_an_ended_worker_are_repeated(tmp_path: Path) -> None:
     results = run_in_order(Runner(2), DiesOnce(tmp_path, 7), NUMBERS, "trials")
     assert (tmp_path / "died").exists()
     assert [number for number, _ in results] == list(NUMBERS)
@@ -129,12 +129,12 @@ def test_an_exception_names_its_trial(workers: int) -> None:
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_what_a_board_says_comes_without_a_traceback(workers: int) -> None:
+def test_simulation_error_is_reported_without_a_traceback(workers: int) -> None:
     with pytest.raises(TrialError, match=r"\Atrial 11:\non purpose\Z"):
         run_in_order(Runner(workers), Raises(11, SimulationError), NUMBERS, "trials")
 
 
-def test_no_worker_outlives_a_run_that_is_left() -> None:
+def test_workers_end_with_an_abandoned_run() -> None:
     results = Runner(2).run(DiesAlways(-1), range(1000), "trials")
     next(results)
     mine = _children()

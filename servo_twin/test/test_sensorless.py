@@ -248,7 +248,7 @@ def test_no_torque_from_rest_but_of_a_turning_shaft(running: Board) -> None:
     assert running.truth(0).omega_m == pytest.approx(0.0, abs=0.5)
 
 
-def test_disabled_it_comes_down_and_lets_go(running: Board) -> None:
+def test_disabled_axis_ramps_down_and_switches_off(running: Board) -> None:
     set_axis(running, "cmd.enable", 0, 0)
     running.run(0.2)
     assert running.read_raw("axis1.state")[0] == STOP

@@ -130,7 +130,7 @@ def test_a_slip_without_the_features_that_tell_the_voltage_is_a_runaway(board: B
 @pytest.mark.parametrize(
     ("degrees", "friction"), [(90.0, 1.0), (-90.0, 1.0), (-90.0, 2.0), (82.0, 20.0), (-98.0, 20.0)]
 )
-def test_an_angle_without_torque_is_told_from_a_shaft_that_is_held(axis: int, degrees: float, friction: float) -> None:
+def test_angle_without_torque_is_distinguished_from_a_held_shaft(axis: int, degrees: float, friction: float) -> None:
     with started(rough(axis, friction)) as board:
         slip(board, axis, degrees)
         speed(board, axis, 100.0)

@@ -344,7 +344,7 @@ def test_invalid_options_are_reported(tmp_path: Path, capsys: pytest.CaptureFixt
     assert not (tmp_path / "none").exists()
 
 
-def test_an_interrupted_sweep_keeps_its_results_and_goes_on(tmp_path: Path) -> None:
+def test_interrupted_sweep_is_resumed_with_its_results(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "servo_twin.cli", "sweep", "move", "--level", "ideal", *VARY, "--count", "100000"]
     command += ["--workers", "2", "--out", str(tmp_path)]
     process = subprocess.Popen(

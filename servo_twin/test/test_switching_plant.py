@@ -36,7 +36,7 @@ def vector(axis: int, clock: int, gates: Sequence[int]) -> list[Edge]:
 
 
 class TestEnergy:
-    def test_nothing_is_lost(self, switching_c: Native) -> None:
+    def test_energy_balance(self, switching_c: Native) -> None:
         """What the source gives is in the capacitor, in the coils, in the masses, or has become heat or work."""
         plant = PlantConfig.load().with_axis(0, theta_start=0.4).with_axis(1, theta_start=2.0)
         switching = Switching(switching_c, plant)

@@ -64,7 +64,7 @@ class TestExactness:
                 for name, value in pair.twin.items():
                     assert value == pair.real[name], (pair.tick, name)
 
-    def test_every_sample_makes_a_pair_at_its_own_tick(self, rig: TwinRig) -> None:
+    def test_every_sample_gives_a_pair_at_its_tick(self, rig: TwinRig) -> None:
         pairs = rig.run(0.3)
         assert [pair.tick for pair in pairs] == [rig.every * k for k in range(1, len(pairs) + 1)]
         assert len(pairs) == 50
@@ -242,7 +242,7 @@ class TestConfiguration:
                 for name, value in pair.twin.items():
                     assert value == pair.real[name], (pair.tick, name)
 
-    def test_a_twin_that_was_not_told_of_other_gains_differs(self) -> None:
+    def test_twin_without_the_new_gains_differs(self) -> None:
         with TwinRig(real_seed=7, twin_seed=7) as rig:
             rig.up()
             rig.held = []
@@ -282,7 +282,7 @@ class TestConfiguration:
             assert rig.twin.synchronisations == began
 
     @pytest.mark.parametrize("told_after", [0.0, 0.4])
-    def test_a_board_that_comes_up_with_stored_values_is_followed(self, told_after: float) -> None:
+    def test_twin_follows_a_board_with_stored_values(self, told_after: float) -> None:
         """The bridge reads blocks and parameters at every connection, some time after the first samples."""
         with TwinRig() as rig:
             rig.run(0.1)
@@ -461,7 +461,7 @@ class TestReports:
         assert rig.twin.synchronisations == 2
         follows(rig, rig.move([0.0, 0.0]))
 
-    def test_says_what_it_misses(self) -> None:
+    def test_status_names_the_missing_report(self) -> None:
         with TwinRig(settings=TwinSettings(rest=10.0)) as rig:
             rig.up()
             rig.reporting = False
@@ -474,7 +474,7 @@ class TestReports:
             assert rig.twin.synchronisations == 1
             assert said[-1].startswith("waiting: ")
 
-    def test_a_table_without_what_it_needs_is_refused(self, rig: TwinRig) -> None:
+    def test_table_without_required_columns_is_refused(self, rig: TwinRig) -> None:
         columns = [name for name in COLUMNS if name not in ("applied_count", "axis2.i_q")]
         with pytest.raises(ValueError, match=r"no applied_count, axis2\.i_q"):
             rig.twin.samples(columns, np.zeros((1, len(columns))))
@@ -535,7 +535,7 @@ class TestTrouble:
         assert rig.twin.synchronisations == 2
         follows(rig, rig.move([1.0, -1.0]))
 
-    def test_what_waits_can_be_discarded(self, rig: TwinRig) -> None:
+    def test_waiting_samples_can_be_discarded(self, rig: TwinRig) -> None:
         rig.up()
         rig.held = []
         rig.write("cmd.position", [1.0, 1.0])
@@ -580,7 +580,7 @@ class TestFaults:
         assert causes(rig.pairs) == [""]
         assert rig.twin.fault == ""
 
-    def test_one_that_the_twin_does_not_have_is_named_until_it_is_cleared(self, rig: TwinRig) -> None:
+    def test_fault_of_the_board_alone_is_reported_until_cleared(self, rig: TwinRig) -> None:
         rig.set_parameters("param.features[0]=ANTI_WINDUP+ENHANCED_MT+BUS_COMPENSATION+DEAD_TIME+ANGLE_CHECK")
         self.turning(rig)
         rig.board.inject(SlippedEncoder(0, 667))
@@ -754,7 +754,7 @@ def test_torque_constants_outlast_the_board_that_named_them(rig: TwinRig) -> Non
     assert len(rig.twin.torque_constants) == 2
 
 
-def test_a_twin_that_finds_no_rotor_costs_little_and_is_said() -> None:
+def test_failed_rotor_search_of_the_twin_is_cheap_and_reported() -> None:
     stuck = PlantConfig.load()
     stuck = stuck.with_axis(0, friction=10.0)
     boards: list[Board] = []
@@ -773,7 +773,7 @@ def test_a_twin_that_finds_no_rotor_costs_little_and_is_said() -> None:
         assert rig.twin.simulated_ticks * PERIOD_NS * 1e-9 < 2.0
 
 
-def test_what_was_written_during_a_gap_is_not_taken_for_known(rig: TwinRig) -> None:
+def test_values_written_during_a_gap_count_as_unknown(rig: TwinRig) -> None:
     rig.up()
     rig.listening = False
     rig.write("cmd.mode", [1, 1])
@@ -786,7 +786,7 @@ def test_what_was_written_during_a_gap_is_not_taken_for_known(rig: TwinRig) -> N
     assert pairs[-1].twin["axis1.speed"] == pytest.approx(50.0, abs=2.0)
 
 
-def test_what_was_discarded_is_still_remembered(rig: TwinRig) -> None:
+def test_discarded_commands_remain_known(rig: TwinRig) -> None:
     rig.up()
     step = rig.twin.step
     rig.twin.step = lambda maximum=64: []  # type: ignore[method-assign]
@@ -800,7 +800,7 @@ def test_what_was_discarded_is_still_remembered(rig: TwinRig) -> None:
     assert pairs[-1].twin["axis1.speed"] == pytest.approx(50.0, abs=2.0)
 
 
-def test_a_report_that_comes_too_late_to_be_replayed_is_still_known(rig: TwinRig) -> None:
+def test_late_report_is_used_for_later_synchronisation(rig: TwinRig) -> None:
     rig.listening = False
     rig.up()
     rig.held = []
@@ -912,7 +912,7 @@ def test_a_twin_that_begins_in_the_middle_is_as_hot_as_the_board(rig: TwinRig) -
     assert twin == pytest.approx(real, abs=0.1)
 
 
-def test_what_the_board_forgets_in_a_reset_its_twin_forgets_too(rig: TwinRig) -> None:
+def test_reset_of_the_board_resets_the_twin(rig: TwinRig) -> None:
     rig.run(0.2)
     rig.twin.windings([30.0, 30.0])
     rig.reset_board()
