@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
-from chain import FAST, Chain
-from line_world import SimulatedLine
+from chain import FAST_BAUD, Chain
+from line_simulation import SimulatedLine
 from numpy.typing import NDArray
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.line import Line
@@ -163,7 +163,7 @@ def test_the_shaft_stays_within_its_range_however_slow_the_line_is(
 @pytest.mark.realtime
 @pytest.mark.slow
 def test_a_board_on_a_pty_is_measured(tmp_path: Path) -> None:
-    chain = Chain(tmp_path, FAST, level="ideal")
+    chain = Chain(tmp_path, FAST_BAUD, level="ideal")
     try:
         chain.board()
         found = json.loads(chain.tool("bode", "axis2", "speed", "--enable", "--repeat", "2", "--json"))

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chain import Chain, User, user
+from chain import Chain, User, ros_user
 from servo_msgs_py.convert import snapshot_table
 from servo_msgs_py.fault_record import COLUMNS, FaultRecord
 from servo_msgs_py.runtime.qos import latched_qos
@@ -142,7 +142,7 @@ def test_servo_tool_prints_the_currents_before_the_fault(chain: Chain, board: Bo
 def test_the_topic_has_the_first_fault_until_it_is_cleared(chain: Chain, bench: Bench, record: FaultRecord) -> None:
     """A second fault changes nothing of it; a later subscriber gets it; the next one after clearing is news."""
     chain.bridge()
-    with user() as first:
+    with ros_user() as first:
         messages = listen(first)
         first.until(first.connected, 30.0, "no bridge")
         first.until(lambda: messages, what="no record")
@@ -152,9 +152,9 @@ def test_the_topic_has_the_first_fault_until_it_is_cleared(chain: Chain, bench: 
         first.until(
             lambda: "CURRENT_SENSE" in first.status("servo/servo_bridge: axis1").message, what="no second fault"
         )
-        first.seconds(0.5)  # longer than the second look takes
+        first.wait_board_time(0.5)  # longer than the second look takes
         assert len(messages) == 1
-        with user() as later:
+        with ros_user() as later:
             late = listen(later)
             later.until(lambda: late, what="nothing latched")
             assert late == messages

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 import pytest
-from line_world import SimulatedLine
+from line_simulation import SimulatedLine
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.line import Line
 from servo_bridge.measurement_access import SessionAccess, measurement_access

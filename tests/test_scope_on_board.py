@@ -73,4 +73,4 @@ def test_ctrl_c_ends_it_in_order(chain: Chain, tmp_path: Path) -> None:
     assert "rows of telemetry in" in tool.text().splitlines()[-1]
     assert len(read_scalars(file, scene.burst_entity("axis1.i_a", scene.BOARD))[0]) >= 2 * 51
     assert len(read_scalars(file, scene.series_entity(0, "i_q", scene.SET_POINT))[0]) > 10
-    assert chain.look("axis1.i_a"), "the board can be spoken to"
+    assert chain.read_variables("axis1.i_a"), "the board can be spoken to"

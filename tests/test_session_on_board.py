@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Final
 
 import pytest
-from line_world import World
+from line_simulation import LineSimulation
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.line import Line
 from servo_bridge.freemaster.tsa import TargetVariable
@@ -45,15 +45,15 @@ class CountingClient(Client):
 
 
 @pytest.fixture
-def world() -> Iterator[World]:
-    world = World("ideal", 1_000_000)
-    yield world
-    world.close()
+def sim() -> Iterator[LineSimulation]:
+    sim = LineSimulation("ideal", 1_000_000)
+    yield sim
+    sim.close()
 
 
 @pytest.fixture
-def client(world: World) -> CountingClient:
-    return CountingClient(Line(world.line, baud=1_000_000, clock=world.line.clock))
+def client(sim: LineSimulation) -> CountingClient:
+    return CountingClient(Line(sim.line, baud=1_000_000, clock=sim.line.clock))
 
 
 def targets(session: Session) -> dict[str, TargetVariable]:
@@ -71,8 +71,8 @@ def test_a_board_of_the_same_catalogue_need_not_name_its_variables(client: Count
     assert {**named, last: targets(session)[last]}.items() >= targets(session).items()
 
 
-def test_a_board_of_another_catalogue_names_its_variables(client: CountingClient, world: World) -> None:
-    client.inverted = world.board.address("catalogue_hash")
+def test_a_board_of_another_catalogue_names_its_variables(client: CountingClient, sim: LineSimulation) -> None:
+    client.inverted = sim.board.address("catalogue_hash")
     session = connect(client, CATALOGUE)
     assert client.texts > len(CATALOGUE.variables)
     assert session.mismatch is not None

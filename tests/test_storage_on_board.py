@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 import pytest
-from chain import FAST, Chain, User, user, wait_for
+from chain import FAST_BAUD, Chain, User, ros_user, wait_for
 from diagnostic_msgs.msg import DiagnosticStatus
-from line_world import SimulatedLine
+from line_simulation import SimulatedLine
 from sensor_msgs.msg import JointState
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.commands import write_memory
@@ -157,7 +157,7 @@ def test_the_command_line_has_to_make_sense(desk: Desk, tmp_path: Path) -> None:
 
 @pytest.mark.realtime
 def test_a_board_that_is_killed_comes_up_with_what_it_has_stored(tmp_path: Path) -> None:
-    chain, flash = Chain(tmp_path, FAST, level="ideal"), tmp_path / "flash.bin"
+    chain, flash = Chain(tmp_path, FAST_BAUD, level="ideal"), tmp_path / "flash.bin"
     try:
         board = chain.board(flash=flash)
         assert flash.stat().st_size == 32896
@@ -166,14 +166,14 @@ def test_a_board_that_is_killed_comes_up_with_what_it_has_stored(tmp_path: Path)
         chain.tool("set", "param.i_q_limit", "2.0,2.0")
         board.kill()
         board = chain.board(flash=flash)
-        assert chain.look("param.i_q_limit", "storage.source") == {
+        assert chain.read_variables("param.i_q_limit", "storage.source") == {
             "param.i_q_limit": pytest.approx([1.25, 0.75], abs=1e-3),
             "storage.source": 1,
         }
         assert "both copies are erased" in chain.tool("factory")
         assert board.stop(signal.SIGINT) == 0
         chain.board(flash=flash)
-        assert chain.look("param.i_q_limit")["param.i_q_limit"] == pytest.approx([4.0, 4.0], abs=0.01)
+        assert chain.read_variables("param.i_q_limit")["param.i_q_limit"] == pytest.approx([4.0, 4.0], abs=0.01)
     finally:
         chain.end()
 
@@ -184,68 +184,68 @@ def test_a_board_that_is_killed_comes_up_with_what_it_has_stored(tmp_path: Path)
 class Keeper:
     """A user who stores."""
 
-    def __init__(self, me: User) -> None:
-        self.me = me
+    def __init__(self, user: User) -> None:
+        self.user = user
         self._clients = {
-            name: me.node.create_client(Trigger, f"/servo/{name}")
+            name: user.node.create_client(Trigger, f"/servo/{name}")
             for name in (topics.SAVE_TO_BOARD, topics.RESTORE_FACTORY)
         }
 
     def call(self, name: str) -> tuple[bool, str]:
         client = self._clients[name]
-        self.me.until(client.service_is_ready, 20.0)
-        return self.me.call(client, Trigger.Request())
+        self.user.until(client.service_is_ready, 20.0)
+        return self.user.call(client, Trigger.Request())
 
     def storage(self) -> DiagnosticStatus:
-        return self.me.status("servo/servo_bridge: storage")
+        return self.user.status("servo/servo_bridge: storage")
 
     def until_storage(self, text: str) -> DiagnosticStatus:
-        self.me.until(lambda: text in self.storage().message, 20.0, text)
+        self.user.until(lambda: text in self.storage().message, 20.0, text)
         return self.storage()
 
 
 @pytest.mark.slow
 @pytest.mark.realtime
 def test_services_diagnostics_and_the_twin_of_a_board_with_stored_values(tmp_path: Path) -> None:
-    chain, flash = Chain(tmp_path, FAST, level="ideal"), tmp_path / "flash.bin"
-    with user() as me:
-        keeper = Keeper(me)
-        me.listen("/servo/tuning", String, latched_qos())
+    chain, flash = Chain(tmp_path, FAST_BAUD, level="ideal"), tmp_path / "flash.bin"
+    with ros_user() as user:
+        keeper = Keeper(user)
+        user.listen("/servo/tuning", String, latched_qos())
         try:
             board = chain.board(flash=flash)
             gains = edited(tmp_path, "gains.toml", control={"position_gain": 50.0, "speed_bandwidth": 60.0})
             chain.tool("tune", str(gains))
             chain.tool("set", "param.speed_limit", "60,80")
             chain.bridge(telemetry_rate=130.0)
-            me.until(me.connected, 30.0, "the bridge is not connected")
+            user.until(user.connected, 30.0, "the bridge is not connected")
             keeper.until_storage("built-in values since the reset; nothing stored")
 
             success, message = keeper.call(topics.SAVE_TO_BOARD)
             assert success, message
             assert message.startswith("stored as set 1")
             board.kill()
-            me.until(lambda: not me.connected(), 20.0, "the board is still there")
+            user.until(lambda: not user.connected(), 20.0, "the board is still there")
             chain.board(flash=flash)
             chain.twin()
-            me.until(me.connected, 30.0, "the bridge is not connected again")
+            user.until(user.connected, 30.0, "the bridge is not connected again")
             assert keeper.until_storage("values of copy A since the reset; newest set 1").level == DiagnosticStatus.OK
-            me.until(lambda: "position_gain = 50" in me.last("/servo/tuning"), 30.0, "the gains are not known")
-            me.until(lambda: me.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
+            user.until(lambda: "position_gain = 50" in user.last("/servo/tuning"), 30.0, "the gains are not known")
+            user.until(lambda: user.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
 
-            me.spinning()
+            user.enable_axes()
             assert keeper.call(topics.SAVE_TO_BOARD) == (False, _AT_REST)
-            me.until(lambda: me.last("/twin/healthy") is True, 30.0, "the twin is not healthy while both hold")
-            start = len(me.messages["/twin/residual"])
-            me.joint_commands.publish(JointState(name=["axis1", "axis2"], position=[30.0, -30.0]))
-            me.until(lambda: abs(me.position_of(0) - 30.0) < 0.01, 20.0, "not there")
-            residuals = [message.position for message in me.messages["/twin/residual"][start:]]
+            user.until(lambda: user.last("/twin/healthy") is True, 30.0, "the twin is not healthy while both hold")
+            start = len(user.messages["/twin/residual"])
+            user.joint_commands.publish(JointState(name=["axis1", "axis2"], position=[30.0, -30.0]))
+            user.until(lambda: abs(user.position_of(0) - 30.0) < 0.01, 20.0, "not there")
+            residuals = [message.position for message in user.messages["/twin/residual"][start:]]
             assert len(residuals) > 20
             assert float(np.abs(residuals).max()) < 0.05, "another gain would be apart by more than half a radian"
-            rows = [row["axis1.speed"] for row in me.rows() if "axis1.speed" in row]
+            rows = [row["axis1.speed"] for row in user.rows() if "axis1.speed" in row]
             assert 55.0 < max(rows) < 65.0
 
-            me.enable(False)
-            me.until(lambda: me.last("/servo/state") == "axis1=STOP axis2=STOP", 20.0)
+            user.enable(False)
+            user.until(lambda: user.last("/servo/state") == "axis1=STOP axis2=STOP", 20.0)
             success, message = keeper.call(topics.SAVE_TO_BOARD)
             assert (success, message.startswith("stored as set 2")) == (True, True), message
         finally:
@@ -253,7 +253,7 @@ def test_services_diagnostics_and_the_twin_of_a_board_with_stored_values(tmp_pat
         image = bytearray(flash.read_bytes())
         image[COPY_B + 200] ^= 0x01
         flash.write_bytes(image)
-        chain = Chain(tmp_path, FAST, level="ideal")
+        chain = Chain(tmp_path, FAST_BAUD, level="ideal")
         try:
             chain.board(flash=flash)
             chain.bridge(telemetry_rate=130.0)

@@ -109,30 +109,30 @@ def catalogue() -> Catalogue:
 
 
 @pytest.fixture(scope="module")
-def lives(recordings: list[Recording], catalogue: Catalogue) -> dict[int, History]:
+def axis_histories(recordings: list[Recording], catalogue: Catalogue) -> dict[int, History]:
     return histories(recordings, catalogue)
 
 
 @pytest.mark.parametrize("axis", [1, 2])
-def test_runs_pass_every_state(lives: dict[int, History], catalogue: Catalogue, axis: int) -> None:
-    assert lives[axis].states == set(catalogue.enums["state_t"])
-    assert lives[axis].substates == set(catalogue.enums["substate_t"])
+def test_runs_pass_every_state(axis_histories: dict[int, History], catalogue: Catalogue, axis: int) -> None:
+    assert axis_histories[axis].states == set(catalogue.enums["state_t"])
+    assert axis_histories[axis].substates == set(catalogue.enums["substate_t"])
 
 
-def test_runs_pass_every_transition(lives: dict[int, History]) -> None:
+def test_runs_pass_every_transition(axis_histories: dict[int, History]) -> None:
     """And no other."""
-    assert lives[1].transitions | lives[2].transitions == MAIN_TRANSITIONS
-    assert lives[1].run_transitions | lives[2].run_transitions == RUN_TRANSITIONS
+    assert axis_histories[1].transitions | axis_histories[2].transitions == MAIN_TRANSITIONS
+    assert axis_histories[1].run_transitions | axis_histories[2].run_transitions == RUN_TRANSITIONS
 
 
-def test_runs_end_every_state_by_a_fault(lives: dict[int, History]) -> None:
+def test_runs_end_every_state_by_a_fault(axis_histories: dict[int, History]) -> None:
     everywhere = {"INIT", "STOP", "CALIB", "ALIGN", "SPIN", "FREEWHEEL", "STARTUP"}
-    assert lives[1].faulted_from | lives[2].faulted_from >= everywhere
+    assert axis_histories[1].faulted_from | axis_histories[2].faulted_from >= everywhere
 
 
-def test_runs_raise_every_fault_and_reach_every_limit(lives: dict[int, History], catalogue: Catalogue) -> None:
-    assert lives[1].faults | lives[2].faults == {flag.name for flag in catalogue.flags["faults"]}
-    assert lives[1].limits | lives[2].limits == {flag.name for flag in catalogue.flags["limits"]}
+def test_runs_raise_every_fault_and_reach_every_limit(axis_histories: dict[int, History], catalogue: Catalogue) -> None:
+    assert axis_histories[1].faults | axis_histories[2].faults == {flag.name for flag in catalogue.flags["faults"]}
+    assert axis_histories[1].limits | axis_histories[2].limits == {flag.name for flag in catalogue.flags["limits"]}
 
 
 def test_runs_use_every_mode_and_switch_every_feature(recordings: list[Recording], catalogue: Catalogue) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from chain import DOMAIN, user
+from chain import DOMAIN, ros_user
 from sensor_msgs.msg import JointState
 from servo_msgs_py.runtime.end_with_parent import bound_to_us
 from servo_twin.processes import Child, executable
@@ -179,14 +179,14 @@ def test_parameters_and_plant_arrive_and_ctrl_c_ends_everything(started: list[Up
     done = subprocess.run(get, env=environment, capture_output=True, text=True, timeout=30.0, check=True)
     assert "param.features[0] = 17 (ANTI_WINDUP+FRICTION)" in done.stdout
     assert "param.host_timeout = 0.25 s" in done.stdout
-    with user() as me:
-        me.until(me.connected, 30.0)
-        me.spinning()
-        me.joint_commands.publish(JointState(name=BOTH, position=[300.0, -300.0]))
-        me.until(lambda: me.position_of(0) > 10.0)
+    with ros_user() as user:
+        user.until(user.connected, 30.0)
+        user.enable_axes()
+        user.joint_commands.publish(JointState(name=BOTH, position=[300.0, -300.0]))
+        user.until(lambda: user.position_of(0) > 10.0)
         up.process.send_signal(signal.SIGINT)
-        me.until(lambda: me.last("/servo/state").startswith("DISCONNECTED"))
-        assert me.last("/servo/armed") is False
+        user.until(lambda: user.last("/servo/state").startswith("DISCONNECTED"))
+        assert user.last("/servo/armed") is False
     assert up.process.wait(30.0) == 0
     assert left_behind(up.mark) == []
     assert "Traceback" not in up.text()

@@ -22,7 +22,7 @@ from servo_twin.board import Board
 from servo_twin.level import Level
 
 sys.path.insert(0, str(File(__file__).parents[1]))
-from path_world import COUNT, JOINTS, SAMPLE_NS, PathWorld
+from path_simulation import COUNT, JOINTS, SAMPLE_NS, PathSimulation
 
 FREQUENCY: Final = 2.0
 AMPLITUDE: Final = 1.0
@@ -31,45 +31,43 @@ STEADY: Final = (1.0, 3.0)
 """Part of the motion that is looked at for the lag: whole periods [s]."""
 
 
-def circle(world: PathWorld, start: float) -> Path:
+def circle(sim: PathSimulation, start: float) -> Path:
     """Both axes on a circle, from where they are."""
     shape = lissajous(JOINTS, [0.0] * 2, [AMPLITUDE] * 2, [FREQUENCY] * 2, SECONDS).shifted(start)
-    at = world.follower.running().state(world.now).position
+    at = sim.follower.running().state(sim.now).position
     coefficients = shape.coefficients.copy()
     coefficients[..., 0] += at
     return Path(shape.joints, shape.times, coefficients, shape.end + at)
 
 
-def as_trajectory(world: PathWorld) -> Path:
+def as_trajectory(sim: PathSimulation) -> Path:
     """Follow it as a trajectory; returns the path."""
     paths: list[Path] = []
 
     def plan(running: Path, now: float) -> Path:
-        paths.append(circle(world, now))
+        paths.append(circle(sim, now))
         return paths[-1]
 
-    world.follow(plan)
-    world.run(SECONDS + 0.5)
-    assert not world.refusals
+    sim.follow(plan)
+    sim.run(SECONDS + 0.5)
+    assert not sim.refusals
     return paths[-1]
 
 
-def as_positions(world: PathWorld) -> Path:
+def as_positions(sim: PathSimulation) -> Path:
     """Send a position with every sample, 100 Hz; returns the path that they are of."""
-    path = circle(world, world.now + 0.05)
-    while world.now < path.end_time + 0.2:
-        position = path.state(world.now).position
-        world.arbiter.submit(
-            SetPointRequest("bench", Mode.POSITION, {axis: float(x) for axis, x in enumerate(position)})
-        )
-        world.dispatcher.pump()
-        world.run(SAMPLE_NS * 1e-9)
+    path = circle(sim, sim.now + 0.05)
+    while sim.now < path.end_time + 0.2:
+        position = path.state(sim.now).position
+        sim.arbiter.submit(SetPointRequest("bench", Mode.POSITION, {axis: float(x) for axis, x in enumerate(position)}))
+        sim.dispatcher.pump()
+        sim.run(SAMPLE_NS * 1e-9)
     return path
 
 
-def figures(world: PathWorld, path: Path) -> tuple[float, float]:
+def figures(sim: PathSimulation, path: Path) -> tuple[float, float]:
     """Largest error [rad], and lag of the fundamental [s]."""
-    time, table = world.time(), world.table()
+    time, table = sim.time(), sim.table()
     rows = (time >= path.start_time) & (time <= path.end_time)
     wanted = path.state(time[rows]).position
     real = np.stack([table[f"{joint}.position"][rows] * COUNT for joint in JOINTS], axis=-1)
@@ -94,10 +92,10 @@ def _wave(t: float) -> dict[int, JointSetPoint]:
     return dict.fromkeys(range(AXES), point)
 
 
-def streamed(world: PathWorld, jitter: float, loss: float) -> tuple[float, float, float, int]:
+def streamed(sim: PathSimulation, jitter: float, loss: float) -> tuple[float, float, float, int]:
     """Error besides the lag [rad], lag and bridging delay [s], and faults."""
-    begin = world.send(SECONDS, _wave, jitter=jitter, loss=loss)
-    time, table = world.time(), world.table()
+    begin = sim.send(SECONDS, _wave, jitter=jitter, loss=loss)
+    time, table = sim.time(), sim.table()
     rows = (time >= begin + STEADY[0]) & (time < begin + STEADY[1])
     t = time[rows] - begin
     omega = 2.0 * np.pi * FREQUENCY
@@ -106,10 +104,10 @@ def streamed(world: PathWorld, jitter: float, loss: float) -> tuple[float, float
         real = table[f"{joint}.position"][rows] * COUNT
         lags.append(_lag(t, real, np.sin(omega * t)))
         errors.append(float(np.abs(real - AMPLITUDE * np.sin(omega * (t - lags[-1]))).max()))
-    report = world.streamer.report
+    report = sim.streamer.report
     assert report is not None
     faults = sum(int(np.count_nonzero(table[f"{joint}.faults"])) for joint in JOINTS)
-    return max(errors), max(lags), report.delay, faults + len(world.troubles)
+    return max(errors), max(lags), report.delay, faults + len(sim.errors)
 
 
 def main() -> int:
@@ -123,8 +121,8 @@ def main() -> int:
     for level in get_args(Level):
         for name, run in (("positions at 100 Hz", as_positions), ("trajectory", as_trajectory)):
             with Board(seed=seed, level=level) as board:
-                world = PathWorld(board)
-                error, lag = figures(world, run(world))
+                sim = PathSimulation(board)
+                error, lag = figures(sim, run(sim))
             print(f"| {name} | {level} | {error:.4f} | {1e3 * lag:.2f} |")
     print()
     print("| streamed at 100 Hz with velocity | level | error besides the lag [rad] | lag [ms] | delay [ms] | faults |")
@@ -138,7 +136,7 @@ def main() -> int:
     for level in get_args(Level):
         for name, jitter, loss, delay_max in cases:
             with Board(seed=seed, level=level) as board:
-                error, lag, delay, faults = streamed(PathWorld(board, delay_max), jitter, loss)
+                error, lag, delay, faults = streamed(PathSimulation(board, delay_max), jitter, loss)
             print(f"| {name} | {level} | {error:.4f} | {1e3 * lag:.2f} | {1e3 * delay:.2f} | {faults} |")
     return 0
 
