@@ -23,7 +23,7 @@ def test_plant_alone_at_both_levels() -> None:
 @pytest.mark.parametrize("level", get_args(Level))
 def test_boards_at_once(level: Level, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(twin.SIMULATED, level, 0.05)
-    both = twin.together(level, 2)
+    both = twin.run_in_parallel(level, 2)
     assert both.factor > 0.0
     assert 0.0 < both.had <= 1.0
 
@@ -34,7 +34,7 @@ def boards(had: float) -> dict[str, dict[str, Any]]:
 
 def test_growth_is_over_one_board_by_the_same_clock() -> None:
     assert twin.growth(boards(0.97)) == [
-        "turning boards, one per thread, all together, by the clock on the wall: 1: 50.0 (x 1.0), 2: 90.0 (x 1.8)"
+        "turning boards, one per thread, in parallel, by wall-clock time: 1: 50.0 (x 1.0), 2: 90.0 (x 1.8)"
     ]
 
 

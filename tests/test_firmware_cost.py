@@ -26,7 +26,7 @@ from firmware_cost.measurement import REFERENCE, Measurement, measure, plain
 from firmware_cost.programs import TARGET, Programs
 from firmware_cost.sizes import SERVER, VARIABLES, Size, sizes
 from firmware_cost.stages import PERIODS, PHASE
-from firmware_cost.table import FAST_AIM, SENSORLESS_AIM, compiler_of, core_errors, dearest, table
+from firmware_cost.table import FAST_AIM, SENSORLESS_AIM, compiler_of, core_errors, largest_mean, table
 from servo_twin._core_time import load_weights
 from targets.machines import QemuProgram, missing_text
 from targets.sources import Sources
@@ -91,14 +91,14 @@ def test_weights_hold_for_runs_that_they_were_not_fitted_to(measurement: Measure
 def test_fast_loop_reaches_its_aim(measurement: Measurement) -> None:
     """Reconstruction, decoupling, ripple compensation, dead time, SVM, encoder, state machine: everything included."""
     if compiler_of(TABLE.read_text(encoding="utf-8")) == measurement.compiler:
-        assert dearest(measurement.counts[REFERENCE], FAST) <= FAST_AIM
+        assert largest_mean(measurement.counts[REFERENCE], FAST) <= FAST_AIM
 
 
 def test_sensorless_fast_loop_reaches_its_aim(measurement: Measurement) -> None:
     """The same with observer and PLL instead of the encoder."""
     maximum = measurement.sensorless[OBSERVED_PHASE, FAST].maximum
     assert maximum <= 1.02 * SENSORLESS_AIM, "missed by 1 % since the gains of the observer may change while it runs"
-    assert maximum > dearest(measurement.counts[REFERENCE], FAST) + 50, "the observer runs"
+    assert maximum > largest_mean(measurement.counts[REFERENCE], FAST) + 50, "the observer runs"
 
 
 def test_numbers_are_those_of_the_measurement(measurement: Measurement) -> None:

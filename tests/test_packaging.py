@@ -358,15 +358,9 @@ COLLECTED = re.compile(r"^(\d+) tests collected", re.MULTILINE)
 
 @dataclass(frozen=True)
 class Workspace:
-    """A colcon workspace of copies of the checkout's files.
+    """A colcon workspace with copies of the files of the checkout."""
 
-    Attributes
-    ----------
-    folder : Path
-        The workspace; its packages are in ``src``.
-    """
-
-    folder: Path
+    folder: Path  # root of the workspace; its packages are in ``src``
 
     def run(self, command: str, folder: str = ".", **environment: str) -> subprocess.CompletedProcess[str]:
         """Run a command line of the shell after the workspace has been sourced."""

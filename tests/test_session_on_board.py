@@ -1,4 +1,4 @@
-"""Which texts of the board's table of variables a client reads."""
+"""Texts of the table of variables that a client reads from the board."""
 
 from __future__ import annotations
 
@@ -20,18 +20,10 @@ TABLES_BASE: Final = 0x0020_0000  # firmware/comm/tsa.h
 
 
 class CountingClient(Client):
-    """Counts the texts that it reads, and may receive damaged memory.
+    """Client that counts the texts that it reads, and can receive one inverted bit."""
 
-    Attributes
-    ----------
-    texts : int
-        Texts whose length it has asked for.
-    inverted : int
-        Address at which the lowest bit of a memory byte arrives inverted.
-    """
-
-    texts = 0
-    inverted = -1
+    texts = 0  # number of texts whose length was requested
+    inverted = -1  # address of the byte that is received with its lowest bit inverted
 
     def string_length(self, address: int) -> int:
         self.texts += 1

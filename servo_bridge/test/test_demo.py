@@ -323,18 +323,18 @@ def test_an_interrupted_demonstration_disables_the_axes(
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
     with Rig() as rig:
-        rig.up(STOP, STOP)
+        rig.connect(STOP, STOP)
         interrupts = iter([number])
 
         def look() -> None:
             """The shafts of this board never move, so the first move lasts until it is ended."""
             enables = [raw for name, _, raw in rig.link.written if name == "cmd.enable"]
-            rig.link.axes(*[SPIN if enables and any(enables[-1]) else STOP] * 2)
+            rig.link.set_states(*[SPIN if enables and any(enables[-1]) else STOP] * 2)
             if any(name == "cmd.position" for name, *_ in rig.link.written):
                 for each in interrupts:
                     os.kill(os.getpid(), each)
 
-        with rig.alive(look):
+        with rig.samples(look):
             assert demo_module.main([]) == 130
         assert rig.link.written[-1] == ("cmd.enable", 0, (0, 0))
     said = capfd.readouterr()

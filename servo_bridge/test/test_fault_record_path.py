@@ -149,13 +149,13 @@ def rig() -> Iterator[Rig]:
     with Rig() as result:
         result.listen(TOPIC, Float64MultiArray, latched_qos())
         result.link.blocks = {"axis1.fault_record": LOST, "axis2.fault_record": NONE}
-        result.up()
+        result.connect()
         yield result
 
 
 def fail(rig: Rig, word: int) -> None:
     """Show samples with these faults of the first axis."""
-    rig.link.axes(FAULT if word else STOP, STOP)
+    rig.link.set_states(FAULT if word else STOP, STOP)
     rig.link.values["axis1.faults"] = word
     rig.link.sample()
     rig.link.sample()
@@ -184,7 +184,7 @@ def test_a_second_fault_is_no_news_and_the_next_one_after_clearing_is(rig: Rig) 
     fail(rig, PHASE_LOST | OVER_VOLTAGE)
     rig.link.sample(8000)
     rig.until(lambda: rig.link.reads.count("axis1.fault_record") == 2)  # the second look
-    rig.settle()
+    rig.wait_for_pending()
     assert len(rig.messages[TOPIC]) == 1
     fail(rig, 0)
     rig.link.blocks["axis1.fault_record"] = LATER
@@ -195,13 +195,13 @@ def test_a_second_fault_is_no_news_and_the_next_one_after_clearing_is(rig: Rig) 
 
 def test_a_board_that_vanishes_while_its_record_is_read(rig: Rig) -> None:
     """Nothing is told of half a record; a board that is back with its fault is asked again."""
-    rig.link.held = []
+    rig.link.pending_reads = []
     fail(rig, PHASE_LOST)
-    rig.until(lambda: rig.link.held)
-    rig.link.lose()
+    rig.until(lambda: rig.link.pending_reads)
+    rig.link.disconnect()
     rig.until(lambda: rig.state().startswith("DISCONNECTED"))
     assert rig.messages[TOPIC] == []
-    rig.link.held = None
-    rig.up(FAULT, STOP)
+    rig.link.pending_reads = None
+    rig.connect(FAULT, STOP)
     rig.until(lambda: rig.messages[TOPIC])
     assert told(rig.messages[TOPIC][-1])[1] == decoded(LOST).table.tolist()

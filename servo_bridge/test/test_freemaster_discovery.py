@@ -184,7 +184,7 @@ def test_a_target_without_tables() -> None:
 
 def test_a_table_of_impossible_size() -> None:
     target = FakeTarget()
-    target._table_places = [(0x1000, 1 << 30)]
+    target._table_ranges = [(0x1000, 1 << 30)]
     client = client_on(FakeTransport(target.feed))
     with pytest.raises(DiscoveryError, match="cannot be"):
         discover(client, client.identify())

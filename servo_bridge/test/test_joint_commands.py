@@ -36,7 +36,7 @@ def rig() -> Iterator[Rig]:
 
 @pytest.fixture
 def ready(rig: Rig) -> Rig:
-    rig.ready()
+    rig.enable_axes()
     rig.until(lambda: rig.messages[topics.PARAMETERS])
     return rig
 
@@ -138,13 +138,13 @@ def test_a_velocity_beyond_its_limit_moves_no_joint(ready: Rig) -> None:
 
 def test_what_was_sent_before_enabling_moves_nothing_until_it_changes(rig: Rig) -> None:
     """Some hardware interfaces command 0 until a controller starts."""
-    rig.up(OFF, OFF)
+    rig.connect(OFF, OFF)
     rig.until(lambda: rig.messages[topics.PARAMETERS])
     for _ in range(3):
         send(rig, [0.0, 0.0])
     rig.until(rig.rejections)
     assert "not been enabled" in rig.rejections()[-1]
-    rig.link.axes(SPIN, SPIN)
+    rig.link.set_states(SPIN, SPIN)
     rig.enable(True)
     rig.until(rig.armed)
     rig.link.written.clear()

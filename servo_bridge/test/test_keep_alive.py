@@ -61,17 +61,17 @@ def keep_alives(rig: Rig, duration: float) -> int:
 def test_the_node_follows_the_time_out_of_the_board() -> None:
     with Rig() as rig:
         rig.link.parameters["param.host_timeout"] = [CATALOGUE["param.host_timeout"].to_raw(0.5)]
-        rig.up()
+        rig.connect()
         assert 5 <= keep_alives(rig, 1.0) <= 11
         assert rig.set_parameter("board_parameters", ["param.host_timeout=0.08"])[0]
         assert 25 <= keep_alives(rig, 1.0) <= 51
-        rig.link.mute = True
+        rig.link.answers_commands = False
         assert keep_alives(rig, 0.3) <= 1
 
 
 def test_a_short_time_out_that_is_wanted_counts_before_the_board_has_it() -> None:
     with Rig(board_parameters=["param.host_timeout=0.08"]) as rig:
-        rig.link.stubborn = "param.host_timeout"
+        rig.link.rejected_parameter = "param.host_timeout"
         rig.link.parameters["param.host_timeout"] = [CATALOGUE["param.host_timeout"].to_raw(0.5)]
-        rig.up()
+        rig.connect()
         assert keep_alives(rig, 0.5) >= 13

@@ -68,7 +68,7 @@ def test_every_transition_from_unconfigured_to_finalized() -> None:
 
         assert change(rig, "", Transition.TRANSITION_CONFIGURE) == (True, INACTIVE)
         rig.discover()
-        rig.up(SPIN, SPIN)
+        rig.connect(SPIN, SPIN)
         assert rig.diagnosis("commands").message == ACTIVATE_FIRST
         assert rig.enable(True) == (False, f"{ACTIVATE_FIRST}; then call enable again")
         assert f"commands: {ACTIVATE_FIRST}; then call the service enable" in rejected(rig)
@@ -91,7 +91,7 @@ def test_every_transition_from_unconfigured_to_finalized() -> None:
 
 def test_deactivate_stops_the_axes_and_telemetry_goes_on() -> None:
     with Rig() as rig:
-        rig.ready()
+        rig.enable_axes()
         rig.commands.publish(Float64MultiArray(data=[1.0, 2.0]))
         rig.until(lambda: ("cmd.position", 0) in {write[:2] for write in writes(rig)})
         rig.link.written.clear()
@@ -119,7 +119,7 @@ def writes(rig: Rig) -> list[Any]:
 @pytest.mark.parametrize("asked", ["deactivate", "cleanup"])
 def test_an_enable_under_way_does_not_outlive_the_transition(asked: str) -> None:
     with Rig() as rig:
-        rig.up(STOP, STOP)
+        rig.connect(STOP, STOP)
         enable = rig.enable_client.call_async(SetBool.Request(data=True))
         rig.until(lambda: ("cmd.enable", 0, (1, 1)) in writes(rig))
         if asked == "cleanup":
@@ -154,7 +154,7 @@ def test_what_is_not_possible_is_answered_and_the_node_lives_on() -> None:
 def test_a_clean_up_takes_everything_back_and_other_parameters_count_then(monkeypatch: pytest.MonkeyPatch) -> None:
     with Rig() as rig:
         configured = endpoints(rig)
-        rig.ready()
+        rig.enable_axes()
         taken, reason = rig.set_parameter("port", "/dev/other")
         assert not taken
         assert reason == (
@@ -174,7 +174,7 @@ def test_a_clean_up_takes_everything_back_and_other_parameters_count_then(monkey
 
         monkeypatch.setattr(first, "close", close_under_load)
         assert change(rig, "cleanup") == (True, UNCONFIGURED)
-        assert [(name, list(values)) for name, values in first.final] == [("cmd.enable", [0.0, 0.0])]
+        assert [(name, list(values)) for name, values in first.final_writes] == [("cmd.enable", [0.0, 0.0])]
         rig.until(lambda: rig.user.count_publishers(topics.JOINT_STATES) == 0)
         first.sample()  # what is under way when it ends comes to nothing
         supervisor._every_second()
@@ -194,7 +194,7 @@ def test_a_clean_up_takes_everything_back_and_other_parameters_count_then(monkey
         rig.until(lambda: rig.user.count_subscribers("axis1/position") == 0)
         rig.until(lambda: rig.enable_client.service_is_ready())
         rig.until(lambda: rig.state() == "DISCONNECTED connecting to a test")
-        rig.up()
+        rig.connect()
         assert rig.state() == "pan=STOP axis2=STOP"
 
 
@@ -216,13 +216,13 @@ def test_parameters_that_make_no_sense_are_answered_and_put_right_one_by_one() -
 
 def test_a_lost_link_does_not_change_the_state_of_the_lifecycle() -> None:
     with Rig() as rig:
-        rig.ready()
-        rig.link.lose(reason="pulled")
+        rig.enable_axes()
+        rig.link.disconnect(reason="pulled")
         rig.until(lambda: not rig.armed())
         assert state(rig) == ACTIVE
         assert change(rig, "deactivate") == (True, INACTIVE)
         rig.until(lambda: rig.warnings("no quick stop: not connected: pulled"))
-        rig.up(SPIN, SPIN)
+        rig.connect(SPIN, SPIN)
         assert not rig.enable(True)[0]
         assert change(rig, "activate") == (True, ACTIVE)
         assert not rig.armed()
@@ -234,7 +234,7 @@ def test_an_exception_is_told_and_leaves_the_node_unconfigured(
     transition: str, method: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with Rig() as rig:
-        rig.up(SPIN, SPIN)
+        rig.connect(SPIN, SPIN)
         assert change(rig, "deactivate")[0]
         link, works = rig.link, getattr(Supervisor, method)
 
@@ -247,12 +247,12 @@ def test_an_exception_is_told_and_leaves_the_node_unconfigured(
         assert change(rig, transition) == (False, UNCONFIGURED)
         monkeypatch.undo()
         rig.until(lambda: any("ZeroDivisionError: of the test" in text for text in rig.logs(40)))
-        assert link.final
+        assert link.final_writes
         rig.until(lambda: not rig.enable_client.service_is_ready())
         assert change(rig, "configure")[0]
         assert change(rig, "activate") == (True, ACTIVE)
         rig.discover()
-        rig.ready()
+        rig.enable_axes()
 
 
 def test_a_node_that_starts_by_itself_does_not_hide_an_exception(monkeypatch: pytest.MonkeyPatch) -> None:

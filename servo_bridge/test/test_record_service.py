@@ -48,11 +48,11 @@ def rig() -> Iterator[Rig]:
         rig.listen(topics.RECORDER, Float64MultiArray, latched_qos())
         rig.record_client = rig.user.create_client(SetBool, topics.RECORD)  # type: ignore[attr-defined]
         rig.until(rig.record_client.service_is_ready)  # type: ignore[attr-defined]
-        rig.up(STOP, STOP)
+        rig.connect(STOP, STOP)
         rig.link.session = connect(client_on(FakeTransport(fed)), CATALOGUE)
         rig.link.tick = FIRST_TICK + 100_000
         rig.link.sample()
-        rig.settle()
+        rig.wait_for_pending()
         yield rig
 
 
@@ -143,7 +143,7 @@ def test_options_that_make_no_sense_are_no_parameter(rig: Rig, options: str) -> 
 def test_a_lost_link_ends_a_recording(rig: Rig) -> None:
     assert rig.set_parameter("recording", "axis1.i_q --trigger 'axis1.i_q > 3'")[0]
     assert record(rig, True)[0]
-    rig.link.lose()
+    rig.link.disconnect()
     rig.until(lambda: rig.warnings("the recording has failed: the link to the board was lost"))
     rig.link.session = None
     assert record(rig, True) == (False, "no link")

@@ -39,7 +39,7 @@ class Wire:
 
 
 def application_commands(board: FakeServo) -> list[str]:
-    return [name for _, name in board.signs]
+    return [name for _, name in board.host_signals]
 
 
 def test_the_stop_comes_before_everything_that_needs_an_address() -> None:
@@ -66,7 +66,7 @@ def test_another_device_gets_no_command() -> None:
 def test_a_client_that_only_reads_stops_nothing() -> None:
     wire = Wire()
     assert connect(wire.client, CATALOGUE).mismatch is None
-    assert wire.board.signs == []
+    assert wire.board.host_signals == []
 
 
 @pytest.mark.parametrize("baud", [19_200, 115_200])
@@ -80,16 +80,16 @@ def test_a_board_that_holds_does_not_miss_its_host_while_it_is_discovered(baud: 
         assert wire.transport.clock() - begin > HOST_TIMEOUT_NS
     assert application_commands(wire.board)[0] == "QUICK_STOP"
     assert set(application_commands(wire.board)[1:]) == {"KEEP_ALIVE"}
-    assert wire.board.silence_ns < KEEP_ALIVE_PERIOD * 1e9 + 2 * BYTES_MAX * wire.byte_ns < HOST_TIMEOUT_NS
+    assert wire.board.host_silence_ns < KEEP_ALIVE_PERIOD * 1e9 + 2 * BYTES_MAX * wire.byte_ns < HOST_TIMEOUT_NS
 
 
 def test_keep_alives_end_with_the_take_over() -> None:
     wire = Wire()
     with taken_over(wire.client, CATALOGUE):
         connect(wire.client, CATALOGUE)
-    known = len(wire.board.signs)
+    known = len(wire.board.host_signals)
     connect(wire.client, CATALOGUE)
-    assert len(wire.board.signs) == known
+    assert len(wire.board.host_signals) == known
 
 
 def test_keep_alives_without_an_answer_are_no_error() -> None:
@@ -98,7 +98,7 @@ def test_keep_alives_without_an_answer_are_no_error() -> None:
         wire.lose = lambda command: command == Command.SENDAPPCMD
         assert connect(wire.client, CATALOGUE).mismatch is None
     assert application_commands(wire.board).count("KEEP_ALIVE") > 1
-    assert wire.board.silence_ns < HOST_TIMEOUT_NS
+    assert wire.board.host_silence_ns < HOST_TIMEOUT_NS
 
 
 def test_a_stop_without_an_answer_ends_the_attempt() -> None:

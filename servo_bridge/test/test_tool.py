@@ -77,7 +77,7 @@ def test_reading_a_running_board_does_not_stop_it(
     fake_port: FakePort, fake_board: FakeServo, run: Run, arguments: tuple[str, ...]
 ) -> None:
     assert run(*arguments) == 0
-    assert fake_board.signs == []
+    assert fake_board.host_signals == []
 
 
 def test_vars_lists_the_variables_that_match(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:

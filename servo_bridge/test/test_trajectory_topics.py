@@ -36,7 +36,7 @@ def rig() -> Iterator[Rig]:
         for name, value in (("speed", 300.0), ("acceleration", 4000.0), ("i_q", 2.0)):
             variable = CATALOGUE[f"param.{name}_limit"]
             rig.link.parameters[variable.name] = [variable.to_raw(value)] * 2
-        rig.ready()
+        rig.enable_axes()
         rig.until(lambda: rig.messages[topics.PARAMETERS])
         yield rig
 
@@ -91,7 +91,7 @@ def test_a_limit_between_two_points_is_named(rig: Rig) -> None:
 
 
 def test_an_axis_that_does_not_obey_is_named(rig: Rig) -> None:
-    rig.link.axes(SPIN, FAULT)
+    rig.link.set_states(SPIN, FAULT)
     rig.link.sample()
     rig.until(lambda: "FAULT" in rig.state())
     publish(rig, trajectory((0.5, [1.0, -1.0])))

@@ -30,7 +30,7 @@ def rig() -> Iterator[Rig]:
     with Rig() as rig:
         rig.tune_client = rig.user.create_client(SetBool, topics.TUNE)  # type: ignore[attr-defined]
         rig.until(rig.tune_client.service_is_ready)  # type: ignore[attr-defined]
-        rig.up()
+        rig.connect()
         yield rig
 
 

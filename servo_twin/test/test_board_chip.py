@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from native_library import HALF_NS, Native, c_config, plain
+from native_library import HALF_NS, Native, c_config, ideal_plant
 from servo_twin.plant import PlantConfig
 
 PERIOD_NS = 2 * HALF_NS
@@ -42,7 +42,7 @@ class Chip:
 @pytest.fixture
 def make(chip_c: Native) -> Callable[..., Chip]:
     def chip(plant: PlantConfig | None = None, **options: Any) -> Chip:
-        return Chip(chip_c, plant or plain(), **options)
+        return Chip(chip_c, plant or ideal_plant(), **options)
 
     return chip
 
@@ -73,7 +73,7 @@ def test_background_follows_every_interrupt(make: Callable[..., Chip]) -> None:
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_a_duty_acts_half_a_period_after_its_samples(make: Callable[..., Chip], axis: int) -> None:
-    plant = plain()
+    plant = ideal_plant()
     chip = make(plant)
     chip.lib.chip_run(chip.hal, PERIOD_NS - 1, False)  # at rest; the next M1 is due at one period
     chip.switch_on(axis, 16384 + 3277, 16384 - 1638, 16384 - 1638)
@@ -108,7 +108,7 @@ def test_a_duty_holds_for_a_whole_period(make: Callable[..., Chip], axis: int) -
 
 def test_each_axis_is_sampled_at_its_low_side_centre(make: Callable[..., Chip]) -> None:
     """Currents in its own interrupt, its offsets in the other one's, half a period away."""
-    plant = plain().with_axis(0, i_offset=(0.4, 0.4, 0.4)).with_axis(1, i_offset=(-0.4, -0.4, -0.4))
+    plant = ideal_plant().with_axis(0, i_offset=(0.4, 0.4, 0.4)).with_axis(1, i_offset=(-0.4, -0.4, -0.4))
     chip = make(plant)
     for axis in (0, 1):
         chip.lib.plant_motor_lock(chip.ffi.addressof(chip.motor(axis)), True)
@@ -134,7 +134,7 @@ def test_outputs_off_means_no_current(make: Callable[..., Chip]) -> None:
 
 class TestOverCurrent:
     def trip(self, make: Callable[..., Chip]) -> Chip:
-        chip = make(plain(i_break=5.0))
+        chip = make(ideal_plant(i_break=5.0))
         chip.lib.plant_motor_lock(chip.ffi.addressof(chip.motor(0)), True)
         chip.switch_on(0, 32767, 0, 0)
         chip.switch_on(1, 16384, 16384, 16384)

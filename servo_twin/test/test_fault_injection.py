@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from native_library import Native, c_axis, plain
+from native_library import Native, c_axis, ideal_plant
 from servo_twin.board import Board
 from servo_twin.experiments.named_faults import faults
 from servo_twin.fault_injection import (
@@ -43,7 +43,7 @@ class Averaged:
 
     def __init__(self, native: Native, bus: float = 24.0, **axis: Any) -> None:
         self.native, self.bus = native, bus
-        self.plant = plain(inertia=FLYWHEEL, **axis).axes[0]
+        self.plant = ideal_plant(inertia=FLYWHEEL, **axis).axes[0]
         config = c_axis(native, self.plant)
         self.motor = native.ffi.new("plant_motor_t *")
         self.inverter = native.ffi.new("averaged_inverter_t *")
@@ -79,7 +79,7 @@ class Switched:
     """The same at switching level."""
 
     def __init__(self, native: Native, bus: float = 24.0, **axis: Any) -> None:
-        plant = plain(inertia=FLYWHEEL, dead_time_min=0.0, **axis).with_bus(
+        plant = ideal_plant(inertia=FLYWHEEL, dead_time_min=0.0, **axis).with_bus(
             u_source=bus, r_source=1e-3, capacitance=1.0
         )
         self.plant = plant.axes[0]

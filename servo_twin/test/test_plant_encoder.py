@@ -8,7 +8,7 @@ import math
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from native_library import Native, c_axis, c_config, plain
+from native_library import Native, c_axis, c_config, ideal_plant
 
 EDGE = 2 * math.pi / 4000  # [rad]
 TICK_NS = 1280
@@ -21,7 +21,7 @@ class Encoder:
         self.native = plant_c
         self.edge = 2 * math.pi / (4 * lines)
         self.c = plant_c.ffi.new("plant_encoder_t *")
-        axis = plain(theta_start=start * self.edge, encoder_lines=lines).axes[0]
+        axis = ideal_plant(theta_start=start * self.edge, encoder_lines=lines).axes[0]
         plant_c.lib.plant_encoder_init(self.c, c_axis(plant_c, axis))
         self.at = start
         self.now_ns = 0
@@ -187,7 +187,7 @@ class TestCapture:
 def test_time_of_an_edge_after_the_shaft_has_turned_back(plant_c: Native) -> None:
     """The shaft stops after 1 us of a step and crosses the edge behind it another 1.05 us later."""
     acceleration, edge = 2e8, 3 * 2 * EDGE
-    plant = plain(theta_start=edge + 1e-5, inertia=1e-10)
+    plant = ideal_plant(theta_start=edge + 1e-5, inertia=1e-10)
     state = plant_c.ffi.new("plant_t *")
     plant_c.lib.plant_init(state, c_config(plant_c, plant))
     axis = state.axis[0]

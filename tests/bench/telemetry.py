@@ -1,4 +1,4 @@
-"""Telemetry and latency of the whole chain against the limit of the wire: ``make bench``.
+"""Telemetry rate and latency of the whole chain, relative to the limit of the line: ``make bench``.
 
 Virtual board and bridge as processes, a user on ROS topics. Rates are those that the user sees; the limit is what
 the line could carry if request and answer followed each other without a pause. The latency of a set-point runs from its
@@ -27,15 +27,15 @@ from servo_msgs_py.units import PERIOD_NS  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
 CASES = ((115200, 0.0, 200), (1_000_000, 0.0, 200), (1_000_000, 200.0, 10_000))
-"""Line speed, parameter ``telemetry_rate`` [Hz], and how many set-points are sent."""
+"""Line speed [bit/s], parameter ``telemetry_rate`` [Hz], number of set-points."""
 SECONDS = 5.0
 STREAM_PERIOD = 0.01
-"""Of the stream that is sent to both axes [s]."""
+"""Period of the stream that is sent to both axes [s]."""
 AIMS = "at 1 Mbaud and 200 Hz: 2.0, 5.0, 20.0 ms; 20 % of a core"
 
 
 def rate(user: User) -> tuple[float, float]:
-    """Samples per second of joint_states, and bytes per second on the wire both ways, over some board time."""
+    """Samples per second of joint_states, and bytes per second on the line in both directions."""
     first, start = len(user.messages["/servo/joint_states"]), user.wait_board_time(SECONDS)
     samples = len(user.messages["/servo/joint_states"]) - first
     rows = user.rows(start)
@@ -45,7 +45,7 @@ def rate(user: User) -> tuple[float, float]:
 
 
 def latencies(user: User, count: int) -> list[float]:
-    """From publishing a position to the tick of its effect [ms], one set-point at a time.
+    """Latency from publishing a position to the tick of its effect [ms], one set-point at a time.
 
     Lists of messages are emptied at every set-point: work that grows with them would delay the user, not the bridge.
     """
@@ -69,8 +69,8 @@ def latencies(user: User, count: int) -> list[float]:
 POINTS = [f"axis{n}.points_{what}" for n in (1, 2) for what in ("taken", "late")] + ["points_refused"]
 
 
-def fed(baud: int) -> dict[str, Any]:
-    """Samples beside a stream of both axes at 100 Hz, and what became of its points."""
+def streamed(baud: int) -> dict[str, Any]:
+    """Samples per second during a stream of both axes at 100 Hz, and counts of its points."""
     chain = Chain(Path(tempfile.mkdtemp(prefix="bench-")), baud)
     with ros_user() as user:
         try:
@@ -146,7 +146,7 @@ def main() -> int:
             f" {row['set_points']:11} {p50:19.1f} {p99:5.1f} {largest:7.1f} {row['cpu_of_a_core']:18.0%}"
         )
     print(f"aims {AIMS}")
-    stream = fed(115200)
+    stream = streamed(115200)
     taken = [stream[f"axis{n}.points_taken"] / SECONDS for n in (1, 2)]
     print(
         f"stream of both axes at 115200 baud: {stream['messages_per_s']:.0f} messages/s, points/s {taken[0]:.0f} and "

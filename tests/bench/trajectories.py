@@ -1,4 +1,4 @@
-"""How closely a shaft follows a path in time, next to positions that are sent one by one: part of ``make bench``.
+"""Tracking error of a trajectory, of single positions and of a stream: part of ``make bench``.
 
 The same motion, 2 Hz and 1 rad on both axes, as a trajectory, as position set-points at 100 Hz, and streamed with
 velocities, through the parts of the bridge, on the virtual board in simulated time.
@@ -28,11 +28,11 @@ FREQUENCY: Final = 2.0
 AMPLITUDE: Final = 1.0
 SECONDS: Final = 4.0
 STEADY: Final = (1.0, 3.0)
-"""Part of the motion that is looked at for the lag: whole periods [s]."""
+"""Interval of the evaluation of the lag, a multiple of the period [s]."""
 
 
 def circle(sim: PathSimulation, start: float) -> Path:
-    """Both axes on a circle, from where they are."""
+    """Circle of both axes from their present positions."""
     shape = lissajous(JOINTS, [0.0] * 2, [AMPLITUDE] * 2, [FREQUENCY] * 2, SECONDS).shifted(start)
     at = sim.follower.running().state(sim.now).position
     coefficients = shape.coefficients.copy()
@@ -41,7 +41,7 @@ def circle(sim: PathSimulation, start: float) -> Path:
 
 
 def as_trajectory(sim: PathSimulation) -> Path:
-    """Follow it as a trajectory; returns the path."""
+    """Follow the circle as a trajectory; return the path."""
     paths: list[Path] = []
 
     def plan(running: Path, now: float) -> Path:
@@ -55,7 +55,7 @@ def as_trajectory(sim: PathSimulation) -> Path:
 
 
 def as_positions(sim: PathSimulation) -> Path:
-    """Send a position with every sample, 100 Hz; returns the path that they are of."""
+    """Send positions of the circle at 100 Hz; return the path."""
     path = circle(sim, sim.now + 0.05)
     while sim.now < path.end_time + 0.2:
         position = path.state(sim.now).position
@@ -69,22 +69,22 @@ def figures(sim: PathSimulation, path: Path) -> tuple[float, float]:
     """Largest error [rad], and lag of the fundamental [s]."""
     time, table = sim.time(), sim.table()
     rows = (time >= path.start_time) & (time <= path.end_time)
-    wanted = path.state(time[rows]).position
+    reference = path.state(time[rows]).position
     real = np.stack([table[f"{joint}.position"][rows] * COUNT for joint in JOINTS], axis=-1)
-    error = float(np.abs(real - wanted).max())
+    error = float(np.abs(real - reference).max())
     steady = (time[rows] >= path.start_time + STEADY[0]) & (time[rows] < path.start_time + STEADY[1])
-    lags = [_lag(time[rows][steady], real[steady, k], wanted[steady, k]) for k in range(len(JOINTS))]
+    lags = [_lag(time[rows][steady], real[steady, k], reference[steady, k]) for k in range(len(JOINTS))]
     return error, max(lags)
 
 
-def _lag(t: NDArray[np.float64], real: NDArray[np.float64], wanted: NDArray[np.float64]) -> float:
+def _lag(t: NDArray[np.float64], real: NDArray[np.float64], reference: NDArray[np.float64]) -> float:
     omega = 2.0 * np.pi * FREQUENCY
     wave = np.exp(-1j * omega * t)
-    return float(np.angle((wanted * wave).sum() / (real * wave).sum()) / omega)
+    return float(np.angle((reference * wave).sum() / (real * wave).sum()) / omega)
 
 
 def _wave(t: float) -> dict[int, JointSetPoint]:
-    """Position and velocity of both axes, as they are streamed."""
+    """Streamed position and velocity of both axes."""
     omega = 2.0 * math.pi * FREQUENCY
     rise = min(2.0 * t, 1.0)
     speed = (2.0 * math.sin(omega * t) if t < 0.5 else 0.0) + rise * omega * math.cos(omega * t)
@@ -93,7 +93,7 @@ def _wave(t: float) -> dict[int, JointSetPoint]:
 
 
 def streamed(sim: PathSimulation, jitter: float, loss: float) -> tuple[float, float, float, int]:
-    """Error besides the lag [rad], lag and bridging delay [s], and faults."""
+    """Error after compensation of the lag [rad], lag and bridging delay [s], number of faults and errors."""
     begin = sim.send(SECONDS, _wave, jitter=jitter, loss=loss)
     time, table = sim.time(), sim.table()
     rows = (time >= begin + STEADY[0]) & (time < begin + STEADY[1])
