@@ -1,4 +1,4 @@
-"""Every numeric member of a structure in a public C header says what it counts, in which unit or format."""
+"""Every numeric member of a structure in a public C header has a comment with its meaning, unit or format."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FRACTIONS = {"frac16_t", "frac32_t"}
 REAL_MEMBER = re.compile(r"\s*(double) (\w[^;(]*);(.*)")
 # A unit in brackets; [1]: none.
 UNIT = re.compile(r"\[[^\]]+\]")
-# Quantities whose full scale firmware/doc/references.md gives, and the formats themselves.
+# Quantities with a full scale in firmware/doc/references.md, and number formats.
 QUANTITY = re.compile(
     r"speed|accel|omega|\bi_|current|\bu_|voltage|emf|theta|angle|temperature|torque|\bpart\b|Q\d|bits|full.scale"
 )
@@ -57,7 +57,7 @@ def test_members_of_the_plant_have_a_unit_in_brackets(path: Path) -> None:
     assert [f"{line}: {name}" for line, _, name, comment in found if not UNIT.search(comment)] == []
 
 
-def test_a_member_without_comment_is_found() -> None:
+def test_member_without_comment_is_detected() -> None:
     text = (
         "typedef struct {\n    frac16_t a; /* part of b */\n    /* Q1.31 */\n    frac32_t c;\n    uint16_t d;\n} x_t;\n"
     )

@@ -1,4 +1,4 @@
-"""The client's recording of a virtual board, over its serial line in simulated time."""
+"""Recordings of a virtual board by the client, over the serial line in simulated time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def sim() -> Iterator[LineSimulation]:
 
 
 def recorded(sim: LineSimulation, session: Session, request: BurstRequest, current: float) -> Burst:
-    """Record, and ask for a current when the recorder has run for a while."""
+    """Record, with a current set-point after the recorder has run for some time."""
     start = sim.now
     recording = Recording(request, sim.board.catalogue, clock=lambda: sim.now)
     asked = False
@@ -54,7 +54,7 @@ def test_a_step_of_the_current_is_recorded_around_its_trigger(sim: LineSimulatio
     assert np.mean(other[100:]) == pytest.approx(-1.0, abs=0.05)
 
 
-def test_what_does_not_fit_is_refused_with_what_does(sim: LineSimulation) -> None:
+def test_too_many_samples_are_refused_with_the_maximum(sim: LineSimulation) -> None:
     session = connect(sim.host.client, sim.board.catalogue)
     with pytest.raises(RecorderError, match=r"5000 points of 2 variable\(s\) do not fit .* \d+ points fit"):
         recorded(sim, session, BurstRequest(("tick", "u_dc"), points=5000), 0.0)
@@ -63,7 +63,7 @@ def test_what_does_not_fit_is_refused_with_what_does(sim: LineSimulation) -> Non
     assert burst.times[1] == pytest.approx(500e-6)
 
 
-def test_the_log_of_the_board_comes_through_its_pipe(sim: LineSimulation) -> None:
+def test_log_of_the_board_is_read_through_its_pipe(sim: LineSimulation) -> None:
     pipe = sim.host.client.pipe()
     text = b""
     sim.enable()

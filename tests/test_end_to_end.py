@@ -1,4 +1,4 @@
-"""The running_chain chain: firmware and plant behind a real pty, bridge and twin as processes, a user on ROS topics."""
+"""The complete chain: firmware and plant on a real pty, bridge and twin as processes, a ROS client."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 TURN = 2.0 * math.pi
 COUNT = TURN / 4000
-AT_REST = 4 * COUNT  # so far a shaft that is held comes from where it was at some moment; a set-point is hundreds away
-# Half a count for what rounds, two for what the encoder can tell, and where there are switches two more: so far they
-# move an arriving shaft by the current that they keep back (experiment feed-forward).
+AT_REST = 4 * COUNT  # largest motion of a held shaft; a set-point is hundreds of counts away
+# Half a count of rounding, two counts of the encoder, and two counts at the end of a move by the dead time of the
+# switching plant (experiment feed-forward).
 OVERSHOOT = (2.5 if chosen_level() == "ideal" else 4.5) * COUNT
 BOTH = ["axis1", "axis2"]
 SPIN = "axis1=RUN/SPIN axis2=RUN/SPIN"
@@ -39,14 +39,14 @@ STOP = "axis1=STOP axis2=STOP"
 
 @pytest.fixture(scope="class")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[User]:
-    """Board, bridge and twin that the tests of normal work share."""
+    """Board, bridge and twin, shared by the tests of normal operation."""
     with followed_board(tmp_path_factory.mktemp("chain")) as user:
         yield user
 
 
 @pytest.fixture
 def user(running: User) -> User:
-    """The user, both axes under control and at rest."""
+    """ROS client with both axes in SPIN and at rest."""
     if running.last("/servo/state") != SPIN or not running.last("/servo/armed"):
         running.enable_axes()
     running.until(lambda: at_rest(running), what="the shafts do not rest")
@@ -55,7 +55,7 @@ def user(running: User) -> User:
 
 @pytest.fixture
 def chain(tmp_path: Path) -> Iterator[Chain]:
-    """A chain of its own for a test that breaks it; unless a level is asked for, of the one that takes less time."""
+    """Separate chain for tests with failures; default level: `ideal`, which takes less time."""
     chain = Chain(tmp_path, level=None if LEVEL_VARIABLE in os.environ else "ideal")
     try:
         yield chain
@@ -70,7 +70,7 @@ def at_rest(user: User) -> bool:
 
 
 def reached(user: User, *targets: float) -> Callable[[], bool]:
-    """Both shafts stand within two counts of their targets [rad]."""
+    """Condition: both shafts are at rest within two counts of their targets [rad]."""
 
     def in_position() -> bool:
         return at_rest(user) and all(
@@ -81,13 +81,13 @@ def reached(user: User, *targets: float) -> Callable[[], bool]:
 
 
 def go(user: User, *targets: float) -> None:
-    """Move both axes to targets [rad] and wait until they are there."""
+    """Move both axes to targets [rad] and wait until they arrive."""
     user.joint_commands.publish(JointState(name=BOTH, position=list(targets)))
     user.until(reached(user, *targets), 10.0, f"not at {targets}")
 
 
 class TestNormalWork:
-    def test_a_position_on_the_topic_of_one_joint(self, user: User) -> None:
+    def test_position_on_the_topic_of_one_joint(self, user: User) -> None:
         go(user, 0.0, 0.0)
         user.position[0].publish(Float64(data=TURN))
         user.until(reached(user, TURN, 0.0), 10.0)
@@ -100,10 +100,10 @@ class TestNormalWork:
         (written,) = user.applied()[before:]
         assert (written.variable, written.mask) == ("cmd.position", 3)
         rows = user.rows(start)
-        for axis in BOTH:  # the shapes differ between the axes, the start does not
+        for axis in BOTH:  # the shapes differ between the axes, the starts are equal
             moving = next(r["tick"] for r in rows if abs(r[f"{axis}.position_ref"]) > 5 * COUNT)
             assert 0.0 < (moving - written.tick) * PERIOD_NS * 1e-9 < 0.05
-        # No overshoot: neither shaft is ever seen beyond its target by more than it may rest off it.
+        # No overshoot: the largest position is within the permitted error at rest.
         assert max(r["axis1.position"] for r in rows) <= 5 * TURN + OVERSHOOT
         assert min(r["axis2.position"] for r in rows) >= -5 * TURN - OVERSHOOT
 
@@ -111,13 +111,13 @@ class TestNormalWork:
         user.commands.publish(Float64MultiArray(data=[1.0, -1.0]))
         user.until(reached(user, 1.0, -1.0), 10.0)
 
-    def test_speed_times_out_and_the_shaft_stops(self, user: User) -> None:
+    def test_shaft_stops_when_the_speed_set_point_expires(self, user: User) -> None:
         user.joint_commands.publish(JointState(name=["axis1"], velocity=[50.0]))
         user.until(lambda: user.messages["/servo/joint_states"][-1].velocity[0] > 45.0, 5.0)
         user.until(lambda: at_rest(user), 5.0)
         assert user.last("/servo/state") == SPIN
 
-    def test_quick_stop_holds_until_enabled_again(self, user: User) -> None:
+    def test_quick_stop_holds_until_enable(self, user: User) -> None:
         go(user, 0.0, 0.0)
         user.joint_commands.publish(JointState(name=BOTH, position=[40 * TURN, -40 * TURN]))
         user.until(lambda: user.position_of(0) > 10 * TURN, 5.0)
@@ -133,18 +133,18 @@ class TestNormalWork:
         go(user, 0.0, 0.0)
 
     def test_telemetry_is_stamped_with_board_time(self, user: User) -> None:
-        """How fast it comes: tests/bench/telemetry.py."""
+        """For its rate see tests/bench/telemetry.py."""
         start = len(user.messages["/servo/joint_states"])
         user.wait_board_time(1.0)
         stamps = [from_stamp(m.header.stamp) for m in user.messages["/servo/joint_states"][start:]]
         assert all(later > earlier for earlier, later in itertools.pairwise(stamps))
         rows = {(int(r["stamp.sec"]), int(r["stamp.nanosec"])): r for r in user.rows()}
-        # A stamp is board time, so it grows with the tick and not with the arrival.
+        # Stamps follow the ticks of the board, not the times of arrival.
         ticks = [rows[divmod(s, 1_000_000_000)]["tick"] for s in stamps[:100]]
         drift = np.diff(stamps[:100]) - np.diff(ticks) * PERIOD_NS
         assert np.median(np.abs(drift)) < 200_000
 
-    def test_the_twin_stays_beside_the_board(self, user: User) -> None:
+    def test_twin_follows_the_board(self, user: User) -> None:
         user.until(lambda: user.last("/twin/healthy") is True)
         start, residuals = len(user.messages["/twin/joint_states"]), len(user.messages["/twin/residual"])
         go(user, 3 * TURN, -2 * TURN)
@@ -154,7 +154,7 @@ class TestNormalWork:
         twin = [m for m in user.messages["/twin/joint_states"][start:] if from_stamp(m.header.stamp) <= newest]
         real = {from_stamp(m.header.stamp): m for m in user.messages["/servo/joint_states"]}
         assert max(m.position[0] for m in twin) > 2.9 * TURN
-        # At the very same instants, and the residual is their difference.
+        # The stamps are equal, and the residual is the difference.
         assert all(from_stamp(m.header.stamp) in real for m in twin)
         by_stamp = {from_stamp(m.header.stamp): m for m in twin}
         compared = [m for m in user.messages["/twin/residual"][residuals:] if from_stamp(m.header.stamp) in by_stamp]
@@ -171,8 +171,8 @@ class TestNormalWork:
         assert user.last("/twin/healthy") is True
         assert user.last("/twin/state") == SPIN
 
-    def test_a_wrong_set_point_changes_nothing(self, user: User) -> None:
-        """One of each topic; what can be wrong with one: servo_bridge/test/test_node.py."""
+    def test_invalid_set_points_have_no_effect(self, user: User) -> None:
+        """One per topic; all kinds of errors: servo_bridge/test/test_node.py."""
         before, written = [user.position_of(0), user.position_of(1)], len(user.applied())
         start = len(user.messages["/servo/snapshot"])
         for publisher, wrong, said in (
@@ -190,7 +190,7 @@ class TestNormalWork:
         assert user.last("/servo/state") == SPIN
 
     @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-    def test_a_path_of_the_command_line_stops_with_it_and_holds(self, user: User, tmp_path: Path, number: int) -> None:
+    def test_path_stops_when_its_command_is_interrupted(self, user: User, tmp_path: Path, number: int) -> None:
         terminal = Chain(tmp_path)
         try:
             command = terminal.script(
@@ -207,7 +207,7 @@ class TestNormalWork:
         assert at_rest(user)
         assert user.last("/servo/state") == SPIN
 
-    def test_disabled_means_off_and_set_points_are_refused(self, user: User) -> None:
+    def test_disable_switches_off_and_refuses_set_points(self, user: User) -> None:
         assert user.enable(False)[0]
         user.until(lambda: user.last("/servo/state") == STOP)
         assert user.last("/servo/armed") is False
@@ -223,12 +223,12 @@ class TestNormalWork:
 
 
 class TestParameters:
-    """A board that is not as after reset."""
+    """Boards with parameters that differ from those after reset."""
 
-    def test_the_twin_learns_them_and_stays_beside_the_board(self, chain: Chain) -> None:
+    def test_twin_takes_parameters_of_the_board_and_follows_it(self, chain: Chain) -> None:
         chain.board()
         features = "ANTI_WINDUP+ENHANCED_MT+BUS_COMPENSATION+DEAD_TIME"
-        # Set past the bridge, before it comes.
+        # Set by the tool before the bridge starts.
         chain.tool("set", "param.features[0]", f"{features}+SPEED_FORWARD+ACCELERATION_FORWARD")
         chain.tool("set", "param.speed_limit", "150,90")
         chain.bridge(board_parameters=f'["param.i_q_limit=2.0,2.5", "param.features[1]={features}+POSITION_LIMITS"]')
@@ -239,7 +239,7 @@ class TestParameters:
             user.enable_axes()
             user.until(lambda: user.last("/twin/healthy") is True, 30.0)
             self.check(user, 5.0, -5.0)
-            # And while it runs, as `ros2 param set` does it.
+            # Set during operation, as by `ros2 param set`.
             healths = len(user.messages["/twin/healthy"])
             done, reason = user.set_board_parameters("param.position_min[1]=-10", "param.position_max[1]=10")
             assert done, reason
@@ -262,7 +262,7 @@ class TestParameters:
 
 
 def square() -> JointTrajectory:
-    """Axis 1, axis 2, and back: at rest in every corner."""
+    """Square of both axes, at rest in every corner."""
     corners = ((TURN, 0.0), (TURN, -TURN), (0.0, -TURN), (0.0, 0.0))
     points = [
         JointTrajectoryPoint(
@@ -277,7 +277,7 @@ RECORDED = ("axis1.i_a", "axis1.i_q", "axis1.position", "axis2.duty_a")
 
 
 class Recordings:
-    """What the recorder of the board records in between, and the twin with it."""
+    """Recordings of the board and of the twin."""
 
     TOPICS = ("/servo/recording", "/twin/recording", "/twin/residual/recording")
 
@@ -288,13 +288,13 @@ class Recordings:
             user.listen(name, Float64MultiArray, latched_qos())
 
     def begin(self) -> None:
-        """Have the recorder record."""
+        """Start the recorder."""
         self._user.until(self._record.service_is_ready)
         success, message = self._user.call(self._record, SetBool.Request(data=True))
         assert success, message
 
     def assert_equal(self) -> None:
-        """There is one burst, and the twin has the same."""
+        """Board and twin have one recording each, with equal data."""
         self._user.until(lambda: all(self._user.messages[name] for name in self.TOPICS), what="no burst")
         (board,), (twin,), (residual,) = (self._user.messages[name] for name in self.TOPICS)
         assert snapshot_table(board)[0][1 : len(RECORDED) + 1] == list(RECORDED)
@@ -306,21 +306,21 @@ class Recordings:
 
 
 class TestTwinOfTheSameBoard:
-    """Both boards have the same noise: any difference is of what the line, or the split of the runs, does to one."""
+    """Both boards have the same noise: a difference could only come from the line or from the split of the runs."""
 
     @pytest.fixture(autouse=True, params=get_args(Level))
     def _level(self, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(LEVEL_VARIABLE, request.param)
 
-    def test_the_residual_is_exactly_zero(self, chain: Chain) -> None:
+    def test_residual_is_exactly_zero(self, chain: Chain) -> None:
         with ros_user() as user:
             chain.twin(seed=5)
             recording = f"{' '.join(RECORDED)} --rate 2000"
             chain.bridge(gear_ratio=[1.0, 1.5], direction=[1, -1], offset=[0.0, 0.5], recording=recording)
-            # Where software takes time, a recorder changes when encoders are read, on each board from another tick on.
+            # At level registers a recorder shifts the reading of the encoders, at different ticks of the boards.
             recordings = Recordings(user) if chosen_level() == "ideal" else None
             user.until(lambda: user.matched() and user.last("/twin/state"), 30.0)
-            chain.board(seed=5)  # last, so that its twin can follow it from its reset on
+            chain.board(seed=5)  # last, so that the twin can follow it from its reset
             user.until(user.connected, 30.0)
             user.until(lambda: user.last("/twin/healthy") is True, 30.0)
             user.enable_axes()
@@ -345,7 +345,7 @@ class TestTwinOfTheSameBoard:
 
 @dataclass
 class RunningChain:
-    """A chain of which every process runs, and its user."""
+    """Chain with all processes, and a ROS client."""
 
     chain: Chain
     user: User
@@ -366,9 +366,9 @@ def running_chain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningC
 
 
 class TestTrouble:
-    """Cables, and bridges that end without notice: test_failures_bridge.py."""
+    """Other failures: test_failures_bridge.py."""
 
-    def test_a_board_that_vanishes_and_comes_back_anew(self, running_chain: RunningChain) -> None:
+    def test_board_is_used_again_after_its_restart(self, running_chain: RunningChain) -> None:
         user = running_chain.user
         user.until(user.connected, 30.0)
         user.enable_axes()
@@ -380,7 +380,7 @@ class TestTrouble:
         user.until(lambda: user.last("/twin/healthy") is False)
         user.until(lambda: user.status("servo/servo_bridge: link").level == b"\x02")
         assert not user.enable()[0]
-        user.position[0].publish(Float64(data=9 * TURN))  # into the void
+        user.position[0].publish(Float64(data=9 * TURN))  # while the board is off
         running_chain.chain.port.unlink()
         running_chain.board = running_chain.chain.board(seed=6)
         user.until(lambda: user.last("/servo/state") == STOP, 20.0)
@@ -390,12 +390,12 @@ class TestTrouble:
         user.until(lambda: user.last("/twin/healthy") is True, 20.0)
         user.enable_axes()
         user.wait_board_time(0.3)
-        assert user.position_of(0) == pytest.approx(0.0, abs=0.2)  # what was sent into the void is gone
+        assert user.position_of(0) == pytest.approx(0.0, abs=0.2)  # earlier set-points are discarded
         go(user, 2 * TURN, 0.0)
         user.until(lambda: user.last("/twin/healthy") is True)
         assert running_chain.bridge.running
 
-    def test_ctrl_c_leaves_the_outputs_off_and_no_process_behind(self, running_chain: RunningChain) -> None:
+    def test_ctrl_c_switches_off_and_ends_all_processes(self, running_chain: RunningChain) -> None:
         user, chain = running_chain.user, running_chain.chain
         user.until(user.connected, 30.0)
         user.enable_axes()
@@ -418,11 +418,11 @@ class TestTrouble:
         assert not chain.port.exists()
         assert "Traceback" not in chain.logs()
 
-    def test_a_fast_line_carries_more(self, tmp_path: Path) -> None:
+    def test_fast_line_has_a_higher_telemetry_rate(self, tmp_path: Path) -> None:
         fast = Chain(tmp_path, FAST_BAUD, level="ideal")
         try:
             fast.board()
-            fast.bridge(telemetry_rate=300.0)  # the full one keeps every process busy
+            fast.bridge(telemetry_rate=300.0)  # all processes are busy at the full rate
             fast.twin()
             with ros_user() as user:
                 user.until(user.connected, 30.0)
@@ -431,8 +431,8 @@ class TestTrouble:
                 start = len(user.messages["/servo/joint_states"])
                 user.wait_board_time(1.0)
                 stamps = [from_stamp(m.header.stamp) for m in user.messages["/servo/joint_states"][start:]]
-                # A line of 115200 baud carries 133 samples/s; the full rate is measured by tests/bench/telemetry.py.
-                # The median: the machine may be busy with other things meanwhile.
+                # 115200 baud permit 133 samples/s; tests/bench/telemetry.py measures the full rate.
+                # The median, as other load may disturb.
                 assert np.median(np.diff(stamps)) <= 1e9 / 160.0
                 user.until(lambda: user.last("/twin/healthy") is True)
         finally:

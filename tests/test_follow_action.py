@@ -55,7 +55,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Answers]:
         ("disabled", "ABORTED", -1, "disabled by the service enable"),
     ],
 )
-def test_each_case_ends_with_its_status_and_code(
+def test_each_goal_ends_with_its_status_and_code(
     answers: Answers, case: str, status: str, code: int, text: str
 ) -> None:
     answer = answers[case]

@@ -1,4 +1,4 @@
-"""A parameter that is written sets no shaft in motion and speeds none up, in whatever state: over the real line."""
+"""Writing a parameter neither starts nor accelerates a shaft in any state, over the serial line."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ BAUD: Final = 115_200
 MODES: Final = CATALOGUE.enums["control_mode_t"]
 FEATURES: Final = {flag.name: flag.mask for flag in CATALOGUE.flags["features"]}
 WATCHED: Final = 0.15
-"""How long the shafts are watched after each write [s]."""
+"""Observation time after each write [s]."""
 
 HELD: Final = {"ideal": 3 * 2.0 * np.pi / 4000, "registers": 8 * 2.0 * np.pi / 4000}
-"""A held shaft stays within so much [rad]; where there are switches it hunts by a few counts more."""
+"""Largest motion of a held shaft [rad]; it hunts by some more counts with the switching plant."""
 
 EXPECTED: Final = {"FAULT", "STOP", "READY", "FREEWHEEL", "HOST_SILENT", "FOLLOWING_ERROR", "OVER_SPEED"}
 """States and faults in which a parameter may end a motion."""
 
 FASTER: Final = 1.6
-"""A turning one gains no more than this [rad/s]: its ripple."""
+"""Largest increase of the speed of a turning shaft [rad/s]: its ripple."""
 
 FASTER_SENSORLESS: Final = 4.0
-"""The same where the observer gives the speed [rad/s]."""
+"""Largest increase of the speed without an encoder [rad/s]."""
 
 
 def values(variable: Variable) -> list[int]:
@@ -56,14 +56,14 @@ def holding(sim: LineSimulation) -> None:
 
 
 def moving(sim: LineSimulation) -> None:
-    """A position move that takes longer than the test, at less than the speed that is asked for later."""
+    """A position move that is longer than the test, below the speed of later set-points."""
     sim.host.write("param.speed_limit", 50.0, 50.0)
     sim.host.write("cmd.position", 1e4, -1e4)
     sim.run(0.5, sim.host.keep_alive)
 
 
 def turning(sim: LineSimulation) -> None:
-    """A speed set-point of which the limit has taken a part."""
+    """A speed set-point that is reduced by the limit."""
     sim.host.write("cmd.mode", *[MODES["SPEED"]] * AXES)
     sim.host.write("cmd.speed", 200.0, -200.0)
     sim.run(0.3, sim.host.keep_alive)
@@ -72,7 +72,7 @@ def turning(sim: LineSimulation) -> None:
 
 
 def held_at_a_soft_limit(sim: LineSimulation) -> None:
-    """Speed set-points that soft limits have brought to 0."""
+    """Speed set-points that soft limits have reduced to 0."""
     sim.host.write("param.position_max", 5.0, 5.0)
     sim.host.write("param.position_min", -5.0, -5.0)
     sim.host.write_raw("param.features", *[FEATURES["POSITION_LIMITS"] | 15] * AXES)
@@ -82,7 +82,7 @@ def held_at_a_soft_limit(sim: LineSimulation) -> None:
 
 
 def pushing(sim: LineSimulation) -> None:
-    """Torque set-points that a lowered speed limit holds back."""
+    """Torque set-points that are limited by a reduced speed limit."""
     sim.host.write("cmd.mode", *[MODES["TORQUE"]] * AXES)
     sim.host.write("param.speed_limit", 50.0, 50.0)
     sim.host.write("cmd.i_q", 3.0, -3.0)
@@ -99,7 +99,7 @@ def expired(sim: LineSimulation) -> None:
 
 
 def stopped(sim: LineSimulation) -> None:
-    """A quick stop out of a motion."""
+    """A quick stop from motion."""
     turning(sim)
     sim.host.command("QUICK_STOP")
     sim.run(0.5, sim.host.keep_alive)
@@ -114,7 +114,7 @@ def in_fault(sim: LineSimulation) -> None:
 
 
 def sensorless_ready(sim: LineSimulation) -> None:
-    """Without an encoder, asked for a speed that the limit makes too slow to start."""
+    """Without an encoder, with a speed set-point that is limited below the minimum speed."""
     disabled(sim)
     sim.host.write("param.feedback", *[CATALOGUE.enums["feedback_kind_t"]["OBSERVER"]] * AXES)
     sim.host.write("param.speed_limit", 1.0, 1.0)
@@ -142,7 +142,7 @@ STATES: Final = (
 
 @pytest.fixture(params=get_args(Level))
 def new_simulation(request: pytest.FixtureRequest) -> Iterator[Callable[[], LineSimulation]]:
-    """Makes boards with both axes under control and set-points that do not expire."""
+    """Creates boards with both axes in SPIN and set-points that do not expire."""
     made: list[LineSimulation] = []
 
     def fresh() -> LineSimulation:
@@ -189,4 +189,4 @@ def test_parameter_written(
             stopped_by = set(" ".join(sim.states()).split()) - set(" ".join(states).split())
             assert stopped_by <= EXPECTED, what
             if sim.states() != states or (was.max() > 1.0 and np.abs(omega[-1]).max() < 0.97 * was.max()):
-                sim = None  # a fault or a lower limit has ended that motion
+                sim = None  # a fault or a lower limit has stopped the motion

@@ -1,4 +1,4 @@
-"""Paths that the bridge brings to the board: followed in time, blended, refused, ended."""
+"""Paths from the bridge on the board: tracking, blending, refusals, end."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def sim(request: pytest.FixtureRequest) -> Iterator[PathSimulation]:
 
 
 def moved(running: Path, now: float, path: Path) -> Path:
-    """A path about 0 that begins now, where the joints are."""
+    """Path shifted to the present time and positions of the joints."""
     shifted = path.shifted(now)
     at = running.select(path.joints).state(now).position
     coefficients = shifted.coefficients.copy()
@@ -32,22 +32,22 @@ def moved(running: Path, now: float, path: Path) -> Path:
 
 
 def circle(running: Path, now: float) -> Path:
-    """2 Hz, 1 rad on both axes."""
+    """Circle of 2 Hz and 1 rad on both axes."""
     return moved(running, now, lissajous(JOINTS, [0.0, 0.0], [1.0, 1.0], [2.0, 2.0], 3.0))
 
 
 def errors(sim: PathSimulation, path: Path) -> np.ndarray:
-    """Largest distance of each joint from the path, while it lasts [rad]."""
+    """Largest error of each joint during the path [rad]."""
     time = sim.time()
     rows = (time >= path.start_time) & (time <= path.end_time)
-    wanted = path.state(time[rows]).position
+    reference = path.state(time[rows]).position
     table = sim.table()[rows]
     return np.array(
-        [np.abs(table[f"{joint}.position"] * COUNT - wanted[:, k]).max() for k, joint in enumerate(path.joints)]
+        [np.abs(table[f"{joint}.position"] * COUNT - reference[:, k]).max() for k, joint in enumerate(path.joints)]
     )
 
 
-def test_a_circle_is_followed_in_time(sim: PathSimulation) -> None:
+def test_circle_is_followed(sim: PathSimulation) -> None:
     paths: list[Path] = []
 
     def plan(running: Path, now: float) -> Path:
@@ -97,7 +97,7 @@ def test_geared_joints_are_followed_in_their_own_units() -> None:
     assert f"acceleration of {JOINTS[0]} goes above its limit 80 rad/s^2" in str(refusal), "4000 rad/s^2 of the motor"
 
 
-def test_another_path_takes_over_without_a_step(sim: PathSimulation) -> None:
+def test_path_is_replaced_without_a_step(sim: PathSimulation) -> None:
     sim.follow(circle)
     sim.run(1.2)
 
@@ -117,7 +117,7 @@ def test_another_path_takes_over_without_a_step(sim: PathSimulation) -> None:
         assert table[f"{joint}.position_ref"][-1] * COUNT == pytest.approx(end, abs=COUNT)
 
 
-def test_a_path_beyond_a_limit_moves_nothing(sim: PathSimulation) -> None:
+def test_path_beyond_a_limit_is_refused_without_motion(sim: PathSimulation) -> None:
     def plan(running: Path, now: float) -> Path:
         return moved(running, now, move(JOINTS, [0.0, 0.0], [200.0, 1.0], 0.2))
 
@@ -128,7 +128,7 @@ def test_a_path_beyond_a_limit_moves_nothing(sim: PathSimulation) -> None:
     assert np.ptp(sim.table()["axis2.position_ref"]) <= 2
 
 
-def test_a_bridge_that_dies_leaves_a_controlled_stop(sim: PathSimulation) -> None:
+def test_crash_of_the_bridge_causes_a_controlled_stop(sim: PathSimulation) -> None:
     sim.follow(circle)
     sim.run(1.0)
     sim.writes_lost = True
@@ -140,7 +140,7 @@ def test_a_bridge_that_dies_leaves_a_controlled_stop(sim: PathSimulation) -> Non
         assert not table[f"{joint}.faults"].any()
 
 
-def test_every_stop_is_taken_and_keeps_the_limits(sim: PathSimulation) -> None:
+def test_every_stop_is_accepted_within_the_limits(sim: PathSimulation) -> None:
     def go(running: Path, now: float) -> Path:
         return moved(running, now, move(JOINTS, [0.0, 0.0], [60.0, -1.0], 2.0))
 

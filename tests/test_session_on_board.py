@@ -52,18 +52,18 @@ def targets(session: Session) -> dict[str, TargetVariable]:
     return {name: variable.target for name, variable in session.variables.items()}
 
 
-def test_a_board_of_the_same_catalogue_need_not_name_its_variables(client: CountingClient) -> None:
+def test_names_are_not_read_from_a_board_with_the_same_catalogue(client: CountingClient) -> None:
     session = connect(client, CATALOGUE)
     assert client.texts == 0
     assert session.mismatch is None
-    client.inverted = TABLES_BASE + 16 * (len(ROWS) - 1)  # the name of the last row seems to be elsewhere
+    client.inverted = TABLES_BASE + 16 * (len(ROWS) - 1)  # the address of the name of the last row is wrong
     named = targets(connect(client, CATALOGUE))
     assert client.texts > len(CATALOGUE.variables)
     last = ROWS[-1].name.decode()
     assert {**named, last: targets(session)[last]}.items() >= targets(session).items()
 
 
-def test_a_board_of_another_catalogue_names_its_variables(client: CountingClient, sim: LineSimulation) -> None:
+def test_names_are_read_from_a_board_with_another_catalogue(client: CountingClient, sim: LineSimulation) -> None:
     client.inverted = sim.board.address("catalogue_hash")
     session = connect(client, CATALOGUE)
     assert client.texts > len(CATALOGUE.variables)
@@ -72,7 +72,7 @@ def test_a_board_of_another_catalogue_names_its_variables(client: CountingClient
     assert set(session.variables) >= set(CATALOGUE.variables)
 
 
-def test_texts_are_known_by_the_places_of_all_rows() -> None:
+def test_texts_are_identified_by_the_addresses_of_all_rows() -> None:
     places: list[tuple[int, int]] = []
     address: dict[bytes, int] = {}
     for row in ROWS:

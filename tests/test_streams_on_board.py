@@ -1,4 +1,4 @@
-"""Streams of set-points that the bridge brings to the board: followed, bridged, ended, taken over."""
+"""Streams of set-points on the board: tracking, bridged gaps, end, and replacement by other sources."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from servo_twin.level import Level
 LEVELS = pytest.mark.parametrize("level", ["ideal", "registers"])
 OMEGA = 4.0 * math.pi
 ROUNDING = 2.0 * COUNT / 1e-4
-"""Acceleration that whole counts make out of nothing [rad/s^2]."""
+"""Apparent acceleration by rounding to counts [rad/s^2]."""
 
 
 def wave(t: float) -> tuple[float, float]:
-    """Position and velocity of 2 Hz, 1 rad, faded in over half a second."""
+    """Position and velocity of a sine of 2 Hz and 1 rad, with a ramp of 0.5 s."""
     rise = min(max(t / 0.5, 0.0), 1.0)
     slope = 1.0 / 0.5 if 0.0 < t < 0.5 else 0.0
     return rise * math.sin(OMEGA * t), slope * math.sin(OMEGA * t) + rise * OMEGA * math.cos(OMEGA * t)
@@ -35,7 +35,7 @@ def both(t: float) -> Mapping[int, JointSetPoint]:
 
 
 def followed(sim: PathSimulation, begin: float, since: float, until: float) -> tuple[float, float]:
-    """Lag [s] and what the error is besides it [rad], of the worst joint."""
+    """Largest lag [s] and largest error after its compensation [rad] of the joints."""
     time, table = sim.time(), sim.table()
     rows = (time >= begin + since) & (time < begin + until)
     t = time[rows] - begin
@@ -50,7 +50,7 @@ def followed(sim: PathSimulation, begin: float, since: float, until: float) -> t
 
 
 def accelerations(sim: PathSimulation, joint: str, begin: float) -> NDArray[np.float64]:
-    """Of the reference, over 10 ms [rad/s^2]."""
+    """Accelerations of the reference over 10 ms [rad/s^2]."""
     rows = sim.time() >= begin
     reference = sim.table()[f"{joint}.position_ref"][rows] * COUNT
     time = sim.time()[rows]
@@ -60,22 +60,22 @@ def accelerations(sim: PathSimulation, joint: str, begin: float) -> NDArray[np.f
 
 
 def moving(sim: PathSimulation) -> tuple[str, ...]:
-    """Joints that a stream moves."""
+    """Joints with an active stream."""
     report = sim.streamer.report
     return () if report is None else report.moving
 
 
 @LEVELS
-def test_a_stream_is_followed_a_known_delay_later(level: Level) -> None:
+def test_stream_is_followed_with_a_known_delay(level: Level) -> None:
     with Board(seed=4, level=level) as board:
         sim = PathSimulation(board)
         begin = sim.send(3.0, both)
-        lag, rest = followed(sim, begin, 1.0, 3.0)
+        lag, residual = followed(sim, begin, 1.0, 3.0)
         report = sim.streamer.report
         assert report is not None
         assert sim.errors == []
         assert sim.refusals == []
-    assert rest <= 0.04
+    assert residual <= 0.04
     assert abs(lag - report.delay) <= 0.002
     assert report.delay <= 0.08
     assert (report.lost, report.late, report.starved) == (0, 0, ())
@@ -84,7 +84,7 @@ def test_a_stream_is_followed_a_known_delay_later(level: Level) -> None:
 
 @LEVELS
 @pytest.mark.parametrize("delay_max", [None, 0.06])
-def test_jitter_and_loss_make_no_fault_and_no_step(level: Level, delay_max: float | None) -> None:
+def test_jitter_and_loss_cause_no_fault_and_no_step(level: Level, delay_max: float | None) -> None:
     with Board(seed=4, level=level) as board:
         sim = PathSimulation(board, delay_max)
         limit = sim.limits[0].acceleration_max
@@ -93,7 +93,7 @@ def test_jitter_and_loss_make_no_fault_and_no_step(level: Level, delay_max: floa
         table = sim.table()
         report = sim.streamer.report
         assert report is not None
-        _, rest = followed(sim, begin, 1.0, 3.0)
+        _, residual = followed(sim, begin, 1.0, 3.0)
     for joint in JOINTS:
         assert not table[f"{joint}.faults"].any()
         assert table[f"{joint}.points_late"][-1] == 0
@@ -101,10 +101,10 @@ def test_jitter_and_loss_make_no_fault_and_no_step(level: Level, delay_max: floa
     assert report.lost > 5
     assert 0.03 < report.jitter < 0.06
     if delay_max is not None:
-        assert rest <= 0.1
+        assert residual <= 0.1
 
 
-def test_the_lead_grows_until_points_come_in_time_over_a_slow_line() -> None:
+def test_lead_increases_until_points_arrive_in_time() -> None:
     with Board(seed=4) as board:
         sim = PathSimulation(board)
         sim.streamer = Streamer(DEFAULT_JOINTS, sim.follower, 0.025)
@@ -114,14 +114,14 @@ def test_the_lead_grows_until_points_come_in_time_over_a_slow_line() -> None:
         assert error_count > 0
         resumed = sim.send(3.0, lambda t: both(t + 5.0))
         assert len(sim.errors) == error_count
-        _, rest = followed(sim, resumed - 5.0, 6.0, 8.0)
+        _, residual = followed(sim, resumed - 5.0, 6.0, 8.0)
         report = sim.streamer.report
         assert report is not None
     assert 0.06 < report.delay < 0.12
-    assert rest <= 0.04
+    assert residual <= 0.04
 
 
-def test_points_that_come_nearly_late_make_the_lead_longer_without_a_step() -> None:
+def test_lead_increases_without_a_step_for_nearly_late_points() -> None:
     with Board(seed=4) as board:
         sim = PathSimulation(board)
         limit = sim.limits[0].acceleration_max
@@ -137,7 +137,7 @@ def test_points_that_come_nearly_late_make_the_lead_longer_without_a_step() -> N
         assert np.abs(accelerations(sim, joint, begin)).max() <= limit + ROUNDING
 
 
-def test_a_sender_that_dies_leaves_a_stop() -> None:
+def test_missing_messages_of_a_stream_cause_a_stop() -> None:
     with Board(seed=4) as board:
         sim = PathSimulation(board)
         sim.send(1.0, lambda t: {0: JointSetPoint(20.0 * t, 20.0)})
@@ -149,7 +149,7 @@ def test_a_sender_that_dies_leaves_a_stop() -> None:
         travelled = (table["axis1.position_ref"][-1] - table["axis1.position_ref"][0]) * COUNT
         assert 19.0 < travelled < 20.0 + 1.5
         assert sim.follower.axes == frozenset()
-        # And begins again.
+        # The stream starts again.
         at = table["axis1.position_ref"][-1] * COUNT
         begin = sim.send(1.0, lambda t: {0: JointSetPoint(at + wave(t)[0], wave(t)[1])})
         sim.run(0.2)
@@ -158,7 +158,7 @@ def test_a_sender_that_dies_leaves_a_stop() -> None:
         assert sim.errors == []
 
 
-def test_one_joint_streams_and_the_other_joins() -> None:
+def test_second_joint_joins_a_stream() -> None:
     with Board(seed=4) as board:
         sim = PathSimulation(board)
 
@@ -175,7 +175,7 @@ def test_one_joint_streams_and_the_other_joins() -> None:
         assert sim.errors == []
 
 
-def test_a_stream_takes_over_from_a_path_and_gives_way_to_a_set_point() -> None:
+def test_stream_replaces_a_path_and_a_set_point_replaces_the_stream() -> None:
     with Board(seed=4) as board:
         sim = PathSimulation(board)
 
@@ -203,7 +203,7 @@ def test_a_stream_takes_over_from_a_path_and_gives_way_to_a_set_point() -> None:
         assert sim.refusals == []
 
 
-def test_a_stream_at_the_limit_of_acceleration_is_not_refused() -> None:
+def test_stream_at_the_acceleration_limit_is_accepted() -> None:
     with Board(seed=4) as board:
         sim = PathSimulation(board)
         board.write("param.acceleration_limit", [200.0, 200.0])

@@ -20,11 +20,11 @@ from test_tune_on_board import CONFIG, edited
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 BOTH = ["axis1", "axis2"]
-FAR = 20_000.0  # rad: on the way for longer than any test
+FAR = 20_000.0  # [rad], longer than any test
 
 
-class Tuner:
-    """A user who tunes."""
+class TuningClient:
+    """ROS client of the tuning service."""
 
     def __init__(self, user: User) -> None:
         self.user = user
@@ -36,7 +36,7 @@ class Tuner:
         )
 
     def call(self, file: Path, *, send: bool) -> tuple[bool, str]:
-        """Name a file and call the service."""
+        """Set the parameter `tuning` to a file and call the service."""
         for client, request in (
             (
                 self._parameters,
@@ -55,12 +55,12 @@ class Tuner:
 
 
 @pytest.fixture
-def tuner(tmp_path: Path) -> Iterator[Tuner]:
+def tuner(tmp_path: Path) -> Iterator[TuningClient]:
     with followed_board(tmp_path, FAST_BAUD, "ideal", telemetry_rate=130.0) as user:
-        yield Tuner(user)
+        yield TuningClient(user)
 
 
-def test_gains_are_given_to_a_board_in_motion_and_read_back(tuner: Tuner, tmp_path: Path) -> None:
+def test_gains_are_sent_in_motion_and_read_back(tuner: TuningClient, tmp_path: Path) -> None:
     user, catalogue = tuner.user, Catalogue.load()
     own = tuner.until_published(1)
     built_in = blocks_of_file(CONFIG.read_text(encoding="utf-8"), catalogue)
