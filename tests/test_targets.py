@@ -26,7 +26,7 @@ NOT_ON_A_TARGET = {
     # The replay has one thread: the server is not interrupted.
     "latch_commands",
     "publish_snapshot",
-    "journal_watch",
+    "event_log_watch",
     # For hosts without a serial line.
     "servo_read",
     "servo_write",

@@ -147,8 +147,8 @@ def test_the_demonstration_never_moves_a_real_board(capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["--port", ""], "it is empty"),
-        (["--domain-id", "999"], "'999' is no ROS domain; they are 0 .. 232"),
+        (["--port", ""], "empty; give a device path"),
+        (["--domain-id", "999"], "'999' is not a ROS domain (0 .. 232)"),
         (["--set", "param.features[0]=FOO"], "'FOO' is not a number or one of the names none, ANTI_WINDUP"),
         (["--set", "param.i_q_limit=9,9"], "outside 0.1 .. 4 A"),
     ],
@@ -216,7 +216,7 @@ def test_ctrl_c_while_the_picture_is_drawn_leaves_the_recording(
         assert [child.running for child in children] == [False]
         signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(up_module, "_bring_up", bring_up)
+    monkeypatch.setattr(up_module, "_start_all", bring_up)
     monkeypatch.setattr(up_module, "_run_demo", lambda *_: 0)
     monkeypatch.setattr(up_module, "_finish_demo", finish)
     assert main(["--demo", "--out", str(tmp_path)]) == 130
@@ -228,9 +228,9 @@ def test_ctrl_c_while_the_picture_is_drawn_leaves_the_recording(
 def test_signal_is_a_normal_end_except_in_the_demonstration(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
-    monkeypatch.setattr(up_module, "_refuse_a_second", lambda *_: None)
-    monkeypatch.setattr(up_module, "_bring_up", lambda *_: None)
-    monkeypatch.setattr(up_module, "_stay", lambda *_: signal.raise_signal(number))
+    monkeypatch.setattr(up_module, "_refuse_second_bridge", lambda *_: None)
+    monkeypatch.setattr(up_module, "_start_all", lambda *_: None)
+    monkeypatch.setattr(up_module, "_wait_for_stop", lambda *_: signal.raise_signal(number))
     monkeypatch.setattr(up_module, "_run_demo", lambda *_: signal.raise_signal(number))
     assert main(["--out", str(tmp_path)]) == 0
     assert main(["--demo", "--out", str(tmp_path)]) == 130

@@ -67,12 +67,12 @@ def test_phase_locked_loop(constants: dict[str, Any]) -> None:
     gained = 3.0 * PSI * I_FS / 0.8e-5 * P * 0.5e-3 * T / (2.0 * math.pi) * 2.0**32
     assert constants["pll.acceleration"] == pytest.approx(gained, rel=1e-6)
     learnt = omega_n**3 / 8.0 * 0.5e-3 * 0.5e-3 * T / (2.0 * math.pi) * 2.0**32
-    assert constants["pll.load"] == pytest.approx(learnt, rel=1e-5)
+    assert constants["pll.load_gain"] == pytest.approx(learnt, rel=1e-5)
     left = math.exp(-2.0 * math.pi * 75.0 * 0.5e-3)
     per_emf = U_FS / 2.0**23 / PSI * T / (2.0 * math.pi) * 2.0**32  # step of the speed that has the least back-EMF
-    assert constants["pll.follow"] / 2.0**24 == pytest.approx((1.0 - left**2) * per_emf, rel=1e-5)
-    assert constants["pll.follow_load"] / 2.0**24 == pytest.approx((1.0 - left) ** 2 * per_emf, rel=1e-5)
-    assert constants["pll.forget"] / 2.0**24 == pytest.approx(0.5e-3 / 0.128 / per_emf, rel=1e-3)
+    assert constants["pll.amplitude_gain"] / 2.0**24 == pytest.approx((1.0 - left**2) * per_emf, rel=1e-5)
+    assert constants["pll.amplitude_load_gain"] / 2.0**24 == pytest.approx((1.0 - left) ** 2 * per_emf, rel=1e-5)
+    assert constants["pll.offset_gain"] / 2.0**24 == pytest.approx(0.5e-3 / 0.128 / per_emf, rel=1e-3)
 
 
 def test_slide_damping_is_that_of_its_two_gains() -> None:

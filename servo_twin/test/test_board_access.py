@@ -52,7 +52,7 @@ def test_a_recording_begins_at_its_trigger(access: VirtualBoardAccess) -> None:
     event = recording.columns["axis1.event_state"]
     assert event[0] > 0.0
     assert access.capacity(["tick", "axis1.event_state"]) == 7680 // 6
-    with pytest.raises(MeasurementError, match="not triggered"):
+    with pytest.raises(MeasurementError, match="no trigger within"):
         access.record(["tick"], 10, 1, slow=True, trigger="axis2.event_mode")
     with pytest.raises(MeasurementError, match="name one element"):
         access.record(["cmd.i_q"], 10, 1, slow=True)

@@ -180,5 +180,5 @@ def test_the_loops_go_on_while_the_flash_is_written(kept: Kept) -> None:
 
 
 def test_an_image_of_another_size_is_refused() -> None:
-    with pytest.raises(ValueError, match="an image of the flash has 32896 bytes, not 5"):
+    with pytest.raises(ValueError, match="the flash image has 5 bytes instead of 32896"):
         Board(flash=bytes(5))

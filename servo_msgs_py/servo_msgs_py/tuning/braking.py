@@ -88,5 +88,5 @@ def brake_constants(configuration: Configuration) -> Mapping[str, int]:
         "cooling": FRAC32.raw("board.brake.power", power * board.tick / energy, "raise it, or lower energy", power),
         "start": volts("regeneration.start_voltage"),
         "full": volts("regeneration.full_voltage"),
-        "u_dc_max_able": FRAC16.raw("board: end of the bus converter", BUS_END, "none"),
+        "u_dc_max_braking": FRAC16.raw("board: end of the bus converter", BUS_END, "none"),
     }

@@ -262,11 +262,13 @@ def _watches(to: Converter) -> dict[str, Field]:
     hot, cool = board.temperature.codes()
     inductance = max(axis("motor.l_d"), axis("motor.l_q")) * s.i / s.u_s / board.tick
     return {
-        "winding.silent": to.of(FRAC16, "silence of a phase, twice sensing.sign_current", 2.0 * sign, "lower it"),
-        "winding.direction_min": to.of(FRAC16, "least current of a direction", sign, "raise sensing.sign_current"),
+        "winding.current_min": to.of(FRAC16, "silence of a phase, twice sensing.sign_current", 2.0 * sign, "lower it"),
+        "winding.direction_current_min": to.of(
+            FRAC16, "least current of a direction", sign, "raise sensing.sign_current"
+        ),
         "winding.resistance": to.of(GAIN, "voltage drop", axis("motor.r_s") * s.i / s.u_s, "correct motor.r_s"),
         "winding.inductance": to.of(GAIN, "voltage of a change of current", inductance, "correct motor.l_q"),
-        "winding.turn_per_voltage": to.of(INT32_Q16, "turn per back-EMF", turn, "correct motor.psi_m"),
+        "winding.rotation_per_voltage": to.of(INT32_Q16, "turn per back-EMF", turn, "correct motor.psi_m"),
         "winding.emf_floor": to.of(FRAC16, "unexplained voltage", floor, "lower board.switch_drop"),
         "heat.hot": hot,
         "heat.cool": cool,

@@ -107,9 +107,9 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
     follow, follow_load = pll.size_gains(board.tick)
     slower = "lower observer.pll_size"
     return {
-        "pll.follow": GAIN.raw(axis.entry("observer.pll_size") + ": speed", follow * per_emf, slower),
-        "pll.follow_load": GAIN.raw(axis.entry("observer.pll_size") + ": load", follow_load * per_emf, slower),
-        "pll.forget": to.of(GAIN, "back-EMF per step of the PLL", board.tick / FORGET / per_emf, _MOTOR),
+        "pll.amplitude_gain": GAIN.raw(axis.entry("observer.pll_size") + ": speed", follow * per_emf, slower),
+        "pll.amplitude_load_gain": GAIN.raw(axis.entry("observer.pll_size") + ": load", follow_load * per_emf, slower),
+        "pll.offset_gain": to.of(GAIN, "back-EMF per step of the PLL", board.tick / FORGET / per_emf, _MOTOR),
         "pll.kp": to.of(GAIN, "PLL Kp", _pll_gain(2.0 * pll.damping * omega_n * board.period), "lower observer.pll_i"),
         "pll.ki": to.of(GAIN, "PLL Ki", _pll_gain((omega_n * board.period) ** 2), quicker),
         "pll.e_min": to.of(FRAC16, "half the back-EMF at start_up.minimum_speed", e_min, f"raise that, or {_MOTOR}"),
@@ -122,7 +122,7 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
             acceleration,
             "lower it, or correct motor.inertia or motor.psi_m",
         ),
-        "pll.load": LOAD.raw(
+        "pll.load_gain": LOAD.raw(
             axis.entry("observer.pll_load") + ": learnt in a tick",
             pll.load * omega_n**3 * _steps_per_acceleration(board) * board.tick,
             "lower it",
@@ -200,10 +200,10 @@ FIELDS: Final = (
     *(f"observer.{key}" for key in ("f1", "f2", "loss", "drive", "k1", "k2")),
     *(f"pll.{key}" for key in ("kp", "ki", "e_min", "step_max", "speed_per_step", "step_per_speed", "counts_per_turn")),
     "pll.acceleration",
-    "pll.load",
-    "pll.follow",
-    "pll.follow_load",
-    "pll.forget",
+    "pll.load_gain",
+    "pll.amplitude_gain",
+    "pll.amplitude_load_gain",
+    "pll.offset_gain",
     *(f"reliability.{key}" for key in ("period", "variance_threshold", "hysteresis")),
     *(
         f"emf_check.{key}"
@@ -242,7 +242,7 @@ def used_pll(constants: Mapping[str, Field], axis: Axis, board: Board, scales: S
     omega_n = math.sqrt(ki) / board.period
     gained = STEP_GAIN.value(_integer(constants, "pll.acceleration"))
     per_current = gained * 2.0 * math.pi / (scales.i * axis("motor.pole_pairs") * board.tick * board.period)
-    learnt = _integer(constants, "pll.load") / (_steps_per_acceleration(board) * board.tick) / omega_n**3
-    follow = GAIN.value(_integer(constants, "pll.follow")) / _step_per_emf(axis, board, scales)
+    learnt = _integer(constants, "pll.load_gain") / (_steps_per_acceleration(board) * board.tick) / omega_n**3
+    follow = GAIN.value(_integer(constants, "pll.amplitude_gain")) / _step_per_emf(axis, board, scales)
     size = -0.5 * math.log(1.0 - follow) / board.tick
     return Pll(omega_n**2 / full, kp / (2.0 * omega_n * board.period), per_current, learnt, size)
