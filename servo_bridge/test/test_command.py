@@ -1,4 +1,4 @@
-"""``servo-command`` beside a bridge whose board the test drives."""
+"""``servo-command`` with a bridge and a fake board."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def rig() -> Iterator[Rig]:
 
 @pytest.fixture
 def command(rig: Rig, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Command:
-    """Runs a command while the board lives; exit status and what it printed. It waits so long for an answer [s]."""
+    """Runs a command while the board sends samples; returns exit status and output. `wait`: time-out of answers [s]."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
 
     def run(*arguments: str, wait: float = 8.0) -> tuple[int, str, str]:
@@ -58,7 +58,7 @@ def test_parameters_are_set_and_read_back(rig: Rig, command: Command) -> None:
     assert "param.features = 24, 0 (DEAD_TIME+FRICTION, none)" in out
 
 
-def test_what_the_bridge_refuses_is_said(rig: Rig, command: Command) -> None:
+def test_refusals_of_the_bridge_are_printed(rig: Rig, command: Command) -> None:
     one = [rig.link.catalogue["param.position_max"].to_raw(1.0)] * 2
     rig.link.parameters["param.position_max"] = one
     rig.connect()
@@ -80,7 +80,7 @@ def test_state_names_faults_and_limits(rig: Rig, command: Command) -> None:
     assert lines[4].startswith("    at limit POSITION: a soft limit of the position holds the shaft back")
 
 
-def test_state_tells_what_a_hot_winding_leaves(rig: Rig, command: Command) -> None:
+def test_state_prints_derating_of_current_limit(rig: Rig, command: Command) -> None:
     rig.connect(SPIN, SPIN)
     assert command("set", "param.i_q_limit=4,4")[0] == 0
     rig.link.values |= {"axis2.winding_temperature": 118, "axis2.winding_current": 3}
@@ -104,7 +104,7 @@ def test_state_names_parameters_that_the_board_does_not_take(rig: Rig, command: 
 
 
 def test_a_parameter_that_the_board_refuses_is_named(rig: Rig, command: Command) -> None:
-    """The bridge checks the ranges itself, so this takes a board with other ones."""
+    """With a board that refuses a value in the range of the bridge."""
     rig.connect(STOP, STOP)
     rig.link.rejected_parameter = "param.over_speed"
     status, _, err = command("set", "param.over_speed=310,310", wait=5.0)
@@ -151,12 +151,12 @@ def longest(times: list[float]) -> float:
     return max(later - sooner for sooner, later in pairwise(times))
 
 
-def test_a_velocity_is_renewed_in_time_for_as_long_as_was_asked(
+def test_velocity_is_renewed_for_the_requested_time(
     rig: Rig, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig.enable_axes()
     times: list[float] = []
-    rounds: list[float] = []  # of this process, which a busy machine may hold up
+    rounds: list[float] = []  # time of this process, which other load may delay
     sample = rig.link.sample
 
     def sample_and_note() -> None:
@@ -177,6 +177,6 @@ def test_a_velocity_is_renewed_in_time_for_as_long_as_was_asked(
     # The command waits for the bridge, not for this subscriber, which may miss the first messages.
     assert len(times) >= 4
     assert times[-1] - times[0] <= 1.15
-    assert longest(times) < 0.25 + longest(rounds)  # half of the board's timeout
+    assert longest(times) < 0.25 + longest(rounds)  # half of the time-out of the board
     assert len([name for name, *_ in rig.link.written if name == "cmd.speed"]) >= 2
     assert rig.link.written[-1] == ("cmd.speed", 0, (rig.link.catalogue["cmd.speed"].to_raw(50.0),))

@@ -1,4 +1,4 @@
-"""The node under real rclpy: topics, services, trouble. The link is driven by the test."""
+"""The node under real rclpy with a fake link: topics, services, failures."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def rig() -> Iterator[Rig]:
 
 
 def writes(rig: Rig, count: int) -> list[Any]:
-    """Give samples until so many writes have been sent."""
+    """Deliver samples until `count` writes have been sent."""
 
     def sent() -> bool:
         rig.link.sample()
@@ -102,7 +102,7 @@ def test_every_sample_is_in_the_snapshots_exactly_once(rig: Rig) -> None:
     for _ in range(100):
         rig.link.sample()
     last = rig.link.tick
-    rig.link.disconnect()  # the rest of the last batch goes out
+    rig.link.disconnect()  # publishes the rest of the last batch
     rig.until(lambda: rig.snapshots() and rig.snapshots()[-1]["tick"] == last)
     ticks = [row["tick"] for row in rig.snapshots()]
     assert ticks == [last - 16 * k for k in range(len(ticks))][::-1]
@@ -114,7 +114,7 @@ def test_every_sample_is_in_the_snapshots_exactly_once(rig: Rig) -> None:
     assert stamps == [(stamp.sec, stamp.nanosec) for stamp in headers]
 
 
-def test_positions_go_on_past_32_bits(rig: Rig) -> None:
+def test_positions_are_unwrapped_beyond_32_bits(rig: Rig) -> None:
     rig.link.values["axis1.position"] = 2**31 - 10
     rig.connect()
     rig.link.values["axis1.position"] = -(2**31) + 10
@@ -166,7 +166,7 @@ def test_state_and_armed_follow_the_board(rig: Rig) -> None:
 
 
 # ---- set-points
-def test_a_joint_command_goes_to_both_axes_in_one_write_and_its_tick_is_told(rig: Rig) -> None:
+def test_joint_command_is_one_write_to_both_axes_and_reports_its_tick(rig: Rig) -> None:
     rig.enable_axes()
     rig.joint_commands.publish(JointState(name=["axis2", "axis1"], position=[TURN, -TURN]))
     assert writes(rig, 2) == [("cmd.mode", 0, (0, 0)), ("cmd.position", 0, (-4000, 4000))]
@@ -193,13 +193,13 @@ def test_effort_uses_the_torque_constant_of_the_board(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize(("field", "variable"), [("velocity", "cmd.speed"), ("effort", "cmd.i_q")])
-def test_the_same_message_again_renews_the_set_point_and_silence_writes_nothing(
+def test_repeated_message_renews_the_set_point_and_nothing_is_written_without_messages(
     rig: Rig, field: str, variable: str
 ) -> None:
     rig.enable_axes()
     message = JointState(name=["axis1", "axis2"])
     setattr(message, field, [0.05, 0.05])
-    for count in (2, 3, 4):  # the mode first
+    for count in (2, 3, 4):  # the mode is written first
         rig.joint_commands.publish(message)
         assert writes(rig, count)[-1] == rig.link.written[1]
     assert [name for name, _, _ in rig.link.written] == ["cmd.mode"] + 3 * [variable]
@@ -209,7 +209,7 @@ def test_the_same_message_again_renews_the_set_point_and_silence_writes_nothing(
     assert len(rig.link.written) == 4
 
 
-def test_a_set_point_that_expires_is_told_once_with_the_time_of_the_board(rig: Rig) -> None:
+def test_expired_set_point_is_logged_once_with_board_time(rig: Rig) -> None:
     expired = CATALOGUE.flag("limits", "EXPIRED").mask
     rig.link.parameters["param.command_timeout"] = [CATALOGUE["param.command_timeout"].to_raw(0.25)]
     rig.enable_axes()
@@ -224,7 +224,7 @@ def test_a_set_point_that_expires_is_told_once_with_the_time_of_the_board(rig: R
     assert "EXPIRED" in rig.diagnosis("axis2").message
 
 
-WRONG = [  # what its form can be: test_setpoints.py
+WRONG = [  # all invalid forms: test_setpoints.py
     (JointState(name=["elbow"], position=[1.0]), "joint 'elbow' does not exist; the joints are axis1, axis2"),
     (JointState(name=["axis1"], effort=[1.0], velocity=[1.0]), "a velocity and an effort, but no position"),
     (JointState(name=["axis1"], position=[1e9]), "outside -1.68663e+06 .. 1.68663e+06 rad"),
@@ -233,7 +233,7 @@ WRONG = [  # what its form can be: test_setpoints.py
 ]
 
 
-def test_every_wrong_joint_command_is_named_and_moves_nothing(rig: Rig) -> None:
+def test_invalid_joint_commands_are_refused_with_their_reason(rig: Rig) -> None:
     rig.enable_axes()
     for message, sentence in WRONG:
         seen = len(rig.rejections())
@@ -245,7 +245,7 @@ def test_every_wrong_joint_command_is_named_and_moves_nothing(rig: Rig) -> None:
     assert rig.link.written == []
 
 
-def test_wrong_arrays_move_nothing(rig: Rig) -> None:
+def test_invalid_arrays_are_refused(rig: Rig) -> None:
     rig.enable_axes()
     for data in ([], [1.0], [math.nan, 0.0], [1e9, 0.0]):
         seen = len(rig.rejections())
@@ -270,11 +270,11 @@ def test_a_stream_of_wrong_commands_does_not_flood_the_log(rig: Rig) -> None:
     for k in range(60):
         name = f"joint{k}"
         rig.joint_commands.publish(JointState(name=[name], position=[0.0]))
-        rig.until(partial(rig.was_rejected, name))  # the queue of the topic takes ten
+        rig.until(partial(rig.was_rejected, name))  # depth of the topic
     status = rig.diagnosis("commands")
     assert status.level == b"\x01"
     assert "rejected: joint_commands: joint 'joint59'" in status.message
-    rig.commands.publish(Float64MultiArray(data=[0.0] * 9))  # throttled by itself, and logged after all others
+    rig.commands.publish(Float64MultiArray(data=[0.0] * 9))  # has its own throttle, logged after all others
     rig.until(lambda: any("commands: 9 values" in text for text in rig.rejections()))
     assert 20 <= sum("'joint" in text for text in rig.rejections()) <= 30
 
@@ -291,7 +291,7 @@ def test_enable_writes_and_answers_when_it_took_effect(rig: Rig) -> None:
     assert rig.link.written[1:] == [("cmd.enable", 0, (0, 0))]
 
 
-def test_services_say_why_there_is_no_link(rig: Rig) -> None:
+def test_services_report_the_reason_of_a_missing_link(rig: Rig) -> None:
     rig.link.disconnect(reason="nothing answers", remedy="check the cable")
     rig.until(lambda: "nothing answers" in rig.state())
     for answer in (rig.enable(True), rig.enable(False), rig.quick_stop(), rig.clear_faults()):
@@ -323,7 +323,7 @@ def test_quick_stop_blocks_set_points_until_enable(rig: Rig) -> None:
     assert [w[0] for w in writes(rig, 4)] == ["cmd.quick_stop", "cmd.enable", "cmd.mode", "cmd.position"]
 
 
-def test_clear_faults_tells_what_is_still_there(rig: Rig) -> None:
+def test_clear_faults_reports_remaining_faults(rig: Rig) -> None:
     rig.link.values["axis1.faults"] = 0b10
     rig.connect(FAULT, STOP)
     success, text = rig.clear_faults()
@@ -334,7 +334,7 @@ def test_clear_faults_tells_what_is_still_there(rig: Rig) -> None:
     assert rig.link.written == [("cmd.clear_faults", 0, (1, 1))] * 2
 
 
-def test_a_waiting_service_stops_nothing_else_and_a_lost_link_answers_it(rig: Rig) -> None:
+def test_pending_service_does_not_block_others_and_link_loss_answers_it(rig: Rig) -> None:
     rig.connect()
     rig.link.ignores_writes = True
     enable = rig.enable_client.call_async(SetBool.Request(data=True))
@@ -351,7 +351,7 @@ def test_a_waiting_service_stops_nothing_else_and_a_lost_link_answers_it(rig: Ri
 
 
 # ---- a lost link
-def test_link_loss_throws_set_points_away_and_nothing_rearms(rig: Rig) -> None:
+def test_link_loss_discards_set_points_and_needs_a_new_enable(rig: Rig) -> None:
     rig.enable_axes()
     rig.link.ignores_writes = True
     rig.commands.publish(Float64MultiArray(data=[1.0, 1.0]))
@@ -438,7 +438,7 @@ def test_faults_are_logged_once_and_shown(rig: Rig) -> None:
     assert all(text.startswith("axis1: OVER_") for text in rig.logs(40))
 
 
-def test_a_board_reset_starts_time_and_positions_anew(rig: Rig) -> None:
+def test_board_reset_restarts_time_and_positions(rig: Rig) -> None:
     rig.link.tick = 16_000 * 3600
     rig.link.values["axis1.position"] = 2**31 - 1
     rig.connect()
@@ -475,14 +475,14 @@ def test_a_board_reset_starts_time_and_positions_anew(rig: Rig) -> None:
         ({"port": ""}, "parameter port is empty"),
     ],
 )
-def test_senseless_parameters_are_named(parameters: dict[str, Any], sentence: str) -> None:
+def test_invalid_parameters_are_reported(parameters: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ParameterError) as caught, Rig(**parameters):
         pass
     assert sentence in str(caught.value)
 
 
 def test_a_bridge_that_failed_to_start_leaves_the_log_of_the_next_one_working() -> None:
-    """What is left of it may be collected at any time, while the next one of its name is at work."""
+    """Its remains may be collected at any time while the next node of the same name runs."""
     with pytest.raises(ParameterError) as refused, Rig(joints=["one"]):
         pass
     with Rig() as rig:
@@ -577,7 +577,7 @@ def value(name: str, raw: int) -> float:
     return float(CATALOGUE[name].scale(raw))
 
 
-def test_the_parameters_of_the_board_are_told_at_every_connection(rig: Rig) -> None:
+def test_parameters_of_the_board_are_published_at_every_connection(rig: Rig) -> None:
     rig.connect()
     rig.until(lambda: rig.parameters() == rig.link.parameters)
     assert rig.diagnosis("parameters").message == "as wanted"
@@ -590,7 +590,7 @@ def test_the_parameters_of_the_board_are_told_at_every_connection(rig: Rig) -> N
     assert not [name for name, _, _ in rig.link.written if name.startswith("param.")]
 
 
-def test_wanted_parameters_are_written_at_the_connection_and_when_they_change() -> None:
+def test_requested_parameters_are_written_at_the_connection_and_when_they_change() -> None:
     with Rig(board_parameters=["param.features[1]=DEAD_TIME+FRICTION", "param.i_q_limit=1.0,1.5"]) as rig:
         before = rig.link.parameters["param.features"][0]
         rig.connect()
@@ -632,7 +632,7 @@ def test_parameters_that_do_not_fit_are_refused_with_the_reason(rig: Rig, texts:
     assert not [name for name, _, _ in rig.link.written if name.startswith("param.")]
 
 
-def test_wanted_parameters_that_the_board_cannot_have_are_trouble() -> None:
+def test_requested_parameters_that_the_board_refuses_are_an_error() -> None:
     with Rig(board_parameters=["param.position_min[0]=2"]) as rig:
         rig.link.parameters["param.position_max"] = [0, 0]
         rig.connect()
@@ -645,13 +645,13 @@ def test_wanted_parameters_that_the_board_cannot_have_are_trouble() -> None:
         rig.until(lambda: any("the board keeps another value" in text for text in rig.logs()))
 
 
-def test_parameters_that_make_no_sense_keep_the_bridge_from_starting() -> None:
+def test_invalid_board_parameters_prevent_the_start() -> None:
     with pytest.raises(ParameterError, match="FOO"):
         Rig(board_parameters=["param.features[0]=FOO"])
 
 
 # ---- end
-def test_shutdown_switches_off_and_says_so(rig: Rig) -> None:
+def test_shutdown_disables_the_axes_and_logs_it(rig: Rig) -> None:
     rig.enable_axes()
     link: FakeLink = rig.link
     rig.bridge.shutdown()
