@@ -72,7 +72,7 @@ def test_background_follows_every_interrupt(make: Callable[..., Chip]) -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_duty_acts_half_a_period_after_its_samples(make: Callable[..., Chip], axis: int) -> None:
+def test_duty_takes_effect_half_a_period_after_its_samples(make: Callable[..., Chip], axis: int) -> None:
     plant = ideal_plant()
     chip = make(plant)
     chip.lib.chip_run(chip.hal, PERIOD_NS - 1, False)  # at rest; the next M1 is due at one period
@@ -143,7 +143,7 @@ class TestOverCurrent:
             assert chip.hal.now_ns < 20 * PERIOD_NS
         return chip
 
-    def test_opens_the_switches_without_software(self, make: Callable[..., Chip]) -> None:
+    def test_comparator_opens_the_switches_without_software(self, make: Callable[..., Chip]) -> None:
         chip = self.trip(make)
         current = max(map(abs, chip.motor(0).phase))
         assert 5.0 < current < 5.0 + 16.0 / 0.403e-3 * HALF_NS * 1e-9
@@ -188,7 +188,7 @@ def test_edge_interrupt_follows_an_armed_capture_only(make: Callable[..., Chip])
     assert not chip.lib.hal_capture_take(chip.hal, 1, chip.ffi.new("edge_capture_t *"))
 
 
-def test_presetting_an_encoder_leaves_the_other_alone(make: Callable[..., Chip]) -> None:
+def test_preset_of_an_encoder_does_not_affect_the_other(make: Callable[..., Chip]) -> None:
     chip = make()
     chip.lib.hal_encoder_preset(chip.hal, 0, 777)
     assert chip.lib.hal_encoder_count(chip.hal, 0) == 777
@@ -206,7 +206,7 @@ class TestSerialLine:
         size = chip.lib.uart_host_read(chip.ffi.addressof(chip.hal.uart), buffer, 70000)
         return bytes(chip.ffi.buffer(buffer, size))
 
-    def test_bytes_take_their_time_both_ways(self, make: Callable[..., Chip]) -> None:
+    def test_bytes_have_the_delay_of_the_line_in_both_directions(self, make: Callable[..., Chip]) -> None:
         chip = make(baud=100_000.0)
         chip.servo.echo = True
         chip.run(7_777)
@@ -222,7 +222,7 @@ class TestSerialLine:
         assert arrivals == [b"", b"", b"", b"a", b"", b"b", b"", b"c", b"", b""]
         assert chip.lib.uart_next_ns(chip.ffi.addressof(chip.hal.uart)) == 2**64 - 1
 
-    def test_a_byte_of_the_same_moment_comes_before_the_interrupt(self, make: Callable[..., Chip]) -> None:
+    def test_byte_at_the_same_time_precedes_the_interrupt(self, make: Callable[..., Chip]) -> None:
         chip = make(baud=10 / HALF_NS * 1e9)
         chip.servo.log_background = True
         self.send(chip, b"x")
@@ -259,7 +259,7 @@ class TestSerialLine:
         chip.run(10_000_000)
         assert self.send(chip, bytes(5000)) == 1000
 
-    def test_an_absent_host_loses_the_newest(self, make: Callable[..., Chip]) -> None:
+    def test_newest_bytes_are_lost_without_a_host(self, make: Callable[..., Chip]) -> None:
         chip = make(baud=10e6)
         chip.servo.echo = True
         for _ in range(20):
@@ -269,7 +269,7 @@ class TestSerialLine:
         assert chip.hal.uart.tx_lost == 20 * 4096 - 65536
 
 
-def test_slices_of_time_do_not_matter(make: Callable[..., Chip]) -> None:
+def test_run_does_not_depend_on_its_time_steps(make: Callable[..., Chip]) -> None:
     """Running in one go or in odd pieces is the same run."""
 
     def result(pieces: list[int]) -> list[Any]:

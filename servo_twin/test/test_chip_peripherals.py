@@ -153,7 +153,7 @@ def new_peripheral(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Pe
 
 
 @pytest.mark.parametrize("name", PARTS)
-def test_a_peripheral_needs_no_other_one(name: str, tmp_path: Path) -> None:
+def test_peripheral_is_linked_without_the_others(name: str, tmp_path: Path) -> None:
     """Only the bus and its own headers are included, and nothing is missing when it is linked."""
     sources = [NATIVE / path for path in PARTS[name]]
     for source in [*sources, *CHIP.glob(f"{name}*.h")]:

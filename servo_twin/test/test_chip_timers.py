@@ -178,7 +178,7 @@ class TestIndex:
         encoder.turn(-1, 5)
         assert rig.read("TMRA2_CNTR") == 6
 
-    def test_a_touch_makes_a_pulse_without_a_turn(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_touching_the_compare_value_causes_a_pulse_without_a_turn(self, rig: ChipRig, encoder: Encoder) -> None:
         encoder.turn(3999, 5)
         encoder.turn(-10, 5)
         assert rig.read("TMRA2_CNTR") == 1
@@ -266,7 +266,7 @@ class TestTime:
         encoder.turn(2)
         assert rig.read("TMRA3_CNTR") >= 30
 
-    def test_overflow_is_the_age_of_a_shaft_that_stands(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_age_overflows_at_standstill(self, rig: ChipRig, encoder: Encoder) -> None:
         encoder.turn(2)
         rig.write("TMRA3_SCTRL", 0x00C0)
         rig.step(65535 * TICK - 1000)
@@ -287,7 +287,7 @@ class TestTime:
         assert rig.read("TMRA1_HOLD") >= stamp + 100
         assert rig.read("TMRA0_HOLD") == 10
 
-    def test_hold_is_as_old_as_the_read_that_took_it(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_hold_is_latched_by_the_read(self, rig: ChipRig, encoder: Encoder) -> None:
         before = rig.read("TMRA1_CNTR")
         rig.step(100 * TICK)
         rig.read("TMRA0_CNTR")
@@ -432,7 +432,7 @@ class TestDeferrableEdges:
             counts.append(rig.read("TMRA0_CNTR"))
         assert counts[0] == counts[1] != 100
 
-    def test_an_input_that_is_waited_for_after_all(self, registers_c: Native) -> None:
+    def test_deferred_input_that_becomes_relevant(self, registers_c: Native) -> None:
         """C4 goes from a counter to the crossbar, and from there to a channel that captures."""
         captures = []
         for defers_edges in (False, True):
@@ -447,7 +447,7 @@ class TestDeferrableEdges:
             captures.append(rig.clocks("capture"))
         assert captures[0] == captures[1] != []
 
-    def test_what_an_edge_must_not_be_late_for(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_edges_that_must_not_be_deferred(self, rig: ChipRig, encoder: Encoder) -> None:
         def deferrable() -> int:
             return int(rig.lib.chip_deferrable_edges(rig.chip, pin("C3")))
 

@@ -112,7 +112,7 @@ def test_a_preset_shifts_the_angle_and_reloads_as_before(plant_c: Native) -> Non
     assert encoder.count == 10
 
 
-def test_other_line_counts_leave_the_timers_alone(plant_c: Native) -> None:
+def test_other_line_counts_do_not_change_the_timers(plant_c: Native) -> None:
     encoder = Encoder(plant_c, lines=500)
     encoder.move_to(3999.5)
     encoder.move_to(4000.5)
@@ -120,7 +120,7 @@ def test_other_line_counts_leave_the_timers_alone(plant_c: Native) -> None:
 
 
 class TestCapture:
-    def test_nothing_before_it_is_armed(self, plant_c: Native) -> None:
+    def test_no_capture_before_arming(self, plant_c: Native) -> None:
         encoder = Encoder(plant_c)
         encoder.move_to(100.5)
         assert encoder.take() is None
@@ -144,7 +144,7 @@ class TestCapture:
         encoder.move_to(2.5)
         assert encoder.c.latched
 
-    def test_arming_again_throws_a_waiting_capture_away(self, plant_c: Native) -> None:
+    def test_arming_again_discards_a_pending_capture(self, plant_c: Native) -> None:
         encoder = Encoder(plant_c)
         plant_c.lib.plant_encoder_arm(encoder.c)
         encoder.move_to(2.5)
@@ -160,7 +160,7 @@ class TestCapture:
         omega_1=st.floats(0.0, 400.0),
         sign=st.sampled_from([1, -1]),
     )
-    def test_time_lies_inside_the_movement_and_on_its_curve(
+    def test_capture_time_is_on_the_curve_of_the_movement(
         self, plant_c: Native, position: int, omega_0: float, omega_1: float, sign: int
     ) -> None:
         encoder = Encoder(plant_c, start=position + 0.5)
@@ -228,7 +228,7 @@ class TestAge:
         assert encoder.age() == 1
 
 
-def test_an_unplugged_encoder_counts_nothing_and_loses_what_it_missed(plant_c: Native) -> None:
+def test_unplugged_encoder_loses_the_motion(plant_c: Native) -> None:
     encoder = Encoder(plant_c)
     encoder.move_to(10.5)
     plant_c.lib.plant_encoder_arm(encoder.c)

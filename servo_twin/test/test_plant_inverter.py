@@ -129,7 +129,7 @@ def test_the_transition_is_smooth_odd_and_inside_the_ripple(plant_c: Native) -> 
     assert np.abs(np.diff(volts_a)).max() < 1.6 * full / band * np.diff(currents).max()
 
 
-def test_currents_die_without_chatter_at_rest(plant_c: Native) -> None:
+def test_currents_decay_without_oscillation_at_rest(plant_c: Native) -> None:
     leg = locked(plant_c, PlantConfig.load().axes[0])
     leg.native.lib.plant_motor_set_phases(leg.motor, 0.3, -0.1)
     leg.duty(0.5, 0.5, 0.5)
@@ -142,7 +142,7 @@ def test_currents_die_without_chatter_at_rest(plant_c: Native) -> None:
 
 
 @pytest.mark.parametrize("swing", [0.01, 0.03, 0.1])
-def test_heats_by_what_the_bus_gives_and_the_winding_does_not_burn(plant_c: Native, swing: float) -> None:
+def test_inverter_loss_is_bus_power_minus_winding_loss(plant_c: Native, swing: float) -> None:
     """A held motor, also at currents so small that the drop of the legs has faded with them."""
     axis = ideal_plant(dead_time=1e-6, v_drop=0.7, r_on=0.03).axes[0]
     leg = locked(plant_c, axis)
@@ -156,7 +156,7 @@ def test_heats_by_what_the_bus_gives_and_the_winding_does_not_burn(plant_c: Nati
 
 
 class TestAllSwitchesOpen:
-    def test_current_dies_at_the_rate_of_the_bus_and_feeds_it(self, plant_c: Native) -> None:
+    def test_current_decays_into_the_bus(self, plant_c: Native) -> None:
         """Phase a hangs on the lower rail, b and c on the upper one: -2/3 (u + 2 V_drop) along a."""
         axis = ideal_plant(v_drop=0.7).axes[0]
         leg = locked(plant_c, axis, on=False)
@@ -229,7 +229,7 @@ class TestAllSwitchesOpen:
         theta=st.floats(-4, 4),
         bus=st.floats(1, 40),
     )
-    def test_never_invents_energy(
+    def test_energy_is_not_created(
         self, plant_c: Native, i_a: float, i_b: float, omega: float, theta: float, bus: float
     ) -> None:
         axis = ideal_plant(v_drop=0.7, theta_start=theta).axes[0]

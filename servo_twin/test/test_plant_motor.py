@@ -129,7 +129,7 @@ def test_energy_is_conserved(plant_c: Native, iron: float) -> None:
     assert heat + rubbed + kinetic + magnetic == pytest.approx(supplied, rel=1e-3)
 
 
-def test_phases_and_rotor_frame_are_the_same_current(plant_c: Native) -> None:
+def test_phase_currents_agree_with_the_rotor_frame(plant_c: Native) -> None:
     """Amplitude-invariant transforms (k = 2/3): a current vector of 3 A along phase a is 3 A in phase a."""
     motor = make(plant_c, ideal_plant(theta_start=0.6).axes[0])
     plant_c.lib.plant_motor_set_phases(motor, 3.0, -1.5)
@@ -167,7 +167,7 @@ class TestFriction:
         assert motor.omega == 0.0
         assert motor.theta == pytest.approx(-way, rel=1e-9)
 
-    def test_of_a_powered_motor_that_reverses(self, plant_c: Native) -> None:
+    def test_friction_of_a_powered_motor_at_reversal(self, plant_c: Native) -> None:
         """Current drives against the motion: through zero the friction changes its side, nothing else does."""
         axis = ideal_plant(friction=4e-3).axes[0]
         torque = 0.01
@@ -180,7 +180,7 @@ class TestFriction:
             left -= plant_c.lib.plant_motor_coast(motor, min(left, STEP))
         assert motor.omega == pytest.approx(-after * (torque - axis.friction) / axis.inertia, rel=1e-6)
 
-    def test_current_that_is_too_small_moves_nothing(self, plant_c: Native) -> None:
+    def test_too_small_current_does_not_move_the_shaft(self, plant_c: Native) -> None:
         axis = PlantConfig.load().with_axis(0, theta_start=0.35).axes[0]
         motor = make(plant_c, axis)
         current = 0.99 * axis.friction / axis.torque_constant

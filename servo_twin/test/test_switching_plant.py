@@ -36,7 +36,7 @@ def vector(axis: int, clock: int, gates: Sequence[int]) -> list[Edge]:
 
 
 class TestEnergy:
-    def test_nothing_is_lost(self, switching_c: Native) -> None:
+    def test_energy_is_conserved(self, switching_c: Native) -> None:
         """What the source gives is in the capacitor, in the coils, in the masses, or has become heat or work."""
         plant = PlantConfig.load().with_axis(0, theta_start=0.4).with_axis(1, theta_start=2.0)
         switching = Switching(switching_c, plant)
@@ -86,7 +86,7 @@ class TestEnergy:
             )
         assert heat[0] == pytest.approx(heat[1], rel=5e-4)
 
-    def test_the_source_takes_nothing_back(self, switching_c: Native) -> None:
+    def test_source_current_is_not_negative(self, switching_c: Native) -> None:
         switching = Switching(switching_c, ideal_plant())
         for axis in range(2):
             switching.spin(axis, 366.0)
@@ -316,7 +316,7 @@ class TestRoot:
     """Where a parabola comes down to zero within a step."""
 
     @pytest.mark.parametrize(("f0", "d0"), [(1.0, -2.0), (1.0, 3.0), (0.0, 2.0), (1e-9, 0.0)])
-    def test_is_where_the_parabola_is_zero(self, switching_c: Native, f0: float, d0: float) -> None:
+    def test_root_is_the_zero_of_the_parabola(self, switching_c: Native, f0: float, d0: float) -> None:
         h, f1 = 1e-3, -0.5
         bend = (f1 - f0 - d0 * h) / h**2
         t = switching_c.lib.root_of(f0, d0, f1, h)
@@ -324,7 +324,7 @@ class TestRoot:
         assert f0 + d0 * t + bend * t**2 == pytest.approx(0.0, abs=1e-12)
 
     @pytest.mark.parametrize("way", [1.0, -1.0])
-    def test_a_series_finds_those_of_currents_that_hardly_bend(self, switching_c: Native, way: float) -> None:
+    def test_series_finds_roots_of_nearly_straight_currents(self, switching_c: Native, way: float) -> None:
         """Of all phases at once, as far as it says so; what bends more it leaves to others."""
         lanes, legs, h = (0, 2, 3), 0b1101, 1e-5
         rnd = random.Random(7)
@@ -356,7 +356,7 @@ class TestEncoder:
         return switching
 
     @pytest.mark.parametrize("omega", [366.0, -366.0, 20.0, -3.0])
-    def test_edges_come_when_the_shaft_is_there(self, switching_c: Native, omega: float) -> None:
+    def test_edges_agree_with_the_position_of_the_shaft(self, switching_c: Native, omega: float) -> None:
         switching = self.turn(switching_c, omega, 1_000_000 if abs(omega) > 10 else 10_000_000)
         pitch = 2 * math.pi / 4000
         first = math.floor(0.001 / pitch)
@@ -391,7 +391,7 @@ class TestEncoder:
         assert np.std(gaps) == pytest.approx(0.03 * math.sqrt(2) * pitch_clocks, rel=0.05)
         assert np.mean(gaps) == pytest.approx(pitch_clocks, rel=1e-3)
 
-    def test_a_shaft_that_turns_back_gives_every_edge_back(self, switching_c: Native) -> None:
+    def test_reversal_returns_every_edge(self, switching_c: Native) -> None:
         switching = Switching(switching_c, ideal_plant(encoder_jitter=0.05, theta_start=0.001))
         switching.spin(0, 60.0)
         switching.lib.switching_set_load(switching.c, 0, 0.02)  # back at the start after 48 ms
@@ -404,7 +404,7 @@ class TestEncoder:
         after = [switching.lib.switching_line(switching.c, 0, line) for line in range(2)]
         assert before == after or abs(len(switching.events) - 2 * up) == 1
 
-    def test_an_edge_comes_back_behind_where_it_was_passed(self, switching_c: Native) -> None:
+    def test_edges_have_hysteresis(self, switching_c: Native) -> None:
         """Half of the hysteresis late in either direction, whatever the jitter."""
         late, pitch = 0.1, 2 * math.pi / 4000
         switching = Switching(switching_c, ideal_plant(encoder_jitter=0.05, encoder_hysteresis=late, theta_start=0.001))
@@ -501,7 +501,7 @@ class TestEncoder:
 
 class TestEndStops:
     @pytest.mark.parametrize("omega", [150.0, -150.0])
-    def test_a_shaft_stops_there(self, switching_c: Native, omega: float) -> None:
+    def test_shaft_stops_at_an_end_stop(self, switching_c: Native, omega: float) -> None:
         switching = Switching(switching_c, ideal_plant(encoder_jitter=0.05, theta_start=0.001))
         switching.spin(0, omega)
         switching.lib.switching_obstruct(switching.c, 0, 0.0301, 0.0301)
@@ -513,7 +513,7 @@ class TestEndStops:
         assert len(switching.events) == pytest.approx(0.0301 / (2 * math.pi / 4000), abs=1.5)
         assert switching.events[-1][0] <= 0.0301 / 150.0 / CLOCK + 1
 
-    def test_pressed_against_it_a_motor_stands_as_if_held(self, switching_c: Native) -> None:
+    def test_motor_at_an_end_stop_behaves_like_a_blocked_one(self, switching_c: Native) -> None:
         results = []
         for held in (False, True):
             switching = Switching(switching_c, ideal_plant(theta_start=0.2, friction=2e-3))
@@ -525,7 +525,7 @@ class TestEndStops:
         assert results[0].theta == results[1].theta
         assert list(results[0].phase) == pytest.approx(list(results[1].phase), abs=1e-5)
 
-    def test_driven_away_it_leaves(self, switching_c: Native) -> None:
+    def test_motor_leaves_an_end_stop(self, switching_c: Native) -> None:
         switching = Switching(switching_c, ideal_plant(theta_start=0.2))
         switching.lib.switching_obstruct(switching.c, 0, 0.01, 0.0)
         switching.run(cycles([0], (0.45, 0.55, 0.50), 0, 10), 10 * PERIOD)
@@ -534,7 +534,7 @@ class TestEndStops:
         assert truth.torque < -0.01
         assert truth.theta == pytest.approx(0.19, abs=1e-15)  # and has come to the other one
 
-    def test_infinite_ones_are_none(self, switching_c: Native) -> None:
+    def test_infinite_end_stops_have_no_effect(self, switching_c: Native) -> None:
         switching = Switching(switching_c, ideal_plant(theta_start=0.2))
         switching.spin(0, 100.0)
         switching.lib.switching_obstruct(switching.c, 0, math.inf, math.inf)
@@ -543,7 +543,7 @@ class TestEndStops:
 
 
 class TestOther:
-    def test_to_look_changes_nothing(self, switching_c: Native) -> None:
+    def test_reading_does_not_change_the_run(self, switching_c: Native) -> None:
         results = []
         for looks in (0, 7):
             switching = Switching(switching_c, PlantConfig.load().with_axis(0, theta_start=1.0))
@@ -557,7 +557,7 @@ class TestOther:
             results.append((truth.theta, truth.omega, list(truth.phase), switching.bus.u_dc))
         assert results[0] == results[1]
 
-    def test_events_one_by_one_or_all_at_once(self, switching_c: Native) -> None:
+    def test_events_do_not_depend_on_the_steps(self, switching_c: Native) -> None:
         """Advancing past an event, or exactly to it, gives the same edges."""
         stepwise = Switching(switching_c, ideal_plant(encoder_jitter=0.02))
         at_once = Switching(switching_c, ideal_plant(encoder_jitter=0.02))
@@ -599,7 +599,7 @@ class TestOther:
 
 
 @pytest.mark.parametrize("gap", [1000, 2400, 3100])
-def test_encoder_edges_come_when_the_shaft_is_there(switching_c: Native, gap: int) -> None:
+def test_encoder_edges_agree_with_the_angle(switching_c: Native, gap: int) -> None:
     """However long a frame lasts until the next gate: edges are where the angle is, in both axes."""
     plant = PlantConfig.load()
     for axis in range(2):
@@ -627,7 +627,7 @@ def test_encoder_edges_come_when_the_shaft_is_there(switching_c: Native, gap: in
         assert counts == pytest.approx(round(counts), abs=0.01)
 
 
-def test_vectors_lie_in_one_line_of_the_cache_each(switching_c: Native) -> None:
+def test_vectors_are_aligned_to_cache_lines(switching_c: Native) -> None:
     """If the plant begins one. A vector across two costs time, and nothing else shows that."""
     ffi = switching_c.ffi
     axis = ffi.offsetof("switching_t", "axis")

@@ -115,7 +115,7 @@ def test_a_shaft_that_stops_and_turns_back(switching_c: Native) -> None:
     assert reference.axes[1].omega > 0.1
 
 
-def test_the_reference_sees_a_wrong_dead_time(switching_c: Native) -> None:
+def test_comparison_detects_a_wrong_dead_time(switching_c: Native) -> None:
     """The comparison can fail: twenty nanoseconds more of dead time are seen."""
     switching, reference = Switching(switching_c, plant()), Reference(plant())
     duty = (0.65, 0.45, 0.4)

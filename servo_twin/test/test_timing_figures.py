@@ -113,7 +113,7 @@ def longer(vector: int, clocks: int) -> Mistake:
         (shift(Kind.SAMPLE, {3, 11}, 200), "periods with t0, t1, t2, t3 in order"),
     ],
 )
-def test_every_mistake_shows_in_its_row(mistake: Mistake, row: str) -> None:
+def test_every_error_is_in_its_row(mistake: Mistake, row: str) -> None:
     assert row in wrong(pwm_cycle(trace(mistake(ideal()))))
 
 
@@ -129,7 +129,7 @@ def margins(entries: list[Entry]) -> dict[str, float | None]:
     return {row.name: row.measured for row in deadlines.rows(trace(entries), M1_BEGIN)}
 
 
-def test_room_is_what_is_left_from_sample_to_load() -> None:
+def test_margin_is_the_time_to_the_load() -> None:
     """Every kind of handler: with slow loop, protection, watches, supervision, latch, in both loops."""
     due = HALF - 60 - FIRST
     for name, begin in (("M1", M1_BEGIN), ("M2", 232)):
@@ -175,7 +175,7 @@ def at_period(slot: int, mistake: Mistake) -> Mistake:
     return do
 
 
-def test_a_miss_is_a_negative_room_however_soon_the_next_load_comes() -> None:
+def test_missed_load_has_a_negative_margin() -> None:
     """Duties that are released right behind their load, in one kind of handler: its row fails, and no other one."""
     late = at_period(4, shift(Kind.WRITE, {MCTRL[0]}, HALF - M1_BEGIN - RELEASE + 1))
     longer_m1 = at_period(4, longer(VECTOR_M1, HALF - M1_BEGIN - LENGTH + 10))
@@ -184,7 +184,7 @@ def test_a_miss_is_a_negative_room_however_soon_the_next_load_comes() -> None:
     assert wrong(deadlines.rows(trace(entries), M1_BEGIN)) == {"M1 with current watches, least room"}
 
 
-def test_a_loop_that_begins_late_has_less_room() -> None:
+def test_late_loop_has_a_smaller_margin() -> None:
     marks = {VECTOR_M2, MCTRL[1]}
     entries = [(c + 1400 if a in marks and k != Kind.SAMPLE else c, k, a, b) for c, k, a, b in ideal()]
     assert "M2 with protection, least room" in wrong(deadlines.rows(trace(entries), M1_BEGIN))
@@ -252,7 +252,7 @@ def test_right_start_agrees() -> None:
         (lambda e: [*e, (900, int(Kind.ENTER), VECTOR_M2, 1)], "M1, M2, M1, ... from the start on"),
     ],
 )
-def test_mistake_of_the_start_shows(mistake: Mistake, row: str) -> None:
+def test_error_of_the_start_is_in_its_row(mistake: Mistake, row: str) -> None:
     assert row in wrong(start(trace(mistake(beginning()))))
 
 

@@ -45,7 +45,7 @@ def follows(rig: TwinRig, pairs: list[Pair]) -> None:
 
 
 class TestExactness:
-    def test_boards_that_differ_in_nothing_agree_bit_for_bit(self) -> None:
+    def test_equal_boards_agree_bit_for_bit(self) -> None:
         with TwinRig(real_seed=7, twin_seed=7) as rig:
             rig.enable_axes()
             rig.move([3.0, -2.0])
@@ -83,7 +83,7 @@ class TestExactness:
                 histories.append(rig.pairs)
         assert histories[0] == histories[1]
 
-    def test_noise_makes_a_difference_of_counts_only(self, rig: TwinRig) -> None:
+    def test_noise_causes_only_differences_of_counts(self, rig: TwinRig) -> None:
         rig.enable_axes()
         pairs = rig.move([5.0, -5.0])
         follows(rig, pairs)
@@ -91,7 +91,7 @@ class TestExactness:
         assert worst(pairs, "axis1.i_q") > 0.0
         assert pairs[-1].real["axis1.position"] == pytest.approx(10 * math.pi, abs=3 * COUNT)
 
-    def test_a_plant_that_is_not_the_twins_model_shows(self) -> None:
+    def test_another_plant_causes_a_residual(self) -> None:
         heavy = PlantConfig.load().with_axis(0, friction=8e-3)
         with TwinRig(plant=heavy) as rig:
             rig.enable_axes()
@@ -133,7 +133,7 @@ class TestTrajectories:
             assert worst_counts(rig.pairs) == 0.0
             assert worst(rig.pairs, "axis2.i_q") == 0.0
 
-    def test_a_twin_that_began_later_and_elsewhere_follows_them(self) -> None:
+    def test_twin_with_another_start_follows_points(self) -> None:
         with TwinRig(real_seed=7, twin_seed=8) as rig:
             rig.enable_axes()
             rig.move([1.25, -2.5])
@@ -158,27 +158,27 @@ OTHER_LIMITS = ("param.speed_limit=60,90", "param.i_q_limit=2.0,2.5", "param.acc
 
 
 class TestParameters:
-    def test_the_twin_has_those_of_the_board(self, rig: TwinRig) -> None:
+    def test_twin_takes_parameters_of_the_board(self, rig: TwinRig) -> None:
         rig.set_parameters(f"param.features={FEATURES},{FEATURES}", *OTHER_LIMITS)
         rig.enable_axes()
         assert rig.twin.parameters_known
         follows(rig, rig.move([5.0, -5.0]))
         assert max(pair.real["axis1.speed"] for pair in rig.pairs) < 70.0
 
-    def test_parameters_not_reported_show_in_the_residual(self, rig: TwinRig) -> None:
+    def test_unreported_parameters_cause_a_residual(self, rig: TwinRig) -> None:
         rig.set_parameters(*OTHER_LIMITS, report=False)
         rig.enable_axes()
         assert not rig.twin.parameters_known
         assert worst_counts(rig.move([5.0, -5.0])) > 1000.0
 
-    def test_those_after_reset_change_nothing(self, rig: TwinRig) -> None:
+    def test_default_parameters_cause_no_synchronisation(self, rig: TwinRig) -> None:
         rig.enable_axes()
         rig.set_parameters()
         assert rig.twin.status == ""
         follows(rig, rig.move([1.0, -1.0]))
         assert rig.twin.synchronisations == 1
 
-    def test_a_change_begins_anew_once_the_shafts_rest(self, rig: TwinRig) -> None:
+    def test_changed_parameters_resynchronise_at_rest(self, rig: TwinRig) -> None:
         rig.enable_axes()
         rig.move([20.0, -20.0], 0.2)
         rig.set_parameters("param.speed_limit[1]=50", f"param.features[0]={FEATURES}")
@@ -191,7 +191,7 @@ class TestParameters:
         rig.run(0.2)
         follows(rig, rig.move([15.0, -18.0], 0.5))
 
-    def test_soft_limits_hold_both_at_the_same_place(self) -> None:
+    def test_soft_limits_stop_both_at_the_same_position(self) -> None:
         """The twin found its rotor elsewhere, so its positions count from elsewhere."""
         with TwinRig(plant=PlantConfig.load().with_axis(0, theta_start=1.0)) as rig:
             rig.enable_axes()
@@ -242,7 +242,7 @@ class TestConfiguration:
                 for name, value in pair.twin.items():
                     assert value == pair.real[name], (pair.tick, name)
 
-    def test_a_twin_that_was_not_told_of_other_gains_differs(self) -> None:
+    def test_unreported_gains_cause_a_residual(self) -> None:
         with TwinRig(real_seed=7, twin_seed=7) as rig:
             rig.enable_axes()
             rig.held_reports = []
@@ -262,7 +262,7 @@ class TestConfiguration:
             follows(rig, rig.move([5.0, -5.0]))
             assert rig.twin.torque_constants[0] == pytest.approx(1200 / 2**15)
 
-    def test_a_configuration_that_only_the_bridge_has_seen_is_taken_over(self) -> None:
+    def test_configuration_reported_by_the_bridge_is_adopted(self) -> None:
         with TwinRig() as rig:
             rig.listening = False
             rig.run(0.1)
@@ -282,7 +282,7 @@ class TestConfiguration:
             assert rig.twin.synchronisations == began
 
     @pytest.mark.parametrize("told_after", [0.0, 0.4])
-    def test_a_board_that_comes_up_with_stored_values_is_followed(self, told_after: float) -> None:
+    def test_board_with_stored_values_is_followed(self, told_after: float) -> None:
         """The bridge reads blocks and parameters at every connection, some time after the first samples."""
         with TwinRig() as rig:
             rig.run(0.1)
@@ -310,7 +310,7 @@ class TestConfiguration:
 
 class TestRotorSearch:
     @pytest.mark.parametrize("start", [0.0, 1.0, 2.0, 3.0])
-    def test_a_search_of_another_length_is_made_up_for(self, start: float) -> None:
+    def test_rotor_search_of_another_length_is_compensated(self, start: float) -> None:
         with TwinRig(plant=PlantConfig.load().with_axis(0, theta_start=start)) as rig:
             rig.run(0.1)
             rig.write("cmd.enable", [1, 1])
@@ -332,7 +332,7 @@ class TestRotorSearch:
         rig.run(0.1)
         follows(rig, rig.move([0.0, 1.0]))
 
-    def test_commands_that_came_before_the_twin_was_ready_are_made_up_for(self) -> None:
+    def test_commands_before_the_twin_is_ready_are_repeated(self) -> None:
         # The real rotor stands where its search is short; axis 1 never rests, so the twin must not be run ahead.
         quick = PlantConfig.load().with_axis(1, theta_start=0.2)
         lengths = []
@@ -416,7 +416,7 @@ class TestLateStart:
 
 
 class TestReports:
-    def test_late_reports_hold_the_samples_up(self) -> None:
+    def test_samples_wait_for_late_reports(self) -> None:
         with TwinRig(real_seed=5, twin_seed=5) as rig:
             rig.enable_axes()
             rig.held_reports = []
@@ -461,7 +461,7 @@ class TestReports:
         assert rig.twin.synchronisations == 2
         follows(rig, rig.move([0.0, 0.0]))
 
-    def test_says_what_it_misses(self) -> None:
+    def test_missing_columns_are_reported(self) -> None:
         with TwinRig(settings=TwinSettings(rest=10.0)) as rig:
             rig.enable_axes()
             rig.reporting = False
@@ -474,7 +474,7 @@ class TestReports:
             assert rig.twin.synchronisations == 1
             assert said[-1].startswith("waiting: ")
 
-    def test_a_table_without_what_it_needs_is_refused(self, rig: TwinRig) -> None:
+    def test_table_without_required_columns_is_refused(self, rig: TwinRig) -> None:
         columns = [name for name in COLUMNS if name not in ("applied_count", "axis2.i_q")]
         with pytest.raises(ValueError, match=r"no applied_count, axis2\.i_q"):
             rig.twin.samples(columns, np.zeros((1, len(columns))))
@@ -502,7 +502,7 @@ class TestTrouble:
         assert rig.twin.synchronisations == 2
         follows(rig, rig.move([0.0, 0.0]))
 
-    def test_a_short_gap_is_lived_through(self, rig: TwinRig) -> None:
+    def test_short_gap_causes_no_synchronisation(self, rig: TwinRig) -> None:
         rig.enable_axes()
         rig.listening = False
         rig.run(1.0)
@@ -526,7 +526,7 @@ class TestTrouble:
         rig.enable_axes()
         follows(rig, rig.move([1.0, 1.0]))
 
-    def test_asked_to_begin_anew(self, rig: TwinRig) -> None:
+    def test_requested_synchronisation(self, rig: TwinRig) -> None:
         rig.enable_axes()
         rig.twin.resync("asked")
         assert rig.twin.status == "asked"
@@ -535,7 +535,7 @@ class TestTrouble:
         assert rig.twin.synchronisations == 2
         follows(rig, rig.move([1.0, -1.0]))
 
-    def test_what_waits_can_be_discarded(self, rig: TwinRig) -> None:
+    def test_pending_samples_can_be_discarded(self, rig: TwinRig) -> None:
         rig.enable_axes()
         rig.held_reports = []
         rig.write("cmd.position", [1.0, 1.0])
@@ -580,7 +580,7 @@ class TestFaults:
         assert causes(rig.pairs) == [""]
         assert rig.twin.fault == ""
 
-    def test_one_that_the_twin_does_not_have_is_named_until_it_is_cleared(self, rig: TwinRig) -> None:
+    def test_fault_of_the_board_alone_is_reported_until_it_is_cleared(self, rig: TwinRig) -> None:
         rig.set_parameters("param.features[0]=ANTI_WINDUP+ENHANCED_MT+BUS_COMPENSATION+DEAD_TIME+ANGLE_CHECK")
         self.turning(rig)
         rig.board.inject(SlippedEncoder(0, 667))
@@ -600,7 +600,7 @@ class TestFaults:
         assert rig.twin.synchronisations == 2
         follows(rig, rig.move([1.0, 1.0]))
 
-    def test_one_that_both_have_is_the_boards_too(self, rig: TwinRig) -> None:
+    def test_fault_of_both_is_reported_for_the_board(self, rig: TwinRig) -> None:
         rig.set_parameters("param.features=FOLLOWING_ERROR+ANTI_WINDUP,FOLLOWING_ERROR+ANTI_WINDUP", LITTLE)
         rig.enable_axes()
         rig.move([5.0, -5.0], 1.0)
@@ -616,7 +616,7 @@ class TestFaults:
         assert rig.twin.labels() == ["STOP", "STOP"]
         assert rig.twin.synchronisations == 1
 
-    def test_one_that_was_there_before_the_twin_began(self, rig: TwinRig) -> None:
+    def test_fault_from_before_the_start_of_the_twin(self, rig: TwinRig) -> None:
         rig.listening = False
         rig.enable_axes()
         rig.board.set_supply(5.0)
@@ -632,7 +632,7 @@ class TestFaults:
         assert causes(pairs) == [named]
         assert rig.twin.synchronisations == 1
 
-    def test_a_host_that_falls_silent(self, rig: TwinRig) -> None:
+    def test_host_time_out_of_the_board(self, rig: TwinRig) -> None:
         """The board stops first and is in FAULT then; the twin's board does not supervise a host."""
         self.turning(rig)
         for request in KEEP_ALIVE:
@@ -668,7 +668,7 @@ class TestFaults:
         follows(rig, rig.move([1.0, 1.0]))
         assert rig.twin.synchronisations == 2
 
-    def test_one_that_only_the_twin_has_does_not_pass_for_agreement(self, rig: TwinRig) -> None:
+    def test_fault_of_the_twin_alone_is_not_agreement(self, rig: TwinRig) -> None:
         boards: list[Board] = []
 
         def new_board() -> Board:
@@ -689,7 +689,7 @@ class TestFaults:
 class TestExpiry:
     """A board that stops because its set-point was not written again; here only its samples say so."""
 
-    def test_lets_the_axis_come_to_rest_where_it_does(self, rig: TwinRig) -> None:
+    def test_expired_set_point_stops_the_twin_like_the_board(self, rig: TwinRig) -> None:
         bit = CATALOGUE.flag("limits", "EXPIRED").mask
         expired = False
         original = rig.twin.samples
@@ -745,7 +745,7 @@ class TestLongUp:
         assert pairs[-1].twin["axis1.position"] == pytest.approx(frame + 4 * math.pi, abs=CLOSE * COUNT)
 
 
-def test_torque_constants_outlast_the_board_that_named_them(rig: TwinRig) -> None:
+def test_torque_constants_are_kept_after_a_new_board(rig: TwinRig) -> None:
     assert rig.twin.torque_constants == []
     rig.run(0.1)
     expected = [axis.torque_constant for axis in PlantConfig.load().axes]
@@ -754,7 +754,7 @@ def test_torque_constants_outlast_the_board_that_named_them(rig: TwinRig) -> Non
     assert len(rig.twin.torque_constants) == 2
 
 
-def test_a_twin_that_finds_no_rotor_costs_little_and_is_said() -> None:
+def test_failed_rotor_search_of_the_twin_is_reported() -> None:
     stuck = PlantConfig.load()
     stuck = stuck.with_axis(0, friction=10.0)
     boards: list[Board] = []
@@ -773,7 +773,7 @@ def test_a_twin_that_finds_no_rotor_costs_little_and_is_said() -> None:
         assert rig.twin.simulated_ticks * PERIOD_NS * 1e-9 < 2.0
 
 
-def test_what_was_written_during_a_gap_is_not_taken_for_known(rig: TwinRig) -> None:
+def test_commands_during_a_gap_are_unknown(rig: TwinRig) -> None:
     rig.enable_axes()
     rig.listening = False
     rig.write("cmd.mode", [1, 1])
@@ -786,7 +786,7 @@ def test_what_was_written_during_a_gap_is_not_taken_for_known(rig: TwinRig) -> N
     assert pairs[-1].twin["axis1.speed"] == pytest.approx(50.0, abs=2.0)
 
 
-def test_what_was_discarded_is_still_remembered(rig: TwinRig) -> None:
+def test_discarded_commands_are_remembered(rig: TwinRig) -> None:
     rig.enable_axes()
     step = rig.twin.step
     rig.twin.step = lambda maximum=64: []  # type: ignore[method-assign]
@@ -800,7 +800,7 @@ def test_what_was_discarded_is_still_remembered(rig: TwinRig) -> None:
     assert pairs[-1].twin["axis1.speed"] == pytest.approx(50.0, abs=2.0)
 
 
-def test_a_report_that_comes_too_late_to_be_replayed_is_still_known(rig: TwinRig) -> None:
+def test_report_too_late_for_replay_is_remembered(rig: TwinRig) -> None:
     rig.listening = False
     rig.enable_axes()
     rig.held_reports = []
@@ -819,7 +819,7 @@ def test_a_report_that_comes_too_late_to_be_replayed_is_still_known(rig: TwinRig
 
 
 @pytest.mark.parametrize("variable", ["cmd.quick_stop", "cmd.enable"])
-def test_after_a_stop_the_twin_is_where_the_board_is(variable: str) -> None:
+def test_positions_agree_after_a_stop(variable: str) -> None:
     """Each ramps down from the speed that it measures; with the larger inertia the two measure differently."""
     plant = PlantConfig.load()
     for n, axis in enumerate(plant.axes):
@@ -857,7 +857,7 @@ def test_enabling_forgets_a_quick_stop(rig: TwinRig) -> None:
     follows(rig, rig.move([2.0, 2.0]))
 
 
-def test_rest_is_judged_anew_after_a_reset() -> None:
+def test_standstill_is_evaluated_again_after_a_reset() -> None:
     with TwinRig(settings=TwinSettings(from_reset=0.0)) as rig:
         rig.run(1.0)
         assert rig.twin.synchronisations == 1
@@ -869,7 +869,7 @@ def test_rest_is_judged_anew_after_a_reset() -> None:
         follows(rig, rig.run(0.1))
 
 
-def test_a_gap_does_not_count_as_rest(rig: TwinRig) -> None:
+def test_gap_does_not_count_as_standstill(rig: TwinRig) -> None:
     rig.enable_axes()
     rig.write("cmd.mode", [1, 1])
     rig.write("cmd.speed", [0.05, 0.05])  # so slow that two samples far apart could be at the same place by chance
@@ -887,7 +887,7 @@ def celsius(replica: Replica, axis: int) -> float:
     return replica.raw[f"axis{axis + 1}.winding_temperature"] * CATALOGUE["axis1.winding_temperature"].lsb
 
 
-def test_a_twin_that_begins_in_the_middle_is_as_hot_as_the_board(rig: TwinRig) -> None:
+def test_twin_started_later_has_the_temperature_of_the_board(rig: TwinRig) -> None:
     """A cold one would not hold its current back where the board does."""
     rig.listening = False
     rig.set_parameters("param.features[0]=ANTI_WINDUP+ENHANCED_MT+DEAD_TIME+WINDING_MODEL", report=False)
@@ -912,7 +912,7 @@ def test_a_twin_that_begins_in_the_middle_is_as_hot_as_the_board(rig: TwinRig) -
     assert twin == pytest.approx(real, abs=0.1)
 
 
-def test_what_the_board_forgets_in_a_reset_its_twin_forgets_too(rig: TwinRig) -> None:
+def test_twin_resets_with_the_board(rig: TwinRig) -> None:
     rig.run(0.2)
     rig.twin.windings([30.0, 30.0])
     rig.reset_board()
