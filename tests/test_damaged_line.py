@@ -17,5 +17,5 @@ def test_damaged_frames_cause_no_wrong_read_or_write(tmp_path: Path) -> None:
 
 def test_wrong_reads_are_counted_without_a_checksum(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a client that accepts damaged answers."""
-    monkeypatch.setattr("servo_bridge.freemaster.codec.Framing.intact", lambda self, body: True)
+    monkeypatch.setattr("servo_bridge.freemaster.frames.Framing.intact", lambda self, body: True)
     assert damage.run(damage.new_server(tmp_path), frames=2_000).wrong_reads > 0

@@ -118,7 +118,7 @@ def test_ctrl_c_keeps_the_recordings_and_restores_the_board(
     assert log.labelled("sweep_q")
     assert "Ctrl-C" in log.notes["problem"]
     said = capsys.readouterr().err
-    assert ("is being brought to rest" in said) == (len(presses) > 1)
+    assert ("the axis is being stopped" in said) == (len(presses) > 1)
 
 
 def test_lost_line_is_reported_and_the_board_restored(

@@ -140,7 +140,7 @@ def test_motor_data_are_refused_in_motion(tmp_path: Path, capsys: pytest.Capture
         bench = ToolBench(board)
         own = bench.raw("config.checksum")
         assert bench.tool("tune", edited(tmp_path, "other.toml", axis1__motor={"psi_m": 0.012})) == 1
-        assert "may only change while the axis is at rest" in capsys.readouterr().err
+        assert "can only be changed at standstill" in capsys.readouterr().err
         assert bench.raw("config.checksum") == own
 
 

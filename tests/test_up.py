@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from chain import DOMAIN, ros_user
 from sensor_msgs.msg import JointState
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_twin.processes import Child, executable
 from servo_twin.up import Stack, main, parser
 
@@ -68,7 +68,9 @@ class Up:
         program = [sys.executable, "-c", f"{before}\n{MAIN}"] if before else [str(executable("servo-up"))]
         with self.log.open("wb") as output:
             self.process = subprocess.Popen(
-                bound_to_us([*program, *IDEAL, "--no-web", "--domain-id", str(DOMAIN), "--out", str(out), *arguments]),
+                with_parent_death_signal(
+                    [*program, *IDEAL, "--no-web", "--domain-id", str(DOMAIN), "--out", str(out), *arguments]
+                ),
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
@@ -110,7 +112,7 @@ def test_processes_run_without_a_board_until_one_ends(started: list[Up], tmp_pat
     started.append(up)
     up.wait_for("Ctrl-C ramps down")
     assert "no board on /dev/ttyNoSuchPort yet" in up.text()
-    assert "there is no port /dev/ttyNoSuchPort" in up.text()
+    assert "the port /dev/ttyNoSuchPort does not exist" in up.text()
     os.kill(up.child("bin/servo_twin\0"), signal.SIGKILL)
     assert up.process.wait(30.0) == 1
     assert "servo_twin has ended with status -9" in up.text()
@@ -128,7 +130,7 @@ def test_demonstration_moves_records_and_draws(tmp_path: Path) -> None:
         check=False,
     )
     assert result.returncode == 0, result.stdout + result.stderr
-    assert "both axes got there" in result.stdout
+    assert "both axes reached their targets" in result.stdout
     figures = json.loads((tmp_path / "demo.json").read_text())
     assert figures["trouble"] is None
     assert (tmp_path / "demo.png").read_bytes().startswith(b"\x89PNG")

@@ -140,7 +140,7 @@ def test_write_without_effect_times_out() -> None:
         assert rig.dispatcher.on_sample(tick, 0, 0) is None
     assert rig.queue.void == [position(1)]
     assert rig.sent[1:] == [position(2)]
-    assert "did not carry it out" in rig.trouble[0]
+    assert "not applied within 20 ms" in rig.trouble[0]
 
 
 def test_close_discards_pending_writes_and_ignores_late_answers() -> None:

@@ -72,7 +72,7 @@ def test_link_loss_during_the_read_of_a_record(faulted: FakeServo, fake_port: Fa
     reading = connected.link.read("axis1.fault_record")
     assert reached.wait(TIMEOUT)
     fake_port.unplug()
-    with pytest.raises(TransportError, match="is gone"):
+    with pytest.raises(TransportError, match="is lost"):
         reading.result(TIMEOUT)
     connected.wait_state(LinkState.DISCONNECTED)
     fake_port.mangle = lambda answer: answer
@@ -138,7 +138,7 @@ def test_snapshot_reports_link_loss_during_the_read(
     assert status == [1]
     printed = capsys.readouterr()
     assert printed.out == ""
-    assert "is gone" in printed.err
+    assert "is lost" in printed.err
 
 
 # ---- the topic ------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from concurrent.futures import Future
 import numpy as np
 import pytest
 from recorded_fault import NONE, SIZE, recorded
-from servo_bridge.fault_records import SECOND_LOOK, FaultRecords
+from servo_bridge.fault_records import SECOND_READ, FaultRecords
 from servo_bridge.freemaster.errors import AnswerTimeoutError
 from servo_bridge.outcome import error_of
 from servo_bridge.wire.link_queue import LinkDownError
@@ -88,7 +88,7 @@ def test_second_fault_does_not_replace_the_first_record(rig: RecordsRig) -> None
     rig.snapshot(16, PHASE_LOST, 0)
     rig.answer(recorded("PHASE_LOST", 11))
     assert rig.snapshot(24, PHASE_LOST | OVER_VOLTAGE, 0) == []
-    assert rig.snapshot(16 + SECOND_LOOK, PHASE_LOST | OVER_VOLTAGE, 0) == ["axis1.fault_record"]
+    assert rig.snapshot(16 + SECOND_READ, PHASE_LOST | OVER_VOLTAGE, 0) == ["axis1.fault_record"]
     rig.answer(recorded("PHASE_LOST", 11))
     assert rig.names() == ["PHASE_LOST"]
 
@@ -96,11 +96,11 @@ def test_second_fault_does_not_replace_the_first_record(rig: RecordsRig) -> None
 def test_revised_cause_of_a_fault_is_published(rig: RecordsRig) -> None:
     rig.snapshot(16, OVER_CURRENT, 0)
     rig.answer(recorded("OVER_CURRENT", 11))
-    assert rig.snapshot(8 + SECOND_LOOK, OVER_CURRENT, 0) == []
-    assert rig.snapshot(16 + SECOND_LOOK, OVER_CURRENT, 0) == ["axis1.fault_record"]
+    assert rig.snapshot(8 + SECOND_READ, OVER_CURRENT, 0) == []
+    assert rig.snapshot(16 + SECOND_READ, OVER_CURRENT, 0) == ["axis1.fault_record"]
     rig.answer(recorded("CURRENT_SENSE", 11))
     assert rig.names() == ["OVER_CURRENT", "CURRENT_SENSE"]
-    assert rig.snapshot(16 + 3 * SECOND_LOOK, OVER_CURRENT, 0) == []
+    assert rig.snapshot(16 + 3 * SECOND_READ, OVER_CURRENT, 0) == []
 
 
 def test_a_fault_after_clearing_is_a_first_one(rig: RecordsRig) -> None:

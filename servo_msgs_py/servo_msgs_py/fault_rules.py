@@ -1,4 +1,4 @@
-"""The firmware's priority table of faults, read from ``diagnosis/fault_rules.c``, as a document."""
+"""Priority table of faults in the firmware (``diagnosis/fault_rules.c``) as a document."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ _PERIODS_PER_MS: Final = 16
 
 @dataclass(frozen=True)
 class Rule:
-    """What a finding is called."""
+    """Assignment of a fault to a finding of a monitor."""
 
     finding: str
     fault: str
-    instead: tuple[str, ...]  # suspicions that explain it
-    otherwise: str  # name where `fault` is not enabled; empty if nothing stops the axis then
+    instead: tuple[str, ...]  # suspected causes that replace `fault`
+    otherwise: str  # fault if `fault` is not enabled; empty if the finding does not stop the axis then
     text: str
 
 
 @dataclass(frozen=True)
 class Suspicion:
-    """What may be the cause of something else, and its name."""
+    """A suspected cause and the fault that is reported for it."""
 
     name: str
     fault: str
@@ -41,7 +41,7 @@ class Suspicion:
 
 @dataclass(frozen=True)
 class Revision:
-    """A cause that is found after its consequence, within so many PWM periods."""
+    """A cause that is detected up to `within` PWM periods after its consequence."""
 
     fault: str
     within: int
@@ -52,7 +52,7 @@ class Revision:
 
 @dataclass(frozen=True)
 class FaultRules:
-    """The tables of ``fault_rules.c``, each in its order."""
+    """The tables of ``fault_rules.c``, in their order."""
 
     rules: tuple[Rule, ...]
     suspicions: tuple[Suspicion, ...]
@@ -65,7 +65,7 @@ class FaultRules:
         Raises
         ------
         CatalogueError
-            If a row of a table is laid out in another way than the others.
+            If the format of a row is not recognised.
         """
         defined = re.search(r"#define CURRENT_DERIVED_FAULTS\s(.*?)\n\n", source, re.DOTALL)
         derived = tuple(re.findall(r"FAULT_(\w+)", defined.group(1))) if defined else ()
@@ -87,7 +87,7 @@ class FaultRules:
 
 
 def _rows(source: str, table: str, row: re.Pattern[str]) -> list[tuple[str, ...]]:
-    """Groups of every row of a table."""
+    """Match groups of each row of a table."""
     found = re.search(rf" {table}\[\w*\] = \{{\n(.*?)\n\}};", source, re.DOTALL)
     if found is None:
         raise CatalogueError(f"fault_rules.c has no table {table}")
@@ -107,12 +107,12 @@ def _names(names: Iterable[str]) -> str:
 def raised_in(firmware: Path) -> dict[str, list[str]]:
     """Sources in which each finding is raised, relative to the folder of the firmware."""
     sources: dict[str, list[str]] = {}
-    for room in ("diagnosis", "drive", "app"):
-        for path in sorted((firmware / room).glob("*.[ch]")):
+    for folder in ("diagnosis", "drive", "app"):
+        for path in sorted((firmware / folder).glob("*.[ch]")):
             if path.name not in {"evidence.h", "fault_rules.c"}:
                 code = _COMMENT.sub("", path.read_text(encoding="utf-8"))
                 for finding in sorted(set(_RAISED.findall(code))):
-                    sources.setdefault(finding, []).append(f"{room}/{path.name}")
+                    sources.setdefault(finding, []).append(f"{folder}/{path.name}")
     return sources
 
 
@@ -129,8 +129,8 @@ def fault_list(catalogue: Catalogue, rules: FaultRules, sources: Mapping[str, li
     Raises
     ------
     CatalogueError
-        If the firmware names a fault that is not in the catalogue, no finding leads to one that is, or a finding is
-        not raised anywhere.
+        If the firmware contains a fault that is not in the catalogue, a fault has no finding, or a finding is never
+        raised.
     """
     known = {fault.name: fault for fault in catalogue.flags["faults"]}
     if set(known) != {rule.fault for rule in rules.rules}:

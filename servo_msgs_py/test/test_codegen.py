@@ -130,8 +130,8 @@ def test_table_has_the_range_of_every_writable_variable() -> None:
             {"maximum": 2.0**32 - 1},
             "param.faults_enabled: limit 4294967295 does not fit int32_t",
         ),
-        ("param.features", {"maximum": 4000.0}, "param.features: 0 .. 4000 are not all words of some bits"),
-        ("cmd.mode", {"maximum": 1.0}, "cmd.mode: the values of control_mode_t are not those from 0 to 1"),
+        ("param.features", {"maximum": 4000.0}, "param.features: 0 .. 4000 is not the complete range of a flag word"),
+        ("cmd.mode", {"maximum": 1.0}, "cmd.mode: the values of control_mode_t are not all integers from 0 to 1"),
     ],
 )
 def test_range_that_the_table_cannot_represent_is_refused(name: str, changes: dict[str, object], text: str) -> None:

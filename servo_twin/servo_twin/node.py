@@ -31,7 +31,15 @@ from servo_msgs_py.convert import (
 from servo_msgs_py.joints import Joint, joint_names
 from servo_msgs_py.recorder_setup import setup_from_message
 from servo_msgs_py.robot_description import joints_of
-from servo_msgs_py.runtime.node_shell import ParameterError, Spec, claim_name, declare, full_name, run, setting_up
+from servo_msgs_py.runtime.node_shell import (
+    ParameterError,
+    Spec,
+    claim_name,
+    declare,
+    destroyed_on_error,
+    full_name,
+    run,
+)
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.tuning.errors import ConfigError
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
@@ -99,7 +107,7 @@ class ServoTwin(Node):
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("servo_twin", namespace=self.NAMESPACE, **node_arguments)
-        with setting_up(self):
+        with destroyed_on_error(self):
             self._set_up()
 
     def _set_up(self) -> None:

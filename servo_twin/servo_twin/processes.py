@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 
 _POLL: Final = 0.05  # [s]
 _TERM_TIMEOUT: Final = 8.0  # from SIGTERM to SIGKILL [s]
@@ -68,7 +68,7 @@ class Child:
         with log.open("wb") as output:
             try:
                 self._process = subprocess.Popen(
-                    bound_to_us(command),
+                    with_parent_death_signal(command),
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=subprocess.STDOUT,

@@ -22,7 +22,7 @@ from types import FrameType
 from typing import Any, Final, NoReturn
 
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 
 from servo_msgs_py import board_parameters
 from servo_twin.level import LEVEL_VARIABLE, add_level_option, chosen_level
@@ -285,7 +285,7 @@ def _run_demo(stack: Stack, environment: Mapping[str, str], out: Path) -> int:
     """Run ``servo-demo``, which moves the axes; returns its exit status."""
     command = [str(executable("servo-demo")), "--require-twin", "--json", str(out / "demo.json")]
     demo = subprocess.Popen(
-        bound_to_us(command), stdin=subprocess.DEVNULL, env=dict(environment), start_new_session=True
+        with_parent_death_signal(command), stdin=subprocess.DEVNULL, env=dict(environment), start_new_session=True
     )
     try:
         ended = wait_until(lambda: demo.poll() is not None, stack.children, _DEMO_TIMEOUT)

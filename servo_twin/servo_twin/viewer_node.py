@@ -22,7 +22,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import applied_from_message, from_stamp, snapshot_table
 from servo_msgs_py.joints import joint_names
 from servo_msgs_py.robot_description import joints_of
-from servo_msgs_py.runtime.node_shell import ParameterError, Spec, declare, run, setting_up
+from servo_msgs_py.runtime.node_shell import ParameterError, Spec, declare, destroyed_on_error, run
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from std_msgs.msg import Bool, Float64MultiArray, String
 
@@ -63,7 +63,7 @@ class ServoViewer(Node):
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("servo_viewer", **node_arguments)
-        with setting_up(self):
+        with destroyed_on_error(self):
             self._set_up()
 
     def _set_up(self) -> None:

@@ -78,5 +78,5 @@ def test_configuration_blocks_are_taken_together(access: VirtualBoardAccess) -> 
     assert read_block(access, 1) == changed[1]
     access.board.write("cmd.enable", [1, 1])
     access.wait(0.2)
-    with pytest.raises(BlockRefusedError, match="at rest"):
+    with pytest.raises(BlockRefusedError, match="at standstill"):
         send_configuration(access, {0: {**blocks[0], "torque_constant": blocks[0]["torque_constant"] // 2}})

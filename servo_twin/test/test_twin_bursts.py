@@ -216,7 +216,7 @@ def test_the_setup_of_a_recorder_is_converted_to_a_message_and_back() -> None:
     assert setup_from_message(setup_message(None)) is None
     broken = setup_message(FAST)
     broken.data[2] = 0.0
-    with pytest.raises(ValueError, match=r"0 points of .* are no set-up"):
+    with pytest.raises(ValueError, match=r"0 points of .* are not a valid set-up"):
         setup_from_message(broken)
 
 

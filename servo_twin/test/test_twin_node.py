@@ -422,7 +422,7 @@ def test_names_unknown_parameters_when_the_boards_differ(rig: Rig) -> None:
 
 def test_parameters_of_another_version_are_named(rig: Rig) -> None:
     rig.board_parameters.publish(snapshot_message(["param.warp"], [[8.0]]))
-    rig.until(lambda: "the names are not those of this version" in rig.status("comparison").message)
+    rig.until(lambda: "the names belong to another version" in rig.status("comparison").message)
     assert rig.status("comparison").level == b"\x01"
     rig.board.set_parameters()
     rig.board.run(0.7)

@@ -27,7 +27,7 @@ from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import diagnostic_array, diagnostic_status, joint_state, snapshot_message
 from servo_msgs_py.joints import DEFAULT_JOINTS
 from servo_msgs_py.robot_description import describe
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.view import scene
@@ -65,7 +65,7 @@ class ViewerProcess:
         arguments = [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
         with self._log.open("w") as output:
             self.process = subprocess.Popen(
-                bound_to_us([sys.executable, "-c", MAIN, "--ros-args", *arguments]),
+                with_parent_death_signal([sys.executable, "-c", MAIN, "--ros-args", *arguments]),
                 stdout=output,
                 stderr=output,
                 env=dict(os.environ, ROS_DOMAIN_ID=str(DOMAIN), RERUN_STRICT="1"),

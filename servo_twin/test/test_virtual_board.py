@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_twin.virtual_board import IDLE_SLICE_S, LinkError, Pacer, Terminal, main, serve, slip_reporter
 
 pytestmark = pytest.mark.realtime
@@ -284,7 +284,7 @@ class TestTerminal:
 def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     """The program itself, terminated at the end."""
     process = subprocess.Popen(
-        bound_to_us([sys.executable, "-m", "servo_twin.virtual_board", *arguments]),
+        with_parent_death_signal([sys.executable, "-m", "servo_twin.virtual_board", *arguments]),
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
     )  # fmt: skip

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES
-from servo_msgs_py.timed_points import POINTS_TOGETHER, TimedPoint, encode_points
+from servo_msgs_py.timed_points import POINTS_PER_WRITE, TimedPoint, encode_points
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
@@ -78,9 +78,9 @@ def _following(every: bool) -> Callable[[Board], None]:
         start, omega = board.read_raw("tick")[0] + 800, 2.0 * _TURN
         lsb = board.catalogue["cmd.position"].lsb
         at = [lsb * board.read_raw(f"axis{axis + 1}.position")[0] for axis in range(AXES)]
-        for first in range(0, _AHEAD, POINTS_TOGETHER // AXES):
+        for first in range(0, _AHEAD, POINTS_PER_WRITE // AXES):
             points = []
-            for k in range(first, first + POINTS_TOGETHER // AXES):
+            for k in range(first, first + POINTS_PER_WRITE // AXES):
                 angle = omega * k * 160 * PERIOD_NS * 1e-9
                 for axis in range(AXES):
                     points.append(

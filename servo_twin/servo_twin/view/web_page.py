@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 
 LOOPBACK: Final = "127.0.0.1"
 _PORTS_TRIED: Final = 32
@@ -74,7 +74,7 @@ class WebPage:
         command = [str(_command()), "--serve-web", "--bind", LOOPBACK, "--web-viewer-port", str(port), data]
         environment = {**os.environ, "RERUN_ANALYTICS": "false"}
         self._process = subprocess.Popen(
-            bound_to_us(command),
+            with_parent_death_signal(command),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

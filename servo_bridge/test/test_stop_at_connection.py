@@ -12,7 +12,7 @@ from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.commands import Command, send_command
 from servo_bridge.freemaster.errors import AnswerTimeoutError
 from servo_bridge.wire.session import connect
-from servo_bridge.wire.take_over import KEEP_ALIVE_PERIOD, taken_over
+from servo_bridge.wire.stop_at_connection import KEEP_ALIVE_PERIOD, stopped_at_connection
 
 HOST_TIMEOUT_NS = 500_000_000
 BYTES_MAX = 300  # of the longest exchange, request and answer with escape bytes
@@ -44,7 +44,7 @@ def application_commands(board: FakeServo) -> list[str]:
 
 def test_stop_is_sent_before_the_variable_table_is_read() -> None:
     wire = Wire()
-    with taken_over(wire.client, CATALOGUE):
+    with stopped_at_connection(wire.client, CATALOGUE):
         pass
     assert [(c, p) for c, p in wire.board.requests if c != Command.GETAPPCMDSTS] == [
         (Command.GETCONFIG, b"\0PV\0"),
@@ -57,7 +57,7 @@ def test_stop_is_sent_before_the_variable_table_is_read() -> None:
 def test_another_device_gets_no_command() -> None:
     target = FakeTarget()
     client = client_on(FakeTransport(target.feed))
-    with taken_over(client, CATALOGUE):
+    with stopped_at_connection(client, CATALOGUE):
         assert client.before_exchange is None
         client.identify()
     assert Command.SENDAPPCMD not in [command for command, _ in target.requests]
@@ -73,7 +73,7 @@ def test_a_client_that_only_reads_stops_nothing() -> None:
 def test_no_host_timeout_during_discovery(baud: int) -> None:
     wire = Wire(baud)
     opened = wire.transport.clock()
-    with taken_over(wire.client, CATALOGUE):
+    with stopped_at_connection(wire.client, CATALOGUE):
         begin = wire.transport.clock()
         assert begin - opened < 0.3e9, "stopped by then"
         assert connect(wire.client, CATALOGUE).mismatch is None
@@ -83,9 +83,9 @@ def test_no_host_timeout_during_discovery(baud: int) -> None:
     assert wire.board.host_silence_ns < KEEP_ALIVE_PERIOD * 1e9 + 2 * BYTES_MAX * wire.byte_ns < HOST_TIMEOUT_NS
 
 
-def test_keep_alives_end_with_the_discovery() -> None:
+def test_keep_alives_end_with_the_block() -> None:
     wire = Wire()
-    with taken_over(wire.client, CATALOGUE):
+    with stopped_at_connection(wire.client, CATALOGUE):
         connect(wire.client, CATALOGUE)
     known = len(wire.board.host_signals)
     connect(wire.client, CATALOGUE)
@@ -94,7 +94,7 @@ def test_keep_alives_end_with_the_discovery() -> None:
 
 def test_keep_alives_without_an_answer_are_no_error() -> None:
     wire = Wire()
-    with taken_over(wire.client, CATALOGUE):
+    with stopped_at_connection(wire.client, CATALOGUE):
         wire.lose = lambda command: command == Command.SENDAPPCMD
         assert connect(wire.client, CATALOGUE).mismatch is None
     assert application_commands(wire.board).count("KEEP_ALIVE") > 1
@@ -104,7 +104,7 @@ def test_keep_alives_without_an_answer_are_no_error() -> None:
 def test_a_stop_without_an_answer_ends_the_attempt() -> None:
     wire = Wire()
     wire.lose = lambda command: command == Command.SENDAPPCMD
-    with pytest.raises(AnswerTimeoutError), taken_over(wire.client, CATALOGUE):
+    with pytest.raises(AnswerTimeoutError), stopped_at_connection(wire.client, CATALOGUE):
         pytest.fail("nothing may be done with a board that has not been stopped")
     assert wire.client.before_exchange is None
 
@@ -113,7 +113,7 @@ def test_pending_command_of_another_host_does_not_prevent_the_stop() -> None:
     """The board runs a command when its result is requested; a host that ends before leaves it pending."""
     wire = Wire()
     Client(wire.client.line).exchange(send_command(CATALOGUE.bits["command"]["KEEP_ALIVE"]))
-    with taken_over(wire.client, CATALOGUE):
+    with stopped_at_connection(wire.client, CATALOGUE):
         pass
     assert application_commands(wire.board) == ["KEEP_ALIVE", "QUICK_STOP"]
 
@@ -122,5 +122,5 @@ def test_firmware_without_application_commands_is_left_to_the_comparison() -> No
     wire = Wire()
     wire.board.commands.clear()
     wire.board.put("catalogue_hash", 1)
-    with taken_over(wire.client, CATALOGUE):
+    with stopped_at_connection(wire.client, CATALOGUE):
         assert connect(wire.client, CATALOGUE).mismatch is not None

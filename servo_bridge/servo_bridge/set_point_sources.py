@@ -1,7 +1,7 @@
-"""Sources of set-points: finds two sources that command it by turns, and gives one of them precedence. Pure.
+"""Sources of set-points: detection of two sources that command an axis alternately, and precedence of one topic. Pure.
 
-A source is a topic and a quantity, as in position on ``joint_commands``. rclpy does not tell which publisher a message
-came from, so publishers of one topic and quantity are one source.
+A source is a topic and a quantity, such as position on ``joint_commands``. rclpy does not report the publisher of a
+message, so all publishers of one topic and quantity are one source.
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from servo_bridge.setpoints import Rejected
+from servo_bridge.set_points import Rejected
 
 FRESH: Final = 1.0
-"""How long a source counts as active after its last set-point [s]."""
+"""Time for which a source counts as active after its last set-point [s]."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where set-points come from."""
+    """Topic and quantity of a set-point."""
 
     topic: str  # relative name
     quantity: str  # ``position``, ``velocity``, ``effort`` or ``trajectory``
@@ -27,7 +27,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Conflict:
-    """Two sources that command one axis by turns."""
+    """Two sources that command one axis alternately."""
 
     joint: str
     first: Source
@@ -51,29 +51,29 @@ class Sources:
         self._conflict: tuple[float, Conflict] | None = None
 
     def conflict(self) -> Conflict | None:
-        """The latest conflict, while it is fresh."""
+        """Latest conflict, if it is not older than `FRESH`."""
         if self._conflict is None or self._clock() - self._conflict[0] >= FRESH:
             return None
         return self._conflict[1]
 
     def claim(self, source: Source, axes: Iterable[int], joints: Collection[str], following: Collection[int]) -> None:
-        """Note a command of some axes.
+        """Register a command of some axes.
 
         Parameters
         ----------
         source : Source
-            Where it comes from.
+            Source of the command.
         axes : iterable of int
             The axes.
         joints : collection of str
             Names of all joints.
         following : collection of int
-            Axes that follow a trajectory: the source that moved them last is active until its end.
+            Axes that follow a trajectory; the last source of each stays active until its end.
 
         Raises
         ------
         Rejected
-            If another source has precedence; then nothing has changed.
+            If another source has precedence; then nothing is changed.
         """
         now, names, axes = self._clock(), list(joints), list(axes)
         active = {axis: self._active(axis, now, axis in following) for axis in axes}
@@ -86,7 +86,7 @@ class Sources:
                 )
         for axis, sources in active.items():
             last = next(reversed(sources), source)
-            # A take-over is no conflict; a source that comes back within the time is.
+            # A change of the source is no conflict; a source that returns while active is.
             if last != source and source in sources:
                 pair = sorted((last, source), key=lambda each: (each.topic, each.quantity))
                 self._conflict = now, Conflict(names[axis], *pair)

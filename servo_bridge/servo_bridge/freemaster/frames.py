@@ -1,6 +1,6 @@
-"""FreeMASTER frames of both versions: checksum, doubling of the start byte, LEB128 numbers, the answer parser.
+"""FreeMASTER frames of both versions: checksum, doubling of the start byte, LEB128 numbers, parser of responses.
 
-Pure functions and one small state machine; nothing here knows about time or ports.
+Pure functions and one state machine, without timing and ports.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import Final
 from servo_bridge.freemaster.errors import CodecError, Status
 
 SOB: Final = 0x2B
-"""Start of block, '+'. Every later byte of this value is sent twice."""
+"""Start of block, '+'. Later bytes of this value are doubled."""
 
 MAX_ANSWER_DATA: Final = 252
-"""Most data bytes in one answer on a serial line."""
+"""Largest number of data bytes in a response on a serial line."""
 
-_MAX_PAYLOAD: Final = 253  # length 254 is never accepted and 255 is dropped without an answer
+_MAX_PAYLOAD: Final = 253  # length 254 is refused, 255 is ignored without a response
 _NUMBER_MASK: Final = (1 << 64) - 1
 
 
@@ -35,7 +35,7 @@ _CRC_TABLE: Final = _crc_table()
 
 
 def crc8(data: bytes) -> int:
-    """Compute the CRC-8 of `data`."""
+    """CRC-8 of `data`."""
     crc = 0
     for byte in data:
         crc = _CRC_TABLE[crc ^ byte]
@@ -43,20 +43,20 @@ def crc8(data: bytes) -> int:
 
 
 def negated_sum(data: bytes) -> int:
-    """Compute the byte that makes the sum of `data` and itself zero."""
+    """Byte that makes the sum of `data` and this byte zero."""
     return -sum(data) & 0xFF
 
 
 @dataclass(frozen=True)
 class Framing:
-    """How one version of the protocol builds its frames."""
+    """Frame format of one version of the protocol."""
 
-    checksum: Callable[[bytes], int]  # last byte of a frame, from all others behind the start byte
-    fast_from: int  # commands from this code on carry no length byte; their code gives the length
-    plain_statuses: tuple[int, ...] = ()  # successes other than zero that carry no data
+    checksum: Callable[[bytes], int]  # last byte of a frame, computed from all bytes after the start byte
+    fast_from: int  # commands with codes from here on have no length byte; the length is in the code
+    plain_statuses: tuple[int, ...] = ()  # success codes other than zero, without data
 
     def encode(self, command: int, payload: bytes = b"") -> bytes:
-        """Build one request as it goes over the line.
+        """Encode a request for the line.
 
         Raises
         ------
@@ -76,7 +76,7 @@ class Framing:
         return self._frame(body)
 
     def answer(self, status: int, data: bytes) -> bytes:
-        """Build one answer as it comes over the line."""
+        """Encode a response for the line."""
         length = bytes((len(data),)) if status == Status.OK_VARIABLE else b""
         return self._frame(bytes((status,)) + length + data)
 
@@ -84,14 +84,14 @@ class Framing:
         return b"+" + (body + bytes((self.checksum(body),))).replace(b"+", b"++")
 
     def intact(self, body: bytes) -> bool:
-        """Whether a frame, from the byte behind the start byte on, ends in its checksum."""
+        """Whether a frame without its start byte ends with the correct checksum."""
         return self.checksum(body[:-1]) == body[-1]
 
     def can_start(self, status: int) -> bool:
-        """Whether a byte behind a start byte can be a status.
+        """Whether a byte after a start byte can be a status.
 
-        Everything else is line noise or, on single-wire hardware, the echo of a request. Debug builds send frames with
-        status A9 until they have seen their first request; they say nothing.
+        Other bytes are noise or, on single-wire hardware, the echo of a request. Debug builds send frames with status
+        A9 before their first request; these are ignored.
         """
         if status & Status.ERROR_BIT:
             return status not in (Status.DEBUG_FRAME, 0xFF)
@@ -103,12 +103,12 @@ V3: Final = Framing(negated_sum, 0xC0, (Status.RECORDER_RUNNING, Status.RECORDER
 
 
 def encode_request(command: int, payload: bytes = b"") -> bytes:
-    """Build one request of version 4; see `Framing.encode`."""
+    """Encode a request of version 4; see `Framing.encode`."""
     return V4.encode(command, payload)
 
 
 def encode_uleb(value: int) -> bytes:
-    """Encode unsigned LEB128, shortest form.
+    """Encode unsigned LEB128 in the shortest form.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def encode_uleb(value: int) -> bytes:
 
 
 def encode_sleb(value: int) -> bytes:
-    """Encode signed LEB128, shortest form."""
+    """Encode signed LEB128 in the shortest form."""
     out = bytearray()
     while not -0x40 <= value < 0x40:
         out.append(0x80 | (value & 0x7F))
@@ -136,17 +136,17 @@ def encode_sleb(value: int) -> bytes:
 
 
 def decode_uleb(data: bytes, start: int = 0) -> tuple[int, int]:
-    """Decode unsigned LEB128; padded forms are fine and bits beyond 64 are dropped.
+    """Decode unsigned LEB128; padded forms are accepted, bits beyond 64 are dropped.
 
     Returns
     -------
     value, end : int
-        The number and the index of the byte behind it.
+        The number, and the index of the next byte.
 
     Raises
     ------
     CodecError
-        If the data ends inside the number.
+        If the data end inside the number.
     """
     value = shift = 0
     for index in range(start, len(data)):
@@ -159,28 +159,28 @@ def decode_uleb(data: bytes, start: int = 0) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Answer:
-    """One intact answer: status byte and data without length and checksum."""
+    """Intact response: status byte, and data without length and checksum."""
 
     status: int
     data: bytes
 
     @property
     def is_error(self) -> bool:
-        """Whether the target refused."""
+        """Whether the target refused the request."""
         return bool(self.status & Status.ERROR_BIT)
 
 
 class AnswerParser:
-    """Finds one answer in a stream of bytes that may start and end anywhere.
+    """Finds one response in a stream of bytes.
 
     Parameters
     ----------
     fixed_size : int
-        Data bytes of a success answer without length byte, known from the request.
+        Data bytes of a success response without length byte.
     framing : Framing
         Version of the protocol.
     statuses : tuple of int, optional
-        Successes that can be the answer; others are passed over. Default: all.
+        Expected success codes; others are skipped. Default: all.
     """
 
     def __init__(self, fixed_size: int = 0, framing: Framing = V4, statuses: tuple[int, ...] | None = None) -> None:
@@ -188,13 +188,13 @@ class AnswerParser:
         self._framing = framing
         self._statuses = statuses
         self._pending_sob = False
-        self._body: bytearray | None = None  # from the status byte on; None while hunting for a start
-        self.crc_errors = 0  # complete frames with a wrong checksum so far
-        self.passed_over = 0  # intact frames that cannot be the answer so far
-        self.trailing = False  # whether bytes followed the answer at once: only when the line has inserted one
+        self._body: bytearray | None = None  # from the status byte on; None: searching for a start
+        self.crc_errors = 0  # complete frames with a wrong checksum
+        self.passed_over = 0  # intact frames that cannot be the response
+        self.trailing = False  # bytes followed the response directly: the line has inserted a byte
 
     def feed(self, chunk: bytes) -> Answer | None:
-        """Take received bytes; returns the first intact answer, whose successors in `chunk` are dropped."""
+        """Process received bytes; returns the first intact response and drops the remainder of `chunk`."""
         segments = chunk.split(b"+")
         for index, segment in enumerate(segments):
             if index:
@@ -222,18 +222,18 @@ class AnswerParser:
         size = self._size_of_body()
         if size is None or len(self._body) < size:
             return None
-        rest, body, self._body = len(self._body) - size, bytes(self._body[:size]), None
+        excess, body, self._body = len(self._body) - size, bytes(self._body[:size]), None
         if not self._framing.intact(body):
             self.crc_errors += 1
             return None
         if self._statuses is not None and body[0] not in self._statuses and not body[0] & Status.ERROR_BIT:
             self.passed_over += 1
             return None
-        self.trailing = rest > 0
+        self.trailing = excess > 0
         return Answer(body[0], body[2:-1] if body[0] == Status.OK_VARIABLE else body[1:-1])
 
     def _size_of_body(self) -> int | None:
-        """Bytes from status to checksum; None while the length byte has not come."""
+        """Bytes from status to checksum; None before the length byte."""
         assert self._body is not None
         status = self._body[0]
         if status & Status.ERROR_BIT or status in self._framing.plain_statuses:

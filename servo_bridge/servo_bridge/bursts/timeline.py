@@ -1,4 +1,4 @@
-"""Where rows of telemetry and points of bursts lie on one time line. Pure."""
+"""Common timeline of telemetry rows and burst points. Pure."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from servo_bridge.bursts.request import TICK
 from servo_bridge.wire.board_clock import TickExtender
 
 
-class Placing(Protocol):
-    """A time line that begins with the first row."""
+class Timeline(Protocol):
+    """Timeline that begins with the first row."""
 
     def row(self, time_ns: int, tick: int | None) -> float | None:
-        """Time of a row [s], None if it is the last one once more.
+        """Time of a row [s]; None if it repeats the previous row.
 
         Parameters
         ----------
         time_ns : int
-            Monotonic time of its answer [ns].
+            Monotonic time of the response [ns].
         tick : int or None
-            uint32 tick, of a board that has one.
+            uint32 tick of the board; None if it has no tick.
         """
 
     def burst(self, burst: Burst, stopped_ns: int) -> NDArray[np.float64]:
@@ -33,14 +33,14 @@ class Placing(Protocol):
         Parameters
         ----------
         burst : Burst
-            With the tick where the board has one.
+            Burst; with the tick if the board has one.
         stopped_ns : int
-            Monotonic time at which the recorder was seen to stand [ns].
+            Monotonic time at which the recorder was found stopped [ns].
         """
 
 
 class BoardTime:
-    """Ticks of a board of ours: rows and bursts lie where they belong, to the tick."""
+    """Time by the ticks of the board: rows and bursts are exact to the tick."""
 
     def __init__(self) -> None:
         self._extender = TickExtender()
@@ -48,7 +48,7 @@ class BoardTime:
         self._last = 0
 
     def row(self, time_ns: int, tick: int | None) -> float | None:
-        """Time since the first row [s] by the board's `tick`; None for a tick that has been seen."""
+        """Time since the first row [s] by `tick`; None for a repeated tick."""
         assert tick is not None
         extended = self._extender.update(tick, time_ns).tick
         if self._first is None:
@@ -67,13 +67,13 @@ class BoardTime:
 
 
 class HostTime:
-    """The clock of this computer: a burst ends when its recorder was seen to stand, some 50 ms late."""
+    """Time by the clock of this computer: a burst ends when its recorder is found stopped, about 50 ms late."""
 
     def __init__(self) -> None:
         self._first: int | None = None
 
     def row(self, time_ns: int, tick: int | None) -> float | None:
-        """Time since the first row [s] by the clock of the host [ns]."""
+        """Time since the first row [s] by the host clock."""
         if self._first is None:
             self._first = time_ns
         return (time_ns - self._first) * 1e-9

@@ -6,11 +6,11 @@ import math
 from typing import Any
 
 import pytest
-from servo_bridge.setpoints import (
+from servo_bridge.set_points import (
     JointSetPoint,
     Mode,
     Rejected,
-    Repeats,
+    RepeatedSetPoints,
     from_array,
     from_joint_command,
     from_single,
@@ -68,33 +68,33 @@ def test_arrays_with_values_of_some_joints() -> None:
 
 
 def test_set_points_repeated_from_before_enable() -> None:
-    repeats = Repeats(pause=1.0)
+    repeats = RepeatedSetPoints(pause=1.0)
     zero, one = {0: JointSetPoint(0.0), 1: JointSetPoint(0.0, 0.0)}, {0: JointSetPoint(0.0), 1: JointSetPoint(1.0, 0.0)}
-    assert repeats.fresh(0.0, zero) == zero
+    assert repeats.without_repeats(0.0, zero) == zero
     repeats.refused(1.0, zero)
     for k in range(30):
-        assert repeats.fresh(1.1 + 0.1 * k, zero) == {}
-    assert repeats.fresh(4.1, one) == {1: JointSetPoint(1.0, 0.0)}
-    assert repeats.fresh(4.2, zero) == {1: JointSetPoint(0.0, 0.0)}
-    assert repeats.fresh(5.2, zero) == zero, "after a pause it is meant"
+        assert repeats.without_repeats(1.1 + 0.1 * k, zero) == {}
+    assert repeats.without_repeats(4.1, one) == {1: JointSetPoint(1.0, 0.0)}
+    assert repeats.without_repeats(4.2, zero) == {1: JointSetPoint(0.0, 0.0)}
+    assert repeats.without_repeats(5.2, zero) == zero, "after a pause it is meant"
 
 
 def test_constant_velocity_is_accepted_after_enable() -> None:
-    repeats = Repeats(pause=1.0)
+    repeats = RepeatedSetPoints(pause=1.0)
     held = {0: JointSetPoint(velocity=50.0)}
     repeats.refused(1.0, held)
-    assert repeats.fresh(1.1, held) == held
+    assert repeats.without_repeats(1.1, held) == held
 
 
 @pytest.mark.parametrize(
     ("fields", "sentence"),
     [
         ({"names": ["elbow"], "position": [1.0]}, "joint 'elbow' does not exist; the joints are axis1, axis2"),
-        ({"names": [], "position": [1.0, 2.0]}, "name is empty; name the joints"),
-        ({"names": ["axis1", "axis1"], "position": [1.0, 2.0]}, "named twice"),
+        ({"names": [], "position": [1.0, 2.0]}, "name is empty; write the names of the joints"),
+        ({"names": ["axis1", "axis1"], "position": [1.0, 2.0]}, "occurs twice"),
         (
             {"names": ["axis1", "axis2"], "position": [1.0]},
-            "position has 1 values for 2 names; give one value per name",
+            "position has 1 values for 2 names; write one value per name",
         ),
         ({"names": ["axis1"], "velocity": [1.0, 2.0]}, "velocity has 2 values for 1 names"),
         ({"names": ["axis1"]}, "position, velocity and effort are empty; fill position, velocity or effort"),

@@ -1,8 +1,8 @@
-"""A ROS service whose answer may come later, while the executor goes on.
+"""ROS service with a deferred response; the executor continues meanwhile.
 
-The events executor calls a service's callback and hands what it returns straight to ``Service.send_response``; it knows
-no coroutines. So the callback returns an empty response at once, and this class holds that one back until the handler's
-future is done. It works the same under every other executor of rclpy.
+The events executor passes the return value of a service callback directly to ``Service.send_response`` and does not
+support coroutines. The callback therefore returns an empty response, and this class delays its transmission until the
+future of the handler is done. It works with the other executors of rclpy, too.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class DeferredService:
     name : str
         Relative name.
     handler : callable
-        Gets the request and returns a future of the outcome, which has to be completed in the executor's thread.
+        Called with the request; returns a future of the outcome, which must be completed in the executor's thread.
     """
 
     def __init__(self, node: Node, service_type: Any, name: str, handler: Callable[[Any], Future[Outcome]]) -> None:
@@ -37,7 +37,7 @@ class DeferredService:
         self._held: dict[int, Future[Outcome]] = {}
         self._service = node.create_service(service_type, name, self._called)
         self._send: Callable[[Any, Any], None] = self._service.send_response
-        # rclpy looks the method up on the object at every call; this is its only place to hold an answer back.
+        # rclpy looks up the method of the object at every call; there is no other way to delay a response.
         setattr(self._service, "send_response", self._respond)  # noqa: B010
 
     def _called(self, request: Any, response: Any) -> Any:

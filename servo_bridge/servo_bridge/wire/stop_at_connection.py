@@ -1,4 +1,4 @@
-"""The first contact with a board: its axes are stopped, and keep-alives are sent for as long as it is identified."""
+"""Quick stop at the first contact with a board, and keep-alives during its identification."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from servo_bridge.freemaster.errors import (
 )
 
 KEEP_ALIVE_PERIOD: Final = 0.1
-"""Longest time between two keep-alives [s]; an exchange that is longer than that is not interrupted."""
+"""Period of keep-alives [s]; a longer exchange is not interrupted."""
 
 _NAME: Final = b"servo"
-"""Name of a servo board; another device gets no command."""
+"""Name of a servo board; other devices receive no commands."""
 
 
 @contextmanager
-def taken_over(client: Client, catalogue: Catalogue) -> Iterator[None]:
-    """Stop the axes of a board, and keep it from counting the host as silent during what follows.
+def stopped_at_connection(client: Client, catalogue: Catalogue) -> Iterator[None]:
+    """Send a quick stop at the first contact, then keep-alives until the end of the block (identification).
 
-    The program that set its axes in motion may be gone, and to identify the board takes seconds on a slow line.
-    Application commands need no addresses. Another device gets no command.
+    The program that enabled the axes may have ended, and the identification takes seconds on a slow line. Application
+    commands need no addresses. Other devices receive no commands.
 
     Raises
     ------
     FreemasterError
-        If nothing answers, not in this protocol, or not to the stop.
+        If there is no response, another protocol, or no response to the stop.
     """
     client.probe()
     name = client.get_config("NM") or b""
@@ -45,7 +45,7 @@ def taken_over(client: Client, catalogue: Catalogue) -> Iterator[None]:
     try:
         client.run_command(codes["QUICK_STOP"])
     except StatusError as error:
-        # Firmware without application commands: the comparison with the catalogue says so.
+        # Firmware without application commands; reported by the comparison with the catalogue.
         if error.code != Status.UNKNOWN_COMMAND:
             raise
     with kept_alive(client, catalogue):
@@ -54,12 +54,12 @@ def taken_over(client: Client, catalogue: Catalogue) -> Iterator[None]:
 
 @contextmanager
 def kept_alive(client: Client, catalogue: Catalogue) -> Iterator[Callable[[], None]]:
-    """Send keep-alives before the exchanges of a client, one when `KEEP_ALIVE_PERIOD` is over.
+    """Send a keep-alive before an exchange of a client whenever `KEEP_ALIVE_PERIOD` has elapsed.
 
     Yields
     ------
     callable
-        Sends one if it is due; for a time without exchanges.
+        Sends a keep-alive if it is due, for times without exchanges.
     """
     client.before_exchange = when_due = _keep_alive(client, catalogue.bits["command"]["KEEP_ALIVE"])
     try:
@@ -77,9 +77,9 @@ def _keep_alive(client: Client, code: int) -> Callable[[], None]:
         if clock() < due:
             return
         due = clock() + period
-        client.before_exchange = None  # the keep-alive consists of exchanges itself
+        client.before_exchange = None  # the keep-alive is an exchange itself
         try:
-            # The next one will do; if the line is lost, the request that waits tells.
+            # The next keep-alive follows; the loss of the line is reported by the pending request.
             with suppress(AnswerTimeoutError, CommandUnfinishedError, DamagedAnswerError, StatusError):
                 client.run_command(code)
         finally:

@@ -1,7 +1,7 @@
-"""Set-points as they arrive: what a message asks for, checked for form.
+"""Set-points of messages: parsing and checks that do not depend on the board.
 
-Form means everything that can be said without knowing the board: names, lengths, which array is filled, finite
-numbers. Limits and states are the arbiter's business. Pure; takes plain sequences, so no ROS message is needed.
+Checked here: names, array lengths, which array is used, finite numbers. Limits and states are checked by the arbiter.
+Pure: uses sequences, not ROS messages.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from enum import IntEnum
 
 
 class Rejected(ValueError):
-    """A command that was not carried out; the text says what is wrong, where, and what to do."""
+    """A command was refused; the text has the error, its location and a remedy."""
 
 
 class NotReady(Rejected):
-    """The axes obey nothing now, whatever it is."""
+    """The axes do not accept set-points at present."""
 
 
 class Mode(IntEnum):
-    """What the set-point of an axis means; the numbers are those of ``cmd.mode``."""
+    """Meaning of a set-point; values as in ``cmd.mode``."""
 
     POSITION = 0
     SPEED = 1
@@ -31,16 +31,16 @@ class Mode(IntEnum):
 
 @dataclass(frozen=True)
 class SetPointRequest:
-    """A well-formed command."""
+    """Command with valid form."""
 
-    source: str  # topic that it came from
+    source: str  # topic
     mode: Mode  # meaning of the values
     values: Mapping[int, float]  # axis index to set-point: [rad], [rad/s] or [N m], by `mode`
 
 
 @dataclass(frozen=True)
 class JointSetPoint:
-    """What a JointState asks of one joint; what it leaves open is None."""
+    """Set-point of one joint in a JointState; None: not given."""
 
     position: float | None = None  # [rad]
     velocity: float | None = None  # [rad/s]
@@ -48,7 +48,7 @@ class JointSetPoint:
 
     @property
     def streamed(self) -> bool:
-        """A position with velocity or effort is one of a path in time."""
+        """True for a position with velocity or effort: a point of a streamed path."""
         return self.position is not None and (self.velocity is not None or self.effort is not None)
 
 
@@ -62,7 +62,7 @@ def from_joint_command(
     arrays: Mapping[str, Sequence[float]],
     interfaces: Mapping[str, Collection[str]] | None = None,
 ) -> dict[int, JointSetPoint]:
-    """Set-points of a JointState, by axis.
+    """Return the set-points of a JointState, by axis.
 
     Parameters
     ----------
@@ -71,16 +71,16 @@ def from_joint_command(
     joints : sequence of str
         Joint names in the order of the axes.
     names : sequence of str
-        Those of the message.
+        Names in the message.
     arrays : mapping of str to sequence of float
-        Its position [rad], velocity [rad/s] and effort [N m]; an empty one is not given. NaN leaves a value open.
+        Position [rad], velocity [rad/s] and effort [N m] of the message; empty: not given; NaN: no value for a joint.
     interfaces : mapping of str to collection of str, optional
-        Which of the arrays a joint is in, where not every joint is in all of them.
+        Arrays that contain each joint; None: all arrays contain all joints.
 
     Returns
     -------
     dict of int to JointSetPoint
-        Without joints of which everything is open.
+        Without joints that have no value.
 
     Raises
     ------
@@ -90,12 +90,12 @@ def from_joint_command(
     """
     listing = ", ".join(joints)
     if not names:
-        raise Rejected(f"{source}: name is empty; name the joints to move ({listing})")
+        raise Rejected(f"{source}: name is empty; write the names of the joints to move ({listing})")
     for name in names:
         if name not in joints:
             raise Rejected(f"{source}: joint {name!r} does not exist; the joints are {listing}")
     if len(set(names)) != len(names):
-        raise Rejected(f"{source}: a joint is named twice in {', '.join(names)}; name each joint once")
+        raise Rejected(f"{source}: a joint occurs twice in {', '.join(names)}; write each joint once")
     if not any(len(values) for values in arrays.values()):
         raise Rejected(f"{source}: position, velocity and effort are empty; fill position, velocity or effort")
     given: dict[str, dict[str, float]] = {name: {} for name in names}
@@ -103,8 +103,8 @@ def from_joint_command(
         owners = names if interfaces is None else [name for name in names if field in interfaces[name]]
         if len(values) not in (0, len(owners)):
             raise Rejected(
-                f"{source}: {field} has {len(values)} values for {len(owners)} names; give one value per name, and NaN "
-                "for a joint that is left alone"
+                f"{source}: {field} has {len(values)} values for {len(owners)} names; write one value per name, NaN "
+                "for joints without a set-point"
             )
         for name, value in zip(owners, values, strict=False):
             if math.isinf(value):
@@ -115,14 +115,14 @@ def from_joint_command(
     for axis, point in result.items():
         if point.position is None and point.velocity is not None and point.effort is not None:
             raise Rejected(
-                f"{source}: {joints[axis]} has a velocity and an effort, but no position; give one of them, or a "
+                f"{source}: {joints[axis]} has a velocity and an effort, but no position; send one of them, or a "
                 "position with them"
             )
     return result
 
 
 def requests_of(source: str, points: Mapping[int, JointSetPoint]) -> list[SetPointRequest]:
-    """Requests of the joints that are not streamed, one per mode."""
+    """Requests of the joints without streaming, one per mode."""
     result = []
     for field, mode in _FIELDS.items():
         values = {axis: getattr(point, field) for axis, point in points.items() if not point.streamed}
@@ -132,17 +132,17 @@ def requests_of(source: str, points: Mapping[int, JointSetPoint]) -> list[SetPoi
     return result
 
 
-class Repeats:
-    """Finds positions that only repeat one from before the axes obeyed.
+class RepeatedSetPoints:
+    """Refuses position set-points that repeat one sent before the axes were enabled.
 
-    Some senders command a position all the time, also before they have been told a target. Enabling the axes must
-    not send a shaft there: such a set-point moves nothing until it changes, or until the sender has paused. A velocity
-    or an effort alone names no place; it counts as soon as the axes obey.
+    Some senders publish a position continuously, also before they have a target. Enabling must not move a shaft there:
+    such a set-point is refused until it changes or the sender has paused. Velocity and effort set-points are not
+    affected.
 
     Parameters
     ----------
     pause : float
-        Silence that ends a repetition [s].
+        Pause that ends a repetition [s].
     """
 
     def __init__(self, pause: float = 1.0) -> None:
@@ -150,11 +150,11 @@ class Repeats:
         self._refused: dict[int, tuple[float, JointSetPoint]] = {}
 
     def refused(self, time: float, points: Mapping[int, JointSetPoint]) -> None:
-        """Note set-points that came while the axes did not obey; `time` in seconds."""
+        """Record set-points refused while the axes were not ready, at `time` [s]."""
         self._refused.update({axis: (time, point) for axis, point in points.items() if point.position is not None})
 
-    def fresh(self, time: float, points: Mapping[int, JointSetPoint]) -> dict[int, JointSetPoint]:
-        """Those of the set-points at `time` [s] that repeat nothing."""
+    def without_repeats(self, time: float, points: Mapping[int, JointSetPoint]) -> dict[int, JointSetPoint]:
+        """Return the set-points at `time` [s] that are not repetitions."""
         result = {}
         for axis, point in points.items():
             before, refused = self._refused.get(axis, (time, None))
@@ -167,7 +167,7 @@ class Repeats:
 
 
 def from_array(source: str, joints: Sequence[str], data: Sequence[float]) -> SetPointRequest:
-    """Positions of all joints in joint order [rad].
+    """Positions of all joints, in joint order [rad].
 
     Raises
     ------
@@ -177,7 +177,7 @@ def from_array(source: str, joints: Sequence[str], data: Sequence[float]) -> Set
     if len(data) != len(joints):
         order = ", ".join(joints)
         raise Rejected(
-            f"{source}: {len(data)} values given, {len(joints)} expected; give one position per joint ({order})"
+            f"{source}: {len(data)} values given, {len(joints)} expected; write one position per joint ({order})"
         )
     for name, value in zip(joints, data, strict=True):
         _check_finite(source, f"position of {name}", value)
@@ -196,6 +196,6 @@ def from_single(source: str, axis: int, value: float) -> SetPointRequest:
     return SetPointRequest(source, Mode.POSITION, {axis: float(value)})
 
 
-def _check_finite(source: str, what: str, value: float) -> None:
+def _check_finite(source: str, name: str, value: float) -> None:
     if not math.isfinite(value):
-        raise Rejected(f"{source}: {what} is {value}; send a finite number")
+        raise Rejected(f"{source}: {name} is {value}; send a finite number")

@@ -5,7 +5,9 @@ from fake_target import Reader, checksum, escaped
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from servo_bridge.freemaster import commands
-from servo_bridge.freemaster.codec import (
+from servo_bridge.freemaster.commands import ScopeSlot
+from servo_bridge.freemaster.errors import CodecError
+from servo_bridge.freemaster.frames import (
     Answer,
     AnswerParser,
     crc8,
@@ -14,8 +16,6 @@ from servo_bridge.freemaster.codec import (
     encode_sleb,
     encode_uleb,
 )
-from servo_bridge.freemaster.commands import ScopeSlot
-from servo_bridge.freemaster.errors import CodecError
 
 
 def answer_frame(status: int, data: bytes = b"") -> bytes:

@@ -1,4 +1,4 @@
-"""The topics that take positions: form, arbiter, and a sentence for everything that is refused."""
+"""Topics of position set-points, and the counters and log messages of all set-point topics."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from std_msgs.msg import Float64, Float64MultiArray
 
 from servo_bridge.arbiter import Arbiter
 from servo_bridge.health import CommandFigures
-from servo_bridge.setpoints import Rejected, SetPointRequest, from_array, from_single
-from servo_bridge.sources import Source
+from servo_bridge.set_point_sources import Source
+from servo_bridge.set_points import Rejected, SetPointRequest, from_array, from_single
 from servo_bridge.throttle import Throttle
 from servo_msgs_py import topics
 
 
 class SetPointTopics:
-    """Subscriptions of the topics of positions; what is let through and refused on all set-point topics.
+    """Subscriptions of the position topics; counts accepted and rejected set-points of all topics.
 
     Parameters
     ----------
@@ -28,11 +28,11 @@ class SetPointTopics:
     joints : sequence of str
         Joint names in the order of the axes.
     arbiter : Arbiter
-        Lets a set-point through or not.
+        Checks set-points.
     accepted : callable
-        Called after every set-point that was let through.
+        Called after every accepted set-point.
     warn : callable
-        Gets a sentence for the log.
+        Receives messages for the log.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class SetPointTopics:
             self.accept()
 
     def accept(self) -> None:
-        """Count a set-point that was let through and send it."""
+        """Count an accepted set-point and start its transmission."""
         self.figures.accepted += 1
         conflict = self._arbiter.sources.conflict()
         if conflict is not None and self._conflicts.admit(conflict.joint, time.monotonic()) is not None:
@@ -81,27 +81,27 @@ class SetPointTopics:
         self._accepted()
 
     def conflict(self) -> str:
-        """Sources that command one axis by turns at this time, in words; empty if there are none."""
+        """Text of two sources that command one axis alternately; empty if there are none."""
         conflict = self._arbiter.sources.conflict()
         if conflict is None:
             return ""
         first, second = (self._named(source) for source in (conflict.first, conflict.second))
         return (
-            f"{conflict.joint} is commanded by turns: {first}, and {second}; stop one of them, or give one precedence "
-            "with the parameter preferred_source"
+            f"{conflict.joint} is commanded alternately by {first} and {second}; stop one of them, or give one "
+            "precedence with the parameter preferred_source"
         )
 
     def _named(self, source: Source) -> str:
-        """A source with the nodes that publish on its topic."""
+        """Text of a source, with the nodes that publish on its topic."""
         found = self._publishers(self._resolve(source.topic))
         nodes = sorted({f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in found})
         return f"{source.quantity} on {source.topic} ({' or '.join(nodes) or 'publisher unknown'})"
 
     def reject(self, source: str, error: Rejected) -> None:
-        """Count a set-point that was not let through, and say why."""
+        """Count a rejected set-point and log the reason."""
         self.figures.rejected += 1
         self.figures.last_rejection = str(error)
         held = self._throttle.admit(source, time.monotonic())
         if held is not None:
             more = f" ({held} more rejections before this one)" if held else ""
-            self._warn(f"rejected, nothing moves because of it: {error}{more}")
+            self._warn(f"rejected, no motion: {error}{more}")
