@@ -26,7 +26,7 @@ NOT_ON_A_TARGET = {
     # The replay has one thread: the server is not interrupted.
     "latch_commands",
     "publish_snapshot",
-    "event_log_watch",
+    "event_log_compare",
     # For hosts without a serial line.
     "servo_read",
     "servo_write",

@@ -24,9 +24,9 @@ from servo_twin.experiments.rig import (
     command_position,
     command_speed,
     features,
+    record,
     set_axis,
     spinning,
-    watch,
 )
 from servo_twin.plant import PlantConfig
 
@@ -69,8 +69,8 @@ def multi_sine_response(plant: PlantConfig, axis: int, amplitude: float, observe
         feedback_alone(board, axis, observed)
         choose_mode(board, axis, "SPEED")
         command_speed(board, axis, BASE)
-        watch(board, [axis], 0.3)
-        whole = watch(board, [axis], warm + measured, lambda k: command_speed(board, axis, reference(k)))[axis]
+        record(board, [axis], 0.3)
+        whole = record(board, [axis], warm + measured, lambda k: command_speed(board, axis, reference(k)))[axis]
     part = whole.part(warm)
     assert not part.limits.any(), "a small signal"
     return part
@@ -128,7 +128,7 @@ def test_stability_limit_of_the_speed_loop(axes: list[Tuned], axis: int) -> None
             feedback_alone(board, axis)
             choose_mode(board, axis, "SPEED")
             command_speed(board, axis, BASE)
-            part = watch(board, [axis], 1.0)[axis].part(0.6)
+            part = record(board, [axis], 1.0)[axis].part(0.6)
         swings.append(float(np.ptp(part.omega)))
     assert swings[0] < 0.1 * BASE
     assert swings[1] > 0.5 * BASE
@@ -151,8 +151,8 @@ def test_load_step_in_motion(axes: list[Tuned], axis: int) -> None:
                 board.set_load(axis, torque)
 
         feedback_alone(board, axis)
-        watch(board, [axis], 2000 * TICK, move)
-        whole = watch(board, [axis], lead + measured, load)[axis]
+        record(board, [axis], 2000 * TICK, move)
+        whole = record(board, [axis], lead + measured, load)[axis]
     assert not whole.limits.any(), "a small signal"
     before, after = whole.part(0.0, lead), whole.part(lead)
     line = np.polyfit(before.time, before.theta, 1)
@@ -173,7 +173,7 @@ def test_current_step_of_a_blocked_shaft(axes: list[Tuned], axis: int) -> None:
         board.lock_shaft(axis)
         choose_mode(board, axis, "TORQUE")
         set_axis(board, "cmd.i_q", axis, 1.0)
-        watch(board, [axis], 0.05)
+        record(board, [axis], 0.05)
         set_axis(board, "cmd.i_q", axis, 2.0)
         start = board.time_ns
         currents = []

@@ -91,7 +91,7 @@ def test_over_current_opens_the_switches_in_the_next_fast_loop(bench: Bench) -> 
     assert bench.axis(1).sm.state == STATE.RUN
 
 
-def test_break_interrupt_opens_them_at_once(bench: Bench) -> None:
+def test_over_current_interrupt_opens_the_switches_immediately(bench: Bench) -> None:
     bench.to_spin(0)
     bench.hal.axis[0].over_current = True
     bench.core.lib.servo_over_current_isr(bench.servo, 0)
@@ -194,7 +194,7 @@ def give_up(bench: Bench) -> float:
     return ticks * 0.5e-3
 
 
-def test_shaft_held_fast_fails_the_search(bench: Bench) -> None:
+def test_blocked_shaft_fails_the_search(bench: Bench) -> None:
     assert give_up(bench) < 1.2
     assert bench.view(0).faults == FAULTS.ROTOR_SEARCH
     bench.clear(0)
@@ -203,7 +203,7 @@ def test_shaft_held_fast_fails_the_search(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("across", [-0.01, 0.01])
-def test_motor_that_moves_unseen_has_lost_its_encoder(bench: Bench, across: float) -> None:
+def test_motor_that_moves_without_a_count_has_lost_its_encoder(bench: Bench, across: float) -> None:
     """What drives a current across the turning vector, so that the controller needs a voltage there, is a rotor."""
     bench.current_across[0] = across
     assert give_up(bench) < 1.2

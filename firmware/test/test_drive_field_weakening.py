@@ -37,7 +37,7 @@ def i_d_ref(bench: Bench) -> int:
     return int(bench.axis(0).current_ref.d)
 
 
-def test_weakens_and_says_so(bench: Bench) -> None:
+def test_field_weakening_acts_and_is_reported(bench: Bench) -> None:
     weakened(bench)
     assert i_d_ref(bench) == -MOST
     assert bench.view(0).limits & LIMITS.FIELD_WEAKENING
@@ -72,7 +72,7 @@ def test_the_speed_controller_does_not_wind_up(bench: Bench) -> None:
     assert abs(held) < 0.5  # the proportional part of 3 rad/s, with the other sign
 
 
-def test_is_given_back_when_the_feature_is_switched_off(bench: Bench) -> None:
+def test_current_is_restored_when_the_feature_is_switched_off(bench: Bench) -> None:
     weakened(bench)
     before = i_d_ref(bench)
     bench.switch_on(0, 0)

@@ -114,7 +114,7 @@ def test_zero_is_refused_during_the_search(core: Core) -> None:
     assert result(bench) == "MOTION"
 
 
-def test_assumption_replaces_no_knowledge(core: Core) -> None:
+def test_assumed_position_does_not_replace_a_known_one(core: Core) -> None:
     bench = Bench(core)
     bench.to_stop()
     ask(bench, "ASSUME", 700)

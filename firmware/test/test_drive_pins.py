@@ -124,7 +124,7 @@ class TestSwitches:
         bench.follow(4)
         assert bench.view(0).faults == FAULTS.LIMIT_SWITCH
 
-    def test_both_at_once_are_no_way_to_go(self, bench: Bench) -> None:
+    def test_both_limit_switches_active_refuse_an_enable(self, bench: Bench) -> None:
         configure_pins(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
         bench.hal.axis[0].inputs = INPUTS.LIMIT_MIN | INPUTS.LIMIT_MAX
         bench.slow(3)
@@ -274,7 +274,7 @@ class TestHoldingBrake:
             assert held < 100
         assert CLOSE <= held <= CLOSE + 2
 
-    def test_wanted_again_it_opens_again(self, bench: Bench) -> None:
+    def test_brake_opens_again_after_a_new_enable(self, bench: Bench) -> None:
         configure_pins(bench, INPUTS.BRAKE_OPEN)
         spin(bench)
         bench.write(0, enable=0)
@@ -292,7 +292,7 @@ class TestHoldingBrake:
         assert not bench.hal.axis[0].holding_released
         assert bench.view(0).inputs == 0
 
-    def test_what_the_encoder_cannot_vouch_for_is_searched_anew(self, bench: Bench) -> None:
+    def test_invalid_angle_repeats_the_search(self, bench: Bench) -> None:
         configure_pins(bench, INPUTS.BRAKE_OPEN)
         spin(bench)
         bench.hal.axis[0].over_current = True

@@ -364,7 +364,7 @@ def test_lag_that_belongs_to_the_speed_is_none(bench: Bench, features: int, boun
     assert (bench.view(0).state, bench.view(0).faults) == (STATE.RUN, 0)
 
 
-def test_pushed_out_of_its_place(bench: Bench) -> None:
+def test_displacement_by_a_load_is_a_following_error(bench: Bench) -> None:
     """The bound is a distance and a time: 1 rad is 637 counts, 10 ms are 20 ticks."""
     bench.switch_on(0, FEATURES.FOLLOWING_ERROR)
     bench.slow()
@@ -384,7 +384,7 @@ def test_pushed_out_of_its_place(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("mode", [MODE.SPEED, MODE.TORQUE])
-def test_only_a_position_can_be_followed(bench: Bench, mode: int) -> None:
+def test_following_error_exists_only_with_a_position_set_point(bench: Bench, mode: int) -> None:
     bench.switch_on(0, FEATURES.FOLLOWING_ERROR)
     bench.slow()
     bench.write(0, mode=mode, speed=0, i_q=0)

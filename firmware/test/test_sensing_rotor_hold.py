@@ -127,5 +127,5 @@ def test_no_current_ends_the_search(core: Core) -> None:
     for _ in range(400):
         core.lib.rotor_hold_step(s, reference, 0)
         for _ in range(8):
-            core.lib.rotor_search_watch(s, reference, 0, 0)
+            core.lib.rotor_search_add(s, reference, 0, 0)
     assert s.phase == STARVED

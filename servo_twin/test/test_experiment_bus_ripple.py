@@ -25,8 +25,8 @@ def test_missing_compensation_violates_the_bounds(monkeypatch: pytest.MonkeyPatc
     assert wrong == {f"axis{n}, current ripple{what}" for n in (1, 2) for what in (", with over without", " with")}
 
 
-def test_steady_bus_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bus_ripple, "FOLLOWS", 1e3)
+def test_steady_bus_does_not_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bus_ripple, "DISCHARGE_FRACTION", 1e3)
     assert not bus_ripple.run(PlantConfig.load(), seed=9).row("axis1, ripple of the bus").agrees
 
 

@@ -7,7 +7,7 @@ from servo_twin.board import Board
 from servo_twin.experiments import feed_forward, rig
 from servo_twin.experiments.feed_forward import Mismatch
 from servo_twin.experiments.plant_limits import nominal_shafts
-from servo_twin.experiments.rig import spinning, watch
+from servo_twin.experiments.rig import record, spinning
 from servo_twin.plant import PlantConfig
 
 
@@ -51,7 +51,7 @@ def test_missing_feature_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, mi
 
 def test_figures_of_a_shaft_at_rest() -> None:
     with spinning(PlantConfig.load(), 4) as board:
-        recording = watch(board, [0], 0.1)[0]
+        recording = record(board, [0], 0.1)[0]
     here = round(recording.position[0])
     shaft = PlantConfig.load().axes[0]
     there = feed_forward.measure(recording, here, shaft)

@@ -52,7 +52,7 @@ class TestReport:
         assert text.count("  yes") == 1
         assert text.count("  NO") == 2
         assert REFERENCE in text
-        assert "never" in text
+        assert "none" in text
         assert "a note" in text
 
     def test_every_row_of_the_summary_has_the_same_keys(self) -> None:
@@ -88,8 +88,8 @@ class TestLevels:
     @pytest.mark.parametrize(
         ("bound", "reach"), [(Bound(maximum=2.0), 2.0), (Bound(1.0, 2.5), 1.5), (Bound(minimum=3.0), math.inf)]
     )
-    def test_permitted_difference_of_values(self, bound: Bound, reach: float) -> None:
-        assert levels.reach(bound) == reach
+    def test_permitted_difference_of_a_bound(self, bound: Bound, reach: float) -> None:
+        assert levels.permitted_difference(bound) == reach
 
     @pytest.mark.parametrize(
         ("ideal", "registers", "agrees"), [(0.5, 1.0, True), (0.5, 1.1, False), (-0.5, 1.0, False), (0.5, None, False)]
@@ -106,7 +106,7 @@ class TestLevels:
     def test_difference_relative_to_tolerance(self, ideal: float, registers: float | None, part: float | None) -> None:
         assert levels.pairs(outcome("a", ideal), outcome("a", registers))[0].part == part
 
-    def test_difference_of_figures_that_must_be_equal(self) -> None:
+    def test_exact_figures_that_differ(self) -> None:
         exact = [Outcome("a", (Row("x", REFERENCE, value, "", Bound(1.0, 1.0)),), ()) for value in (1.0, 0.9)]
         assert levels.pairs(*exact)[0].part == math.inf
 

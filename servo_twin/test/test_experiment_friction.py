@@ -44,10 +44,10 @@ def test_missing_feature_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) ->
 def test_wrong_nominal_value_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twice the friction where the bounds expect the nominal value."""
     monkeypatch.setattr(friction, "TIMES", (2.0,))
-    monkeypatch.setattr(friction, "left", lambda times: 0.0)
+    monkeypatch.setattr(friction, "uncompensated", lambda times: 0.0)
     assert len(wrong()) == 6
 
 
 @pytest.mark.parametrize(("times", "left"), [(1.0, 0.0), (2.0, 0.5), (0.5, 1.0), (0.25, 3.0)])
-def test_remaining_friction(times: float, left: float) -> None:
-    assert friction.left(times) == pytest.approx(left)
+def test_uncompensated_friction(times: float, left: float) -> None:
+    assert friction.uncompensated(times) == pytest.approx(left)

@@ -15,7 +15,7 @@ from servo_twin.experiments.plant_limits import (
     path_demands,
     top_speed,
 )
-from servo_twin.experiments.rig import COUNT, TICK, Recording, choose_mode, command_speed, spinning, watch
+from servo_twin.experiments.rig import COUNT, TICK, Recording, choose_mode, command_speed, record, spinning
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -82,10 +82,10 @@ class TestTopSpeed:
         assert speeds == pytest.approx([SPEED] * 2, rel=1e-4)
         assert note == ""
 
-    def test_heavy_shafts_reduce_the_speed_with_a_note(self, plant: PlantConfig) -> None:
+    def test_speed_limits_reduced_for_a_large_inertia(self, plant: PlantConfig) -> None:
         speeds, note = move_speeds(both(plant, inertia=3.0), 3, together=False)
         assert all(0.3 * SPEED < speed < 0.7 * SPEED for speed in speeds)
-        assert "lowered" in note
+        assert "reduced" in note
 
     def test_energy_limit_of_the_bus(self, plant: PlantConfig) -> None:
         small = plant.with_bus(capacitance=1e-3)
@@ -103,8 +103,8 @@ class TestTopSpeed:
         assert speed < SPEED
         assert 0.8 * plant_limits.MODULATION * 18.0 < emf < plant_limits.MODULATION * 18.0
 
-    def test_no_current_remains_for_acceleration(self, plant: PlantConfig) -> None:
-        with pytest.raises(SimulationError, match="out of this plant's reach"):
+    def test_unreachable_demand_is_refused(self, plant: PlantConfig) -> None:
+        with pytest.raises(SimulationError, match="not feasible with this plant"):
             top_speed(plant, [0], SPEED, [Demand(1e5, 4.0)] * 2)
 
 
@@ -112,7 +112,7 @@ def test_differences_from_nominal_values_as_text(plant: PlantConfig) -> None:
     assert differences(plant, 3) == ()
     notes = differences(plant.with_axis(1, inertia=5.0 * plant.axes[1].inertia), 3)
     assert len(notes) == 1
-    assert "axis2: a current accelerates the shaft 0.2 times as much" in notes[0]
+    assert "axis2: the acceleration per current is 0.2 times" in notes[0]
 
 
 @pytest.mark.parametrize("may_fail", [False, True])
@@ -122,18 +122,18 @@ def test_fault_ends_the_measurement_with_an_error(plant: PlantConfig, may_fail: 
         choose_mode(board, 1, "SPEED")
         command_speed(board, 1, 200.0)
         if may_fail:
-            words = watch(board, [1], 1.0, may_fail=True)[1].faults
+            words = record(board, [1], 1.0, may_fail=True)[1].faults
             assert words[-1] & board.catalogue.flag("faults", "UNDER_VOLTAGE").mask
         else:
             with pytest.raises(SimulationError, match=r"axis\d ended in a fault. UNDER_VOLTAGE"):
-                watch(board, [1], 1.0)
+                record(board, [1], 1.0)
 
 
 def test_true_shaft_in_counts(plant: PlantConfig) -> None:
     with spinning(plant, 3) as board:
         choose_mode(board, 0, "SPEED")
         command_speed(board, 0, 10.0)
-        recording = watch(board, [0], 0.2)[0]
+        recording = record(board, [0], 0.2)[0]
     assert recording.position[-1] > 900
     # The position is latched some microseconds before the end of the tick.
     late = recording.omega * TICK / COUNT

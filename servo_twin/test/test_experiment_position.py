@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from servo_twin.experiments import position
-from servo_twin.experiments.rig import TICK, Recording, spinning, watch
+from servo_twin.experiments.rig import TICK, Recording, record, spinning
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -20,7 +20,7 @@ SHAFT = PlantConfig.load().axes[0]
 def still() -> Recording:
     """Two seconds of a shaft at rest."""
     with spinning(PlantConfig.load(), 1) as board:
-        return watch(board, [0], 2.0)[0]
+        return record(board, [0], 2.0)[0]
 
 
 def moved(still: Recording, shape: NDArray[np.float64]) -> Recording:

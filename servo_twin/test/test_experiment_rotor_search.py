@@ -9,7 +9,7 @@ import pytest
 from servo_twin.board import Board
 from servo_twin.experiments import rotor_search
 from servo_twin.experiments.outcome import Outcome
-from servo_twin.experiments.rotor_search import Damage, Search
+from servo_twin.experiments.rotor_search import Search, SearchFault
 from servo_twin.plant import PlantConfig
 
 
@@ -22,15 +22,15 @@ def plant() -> PlantConfig:
 def outcome(plant: PlantConfig) -> Outcome:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rotor_search, "EVERY", 30)
-        patch.setattr(rotor_search, "DAMAGE_EVERY", 120)
+        patch.setattr(rotor_search, "FAULT_EVERY", 120)
         return rotor_search.run(plant, seed=11)
 
 
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fewer angles; what is tested here shows at any of them."""
     monkeypatch.setattr(rotor_search, "EVERY", 180)
-    monkeypatch.setattr(rotor_search, "DAMAGE_EVERY", 240)
-    monkeypatch.setattr(rotor_search, "UNDER_WAY", (0.1,))
+    monkeypatch.setattr(rotor_search, "FAULT_EVERY", 240)
+    monkeypatch.setattr(rotor_search, "DISTURBED_AT", (0.1,))
 
 
 def test_agrees_with_the_reference_design(outcome: Outcome) -> None:
@@ -95,25 +95,25 @@ def test_large_motion_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: Pla
     assert all(name.endswith("movement") for name in long)
 
 
-@pytest.mark.parametrize("damage", rotor_search.DAMAGES, ids=lambda damage: damage.name)
-def test_one_axis_may_fail_alone(plant: PlantConfig, damage: Damage) -> None:
-    first, second = rotor_search.find(plant, 3, damage=damage, axes=[1])
+@pytest.mark.parametrize("search_fault", rotor_search.SEARCH_FAULTS, ids=lambda search_fault: search_fault.name)
+def test_one_axis_may_fail_alone(plant: PlantConfig, search_fault: SearchFault) -> None:
+    first, second = rotor_search.find(plant, 3, search_fault=search_fault, axes=[1])
     assert isinstance(first, Search)
     assert first.error is not None
     assert first.faults == frozenset()
     assert second.error is None
-    assert second.faults == {damage.fault}
+    assert second.faults == {search_fault.fault}
 
 
 def test_faults_are_distinguished_without_dead_time_compensation(plant: PlantConfig) -> None:
     """The host may switch it off; the search compares voltages and does not let it."""
-    for k, damage in enumerate((rotor_search.HELD, rotor_search.UNPLUGGED)):
+    for k, search_fault in enumerate((rotor_search.LOCKED, rotor_search.UNPLUGGED)):
         with Board(rotor_search.start_at(plant, 75.0), seed=k) as board:
             board.write_raw("param.features", [0, 0])
             board.run(0.03)
             for axis in range(2):
-                damage.do(board, axis)
+                search_fault.inject(board, axis)
             board.write("cmd.enable", [1, 1])
             board.run(1.2)
-            wanted = board.catalogue.flag("faults", damage.fault).mask
+            wanted = board.catalogue.flag("faults", search_fault.fault).mask
             assert board.read_raw("axis1.faults") == board.read_raw("axis2.faults") == [wanted]

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from servo_twin.experiments import minimum_speed, observer, sensorless_load_step, stall, start_up
+from servo_twin.experiments import minimum_speed, observer, sensorless_load_step, sensorless_stall, start_up
 from servo_twin.experiments.observer import Point
 from servo_twin.experiments.outcome import Outcome
 from servo_twin.experiments.rig import TICK
 from servo_twin.experiments.sensorless import Trace, degrees
-from servo_twin.experiments.stall import variance_tells
+from servo_twin.experiments.sensorless_stall import variance_detection_time
 from servo_twin.experiments.start_up import CRITERION_MAX, draws, examine, many
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import HERE, Runner
@@ -71,7 +71,7 @@ def test_errors_and_missing_compensation_violate_the_bounds(
         return {k: dataclasses.replace(p, mean=p.mean + 17.0) for k, p in genuine(*args).items()}
 
     monkeypatch.setattr(observer, "measure", shifted)
-    monkeypatch.setattr(observer, "paper", lambda *_: 0.0)
+    monkeypatch.setattr(observer, "theoretical_error", lambda *_: 0.0)
     slow = (1.0 / 15.0,)
 
     def uncompensated(plant: PlantConfig, seed: int, axis: int) -> Point:
@@ -87,9 +87,11 @@ def test_angle_error_by_calculation() -> None:
     motor = PLANT.axes[0]
     other = dataclasses.replace(motor, l_q=2.0 * motor.l_q)
     expected = math.degrees(math.atan2((2.0 * 0.512e-3 - 0.4575e-3) * 2.0, 0.0154))
-    assert observer.paper(other, motor, 100.0, 2.0) == pytest.approx(expected, rel=1e-6)
+    assert observer.theoretical_error(other, motor, 100.0, 2.0) == pytest.approx(expected, rel=1e-6)
     hot = dataclasses.replace(motor, r_s=2.0 * motor.r_s)
-    assert 0.0 < observer.paper(hot, motor, 100.0, 2.0) < observer.paper(motor, motor, 100.0, 2.0)
+    assert (
+        0.0 < observer.theoretical_error(hot, motor, 100.0, 2.0) < observer.theoretical_error(motor, motor, 100.0, 2.0)
+    )
 
 
 # ---- start-up -------------------------------------------------------------------------------------------------------
@@ -173,7 +175,7 @@ def test_load_step_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_too_large_load_step_is_detected() -> None:
     """More than the current can hold: the shaft goes back, and the step before is what was borne."""
-    it = sensorless_load_step.bear(PLANT, SEED, 0, 0.1, (0.3, 1.2))
+    it = sensorless_load_step.largest_step(PLANT, SEED, 0, 0.1, (0.3, 1.2))
     assert it.torque == pytest.approx(0.3 * 4.0 * PLANT.axes[0].torque_constant, rel=1e-3)
     assert it.end
 
@@ -183,16 +185,16 @@ def test_too_large_load_step_is_detected() -> None:
 
 def test_variance_detects_noise_and_accepts_a_steady_speed() -> None:
     noise = np.random.default_rng(1).normal(0.0, 30.0, 3000)
-    told = variance_tells(trace(noise), 0.0)
+    told = variance_detection_time(trace(noise), 0.0)
     assert told is not None
-    assert told == pytest.approx((stall.SIZE + stall.HYSTERESIS) * TICK, rel=0.1)
-    assert variance_tells(trace(np.full(3000, 20.0)), 0.0) is None
+    assert told == pytest.approx((sensorless_stall.SIZE + sensorless_stall.HYSTERESIS) * TICK, rel=0.1)
+    assert variance_detection_time(trace(np.full(3000, 20.0)), 0.0) is None
     slow = 20.0 + 4.0 * np.sin(2.0 * np.pi * 4.0 * TICK * np.arange(3000))
-    assert variance_tells(trace(slow), 0.0) is None, "the blind spot of the reference design"
+    assert variance_detection_time(trace(slow), 0.0) is None, "the blind spot of the reference design"
 
 
 def test_stall_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stall, "SPEEDS", (0.2, 0.8))
-    monkeypatch.setattr(stall, "FREQUENCIES", (4.0,))
-    monkeypatch.setattr(stall, "LONG", 2.0)
-    assert wrong(run(stall)) == []
+    monkeypatch.setattr(sensorless_stall, "SPEEDS", (0.2, 0.8))
+    monkeypatch.setattr(sensorless_stall, "FREQUENCIES", (4.0,))
+    monkeypatch.setattr(sensorless_stall, "LONG", 2.0)
+    assert wrong(run(sensorless_stall)) == []

@@ -37,8 +37,8 @@ def test_unwritten_limits_violate_the_bounds(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(rig, "set_axis", set_axis)
     plant = PlantConfig.load()
     for mode in ("SPEED", "TORQUE"):
-        for run in soft_limits.turn(plant, 6, mode, soft_limits.SPEED_LIMIT):
+        for run in soft_limits.run_to_speed_limit(plant, 6, mode, soft_limits.SPEED_LIMIT):
             assert np.abs(run.out.omega).max() > soft_limits.SPEED_MAX * soft_limits.SPEED_LIMIT
-    for run in soft_limits.push(plant, 6, soft_limits.CURRENT_LIMIT):
+    for run in soft_limits.run_to_current_limit(plant, 6, soft_limits.CURRENT_LIMIT):
         assert np.abs(run.out.i_q_true).max() > soft_limits.CURRENT_MAX * soft_limits.CURRENT_LIMIT
-        assert run.named == 0.0
+        assert run.reported == 0.0

@@ -35,12 +35,12 @@ def test_disabled_supervision_violates_the_bounds(monkeypatch: pytest.MonkeyPatc
 def test_false_alarm_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """So tight a bound that the load steps go beyond it."""
     monkeypatch.setattr(supervision, "FOLLOWING", 0.05)
-    assert supervision.legal(Bench.of(PlantConfig.load(), 7), forward=False) != 0
+    assert supervision.permitted_operation(Bench.of(PlantConfig.load(), 7), forward=False) != 0
 
 
 def test_late_fault_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """The bound leaves no room for a fault that comes some milliseconds after it could."""
     bench = Bench.of(PlantConfig.load(), 7)
-    for axis, event in enumerate(supervision.BLOCKED.accidents(bench, True)):
+    for axis, event in enumerate(supervision.BLOCKED.responses(bench, True)):
         assert event.time is not None
         assert event.time < supervision.blocked_max(bench, axis) < event.time + 0.004

@@ -55,9 +55,9 @@ def test_shaft_at_rest_on_an_edge_is_not_detected_as_dead_line(level: Level) -> 
 @pytest.mark.parametrize(("state", "seed"), [("STOP", 199), ("CALIB", 200)])
 def test_stall_of_the_core_for_a_millisecond(level: Level, state: str, seed: int) -> None:
     """The sequence of the two loops begins anew, whatever edges the duties had when it did."""
-    damage = next(d for d in fault_matrix.damages(PLANT) if d.name == "core stands still 1 ms")
+    fault_case = next(d for d in fault_matrix.fault_cases(PLANT) if d.name == "core stands still 1 ms")
     with at_level(level):
-        found = fault_matrix.case(PLANT, seed, damage, state)
+        found = fault_matrix.case(PLANT, seed, fault_case, state)
     assert (found.name, found.other) == ("LATE_LOOP", True)
     assert found.periods in (24, 32), "the supervision comes once in a slow tick"
 

@@ -229,13 +229,13 @@ def test_a_trial_of_the_fault_campaign_is_the_same_in_another_process(number: in
     other = pickle.loads(pickle.dumps(trial))
     for it in ("seed", "number", "motor", "plant", "motors"):
         assert getattr(other, it) == getattr(trial, it), it
-    assert (other.state.name, other.damage.text) == (trial.state.name, trial.damage.text)
+    assert (other.state.name, other.fault.text) == (trial.state.name, trial.fault.text)
     changes: tuple[dict[str, Any], ...] = (
         {"nominal": None},
         {"plant": PlantConfig.load()},
         {"state": dataclasses.replace(trial.state, name="as said")},
-        {"damage": dataclasses.replace(trial.damage, text="as said")},
+        {"fault": dataclasses.replace(trial.fault, text="as said")},
     )
     for change in changes:
-        with pytest.raises(TypeError, match="only a drawn trial can travel"):
+        with pytest.raises(TypeError, match="only trials created by draw"):
             pickle.dumps(dataclasses.replace(trial, **change))
