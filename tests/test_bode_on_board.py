@@ -89,7 +89,7 @@ def test_a_loop_is_measured_and_written(
     rrd = tmp_path / "bode.rrd"
     assert bode("axis1", "speed", "--enable", "--repeat", 3, "--out", tmp_path, "--rrd", rrd, "--json") == 0
     output = capsys.readouterr()
-    assert "axis1 turns to and fro" in output.err
+    assert "axis1 rotates in alternating directions" in output.err
     found: dict[str, Any] = json.loads(output.out)
     assert found["measured"]["crossover"]["value"] == pytest.approx(found["predicted"]["crossover"], rel=0.05)
     assert found["measured"]["phase margin"]["value"] == pytest.approx(found["predicted"]["phase margin"], abs=3.0)
@@ -135,9 +135,9 @@ def test_missing_answer_gives_exit_status_1_and_the_reason(
     assert bode("axis1", "speed", "--enable", "--from", 200, "--to", 400, "--repeat", 2) == 1
     output = capsys.readouterr()
     assert "crossover     not determined" in output.out
-    assert "the gain stays below 1" in output.out
+    assert "the gain is always below 1" in output.out
     assert bode("axis1", "position", "--enable", "--amplitude", 280, "--from", 300, "--to", 700) == 1
-    assert "the board cannot make the test signal" in capsys.readouterr().err
+    assert "the board cannot generate the test signal" in capsys.readouterr().err
     assert bode("axis1", "speed", "--enable", "--amplitude", 0.1, "--speed", 100, "--repeat", 2) == 1
     assert "not confirmed: " in capsys.readouterr().out
     assert board.read("axis1.faults") == 0

@@ -250,7 +250,7 @@ class TestParameters:
             user.until(lambda: "POSITION: a soft limit" in user.status("servo/servo_bridge: axis2").message, 5.0)
             done, reason = user.set_board_parameters("param.position_min[1]=11")
             assert not done
-            assert "param.position_min[1] 11.0003 rad would be above param.position_max[1]" in reason
+            assert "param.position_min[1] 11.0003 rad exceeds param.position_max[1]" in reason
 
     def check(self, user: User, *turns: float) -> None:
         known = len(user.messages["/twin/residual"])

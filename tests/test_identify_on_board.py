@@ -96,7 +96,7 @@ def test_blocked_shaft_ends_with_a_reason(
         board.run(0.1)
         assert _identify(board, tmp_path, "--axis", "2") == 1
         assert board.read("axis2.state") == board.catalogue.enums["state_t"]["STOP"]
-    assert "held" in capsys.readouterr().err
+    assert "blocked" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("presses", [(40.0,), (40.0, 40.05, 40.2)])

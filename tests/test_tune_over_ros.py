@@ -89,7 +89,7 @@ def test_gains_are_sent_in_motion_and_read_back(tuner: TuningClient, tmp_path: P
 
     success, message = tuner.call(gains, send=True)
     assert success, message
-    assert "axis1 and axis2 taken at tick" in message
+    assert "axis1 and axis2 applied at tick" in message
     new = blocks_of_file(tuner.until_published(2), catalogue)
     assert new == blocks_of_file(gains.read_text(encoding="utf-8"), catalogue) != built_in
     assert user.position_of(0) < FAR - 1000.0, "still on its way"

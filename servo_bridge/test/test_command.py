@@ -89,7 +89,7 @@ def test_state_prints_derating_of_current_limit(rig: Rig, command: Command) -> N
     rig.link.values |= {"axis2.winding_current": 9}
     rig.until(lambda: rig.diagnosis("axis2").level == b"\x00")
     assert status == 0
-    assert "    winding at 118 deg C: 75 % of the current limit left" in out.splitlines()
+    assert "    winding at 118 deg C: current limit derated to 75 %" in out.splitlines()
 
 
 def test_state_names_parameters_that_the_board_does_not_take(rig: Rig, command: Command) -> None:

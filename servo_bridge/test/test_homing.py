@@ -40,7 +40,7 @@ class Rig:
             self._read,
             lambda function: function(),
             moved=self.moved.append,
-            say=self.log.append,
+            info=self.log.append,
             warn=self.log.append,
         )
         self.features = [features, features]

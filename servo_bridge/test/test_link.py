@@ -166,7 +166,7 @@ def test_the_final_writes_are_sent_before_the_link_closes(connected: Watcher, fa
         connected.link.write("cmd.enable", [1.0, 1.0]).result(TIMEOUT)
 
 
-def test_close_without_answers_ends_in_time(fake_port: FakePort, connected: Watcher) -> None:
+def test_final_writes_without_response(fake_port: FakePort, connected: Watcher) -> None:
     fake_port.silent = True
     begin = time.monotonic()
     assert not connected.link.close([("cmd.enable", [0.0, 0.0])])

@@ -33,5 +33,5 @@ def test_bands_cover_the_requested_range(slow: bool, capacity: int, low: float, 
 
 def test_invalid_band_is_refused() -> None:
     for low, high in ((900.0, 950.0), (100.0, 50.0), (0.0, 10.0)):
-        with pytest.raises(MeasurementError, match="has to lie between 0 and 800 Hz"):
+        with pytest.raises(MeasurementError, match="must be between 0 and 800 Hz"):
             bands_of(low, high, 1000, True)

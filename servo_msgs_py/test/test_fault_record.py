@@ -37,7 +37,7 @@ def test_samples_come_oldest_first_and_scaled() -> None:
 
 @pytest.mark.parametrize(("tick", "periods"), [(8003, 7), (8004, 8), (8005, 1), (8008, 4)])
 def test_sample_times_of_the_record(tick: int, periods: int) -> None:
-    """Samples are at the periods 4, 12 ... of the monitors; the last one is of the period of the fault."""
+    """Samples are taken in periods 4, 12 and so on; a fault raised by a monitor has the sample of that period."""
     time = column(FaultRecord.of(0, record(tick=tick), CATALOGUE), "time")
     assert time[-1] == 0.0
     assert time[-2] == pytest.approx(-periods * 62.5e-6)

@@ -177,7 +177,7 @@ def test_missing_crossover_is_reported() -> None:
         part = Response(*(getattr(response, name)[cut] for name in ("frequency", "value", "sigma", "coherence")))
         found = figures(part)
         assert found.crossover is None
-        assert f"the gain stays {side} 1" in found.undetermined[0]
+        assert f"the gain is always {side} 1" in found.undetermined[0]
     both = joined([part, Response(*(getattr(response, n)[~cut] for n in ("frequency", "value", "sigma", "coherence")))])
     assert np.array_equal(both.frequency, response.frequency)
     assert figures(both) == figures(response)

@@ -12,9 +12,9 @@ from servo_msgs_py.measurement.access import MeasurementError, Recording
 from servo_msgs_py.measurement.least_squares import fit_linear, fit_nonlinear, mean_of
 from servo_msgs_py.measurement.log import Call, MeasurementLog, repeat
 from servo_msgs_py.measurement.motor_values import Estimate, Limits
-from servo_msgs_py.measurement.spinning import balance
+from servo_msgs_py.measurement.rotating_vector import follow_vector
+from servo_msgs_py.measurement.speed_runs import balance
 from servo_msgs_py.measurement.standstill import PERIOD, impedance, ohmic, switching_share
-from servo_msgs_py.measurement.turning import turning
 
 Floats = NDArray[np.float64]
 
@@ -88,14 +88,14 @@ def test_pole_pairs_and_direction(pairs: int, way: float) -> None:
     wrapped = np.angle(np.exp(1j * theta))
     position = way * theta / pairs
     position[50:60] = np.nan
-    found = turning(position, wrapped)
+    found = follow_vector(position, wrapped)
     assert (found.pole_pairs, found.direction) == (pairs, way)
 
 
 @pytest.mark.parametrize("position", [np.zeros(400), np.linspace(0.0, 9.0 / 2.4, 400)])
 def test_no_pole_pairs_from_a_shaft_that_does_not_follow(position: Floats) -> None:
     with pytest.raises(MeasurementError):
-        turning(position, np.angle(np.exp(1j * np.linspace(0.0, 9.0, 400))))
+        follow_vector(position, np.angle(np.exp(1j * np.linspace(0.0, 9.0, 400))))
 
 
 def test_inertia_from_momentum() -> None:

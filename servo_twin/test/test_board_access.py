@@ -54,9 +54,9 @@ def test_recording_starts_at_its_trigger(access: VirtualBoardAccess) -> None:
     assert access.capacity(["tick", "axis1.event_state"]) == 7680 // 6
     with pytest.raises(MeasurementError, match="no trigger within"):
         access.record(["tick"], 10, 1, slow=True, trigger="axis2.event_mode")
-    with pytest.raises(MeasurementError, match="name one element"):
+    with pytest.raises(MeasurementError, match="write one element"):
         access.record(["cmd.i_q"], 10, 1, slow=True)
-    with pytest.raises(MeasurementError, match="no variable"):
+    with pytest.raises(MeasurementError, match="is not a variable"):
         access.record(["axis3.i_q"], 10, 1, slow=True)
 
 

@@ -150,7 +150,7 @@ def test_load_on_an_axis_in_torque_mode_is_held(access: VirtualBoardAccess) -> N
     access.board.set_load(0, 0.02)
     access.wait(1.0)
     said: list[str] = []
-    measure(access, BodeRequest(0, "speed", repeats=2), say=said.append)
+    measure(access, BodeRequest(0, "speed", repeats=2), report=said.append)
     start = access.board.truth(0).theta_m
     access.wait(0.5)
     assert access.board.truth(0).theta_m == pytest.approx(start, abs=0.05)
@@ -178,13 +178,13 @@ def test_other_axis_still_stops_when_its_set_points_expire(access: VirtualBoardA
 def test_measurement_beyond_the_limits_is_refused_without_motion(access: VirtualBoardAccess) -> None:
     place = access.read("axis1.position")
     for request, why in (
-        (BodeRequest(0, "speed", speed=1000.0), "above the limit of axis1"),
-        (BodeRequest(0, "position", amplitude=400.0), "above the limit of axis1"),
-        (BodeRequest(0, "speed", amplitude=3.0), "too much for the limit of axis1"),
-        (BodeRequest(0, "current", amplitude=2.0), "too much for the limit of axis1"),
-        (BodeRequest(0, "current", speed=10.0), "without a speed"),
-        (BodeRequest(0, "speed", speed=50.0, way_max=5.0), "give a lower speed"),
-        (BodeRequest(0, "position", f_min=0.05), "give a higher lowest frequency"),
+        (BodeRequest(0, "speed", speed=1000.0), "exceed the limit of axis1"),
+        (BodeRequest(0, "position", amplitude=400.0), "exceed the limit of axis1"),
+        (BodeRequest(0, "speed", amplitude=3.0), "too large for the limit of axis1"),
+        (BodeRequest(0, "current", amplitude=2.0), "too large for the limit of axis1"),
+        (BodeRequest(0, "current", speed=10.0), "omit the speed"),
+        (BodeRequest(0, "speed", speed=50.0, way_max=5.0), "use a lower speed"),
+        (BodeRequest(0, "position", f_min=0.05), "use a higher lowest frequency"),
         (BodeRequest(0, "speed", f_min=300.0, f_max=200.0), "the band 300 .. 200 Hz"),
         (BodeRequest(0, "position", amplitude=280.0, f_min=300.0, f_max=700.0), "cmd.test_amplitude: 0.53"),
     ):
@@ -228,11 +228,11 @@ def test_varying_speed_of_the_shaft_is_an_error(access: VirtualBoardAccess) -> N
     enable(access.board)
     slow = SlowHost(access.board)
     slow.factor = 4.0  # the trajectory ends before the sweep does
-    with pytest.raises(MeasurementError, match=r"axis1 turned at .* instead of 31"):
+    with pytest.raises(MeasurementError, match=r"axis1 ran at .* instead of 31"):
         measure(slow, BodeRequest(0, "position", repeats=2))
     access.write("param.command_timeout", [0.2])
     slow.factor = 10.0
-    with pytest.raises(MeasurementError, match=r"axis1 is held back\. EXPIRED: "):
+    with pytest.raises(MeasurementError, match=r"axis1 is limited\. EXPIRED: "):
         measure(slow, BodeRequest(0, "speed", repeats=2))
     access.wait(0.2)
     assert abs(access.read("axis1.speed")[0]) < 1.0
@@ -270,7 +270,7 @@ class EndedSignal(VirtualBoardAccess):
 
 
 def test_a_test_signal_that_ends_early_is_refused(access: VirtualBoardAccess) -> None:
-    with pytest.raises(MeasurementError, match="ended the test signal of axis1 before its time"):
+    with pytest.raises(MeasurementError, match="ended the test signal of axis1 too early"):
         measure(EndedSignal(access.board), BodeRequest(0, "speed", repeats=2), enable=True)
     assert access.read("cmd.enable") == [0.0, 0.0]
 
@@ -326,7 +326,7 @@ def test_fault_or_wrong_state_of_an_axis_is_reported(access: VirtualBoardAccess)
 
 def test_too_small_signal_gives_a_note_or_no_figures(access: VirtualBoardAccess, tmp_path: Path) -> None:
     bode = measure(access, BodeRequest(0, "speed", amplitude=0.02, speed=100.0, repeats=2), enable=True)
-    assert "the M/T method has steps" in bode.notes[0]
+    assert "resolution of the M/T method" in bode.notes[0]
     assert "note: " in text(bode)
     tiny = measure(access, BodeRequest(0, "speed", amplitude=0.0005, speed=100.0, repeats=2), enable=True)
     assert tiny.figures.crossover is None

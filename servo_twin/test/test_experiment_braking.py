@@ -32,7 +32,7 @@ def test_missing_current_reduction_violates_the_bounds(monkeypatch: pytest.Monke
 def test_missing_resistor_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     genuine = braking.stop
     monkeypatch.setattr(braking, "stop", lambda plant, seed, speed, resistor: genuine(plant, seed, speed, 0.0))
-    monkeypatch.setattr(braking, "spend", lambda plant, seed, resistor: braking.Budget(0.0, math.nan, None))
+    monkeypatch.setattr(braking, "use_budget", lambda plant, seed, resistor: braking.Budget(0.0, math.nan, None))
     names = wrong(PlantConfig.load())
     assert {"resistor: highest bus voltage", "budget: burnt until off", "budget: rest until used again"} <= names
 

@@ -92,7 +92,7 @@ def test_a_locked_shaft_has_no_flux(tmp_path: Path, capsys: pytest.CaptureFixtur
     (tmp_path / "plant.toml").write_text("# of a run before\n")
     assert main(["identify", "--locked", "--level", "ideal", "--out", str(tmp_path)]) == 1
     captured = capsys.readouterr()
-    assert "held" in captured.err
+    assert "blocked" in captured.err
     assert not (tmp_path / "plant.toml").exists()
     content = json.loads((tmp_path / "estimates.json").read_text())
     assert "r_s" in content["estimates"]
@@ -103,7 +103,7 @@ def test_a_locked_shaft_has_no_flux(tmp_path: Path, capsys: pytest.CaptureFixtur
     ("reason", "voltage", "what"),
     [
         ("swap its lines", 24.0, "reverse"),
-        ("encoder is dead", 24.0, "no encoder"),
+        ("encoder is defective", 24.0, "no encoder"),
         ("winding is open", 24.0, "no motor"),
         ("in one direction only", 24.0, "stops"),
         ("correct --voltage", 48.0, ""),
@@ -393,7 +393,7 @@ def test_truncated_or_foreign_recording_is_reported(
     (tmp_path / "part.npz").write_bytes(b"# no recording\n" if part is None else content[:part])
     assert main(["identify", "--recording", str(tmp_path / "part.npz"), "--out", str(tmp_path)]) == 1
     said = capsys.readouterr().err
-    assert "or a part of one" in said
+    assert "is not a complete measurement" in said
     assert "pickle" not in said
 
 
