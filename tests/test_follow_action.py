@@ -49,7 +49,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Answers]:
         ("old_stamp", "ABORTED", -3, "the trajectory ended "),
         ("future_stamp", "SUCCEEDED", 0, "Goal successfully reached!"),
         ("withdrawn", "CANCELED", 0, "cancelled before it began"),
-        ("too_fast", "ABORTED", -1, "goes above its limit"),
+        ("too_fast", "ABORTED", -1, "is above its limit"),
         ("empty", "SUCCEEDED", 0, "the joints have stopped and hold"),
         ("set_point", "ABORTED", -1, "a set-point on joint_commands took over"),
         ("disabled", "ABORTED", -1, "disabled by the service enable"),

@@ -94,7 +94,7 @@ def test_geared_joints_are_followed_in_their_own_units() -> None:
         sim.run(0.5)
         assert sim.limits[0].velocity_max == pytest.approx(numbers(board.read("param.speed_limit"))[0] / 50.0)
     (refusal,) = sim.refusals
-    assert f"acceleration of {JOINTS[0]} goes above its limit 80 rad/s^2" in str(refusal), "4000 rad/s^2 of the motor"
+    assert f"acceleration of {JOINTS[0]} is above its limit 80 rad/s^2" in str(refusal), "4000 rad/s^2 of the motor"
 
 
 def test_path_is_replaced_without_a_step(sim: PathSimulation) -> None:
