@@ -278,7 +278,8 @@ def refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Ban
     if travel > settings.travel_max:
         raise MeasurementError(
             f"{name} would rotate by up to {travel:.3g} rad in each direction, allowed are "
-            f"{settings.travel_max:.3g} rad; use a lower speed, a smaller amplitude, a higher lowest frequency, or a wider range"
+            f"{settings.travel_max:.3g} rad; use a lower speed, a smaller amplitude, a higher lowest "
+            "frequency, or a wider range"
         )
 
 
