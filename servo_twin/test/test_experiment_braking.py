@@ -32,7 +32,7 @@ def test_a_board_that_does_not_fold_back_is_noticed(monkeypatch: pytest.MonkeyPa
 def test_a_forgotten_resistor_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     genuine = braking.stop
     monkeypatch.setattr(braking, "stop", lambda plant, seed, speed, resistor: genuine(plant, seed, speed, 0.0))
-    monkeypatch.setattr(braking, "spend", lambda plant, seed, resistor: braking.Budget(0.0, math.nan, None))
+    monkeypatch.setattr(braking, "use_budget", lambda plant, seed, resistor: braking.Budget(0.0, math.nan, None))
     names = wrong(PlantConfig.load())
     assert {"resistor: highest bus voltage", "budget: burnt until off", "budget: rest until used again"} <= names
 

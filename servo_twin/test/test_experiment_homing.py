@@ -31,13 +31,13 @@ def test_switches_that_are_elsewhere_are_noticed(monkeypatch: pytest.MonkeyPatch
 
 def test_without_a_switch_that_is_fitted_nothing_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(homing, "fit", lambda board, *pins: None)
-    monkeypatch.setattr(homing, "LONGEST", 3.0)
+    monkeypatch.setattr(homing, "HOMING_TIMEOUT", 3.0)
     assert not any(one.done for one in homing.to_switches(PlantConfig.load(), 6, 0))
 
 
 def test_an_axis_without_the_feature_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rig, "features", lambda board, axis, **switches: None)
     it = homing.unhomed(PlantConfig.load(), 6)
-    for still in it.still.values():
-        assert np.ptp(still.shaft) > 1000.0
-        assert not still.limits[-1] & it.mask
+    for stationary in it.stationary.values():
+        assert np.ptp(stationary.shaft) > 1000.0
+        assert not stationary.limits[-1] & it.mask

@@ -17,14 +17,14 @@ def test_every_figure_lies_within_its_bound() -> None:
 def test_a_load_without_a_brake_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pins, "BRAKE", 0.0)
     with pytest.raises(SimulationError, match="after the search"):
-        pins.hang(PlantConfig.load(), 2, 1.0)
+        pins.measure_drops(PlantConfig.load(), 2, 1.0)
 
 
 def test_a_firmware_that_knows_nothing_of_its_pins_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pins, "fit", lambda board, *names: None)
     plant = PlantConfig.load()
     with pytest.raises(SimulationError, match=r"in SPIN|after the search"):
-        pins.hang(plant, 2, 1.0)  # the brake stays closed
+        pins.measure_drops(plant, 2, 1.0)  # the brake stays closed
     assert not pins.open_enable(plant, 2)[1]
     with pytest.raises(SimulationError, match="switches"):
         pins.overrun(plant, 2)
@@ -36,5 +36,5 @@ def test_a_firmware_that_knows_nothing_of_its_pins_is_noticed(monkeypatch: pytes
 def test_a_brake_that_is_slower_than_nominal_lets_the_load_drop(monkeypatch: pytest.MonkeyPatch) -> None:
     """The time that the configuration waits matters: 30 ms of it are too little for a brake that takes 90 ms."""
     monkeypatch.setattr(pins, "CLOSE_TIME", 0.09)
-    found = pins.hang(PlantConfig.load(), 2, math.pi / 3)
-    assert min(disabled for _, _, disabled, _ in found.drops) > pins.HELD_DROP
+    found = pins.measure_drops(PlantConfig.load(), 2, math.pi / 3)
+    assert min(disabled for _, _, disabled, _ in found.drops) > pins.TRANSFER_DROP_MAX

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from servo_twin.experiments import rig, winding
 from servo_twin.experiments.outcome import Judge
-from servo_twin.experiments.winding import CASES, Motor, configured, courses
+from servo_twin.experiments.winding import CASES, Motor, configured, time_series
 from servo_twin.plant import PlantConfig
 
 PLANT = PlantConfig.load()
@@ -26,7 +26,7 @@ def test_a_drive_that_does_not_derate_shows(monkeypatch: pytest.MonkeyPatch) -> 
     """Without the feature nothing holds the current back."""
     monkeypatch.setattr(rig, "features", lambda *_, **__: None)
     world, text, nominal, true = configured(PLANT, QUICK)
-    found = courses(world, SEED, text, 2.5)
+    found = time_series(world, SEED, text, 2.5)
     for it, model, real in zip(found, nominal, true, strict=True):
         wrong = {row.name for row in winding.figures(Judge(), it, model, real) if not row.agrees}
         assert {"time until derating", "current in the end", "winding in the end"} <= wrong

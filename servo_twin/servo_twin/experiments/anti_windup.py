@@ -27,15 +27,15 @@ FREQUENCY: Final = 20.0
 WARM_UP: Final = 10  # periods
 MEASURED: Final = 10  # periods
 
-DEPTH: Final = 0.88
+ACCELERATION_RATIO: Final = 0.88
 """Acceleration with the limited current, relative to the required one, as with 1 A and the shaft of F21."""
 
 CURRENT_MAX: Final = 4.0  # limit of the drive [A]
 
-HIGHER_MIN: Final = 1.1
+PEAK_RATIO_MIN: Final = 1.1
 """Smallest ratio of the peaks without and with anti-windup."""
 
-LATER_MIN: Final = 1.25
+LAG_RATIO_MIN: Final = 1.25
 """Smallest ratio of the lags without and with anti-windup; friction reduces the windup."""
 
 
@@ -46,13 +46,13 @@ def whole_ticks(frequency: float) -> float:
 
 def current_limit(axis: AxisPlant, frequency: float) -> float:
     """Current limit for the same saturation as with 1 A and the shaft of F21 [A], in steps of 0.01 A."""
-    torque = DEPTH * axis.inertia * AMPLITUDE * 2.0 * np.pi * frequency
+    torque = ACCELERATION_RATIO * axis.inertia * AMPLITUDE * 2.0 * np.pi * frequency
     return float(np.clip(round(torque / axis.torque_constant, 2), 0.1, CURRENT_MAX))
 
 
 def top_frequency(axis: AxisPlant) -> float:
     """Highest frequency with a feasible current limit [Hz]."""
-    return CURRENT_MAX * axis.torque_constant / (DEPTH * axis.inertia * AMPLITUDE * 2.0 * np.pi)
+    return CURRENT_MAX * axis.torque_constant / (ACCELERATION_RATIO * axis.inertia * AMPLITUDE * 2.0 * np.pi)
 
 
 def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) -> Recording:
@@ -98,9 +98,9 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield judge("peak with", higher, "rpm", 0.95 * commanded, 1.1 * commanded, reference="F21: almost no overshoot")
     yield judge("lag with", lags[0], "deg", 0.0, 20.0, reference="F21: small lag")
     yield judge("time at the limit with", saturated[0], "", 0.05, 0.8, reference="F21: at the limit while accelerating")
-    minimum = HIGHER_MIN * max(higher, commanded)
+    minimum = PEAK_RATIO_MIN * max(higher, commanded)
     yield judge("peak without", peaks[1] / RPM, "rpm", minimum, reference="F22: overshoot at every peak")
-    yield judge("lag without", lags[1], "deg", LATER_MIN * lags[0], reference="F22: clear lag")
+    yield judge("lag without", lags[1], "deg", LAG_RATIO_MIN * lags[0], reference="F22: clear lag")
     yield judge("time at the limit without", saturated[1], "", saturated[0], reference="F22: longer at the limit")
     yield _panel("F21: with anti-windup", with_it, frequency)
     yield _panel("F22: without anti-windup", without, frequency)

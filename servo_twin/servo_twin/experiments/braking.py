@@ -19,11 +19,11 @@ from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "braking"
 HELP: Final = """\
-Both axes brake at once from 3500 rpm with a supply that cannot absorb energy, with and without a brake resistor; the
-energy budget of the resistor; the current of shorted windings over speed, and the speed above which the short is
-refused. The ST training describes both kinds of braking and gives the steady-state current of the short as K_e w /
-sqrt(R_s^2 + w^2 L_s^2), to be compared with the current limit first; it shows no measurement. The energy stored in
-both shafts would raise the bus above 33 V."""
+Both axes brake simultaneously from 3500 rpm with a supply that cannot absorb energy, with and without a brake
+resistor; the energy budget of the resistor; the current of shorted windings over speed, and the speed above which
+the short is refused. The ST training describes both kinds of braking and gives the steady-state current of the short
+as K_e w / sqrt(R_s^2 + w^2 L_s^2), to be compared with the current limit first; it shows no measurement. The energy
+stored in both shafts would raise the bus above 33 V."""
 
 BRAKE_FROM: Final = 3500.0 * RPM  # largest initial speed
 RESISTOR: Final = 4.7  # nominal value of the firmware, also where the plant has none [ohm]
@@ -31,13 +31,15 @@ ON: Final = 28.0  # switching threshold of the brake resistor [V]
 BUDGET: Final = 60.0  # energy budget of the resistor [J]
 POWER: Final = 10.0  # continuous power of the resistor [W]
 RECOVERED: Final = 0.5  # fraction of the budget at which the resistor is used again
-LATE: Final = 1.5e-3  # filter of the bus voltage, slow tick [s]
+FILTER_DELAY: Final = 1.5e-3  # filter of the bus voltage, slow tick [s]
 MARGIN: Final = 0.2  # noise and PWM ripple of the voltage [V]
 CURRENT: Final = 4.0  # current limit of the drive [A]
-SPENDING: Final = 30.0  # supply above ON [V]
+BUDGET_SUPPLY: Final = 30.0  # supply above ON [V]
 SHORT_LIMIT: Final = 8.25  # permitted current of a winding short: range of the shunts [A]
 SLIDE_SPEED: Final = 1450.0 * RPM  # speed above which the short is refused, according to the slide
-HEAVY: Final = 8.0  # factor of the inertia, for a slow deceleration compared with the time constant of the winding
+INERTIA_FACTOR: Final = (
+    8.0  # factor of the inertia, for a slow deceleration compared with the time constant of the winding
+)
 SETTLED: Final = 8.0  # time constants of the winding
 NEAR: Final = 0.04  # relative distance from the refusal speed, on both sides
 RUN_UP: Final = 1.0  # [s]
@@ -117,11 +119,11 @@ class Budget:
     recovery_time: float | None  # time until used again [s]
 
 
-def spend(plant: PlantConfig, seed: int, resistor: float) -> Budget:
+def use_budget(plant: PlantConfig, seed: int, resistor: float) -> Budget:
     """Supply above the switching threshold until the budget is used and the `resistor` [ohm] is switched on again."""
     with spinning(plant.with_bus(r_brake=resistor), seed) as board:
         board.write("param.brake", 1.0)
-        board.set_supply(SPENDING)
+        board.set_supply(BUDGET_SUPPLY)
         start = board.truth(0).e_brake
         times: list[float] = []
         dissipated = [start]
@@ -164,7 +166,7 @@ def short(
     plant: PlantConfig, seed: int, axis: int, speed: float, seconds: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Accelerate an axis and disable it with a winding short: speed [rad/s] and current [A]."""
-    with spinning(plant.with_axis(axis, inertia=HEAVY * plant.axes[axis].inertia), seed) as board:
+    with spinning(plant.with_axis(axis, inertia=INERTIA_FACTOR * plant.axes[axis].inertia), seed) as board:
         board.write("param.on_disable", [SHORT] * AXES)
         set_up(board, axis, "SPEED", speed)
         board.run(RUN_UP)
@@ -190,7 +192,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     speed = top_speed(plant.with_bus(capacitance=1.0), range(AXES), BRAKE_FROM)  # without the limit by the bus
     resistor = plant.bus.r_brake or RESISTOR
     without, with_one = stop(plant, seed, speed, 0.0), stop(plant, seed, speed, resistor)
-    budget = spend(plant, seed, resistor)
+    budget = use_budget(plant, seed, resistor)
     yield from _rows_bus(Judge("no resistor: ", NOT_SHOWN), plant, speed, without, OVER_VOLTAGE)
     judge = Judge("resistor: ", NOT_SHOWN)
     yield from _rows_bus(judge, plant, speed, with_one, _with_resistor(plant, speed, resistor))
@@ -208,7 +210,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         curves.append(Curve(f"bus, {name} [V]", time, it.u_dc))
         speeds = [(f"{axis_name(axis)}, {name} [100 rpm]", it.omega[:, axis]) for axis in range(AXES)]
         curves += [Curve(label, time, omega / RPM / 100.0, "--") for label, omega in speeds]
-    yield Panel("both axes brake at once", "time [s]", "bus [V], speed [100 rpm]", curves)
+    yield Panel("both axes brake simultaneously", "time [s]", "bus [V], speed [100 rpm]", curves)
     for axis in range(AXES):
         yield from _short(plant, seed, axis)
     yield f"from {speed / RPM:.4g} rpm: {kinetic(plant, speed):.3g} J, {lossless(plant, speed):.3g} V without losses"
@@ -224,7 +226,7 @@ def _with_resistor(plant: PlantConfig, speed: float, resistor: float) -> float:
     left = max(current - ON / resistor, 0.0)
     if left > 0.0:
         return OVER_VOLTAGE
-    return ON + current * LATE / plant.bus.capacitance + MARGIN
+    return ON + current * FILTER_DELAY / plant.bus.capacitance + MARGIN
 
 
 def _returned(axis: AxisPlant, speed: float) -> float:

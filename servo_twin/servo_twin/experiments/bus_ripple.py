@@ -90,7 +90,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         curves = [Curve(label, _milliseconds(r), r.i_q_true) for label, r in shown.items()]
         yield Panel(f"{name}: true i_q", "time [ms]", "i_q [A]", curves)
     last = _shown(with_it)
-    yield Panel("the bus", "time [ms]", "bus [V]", [Curve("bus", _milliseconds(last), last.u_dc)])
+    yield Panel("bus voltage", "time [ms]", "bus [V]", [Curve("bus", _milliseconds(last), last.u_dc)])
 
 
 def _shown(recording: Recording) -> Recording:

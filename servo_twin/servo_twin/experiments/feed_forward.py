@@ -33,20 +33,20 @@ CHOICES: Final[Mapping[str, Mapping[str, bool]]] = {
     "speed, acceleration": {"SPEED_FORWARD": True, "ACCELERATION_FORWARD": True},
     "all": {"SPEED_FORWARD": True, "ACCELERATION_FORWARD": True, "FRICTION": True},
 }
-SPEED_LEFT_MAX: Final = 0.25
+SPEED_ERROR_RATIO_MAX: Final = 0.25
 """Permitted following error with speed feed-forward, relative to none: only the lag by the acceleration remains."""
 
-ACCELERATION_LEFT_MAX: Final = 0.75
+ACCELERATION_ERROR_RATIO_MAX: Final = 0.75
 """Permitted following error with acceleration, relative to speed only: the torque is one slow loop late."""
 
-OVERSHOOT_OF_WRONG: Final = 0.1
+INERTIA_OVERSHOOT_MAX: Final = 0.1
 """Permitted overshoot by a wrong nominal inertia, relative to its following error."""
-OVERSHOOT_OF_FRICTION: Final = 1.0
+FRICTION_OVERSHOOT_MAX: Final = 1.0
 """Permitted overshoot by an excessive friction current, per relative excess [counts]."""
 
 REST: Final = 0.8  # recorded after the end of the ramp [s]
 ARRIVED: Final = 2.0  # [counts]
-SETTLE_WORSE_MAX: Final = 0.01
+SETTLING_INCREASE_MAX: Final = 0.01
 """Permitted increase of the settling time: a time constant of the path filter [s]."""
 
 REFERENCE_LAG: Final = "E44: a plain gain trails"
@@ -129,7 +129,7 @@ def error_bound(speed_error: float, inertia: Mismatch) -> float:
     A fraction of the error with speed feed-forward alone [counts], for the delay of the torque; the error by a wrong
     nominal inertia; three counts.
     """
-    return (ACCELERATION_LEFT_MAX * inertia.lighter + inertia.wrong) * speed_error + ARRIVED + 1.0
+    return (ACCELERATION_ERROR_RATIO_MAX * inertia.lighter + inertia.wrong) * speed_error + ARRIVED + 1.0
 
 
 @experiment(NAME)
@@ -159,24 +159,24 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
 
 def _rows(judge: Judge, moves: Mapping[str, Move], inertia: Mismatch, friction: Mismatch) -> Iterator[Row]:
     none, speed = moves["none"], moves["speed"]
-    ratio, maximum = speed.error / max(none.error, 1e-9), SPEED_LEFT_MAX * inertia.heavier
+    ratio, maximum = speed.error / max(none.error, 1e-9), SPEED_ERROR_RATIO_MAX * inertia.heavier
     yield judge("following error, speed over none", ratio, maximum=maximum, reference=REFERENCE_LAG)
     for choice in ("speed, acceleration", "all"):
         maximum = error_bound(speed.error, inertia)
         yield judge(f"following error, {choice}", moves[choice].error, "counts", maximum=maximum)
     forward = [move for choice, move in moves.items() if choice != "none"]
-    friction_overshoot = OVERSHOOT_OF_FRICTION * (friction.lighter - 1.0)
+    friction_overshoot = FRICTION_OVERSHOOT_MAX * (friction.lighter - 1.0)
     displacement = max(move.displacement for move in forward)
-    maximum = ARRIVED + displacement + OVERSHOOT_OF_WRONG * inertia.wrong * speed.error + friction_overshoot
+    maximum = ARRIVED + displacement + INERTIA_OVERSHOOT_MAX * inertia.wrong * speed.error + friction_overshoot
     beyond = max(move.overshoot for move in forward)
     yield judge("overshoot, worst", beyond, "counts", maximum=maximum, reference=REFERENCE_OVERSHOOT)
-    later = _later(none.settling, [move.settling for move in forward])
+    later = _settling_increase(none.settling, [move.settling for move in forward])
     lag = none.error * COUNT / max(float(np.abs(none.recording.omega).max()), 1e-9)
-    apart = SETTLE_WORSE_MAX + lag * math.log(max(move.window for move in moves.values()) / ARRIVED)
-    yield judge("settling, latest less none", later, "s", maximum=SETTLE_WORSE_MAX, apart=apart)
+    apart = SETTLING_INCREASE_MAX + lag * math.log(max(move.window for move in moves.values()) / ARRIVED)
+    yield judge("settling, latest less none", later, "s", maximum=SETTLING_INCREASE_MAX, apart=apart)
 
 
-def _later(without: float | None, forward: list[float | None]) -> float | None:
+def _settling_increase(without: float | None, forward: list[float | None]) -> float | None:
     """Additional settling time of the slowest of several moves [s]; None: one does not settle."""
     settled = [time for time in forward if time is not None]
     if without is None or len(settled) < len(forward):

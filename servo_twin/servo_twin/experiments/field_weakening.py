@@ -24,9 +24,10 @@ from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "field-weakening"
 HELP: Final = """\
-The drive at its rated 4000 rpm, where the back-EMF takes the whole voltage of 24 V, with and without the feature
+The drive at its rated 4000 rpm, where the back-EMF reaches the voltage limit at 24 V, with and without the feature
 FIELD_WEAKENING: torque over speed, voltage margin, load steps, a supply that sags and returns, a fault, motors that
-differ by 10 % from their nominal data, and both axes at once. The reference design ends at 3000 rpm without it."""
+differ by 10 % from their nominal data, and both axes together. The reference design ends at 3000 rpm, without field
+weakening."""
 
 AXIS: Final = 0
 RATED: Final = 4000.0 * RPM
@@ -47,7 +48,7 @@ HOT: Final = 110.0  # temperature of the power stage: a fault with coasting [deg
 RUN_UP: Final = 0.25  # [s]
 SETTLE: Final = 0.3  # settling time before a measurement [s]
 MEASURED: Final = 0.1  # [s]
-DIP: Final = 0.05  # time window of the largest speed drop after a load step [s]
+DROP_WINDOW: Final = 0.05  # time window of the largest speed drop after a load step [s]
 REACHED: Final = 0.005  # permitted error, relative to the rated speed
 SPEED_TOLERANCE: Final = 0.02
 """Permitted relative deviation from the theoretical speed: imperfect compensation of drops and dead time, losses of the
@@ -57,7 +58,7 @@ SPEED_DEVIATION_MAX: Final = 30.0 * RPM
 """Largest standard deviation of a constant speed. It is largest at 3333 rpm with 18 voltage samples per electrical
 revolution: the ripple of dead time and drops is aliased to a low frequency."""
 I_D_DEVIATION_MAX: Final = 0.15  # largest standard deviation of i_d: noise of currents and speed [A]
-RETURN: Final = 0.25  # permitted time from the return of the supply to rated speed [s]
+RECOVERY_TIME_MAX: Final = 0.25  # permitted time from the return of the supply to rated speed [s]
 OVERSHOOT_MAX: Final = 0.04  # permitted relative overshoot of the speed after a load is removed
 DROP_RATIO_MAX: Final = 1.25  # permitted speed drop by a load step at rated speed, relative to that at half of it
 DEVIATION: Final = 0.1  # relative deviations of the motors, of both signs
@@ -131,7 +132,7 @@ def _free(judge: Judge, recording: Recording, maximum: float | None = None) -> R
     return judge("voltage kept free", free_voltage(recording).mean(), "V", MARGIN - MARGIN_TOLERANCE, maximum)
 
 
-def _wandering(judge: Judge, recording: Recording) -> Iterator[Row]:
+def _deviation_rows(judge: Judge, recording: Recording) -> Iterator[Row]:
     yield judge("wandering speed", recording.omega.std() / RPM, "rpm", 0.0, SPEED_DEVIATION_MAX / RPM)
     yield judge("wandering i_d", recording.i_d.std(), "A", 0.0, I_D_DEVIATION_MAX)
 
@@ -155,7 +156,7 @@ def _load_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
         speeds[weak].append(float(recording.omega.mean()))
         if weak:
             yield _free(judge, recording, MARGIN + MARGIN_TOLERANCE)
-            yield from _wandering(judge, recording)
+            yield from _deviation_rows(judge, recording)
     on_paper = theoretical_speed(axis, volts, STEP, weak=True) - theoretical_speed(axis, volts, STEP, weak=False)
     gained = (speeds[True][1] - speeds[False][1]) / RPM
     yield Judge(f"{1e3 * STEP:g} mN m: ")("speed gained", gained, "rpm", 0.5 * on_paper / RPM)
@@ -183,7 +184,7 @@ def _step_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
     }
     whole = run_with(plant, seed, events, rest + SETTLE + MEASURED)[AXIS]
     idle, high = whole.part(RUN_UP - MEASURED, RUN_UP), float(whole.part(0.0, rest).omega.max())
-    dip = RATED - float(whole.part(RUN_UP, RUN_UP + DIP).omega.min())
+    dip = RATED - float(whole.part(RUN_UP, RUN_UP + DROP_WINDOW).omega.min())
     near = RATED * (1.0 - REACHED) / RPM, RATED * (1.0 + REACHED) / RPM
     judge = Judge("run-up without load: ")
     yield judge("speed", float(idle.omega.mean()) / RPM, "rpm", *near)
@@ -203,7 +204,7 @@ def _dip_at(plant: PlantConfig, seed: int, speed: float) -> float:
         command_speed(board, AXIS, speed)
         record(board, [AXIS], RUN_UP)
         board.set_load(AXIS, STEP)
-        return speed - float(record(board, [AXIS], DIP)[AXIS].omega.min())
+        return speed - float(record(board, [AXIS], DROP_WINDOW)[AXIS].omega.min())
 
 
 # ---- a supply that sags ----------------------------------------------------------------------------------------------
@@ -226,8 +227,8 @@ def _sag_rows(judge: Judge, axis: AxisPlant, recording: Recording, volts: float)
     time = float(again[-1]) - back if again.size else 0.0
     yield _speed(judge, low, theoretical_speed(axis, volts, SAG_LOAD, weak=True))
     yield _free(judge, low)
-    yield from _wandering(judge, low)
-    yield judge("back after its return", time, "s", 0.0, RETURN)
+    yield from _deviation_rows(judge, low)
+    yield judge("back after its return", time, "s", 0.0, RECOVERY_TIME_MAX)
     maximum = (1.0 + 2.0 * REACHED) * RATED / RPM
     yield judge("highest speed then", float(after.omega.max()) / RPM, "rpm", 0.0, maximum)
 
@@ -270,7 +271,7 @@ def _motor_rows(plant: PlantConfig, seed: int) -> Iterator[Row]:
         judge = Judge(f"{what} {100.0 * sign * DEVIATION:+.0f} %: ")
         yield _speed(judge, recording, theoretical_speed(other.axes[AXIS], volts, LOADS[0], weak=True))
         yield _free(judge, recording)
-        yield next(_wandering(judge, recording))
+        yield next(_deviation_rows(judge, recording))
 
 
 def _panel(title: str, recording: Recording) -> Panel:
@@ -299,4 +300,4 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         yield from _sag_rows(judge, plant.axes[axis], recording, BOTH_SAG)
     yield from _fault_rows(plant, seed)
     yield from _motor_rows(plant, seed)
-    yield f"axis {AXIS + 1}; i_d down to -{I_D_MAX:g} A of {CURRENT:g} A, {MARGIN:g} V kept free"
+    yield f"axis {AXIS + 1}; i_d down to -{I_D_MAX:g} A of {CURRENT:g} A, voltage margin {MARGIN:g} V"

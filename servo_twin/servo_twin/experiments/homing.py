@@ -25,7 +25,7 @@ from servo_twin.plant import STOP_STIFFNESS_MAX, PlantConfig
 
 NAME: Final = "homing"
 HELP: Final = """\
-Beyond the reference design, whose position counts from where the rotor was first found (E41). Shown: both axes home to
+Beyond the reference design, whose position is relative to the rotor search (E41). Shown: both axes home to
 hard stops at random positions on both sides, with random stiffness and damping, twice each: spread, repeatability and
 position error against the true angle of the stop, current and force of the contact. The same with home switches,
 starting off and on the switch. A missing stop is a fault within the configured distance. With the feature HOMING an
@@ -37,8 +37,8 @@ KINDS: Final[Mapping[str, tuple[float, float]]] = {"rubber": (0.3, 3.0), "plasti
 TRIALS: Final = 4
 DAMPING: Final = (0.05, 0.7)  # damping ratio of the shaft at the stop
 AWAY: Final = (0.3, 9.0)  # distance from the start [rad]
-ELSEWHERE: Final = 1.0  # distance from the stop before the second homing [rad]
-LONGEST: Final = 12.0  # timeout of a homing [s]
+SECOND_START: Final = 1.0  # distance from the stop before the second homing [rad]
+HOMING_TIMEOUT: Final = 12.0  # timeout of a homing [s]
 NEAR: Final = 0.05  # distance from the stop with fine sampling [rad]
 FINE_STEP: Final = TICK_NS // 8
 FAR: Final = 20.0  # [rad]
@@ -50,8 +50,8 @@ SPREAD_MAX: Final = 3.0
 PLACE_MAX: Final = 2.0
 """Permitted error in addition to the error by friction [counts]: one count at each end."""
 
-ON_SWITCH: Final = (0.1, 0.6)  # start beyond the edge of a switch [rad]
-WIDE: Final = 30.0  # width of a switch [rad]
+START_ON_SWITCH: Final = (0.1, 0.6)  # start beyond the edge of a switch [rad]
+SWITCH_WIDTH: Final = 30.0  # width of a switch [rad]
 BEYOND_EDGE: Final = (-1.0, 6.0)
 """Permitted position of the detected edge of a switch [counts]: a count of the encoder, and three slow ticks (one until
 reading, two of the filter) at the speed of the first approach. The other approaches are slower on average only."""
@@ -69,7 +69,7 @@ additional force by a lag of half a tick."""
 
 @dataclass(frozen=True)
 class Settings:
-    """What the board is configured with: speed [rad/s], current [A], reach [rad], turns."""
+    """Configuration of the homing of a board."""
 
     speed: float  # [rad/s]
     current: float  # [A]
@@ -78,7 +78,7 @@ class Settings:
 
     @classmethod
     def of(cls, board: Board) -> Settings:
-        """Settings of axis 1, which are those of both axes."""
+        """Settings of axis 1; axis 2 has the same."""
         block, members = read_block(Replica(board), 0), AxisConfigTable.load().members
         return cls(*(block[f"home.{name}"] * members[f"home.{name}"].lsb for name in cls.__dataclass_fields__))
 
@@ -141,7 +141,7 @@ def _home(board: Board, method: str, stops: list[Stop]) -> tuple[list[float], li
     for axis in range(AXES):
         start_homing(board, axis, method)
     currents, torques = [0.0] * AXES, [0.0] * AXES
-    end = board.time_ns + round(LONGEST * 1e9)
+    end = board.time_ns + round(HOMING_TIMEOUT * 1e9)
     started = False
     while board.time_ns < end:
         fine = False
@@ -189,7 +189,7 @@ def contacts(plant: PlantConfig, seed: int, kind: str, trial: int) -> list[Conta
         zeros, results, spreads = [_zeros(board)], [_labels(board, "home_result")], [_spreads(board)]
         for axis, state in enumerate(_labels(board, "home_state")):
             if state == "KNOWN":
-                rig.command_position(board, axis, round(-direction * min(ELSEWHERE, stops[axis].away) / COUNT))
+                rig.command_position(board, axis, round(-direction * min(SECOND_START, stops[axis].away) / COUNT))
         board.run(1.0)
         _home(board, method, stops)
         zeros.append(_zeros(board))
@@ -221,7 +221,7 @@ def contacts(plant: PlantConfig, seed: int, kind: str, trial: int) -> list[Conta
 
 @dataclass(frozen=True)
 class Switch:
-    """A homing to a switch: success, place of the reference beyond the switch's edge and spread [counts]."""
+    """Result of a homing to a switch."""
 
     done: bool
     place: float  # position of the reference beyond the edge of the switch [counts]
@@ -235,14 +235,14 @@ def to_switches(plant: PlantConfig, seed: int, trial: int) -> list[Switch]:
     edges: list[float] = []
     for axis, entry in enumerate(plant.axes):
         assert not isinstance(entry.theta_start, str)
-        away = rnd.uniform(*AWAY) if trial % 2 == 0 else -rnd.uniform(*ON_SWITCH)
+        away = rnd.uniform(*AWAY) if trial % 2 == 0 else -rnd.uniform(*START_ON_SWITCH)
         edges.append(entry.theta_start + direction * away)
-        closed = sorted((edges[-1], edges[-1] + direction * WIDE))
+        closed = sorted((edges[-1], edges[-1] + direction * SWITCH_WIDTH))
         plant = plant.with_axis(axis, pins=replace(entry.pins, home_from=closed[0], home_to=closed[1]))
     with rig.prepared(lambda board: fit(board, "home")), rig.spinning(plant, seed) as board:
         for axis in range(AXES):
             start_homing(board, axis, "SWITCH_POSITIVE" if direction > 0.0 else "SWITCH_NEGATIVE")
-        _wait(board, LONGEST)
+        _wait(board, HOMING_TIMEOUT)
         zeros, results, spreads = _zeros(board), _labels(board, "home_result"), _spreads(board)
         return [
             Switch(result == "DONE", direction * (zero - edge) / COUNT, spread)
@@ -274,8 +274,8 @@ def missing(plant: PlantConfig, seed: int) -> Iterator[Row]:
 class Unhomed:
     """Axes with the feature HOMING that are not homed, with a far position and a speed as set-points."""
 
-    here: list[int]  # position at the enable [counts]
-    still: dict[int, Recording]  # after the far position set-point
+    start: list[int]  # position at the enable [counts]
+    stationary: dict[int, Recording]  # after the far position set-point
     turning: dict[int, Recording]  # with the speed set-point
     reach: float  # permitted distance [counts]
     mask: int  # bit of the expected limit
@@ -285,16 +285,16 @@ def unhomed(plant: PlantConfig, seed: int) -> Unhomed:
     """Write a far position and then a speed to both axes."""
     with rig.spinning(plant, seed) as board:
         mask, reach = board.catalogue.flag("limits", "NOT_HOMED").mask, Settings.of(board).reach / COUNT
-        here = [rig.position_of(board, axis) for axis in range(AXES)]
+        start = [rig.position_of(board, axis) for axis in range(AXES)]
         for axis in range(AXES):
             rig.features(board, axis, HOMING=True)
         board.run(0.01)
         for axis in range(AXES):
-            rig.command_position(board, axis, here[axis] + round(FAR / COUNT))
-        still = rig.record(board, range(AXES), 0.3)
+            rig.command_position(board, axis, start[axis] + round(FAR / COUNT))
+        stationary = rig.record(board, range(AXES), 0.3)
         for axis in range(AXES):
             rig.set_up(board, axis, "SPEED", SPEED)
-        return Unhomed(here, still, rig.record(board, range(AXES), 1.0), reach, mask)
+        return Unhomed(start, stationary, rig.record(board, range(AXES), 1.0), reach, mask)
 
 
 # ---- the experiment --------------------------------------------------------------------------------------------------
@@ -324,17 +324,17 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield from missing(plant, seed)
     it = unhomed(plant, seed)
     curves: list[Curve] = []
-    for axis, (still, turning) in enumerate(zip(it.still.values(), it.turning.values(), strict=True)):
-        judge, direction = Judge(f"{axis_name(axis)}, not homed: "), turning.shaft - it.here[axis]
-        named = still.limits[-1] & turning.limits[-1] & it.mask
-        yield judge("moves for a far set-point", np.ptp(still.shaft), "counts", maximum=2.0)
+    for axis, (stationary, turning) in enumerate(zip(it.stationary.values(), it.turning.values(), strict=True)):
+        judge, direction = Judge(f"{axis_name(axis)}, not homed: "), turning.shaft - it.start[axis]
+        named = stationary.limits[-1] & turning.limits[-1] & it.mask
+        yield judge("moves for a far set-point", np.ptp(stationary.shaft), "counts", maximum=2.0)
         yield judge("turns by a speed", direction.max(), "counts", 0.9 * it.reach, it.reach + 4.0)
         yield judge.true("names itself", bool(named))
         curves.append(Curve(axis_name(axis), turning.time, direction / COUNTS_PER_TURN))
-    beyond = "minus friction / stiffness, or beyond the edge of a switch"
-    yield f"{2 * TRIALS} pairs of homings each; places: {beyond}"
-    yield Panel("place of the reference", "homing", "off, beyond friction [counts]", places)
-    yield Panel("speed set-point, not homed", "time [s]", "from where it was enabled [turns]", curves)
+    beyond = "distance from the stop minus friction / stiffness, or from the edge of a switch"
+    yield f"{2 * TRIALS} pairs of homings each; position of the reference: {beyond}"
+    yield Panel("position of the reference", "homing", "error beyond friction [counts]", places)
+    yield Panel("speed set-point, not homed", "time [s]", "position from the enable [turns]", curves)
 
 
 def _places(label: str, places: list[float], style: str) -> Curve:

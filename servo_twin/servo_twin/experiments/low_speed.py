@@ -26,7 +26,7 @@ MEASURED: Final = 4.0  # [s]
 RARE_EDGES: Final = 10.0
 """Below this speed, with at most one edge of track B per six slow loops, the enhanced method must be better [rpm]."""
 
-BETTER_MAX: Final = 0.9
+DEVIATION_RATIO_MAX: Final = 0.9
 """Permitted ratio of the deviations, enhanced to plain, at the most favourable speed."""
 
 NOISE_RATIO_MAX: Final = 1.25
@@ -73,7 +73,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             if axis == 0:
                 yield _panel(what, rpm, plain, better)
         judge = Judge(f"{axis_name(axis)}, where it helps most, ", "2.4.6: better when edges are rare")
-        yield judge("deviation enhanced over plain", min(rare), maximum=BETTER_MAX)
+        yield judge("deviation enhanced over plain", min(rare), maximum=DEVIATION_RATIO_MAX)
 
 
 def _panel(title: str, rpm: float, plain: Recording, better: Recording) -> Panel:

@@ -18,8 +18,8 @@ from servo_twin.plant import PlantConfig
 NAME: Final = "mt-speed"
 HELP: Final = """\
 Speed from encoder pulses by the methods M, T, M/T and enhanced M/T, on one shaft, motor off and driven from outside.
-The reference design says: M is poor at low speed, T at high speed, M/T joins what is good in both (2.4.4); when the
-shaft slows down M/T stagnates until the next pulse (2.4.5, F18), the enhanced method does not (2.4.6, F19: M2 = 4 and
+According to the reference design M is inaccurate at low speed, T at high speed, M/T at neither (2.4.4); during
+deceleration M/T stagnates until the next pulse (2.4.5, F18), the enhanced method does not (2.4.6, F19: M2 = 4 and
 TMR3 = 2, 5, 8, 11 give 1, 4/5, 4/8, 4/11 of the speed, the next pulse after 12 gives 1/3)."""
 
 AXIS: Final = 0
@@ -344,7 +344,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield _brake_panel(brake, slow)
     yield f"axis {AXIS + 1}; M over {1e3 * TICK:g} ms, {COUNTS_PER_TURN} counts"
     yield f"braking from {BRAKE_FROM / RPM:g} rpm to a stop in {BRAKE_TIME:g} s"
-    yield "stagnation: longest time at one value after the next edge has become overdue"
+    yield "stagnation: longest time at one value after the expected time of the next edge"
 
 
 def _error_panel(found: dict[float, Steady]) -> Panel:
@@ -361,4 +361,4 @@ def _brake_panel(brake: Recording, slow: Methods) -> Panel:
     time = 1e3 * brake.time[part]
     named = {"true": brake.omega, "T": slow.t, "M/T": slow.mt, "enhanced M/T": slow.enhanced}
     curves = [Curve(label, time, y[part] / RPM, "k-" if label == "true" else "-") for label, y in named.items()]
-    return Panel("slowing down to a stop (M: multiples of 30 rpm)", "time [ms]", "speed [rpm]", curves)
+    return Panel("deceleration to standstill (M: multiples of 30 rpm)", "time [ms]", "speed [rpm]", curves)

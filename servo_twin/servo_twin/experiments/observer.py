@@ -53,7 +53,7 @@ THEORY_ERROR_MAX: Final = 3.0
 RIPPLE: Final = 9.0
 """Largest amplitude at 200 rpm with compensation of dead time and drops [deg]; without: 9 to 15."""
 
-BETTER: Final = 2.0
+AMPLITUDE_RATIO_MIN: Final = 2.0
 """Smallest ratio of the amplitudes without and with compensation."""
 
 SETTLE: Final = 0.3  # settling time at each point [s]
@@ -152,15 +152,15 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         judge = Judge(f"{what}, ", NOT_SHOWN)
         ratio = doubled.amplitude / max(slow.amplitude, 1e-9)
         yield judge("amplitude, made up", slow.amplitude, "deg", maximum=RIPPLE)
-        yield judge("amplitude, not made up over made up", ratio, "", BETTER)
-        yield f"{what}, not made up: amplitude {doubled.amplitude:.3g} deg"
+        yield judge("amplitude, not made up over made up", ratio, "", AMPLITUDE_RATIO_MIN)
+        yield f"{what}, without compensation: amplitude {doubled.amplitude:.3g} deg"
         yield _over_speed(name, points)
-        errors = {"dead time made up": slow, "not made up": doubled}
+        errors = {"dead time compensated": slow, "not compensated": doubled}
         curves = [
             Curve(label, it.trace.time, degrees(it.trace.angle - it.trace.used) - it.mean)
             for label, it in errors.items()
         ]
-        yield Panel(f"{what}, {slow.i_q:.2g} A: error less its mean", "time [s]", "error [deg]", curves)
+        yield Panel(f"{what}, {slow.i_q:.2g} A: error minus its mean", "time [s]", "error [deg]", curves)
 
 
 def _uncompensated(plant: PlantConfig, seed: int, axis: int) -> Point:

@@ -18,9 +18,9 @@ from servo_twin.plant import PlantConfig
 NAME: Final = "path-filter"
 HELP: Final = """\
 One position step of axis 1, which the firmware turns into a ramp and the ramp into an S curve (2.6, E38 to E40). The
-acceleration limit, which the reference design has not, is at its maximum.
-The reference design shows: position smooth at beginning and end (F23); the speed of the ramp jumps, that of the S curve
-changes evenly (F24); damping 1, hence no overshoot."""
+acceleration limit, not part of the reference design, is at its maximum. The reference design shows: smooth start and
+end of the position (F23); speed steps with the ramp, continuous speed with the S curve (F24); damping 1, hence no
+overshoot."""
 
 AXIS: Final = 0
 TURNS: Final = 10.0

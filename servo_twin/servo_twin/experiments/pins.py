@@ -41,7 +41,7 @@ ANGLES: Final = 4  # number of start angles of the rotor
 
 FIRST_DROP: Final = 0.5
 """Permitted drop during the rotor search under load: a rotor opposite to the vector rotates with the load [rad]."""
-HELD_DROP: Final = 6.0 * COUNT
+TRANSFER_DROP_MAX: Final = 6.0 * COUNT
 """Permitted drop at the load transfer between brake and position control [rad]."""
 BRAKE_DELAY: Final = 2.0 * TICK  # time from a fault to the de-energised coil of the brake [s]
 
@@ -115,7 +115,7 @@ def _ready(board: Board, axis: int) -> bool:
 
 
 @dataclass(frozen=True)
-class Hang:
+class LoadDrops:
     """Drops of hanging loads, and motion during the first enable."""
 
     drops: list[tuple[float, ...]]
@@ -139,7 +139,7 @@ def load_of(plant: PlantConfig, axis: int) -> float:
     return LOAD * SEARCH_CURRENT * plant.axes[axis].torque_constant
 
 
-def hang(plant: PlantConfig, seed: int, angle: float) -> Hang:
+def measure_drops(plant: PlantConfig, seed: int, angle: float) -> LoadDrops:
     """Hanging loads on both shafts; rotors at `angle` from the first vector of the search, electrical [rad]."""
     for axis, entry in enumerate(plant.axes):
         pins = replace(
@@ -168,7 +168,7 @@ def hang(plant: PlantConfig, seed: int, angle: float) -> Hang:
     drops = [
         tuple(float(np.abs(motions[axis]).max()) for motions in (first, again, off, fault)) for axis in range(AXES)
     ]
-    return Hang(drops, 0.001 * np.arange(1, first.shape[1] + 1), first)
+    return LoadDrops(drops, 0.001 * np.arange(1, first.shape[1] + 1), first)
 
 
 def fault_drop(plant: PlantConfig, axis: int) -> float:
@@ -303,13 +303,13 @@ def cut_wires(plant: PlantConfig, seed: int) -> dict[str, bool]:
 @experiment(NAME)
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Hanging loads from several angles, enable input and limit switch at speed, broken wires."""
-    hangs = [hang(plant, seed, 2.0 * math.pi * (k + 0.5) / ANGLES) for k in range(ANGLES)]
+    load_drops = [measure_drops(plant, seed, 2.0 * math.pi * (k + 0.5) / ANGLES) for k in range(ANGLES)]
     for axis in range(AXES):
         judge = Judge(f"{axis_name(axis)}, load of {load_of(plant, axis) * 1e3:.0f} mN m: drop, ")
-        first, again, off, fault = (max(drops) for drops in zip(*(h.drops[axis] for h in hangs), strict=True))
+        first, again, off, fault = (max(drops) for drops in zip(*(h.drops[axis] for h in load_drops), strict=True))
         yield judge("first enabling", first, "rad", maximum=FIRST_DROP, apart=0.1)
-        yield judge("enabled again", again, "rad", maximum=HELD_DROP)
-        yield judge("disabled", off, "rad", maximum=HELD_DROP)
+        yield judge("enabled again", again, "rad", maximum=TRANSFER_DROP_MAX)
+        yield judge("disabled", off, "rad", maximum=TRANSFER_DROP_MAX)
         yield judge("enable input opened", fault, "rad", maximum=fault_drop(plant, axis))
     switches, named = open_enable(plant, seed)
     judge = Judge("enable input at full speed: ")
@@ -326,9 +326,9 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         yield Judge("wire cut: ").true(what, right)
     curves = [
         Curve(f"{axis_name(axis)}, {360.0 * (k + 0.5) / ANGLES:.0f} deg", h.time, np.degrees(h.motions[axis]))
-        for k, h in enumerate(hangs)
+        for k, h in enumerate(load_drops)
         for axis in range(AXES)
     ]
-    yield Panel("a load hangs on the shaft: first enabling", "time [s]", "shaft [deg]", curves)
+    yield Panel("hanging load on the shaft: first enable", "time [s]", "shaft [deg]", curves)
     yield f"brake: opens in {OPEN_TIME * 1e3:.0f} ms, closes in {CLOSE_TIME * 1e3:.0f} ms"
     yield f"drops: the largest of {ANGLES} angles of the rotor"

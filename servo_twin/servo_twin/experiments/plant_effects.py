@@ -31,7 +31,7 @@ COGGING: Final = 0.15  # cogging torque, relative to the torque of 1 A
 PERIODS: Final = 12.0  # cogging periods per revolution
 I_SATURATION: Final = 2.0  # [A]
 HOT: Final = 75.0  # [deg C]
-WEAKER: Final = -0.002  # temperature coefficient of the magnet [1/K]
+MAGNET_COEFFICIENT: Final = -0.002  # temperature coefficient of the magnet [1/K]
 COPPER: Final = 3.93e-3  # temperature coefficient of the winding [1/K]
 
 FAST: Final = 60.0  # [rad/s]
@@ -191,7 +191,7 @@ def magnet(board: Board, axis: int) -> Comparison:
     parts = [held_speed(board, axis, speed, 0.3) for speed in (FAST, 3.0 * FAST)]
     u, speed = ([float(getattr(part, name).mean()) for part in parts] for name in ("u_q", "omega"))
     measured = (u[1] - u[0]) / (shaft.pole_pairs * (speed[1] - speed[0]))
-    predicted = shaft.psi_m * (1.0 + WEAKER * (HOT - board.plant.ambient))
+    predicted = shaft.psi_m * (1.0 + MAGNET_COEFFICIENT * (HOT - board.plant.ambient))
     return Comparison(1e3 * measured, 1e3 * predicted, parts[1].time, parts[1].u_q)
 
 
@@ -234,7 +234,7 @@ EFFECTS: Final = (
     ),
     Effect(
         "psi_m of a warm magnet", "mV s", 0.03,
-        lambda a: {"magnet_coefficient": WEAKER, "magnet_time": 1e6}, magnet, "time [s]", "u_q [V]",
+        lambda a: {"magnet_coefficient": MAGNET_COEFFICIENT, "magnet_time": 1e6}, magnet, "time [s]", "u_q [V]",
     ),
 )  # fmt: skip
 """Effects, each measured alone."""

@@ -226,7 +226,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             yield judge.true("reported fault SPEED_FEEDBACK", named, reference=error)
             alone = f"not in {OBSERVED:g} s" if it.variance_time is None else f"after {1e3 * it.variance_time:.0f} ms"
             yield f"{name}, {what}: {it.faults or 'no fault'}; variance criterion alone: {alone}"
-            shown["held fast" if frequency is None else f"{frequency:g} Hz"] = it.trace
+            shown["rigidly blocked" if frequency is None else f"{frequency:g} Hz"] = it.trace
         curves: list[Curve] = []
         for label, trace in shown.items():
             late = trace.time > BEFORE - 0.05

@@ -188,7 +188,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         for name, *pair in zip(names, free, limited, strict=True):
             maximum = BEYOND_MAX if mode == "POSITION" else BEYOND_UNHELD_MAX
             yield from _rows_visit(Judge(f"{name}, position, {mode.lower()} mode: "), maximum, *pair)
-        yield _panel(f"limit of the position, {mode.lower()} mode", free, limited)
+        yield _panel(f"position limit, {mode.lower()} mode", free, limited)
     for name, overtravel, limited_overtravel in zip(
         names, load_overtravel(plant, seed, False), load_overtravel(plant, seed, True), strict=True
     ):

@@ -56,7 +56,7 @@ Pair = tuple[Recording, Recording]
 
 
 def both(plant: PlantConfig, seed: int, axis: int, play: Callable[[Board], Recording]) -> Pair:
-    """Play something to a fresh board, once without and once with the observer."""
+    """Run `play` on a new board without, and on another one with the observer."""
 
     def once(observer: bool) -> Recording:
         with rig.spinning(plant, seed) as board:
@@ -79,7 +79,7 @@ def creep(plant: PlantConfig, seed: int, axis: int, speed: float) -> Pair:
 def shaft(
     plant: PlantConfig, axis: int, nominal: NominalShaft, inertia: float = 1.0, friction: float = 1.0
 ) -> PlantConfig:
-    """Plant with so many times (ratios) the nominal inertia and friction."""
+    """Plant with inertia and friction as multiples of the nominal values."""
     return plant.with_axis(axis, inertia=inertia * nominal.inertia, friction=friction * nominal.friction)
 
 

@@ -60,7 +60,7 @@ RATE_MIN: Final = 99.0
 """Required success rate of the random starts [%]; the reference design gives no figure."""
 
 NOMINAL: Final = 0.6  # length of the nominal start [s]
-LONGEST: Final = 2.5  # largest length of a random start [s]
+START_LENGTH_MAX: Final = 2.5  # largest length of a random start [s]
 SETTLED: Final = 0.4  # time in closed loop before the speed is checked [s]
 SPEED_MAX: Final = 0.1  # permitted relative error of the true speed
 
@@ -163,7 +163,7 @@ def start(plant: PlantConfig, seed: int, drawn: tuple[Draw, ...]) -> tuple[Start
         for axis, speed in enumerate(speeds):
             command_speed(board, axis, speed)
         fan_loads = _FanLoads(board, fans)
-        traces = follow(board, range(AXES), LONGEST, fan_loads)
+        traces = follow(board, range(AXES), START_LENGTH_MAX, fan_loads)
         startup, spin = (substate(board, name) for name in ("STARTUP", "SPIN"))
         return tuple(
             _judged(board, traces[axis], examine(traces[axis], startup, spin), speeds[axis], str(draw))
@@ -254,7 +254,7 @@ def run(plant: PlantConfig, seed: int, count: int | None = None, runner: Runner 
         distributions.append(Curve(done, times, 100.0 * np.arange(1, times.size + 1) / max(len(starts), 1)))
     yield from (f"failed: {s.end} ({s.what})" for s in failed[:5])
     yield f"and {len(failed) - 5} more" if len(failed) > 5 else ""
-    yield Panel(f"{len(starts)} random starts", "time [ms]", "part of the starts [%]", distributions)
+    yield Panel(f"{len(starts)} random starts", "time [ms]", "fraction of the starts [%]", distributions)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -20,7 +20,7 @@ from servo_twin.plant import PlantConfig
 
 NAME: Final = "supervision"
 HELP: Final = """\
-Beyond the reference design, which has no faults of the motion: position too far from its set-point (feature
+Beyond the reference design, which does not monitor the motion: following error too large (feature
 FOLLOWING_ERROR, param.following_error) or speed too high (OVER_SPEED, param.over_speed). Shown, without and with each:
 the shaft is blocked during a move; a load of 1.25 times the peak torque stops a move and drives the shaft back; such a
 load drives the shaft of an axis in torque mode; a set-point commands more speed than the machine permits. Time from
@@ -47,10 +47,10 @@ ACCELERATION: Final = 1000.0  # [rad/s^2]
 TIME_RATIO_MAX: Final = 0.8
 """Largest detection time relative to the time without the feature, if there is any."""
 
-SHARE: Final = 0.55
+CURRENT_FRACTION: Final = 0.55
 """Current for the acceleration, relative to the current limit: a reversal during a move needs twice as much."""
 
-HARD_MOVES: Final = (5.0, -5.0, 100.0)  # [turns], forth and back without standstill
+REVERSING_MOVES: Final = (5.0, -5.0, 100.0)  # [turns], forth and back without standstill
 REVERSAL: Final = 0.12  # until the second set-point overrides the first [s]
 REST: Final = 0.6  # [s]
 
@@ -87,7 +87,7 @@ class Bench:
 
     @classmethod
     def of(cls, plant: PlantConfig, seed: int) -> Bench:
-        speeds, _ = move_speeds(plant, seed, together=True, share=SHARE)
+        speeds, _ = move_speeds(plant, seed, together=True, share=CURRENT_FRACTION)
         currents = current_limits(plant, seed)
         peaks = [axis.torque_constant * current for axis, current in zip(plant.axes, currents, strict=True)]
         return cls(plant, seed, speeds, peaks)
@@ -112,7 +112,7 @@ def play(
 # ---- motions and causes ----------------------------------------------------------------------------------------------
 
 
-def _far(_: Bench, board: Board, axis: int) -> None:
+def _long_move(_: Bench, board: Board, axis: int) -> None:
     """Command a very long move."""
     rig.command_position(board, axis, rig.position_of(board, axis) + 1000 * COUNTS_PER_TURN)
 
@@ -124,7 +124,7 @@ def _turn(bench: Bench, board: Board, axis: int) -> None:
     rig.set_up(board, axis, "SPEED", speed, parameters=parameters)
 
 
-def _pull(bench: Bench, board: Board, axis: int) -> None:
+def _torque_mode(bench: Bench, board: Board, axis: int) -> None:
     """Torque mode with a current set-point, with half of the speed as limit."""
     _turn(bench, board, axis)
     rig.set_up(board, axis, "TORQUE", parameters={"speed_limit": SPEED * bench.speeds[axis]})
@@ -172,16 +172,16 @@ class Cause:
 
 
 BLOCKED: Final = Cause(
-    "shaft blocked in a move", "FOLLOWING_ERROR", _far, lambda _, board, axis: board.lock_shaft(axis), blocked_max
+    "shaft blocked in a move", "FOLLOWING_ERROR", _long_move, lambda _, board, axis: board.lock_shaft(axis), blocked_max
 )
 CAUSES: Final = (
     BLOCKED,
     Cause(
-        "too large a load in a move", "FOLLOWING_ERROR", _far,
+        "too large a load in a move", "FOLLOWING_ERROR", _long_move,
         lambda bench, board, axis: board.set_load(axis, LOAD * bench.peaks[axis]), overloaded_max,
     ),
     Cause(
-        "driven by a load", "OVER_SPEED", _pull,
+        "driven by a load", "OVER_SPEED", _torque_mode,
         lambda bench, board, axis: board.set_load(axis, -LOAD * bench.peaks[axis]),
     ),
     Cause(
@@ -193,7 +193,7 @@ CAUSES: Final = (
 
 def permitted_operation(bench: Bench, forward: bool) -> int:
     """Both features on: demanding moves forth and back, load steps at standstill; returns all faults."""
-    faults, turns = 0, list(HARD_MOVES)
+    faults, turns = 0, list(REVERSING_MOVES)
 
     def begin(_: Bench, board: Board, axis: int) -> None:
         rig.features(board, axis, SPEED_FORWARD=forward, ACCELERATION_FORWARD=forward, FRICTION=forward)
@@ -214,8 +214,8 @@ def permitted_operation(bench: Bench, forward: bool) -> int:
             for axis in range(AXES):
                 board.set_load(axis, share[k] * bench.peaks[axis])
 
-    way = sum(map(abs, HARD_MOVES)) * 2.0 * math.pi
-    for act, seconds in ((move, way / min(bench.speeds) + REST), (load, 4.0 * REST)):
+    distance = sum(map(abs, REVERSING_MOVES)) * 2.0 * math.pi
+    for act, seconds in ((move, distance / min(bench.speeds) + REST), (load, 4.0 * REST)):
         both = play(bench, True, begin, act, seconds)
         faults |= int(np.bitwise_or.reduce([np.bitwise_or.reduce(r.faults) for r in both.values()]))
     return faults

@@ -19,10 +19,10 @@ from servo_twin.plant import PlantConfig
 
 NAME: Final = "two-axes"
 HELP: Final = """\
-One axis holds its position or turns evenly while the other reverses on the same bus; then both brake at once.
+One axis holds its position or a constant speed while the other reverses on the same bus; then both brake together.
 The reference design drives two motors from one supply and one controller (1, 4.3) and shows no measurement of their
-influence on each other; the ripple compensation (2.3) has to keep it small. Where the bus of the plant cannot take what
-comes back from both shafts at 3000 rpm, both brake from less."""
+influence on each other; the ripple compensation (2.3) has to keep it small. If the bus of the plant cannot absorb the
+energy of both shafts at 3000 rpm, both brake from a lower speed."""
 
 REVERSE: Final = 2500.0 * RPM  # largest speed of the disturbing axis
 CURRENT: Final = 0.5  # current of a reversal, relative to the current limit
@@ -34,7 +34,7 @@ BRAKE_FROM: Final = 3000.0 * RPM  # largest initial speed
 BRAKE_TIME: Final = 0.5  # [s]
 STANDSTILL: Final = 0.01  # relative to the initial speed
 
-BUS_SWING: Final = 0.05
+BUS_VARIATION_MIN: Final = 0.05
 """Smallest variation of the bus by the other axis, relative to the variation without losses."""
 
 HOLD_MAX: Final = 2.0  # [counts]
@@ -98,7 +98,7 @@ def turn(plant: PlantConfig, seed: int, observed: int, reversals: Reversals | No
 
 
 def hold(plant: PlantConfig, seed: int, observed: int, reversals: Reversals) -> Recording:
-    """The observed axis holds its position while the other one reverses."""
+    """The observed axis holds its position while the other axis reverses."""
     with rig.spinning(plant, seed) as board:
         return rig.record(board, [observed], MEASURED, reversals.prepare(board, 1 - observed))[observed]
 
@@ -136,9 +136,9 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         held = hold(plant, seed, observed, reversals)
         position_deviation = np.abs(held.position - held.position_ref).max()
         more = 100.0 * (deviation(together) - deviation(alone)) / CONSTANT
-        swing, minimum = np.ptp(together.u_dc), BUS_SWING * reversals.bus_rise(plant, 1 - observed)
+        variation, minimum = np.ptp(together.u_dc), BUS_VARIATION_MIN * reversals.bus_rise(plant, 1 - observed)
         reached, unfelt = np.ptp(other.omega) / (2.0 * reversals.speed), "2.3: the bus must not be felt"
-        yield judge(", the other reverses: bus swing", swing, "V", minimum, OVER_VOLTAGE - UNDER_VOLTAGE)
+        yield judge(", the other reverses: bus swing", variation, "V", minimum, OVER_VOLTAGE - UNDER_VOLTAGE)
         yield judge(
             " turns, the other reverses: more deviation", more, "% of speed", maximum=DEVIATION_MAX, reference=unfelt
         )
@@ -156,7 +156,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             Curve("alone", alone.time, alone.omega / RPM),
             Curve("bus [V] - 24 V, x 10, + 1500", together.time, 1500.0 + 10.0 * (together.u_dc - 24.0)),
         )
-        yield Panel(f"{name} turns evenly, the other reverses", "time [s]", "speed [rpm]", curves)
+        yield Panel(f"{name} at constant speed, the other axis reverses", "time [s]", "speed [rpm]", curves)
     speed = top_speed(plant, range(AXES), BRAKE_FROM)
     stop, judge = brake(plant, seed, speed), Judge("both brake: ", NOT_SHOWN)
     limit, faults = "not shown; the drive's limit is 33 V", np.bitwise_or.reduce(stop[0].faults | stop[1].faults)
@@ -168,4 +168,4 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield f"both brake from {speed / RPM:.4g} rpm"
     speeds = [Curve(f"{axis_name(axis)} [100 rpm]", r.time, r.omega / RPM / 100.0) for axis, r in stop.items()]
     bus = Curve("bus [V]", stop[0].time, stop[0].u_dc)
-    yield Panel("both axes brake at once", "time [s]", "bus [V], speed [100 rpm]", [bus, *speeds])
+    yield Panel("both axes brake simultaneously", "time [s]", "bus [V], speed [100 rpm]", [bus, *speeds])

@@ -23,12 +23,12 @@ from servo_twin.simulation import enable
 
 NAME: Final = "winding"
 HELP: Final = """\
-Both motors turn against a brake at a speed that they cannot reach, so that the largest current flows: 4 A into
+Both motors turn against a brake at a speed that they cannot reach, so that the current is at its limit: 4 A into
 windings rated for 2 A continuously. The current limit must be constant until the winding reaches the derating
 temperature, and then fall to the rated current, with the temperature settling at its maximum, without a fault.
 Estimated and true temperature are compared; also for motors with other windings and heat capacities, and for a
 controller with nominal thermal resistance and heat capacity wrong by 30 %. The reference design does not show
-this. The heat capacities are those of a few grams, so that half a minute is enough. The bounds follow from the
+this. The heat capacities are small, so that half a minute is sufficient. The bounds follow from the
 heat balance."""
 
 SECONDS: Final = 40.0
@@ -39,10 +39,10 @@ ERROR_MAX: Final = 0.5
 """Permitted error of the estimate with a right configuration, in addition to the heating in a step of the model [K]:
 losses by ripple and offsets."""
 
-NEAR: Final = 2.5
+FINAL_ERROR_MAX: Final = 2.5
 """Permitted deviation of the final temperature from the heat balance [K]."""
 
-REST: Final = 0.05
+REMAINING_RISE_MAX: Final = 0.05
 """Permitted remaining temperature rise at the end, relative to the total rise."""
 
 
@@ -65,22 +65,22 @@ class Case:
     motors: tuple[Motor, ...]
 
 
-RIGHT: Final = (Motor(2.0, 0.5), Motor(2.0, 0.9))
+MATCHED: Final = (Motor(2.0, 0.5), Motor(2.0, 0.9))
 CASES: Final = (
-    Case("nominal", RIGHT),
+    Case("nominal", MATCHED),
     Case("other windings", (Motor(1.5, 0.3, r_s=0.9), Motor(2.6, 0.8, r_s=0.3))),
     Case(
         "wrong by 30 %",
         (
-            replace(RIGHT[0], resistance_error=0.7, capacity_error=1.3),
-            replace(RIGHT[1], resistance_error=1.3, capacity_error=0.7),
+            replace(MATCHED[0], resistance_error=0.7, capacity_error=1.3),
+            replace(MATCHED[1], resistance_error=1.3, capacity_error=0.7),
         ),
     ),
 )
 
 
 @dataclass(frozen=True)
-class Course:
+class TimeSeries:
     """One axis over time."""
 
     time: NDArray[np.float64]  # [s]
@@ -130,7 +130,7 @@ def configured(plant: PlantConfig, motors: Sequence[Motor]) -> tuple[PlantConfig
     return plant, text, nominal, true
 
 
-def courses(plant: PlantConfig, seed: int, text: str, seconds: float = SECONDS) -> list[Course]:
+def time_series(plant: PlantConfig, seed: int, text: str, seconds: float = SECONDS) -> list[TimeSeries]:
     """Run cold motors for `seconds` [s] with the largest current from the start."""
     with fresh_board(plant, seed) as board:
         write_blocks(Replica(board), blocks_of_file(text, board.catalogue))
@@ -142,7 +142,7 @@ def courses(plant: PlantConfig, seed: int, text: str, seconds: float = SECONDS) 
         return _record(board, seconds)
 
 
-def _record(board: Board, seconds: float) -> list[Course]:
+def _record(board: Board, seconds: float) -> list[TimeSeries]:
     ticks = round(seconds / STEP)
     table = np.zeros((AXES, 4, ticks))
     faults = [0] * AXES
@@ -156,7 +156,7 @@ def _record(board: Board, seconds: float) -> list[Course]:
             table[axis, :, k] = estimate, board.truth(axis).t_winding, current, winding_current
             faults[axis] |= word(board, axis, "faults")
     time = STEP * np.arange(1, ticks + 1, dtype=np.float64)
-    return [Course(time, it[0], it[1], it[2], it[3], faults[axis]) for axis, it in enumerate(table)]
+    return [TimeSeries(time, it[0], it[1], it[2], it[3], faults[axis]) for axis, it in enumerate(table)]
 
 
 @experiment(NAME)
@@ -164,7 +164,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Both axes, every case."""
     for case in CASES:
         changed_plant, text, nominal, true = configured(plant, case.motors)
-        found = courses(changed_plant, seed, text, SECONDS)
+        found = time_series(changed_plant, seed, text, SECONDS)
         for axis, (it, model, winding) in enumerate(zip(found, nominal, true, strict=True)):
             name = f"{axis_name(axis)}, {case.name}"
             yield from figures(Judge(f"{name}: "), it, model, winding)
@@ -178,17 +178,17 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             yield Panel(name, "time [s]", "", curves)
 
 
-def figures(judge: Judge, it: Course, model: Winding, winding: Winding) -> Iterator[Row]:
+def figures(judge: Judge, it: TimeSeries, model: Winding, winding: Winding) -> Iterator[Row]:
     """Expected values: controller from its nominal values (`model`), winding from the resulting current."""
     until = model.time_to(model.derating, model.current)
     current, estimate = model.settled()
     truth = winding.equilibrium(current)
-    rest = max(NEAR, REST * (truth - winding.ambient))
+    rest = max(FINAL_ERROR_MAX, REMAINING_RISE_MAX * (truth - winding.ambient))
     late = 0.05 * until + 2.0 * STEP
     yield judge("time until derating", it.derated_from, "s", until - late, until + late)
     yield judge.near("current in the end", it.current[-1], "A", current, 0.02 * current)
-    yield judge.near("estimate in the end", it.estimate[-1], "deg C", estimate, NEAR)
-    yield judge("winding in the end", it.truth[-1], "deg C", truth - rest, truth + NEAR)
+    yield judge.near("estimate in the end", it.estimate[-1], "deg C", estimate, FINAL_ERROR_MAX)
+    yield judge("winding in the end", it.truth[-1], "deg C", truth - rest, truth + FINAL_ERROR_MAX)
     yield judge.none("faults", it.faults)
     if winding == model:
         step = model.loss(model.current, model.derating) / model.capacity * STEP_TICKS * TICK
