@@ -183,7 +183,7 @@ def test_measurement_beyond_the_limits_is_refused_without_motion(access: Virtual
         (BodeRequest(0, "speed", amplitude=3.0), "too large for the limit of axis1"),
         (BodeRequest(0, "current", amplitude=2.0), "too large for the limit of axis1"),
         (BodeRequest(0, "current", speed=10.0), "omit the speed"),
-        (BodeRequest(0, "speed", speed=50.0, way_max=5.0), "use a lower speed"),
+        (BodeRequest(0, "speed", speed=50.0, travel_max=5.0), "use a lower speed"),
         (BodeRequest(0, "position", f_min=0.05), "use a higher lowest frequency"),
         (BodeRequest(0, "speed", f_min=300.0, f_max=200.0), "the band 300 .. 200 Hz"),
         (BodeRequest(0, "position", amplitude=280.0, f_min=300.0, f_max=700.0), "cmd.test_amplitude: 0.53"),
@@ -299,7 +299,7 @@ def test_range_of_motion_is_kept(access: VirtualBoardAccess) -> None:
     theta = [access.board.truth(0).theta_m]
     bode = measure(
         access,
-        BodeRequest(0, "speed", way_max=40.0, repeats=4),
+        BodeRequest(0, "speed", travel_max=40.0, repeats=4),
         progress=lambda *_: theta.append(access.board.truth(0).theta_m),
     )
     assert 5.0 < bode.settings.speed < 40.0
