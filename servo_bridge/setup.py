@@ -16,8 +16,8 @@ setup(
     maintainer="servo contributors",
     maintainer_email="maintainers@servo.example",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    # Spelt out, an editable install is a plain path entry. The import hook that setuptools writes otherwise loses to
-    # the folder of the same name when the current directory is the root of the repository.
+    # Written explicitly, an editable install is a plain path entry. The import hook of setuptools would be overridden
+    # by the folder of the same name if the current directory is the root of the repository.
     package_dir={"": "."},
     package_data={"": ["*.toml", "py.typed"]},
     data_files=[
@@ -26,7 +26,7 @@ setup(
         (f"{SHARE}/launch", sorted(glob("launch/*.launch.py"))),
         (f"{SHARE}/config", sorted(glob("config/*.yaml"))),
         (f"{SHARE}/urdf", sorted(glob("urdf/*.urdf"))),
-        # pip puts console scripts into bin/, where `ros2 run` and launch do not look.
+        # pip installs console scripts to bin/, where `ros2 run` and launch do not search.
         (f"lib/{PACKAGE}", sorted(glob("scripts/*"))),
     ],
     zip_safe=False,
@@ -36,7 +36,7 @@ setup(
         "plot": ["matplotlib"],
         "ros": ["servo_msgs_py[ros]"],
         "test": ["pytest", "hypothesis"],
-        # For recordings of servo-tool; there is no rerun for Python 3.10.
+        # For recordings of servo-tool; rerun does not support Python 3.10.
         "viewer": ["matplotlib", 'rerun-sdk==0.41.*; python_version >= "3.11"'],
     },
     entry_points={

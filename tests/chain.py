@@ -31,7 +31,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import AppliedCommand, applied_from_message, snapshot_table
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.runtime.qos import command_qos, latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.level import LEVEL_VARIABLE, Level, chosen_level
@@ -59,7 +59,7 @@ class Process:
         self.log = log
         with log.open("wb") as output:
             self._popen = subprocess.Popen(
-                bound_to_us(command),
+                with_parent_death_signal(command),
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from servo_bridge.arbiter import Arbiter, AxisStatus
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.set_point_queue import CommandWrite
-from servo_bridge.setpoints import JointSetPoint
+from servo_bridge.set_points import JointSetPoint
 from servo_bridge.trajectory.check import require
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.follower import AxisReport, Follower, Plan
@@ -196,9 +196,9 @@ class PathWorld:
             reference = int(row[f"{name}.position_ref"])
             position = int(row[f"{name}.position"])
             axes.append(AxisStatus(label, label == "RUN/SPIN", label == "FAULT", position, reference))
-            reports.append(AxisReport(reference * COUNT, self.arbiter.queue.obeys_points(axis)))
+            reports.append(AxisReport(reference * COUNT, self.arbiter.queue.follows_points(axis)))
         tick = int(row["tick"])
-        self.arbiter.board_seen(axes)
+        self.arbiter.update_axes(axes)
         self.follower.on_sample(tick, reports)
         self.streamer.advance(self.now)
         applied = self.dispatcher.on_sample(tick, int(row["applied_tick"]), int(row["applied_count"]))

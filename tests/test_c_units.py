@@ -1,4 +1,4 @@
-"""Every numeric member of a structure in a public C header says what it counts, in which unit or format."""
+"""Comments of C headers: a unit or format for every numeric member, and no sentence that needs the line before it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,18 @@ HEADERS = [
     if not {"test", "port"} & set(path.relative_to(FIRMWARE).parts) and not path.name.endswith("_gen.h")
 ]
 PLANT_HEADERS = [NATIVE / "board.h", *sorted((NATIVE / "plant").glob("*.h"))]
+ALL_HEADERS = [
+    path
+    for path in (*sorted(FIRMWARE.rglob("*.h")), *sorted(NATIVE.rglob("*.h")))
+    if "build" not in path.parts and not path.name.endswith("_gen.h")
+]
 
 STRUCTURE = re.compile(r"\bstruct\s*\w*\s*\{\n(.*?)\n\}", re.DOTALL)
 MEMBER = re.compile(r"\s*(?:volatile )?(frac16_t|frac32_t|gain_t|path_position_t|pi_sum_t|u?int\d+_t) (\w[^;(]*);(.*)")
 FRACTIONS = {"frac16_t", "frac32_t"}
 REAL_MEMBER = re.compile(r"\s*(double) (\w[^;(]*);(.*)")
+# Behind a member, a constant or a name of an enumeration: a comment that needs the line before it to be understood.
+CONTINUATION = re.compile(r"[;,\w)}]\s*/\*\s*(\.\.|the same\b|of\b|that\b|and\b)|\.\.\s*\*/", re.IGNORECASE)
 # A unit in brackets; [1]: none.
 UNIT = re.compile(r"\[[^\]]+\]")
 # Quantities whose full scale firmware/doc/references.md gives, and the formats themselves.
@@ -43,8 +50,7 @@ def members(text: str, member: re.Pattern[str] = MEMBER) -> Iterator[tuple[int, 
 def test_numeric_members_have_a_comment_and_fractions_name_their_quantity(path: Path) -> None:
     unclear = []
     for line, kind, name, comment in members(path.read_text(encoding="utf-8")):
-        continued = "the same" in comment or ".." in comment
-        quantity = kind not in FRACTIONS or continued or QUANTITY.search(f"{name} {comment}")
+        quantity = kind not in FRACTIONS or QUANTITY.search(f"{name} {comment}")
         if not comment or not quantity:
             unclear.append(f"{line}: {kind} {name}; {comment}")
     assert unclear == []
@@ -55,6 +61,17 @@ def test_members_of_the_plant_have_a_unit_in_brackets(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     found = members(text, REAL_MEMBER)
     assert [f"{line}: {name}" for line, _, name, comment in found if not UNIT.search(comment)] == []
+
+
+@pytest.mark.parametrize("path", ALL_HEADERS, ids=lambda path: str(path.relative_to(FIRMWARE.parent)))
+def test_a_comment_is_understood_without_the_line_before_it(path: Path) -> None:
+    lines = path.read_text(encoding="utf-8").split("\n")
+    assert [f"{number}: {line}" for number, line in enumerate(lines, 1) if CONTINUATION.search(line)] == []
+
+
+@pytest.mark.parametrize("line", ["int a; /* the same */", "X, /* of y */", "int a; /* .. b */", "int a; /* b .. */"])
+def test_a_comment_that_continues_another_one_is_found(line: str) -> None:
+    assert CONTINUATION.search(line)
 
 
 def test_a_member_without_comment_is_found() -> None:

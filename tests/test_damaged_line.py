@@ -17,5 +17,5 @@ def test_damage_changes_nothing_that_was_not_meant(tmp_path: Path) -> None:
 
 def test_the_measurement_sees_what_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A client that takes damaged answers, too."""
-    monkeypatch.setattr("servo_bridge.freemaster.codec.Framing.intact", lambda self, body: True)
+    monkeypatch.setattr("servo_bridge.freemaster.frames.Framing.intact", lambda self, body: True)
     assert damage.run(damage.new_server(tmp_path), frames=2_000).wrong_reads > 0

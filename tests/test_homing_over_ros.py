@@ -98,4 +98,4 @@ def test_position_is_set_restored_and_confined(chain: Chain, user: User) -> None
     user.until(future.done, 5.0)
     assert not future.result().success
     assert "another command" in future.result().message
-    assert "no joint axis3" in command(chain, user, "zero", "axis3", fails=True)
+    assert "joint axis3 does not exist" in command(chain, user, "zero", "axis3", fails=True)

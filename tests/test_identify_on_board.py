@@ -19,7 +19,7 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.measurement.log import MeasurementLog
 from servo_twin.board import Board
 from servo_twin.cli import main
-from servo_twin.identification.trials import AIMS
+from servo_twin.identification.trials import TARGETS
 from servo_twin.plant import PlantConfig
 
 from servo_bridge import tool_identify
@@ -82,7 +82,7 @@ def test_from_the_line_to_the_files(
     recording = str(tmp_path / "measurement.npz")
     assert main(["identify", "--recording", recording, "--model", "ideal", "--out", str(tmp_path)]) == 0
     found, true = PlantConfig.load(tmp_path / "plant.toml").axes[0], PlantConfig.load().axes[0]
-    for name, aim in AIMS.items():
+    for name, aim in TARGETS.items():
         assert getattr(found, name) == pytest.approx(getattr(true, name), rel=aim), name
     assert json.loads((tmp_path / "estimates.json").read_text())["board_seconds"] < 68.0
 
@@ -118,7 +118,7 @@ def test_ctrl_c_keeps_the_recordings_and_leaves_the_board_as_it_was(
     assert log.labelled("sweep_q")
     assert "Ctrl-C" in log.notes["problem"]
     said = capsys.readouterr().err
-    assert ("is being brought to rest" in said) == (len(presses) > 1)
+    assert ("the axis is being stopped" in said) == (len(presses) > 1)
 
 
 def test_a_line_that_was_lost_is_named_and_the_board_restored(

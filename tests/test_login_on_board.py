@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from servo_bridge.freemaster.codec import crc8, encode_uleb
+from servo_bridge.freemaster.frames import crc8, encode_uleb
 from servo_twin.board import Board
 from servo_twin.firmware_build import SERVO_TOML, as_toml, build_firmware
 

@@ -70,7 +70,7 @@ def test_a_recording_begins_at_its_trigger(access: SessionAccess) -> None:
     recording = access.record(names, 400, 1, slow=False, start=start, trigger="axis1.event_state")
     assert recording.columns["axis1.event_state"][0] == 64.0
     assert np.diff(recording.columns["tick"]).tolist() == [1.0] * 399
-    with pytest.raises(MeasurementError, match="not triggered"):
+    with pytest.raises(MeasurementError, match="has not started"):
         access.record(names, 400, 1, slow=False, trigger="axis2.event_mode")
     assert access.record(["tick"], 10, 1, slow=True).columns["tick"].size == 10
     with pytest.raises(MeasurementError, match="axis3"):

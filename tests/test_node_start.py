@@ -117,7 +117,9 @@ def test_a_second_node_of_the_same_name_is_refused_until_the_first_is_gone(conte
     other = rclpy.Context()
     rclpy.init(context=other)
     try:
-        with pytest.raises(NameTakenError, match=r"a node /twin/servo_twin runs already in ROS domain \d+ .*__ns:="):
+        with pytest.raises(
+            NameTakenError, match=r"a node /twin/servo_twin is already running in ROS domain \d+ .*__ns:="
+        ):
             ServoTwin(context=other)
         ServoTwin(context=other, cli_args=["--ros-args", "-r", "__ns:=/b/twin"]).shutdown()
         first.shutdown()
@@ -136,7 +138,7 @@ def test_the_second_program_of_one_name_ends_with_a_sentence(context: rclpy.Cont
     command = [sys.executable, "-c", f"import sys; from {module}.node import main; sys.exit(main())"]
     second = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert second.returncode == 1, second.stderr
-    assert second.stderr.startswith(f"{module}: a node /{taken} runs already"), second.stderr
+    assert second.stderr.startswith(f"{module}: a node /{taken} is already running"), second.stderr
     assert len(second.stderr.splitlines()) == 1
     holder.destroy_node()
 

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from servo_bridge.freemaster.codec import Answer, AnswerParser, decode_uleb, encode_request, encode_uleb
+from servo_bridge.freemaster.frames import Answer, AnswerParser, decode_uleb, encode_request, encode_uleb
 from servo_msgs_py.catalogue import AXES, Variable
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 from servo_twin.board import Board

@@ -12,7 +12,7 @@ from servo_bridge.freemaster.line import Line
 from servo_bridge.freemaster.tsa import TargetVariable
 from servo_bridge.wire.session import Session, connect
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.variable_table import table_rows, texts_of
+from servo_msgs_py.variable_table import table_rows, texts_by_address
 
 CATALOGUE: Final = Catalogue.load()
 ROWS: Final = list(table_rows(CATALOGUE))
@@ -87,7 +87,7 @@ def test_texts_are_known_by_the_places_of_all_rows() -> None:
         for text in (row.name, row.type):
             address.setdefault(text, 0x1000 + sum(len(known) + 1 for known in address))
         places.append((address[row.name], address[row.type]))
-    assert texts_of(CATALOGUE, places) == {at: text for text, at in address.items()}
-    assert texts_of(CATALOGUE, places[:-1]) == {}
-    assert texts_of(CATALOGUE, [*places[:-1], (places[-1][0] + 1, places[-1][1])]) == {}
-    assert texts_of(CATALOGUE, []) == {}
+    assert texts_by_address(CATALOGUE, places) == {at: text for text, at in address.items()}
+    assert texts_by_address(CATALOGUE, places[:-1]) == {}
+    assert texts_by_address(CATALOGUE, [*places[:-1], (places[-1][0] + 1, places[-1][1])]) == {}
+    assert texts_by_address(CATALOGUE, []) == {}

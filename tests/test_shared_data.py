@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from servo_bridge.freemaster.codec import AnswerParser, encode_request
 from servo_bridge.freemaster.commands import Request, ScopeSlot, read_memory, read_scope, set_scope, write_memory
+from servo_bridge.freemaster.frames import AnswerParser, encode_request
 from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 from servo_twin.board import Board

@@ -18,7 +18,7 @@ from servo_bridge.freemaster.commands import write_memory
 from servo_bridge.freemaster.line import Line
 from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.wire.session import connect
-from servo_msgs_py.board_storage import StorageRefusedError, begin_request, carry_out
+from servo_msgs_py.board_storage import StorageRefusedError, begin_request, execute_request
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.qos import latched_qos
 from servo_twin.board import Board
@@ -49,11 +49,11 @@ def test_values_are_stored_named_and_erased(desk: Desk, capsys: pytest.CaptureFi
     assert "built-in values since the reset; nothing stored" in capsys.readouterr().out
     for number in (1, 2):
         assert desk.tool("save", "--to-board") == 0
-        assert f"stored as set {number}: a reset brings" in capsys.readouterr().out
+        assert f"stored as set {number}; restored at each reset" in capsys.readouterr().out
     assert desk.tool("info") == 0
     assert "newest set 2" in capsys.readouterr().out
     assert desk.tool("factory") == 0
-    assert "the built-in values come into force at the next reset" in capsys.readouterr().out
+    assert "the built-in values are used from the next reset on" in capsys.readouterr().out
     assert desk.raw("storage.sequence") == [0]
 
 
@@ -62,7 +62,7 @@ def test_in_motion_nothing_is_stored(desk: Desk, capsys: pytest.CaptureFixture[s
     desk.board.run(0.01)
     for command in (("save", "--to-board"), ("factory",)):
         assert desk.tool(*command) == 1
-        assert "only at rest with the outputs off: disable both axes" in capsys.readouterr().err
+        assert "an axis is moving or enabled. Disable both axes" in capsys.readouterr().err
     assert desk.raw("storage.saves") == [0]
     assert desk.tool("log") == 0
     assert "refused storage.request" in capsys.readouterr().out
@@ -78,7 +78,7 @@ def test_a_damaged_copy_is_named(desk: Desk, capsys: pytest.CaptureFixture[str])
         other = Desk(board)
         capsys.readouterr()
         assert other.tool("info") == 0
-        assert "copy B is damaged (a save that was cut off, or worn flash): copy A is used" in capsys.readouterr().out
+        assert "copy B is damaged (interrupted save, or worn flash): copy A is in use" in capsys.readouterr().out
         assert other.tool("log") == 0
         assert "0 stored copy B: DAMAGED" in capsys.readouterr().out
 
@@ -116,15 +116,15 @@ def test_a_request_whose_answer_is_lost_is_carried_out_once() -> None:
         memory.write_words = write_words  # type: ignore[method-assign,assignment]
         requests = board.read("storage.saves")
         for number in (1, 2):
-            assert carry_out(memory, "SAVE", memory.wait).sequence == number
+            assert execute_request(memory, "SAVE", memory.wait).sequence == number
         assert line.lose == 0
         assert written == ["storage.request"] * 2
         assert board.read("storage.saves") == 2
         assert requests == 0
         board.write("cmd.enable", [1, 0])
         board.run(0.01)
-        with pytest.raises(StorageRefusedError, match="at rest"):
-            carry_out(memory, "SAVE", memory.wait)
+        with pytest.raises(StorageRefusedError, match="moving or enabled"):
+            execute_request(memory, "SAVE", memory.wait)
 
 
 @pytest.mark.parametrize("level", ["ideal", "registers"])
@@ -148,7 +148,7 @@ def test_the_command_line_has_to_make_sense(desk: Desk, tmp_path: Path) -> None:
     from servo_bridge.tool_values import UsageError
 
     for arguments in (("save",), ("save", "--to-board", str(tmp_path / "a.toml"))):
-        with pytest.raises(UsageError, match="give a FILE"):
+        with pytest.raises(UsageError, match="write a FILE"):
             desk.tool(*arguments)
 
 
@@ -170,7 +170,7 @@ def test_a_board_that_is_killed_comes_up_with_what_it_has_stored(tmp_path: Path)
             "param.i_q_limit": pytest.approx([1.25, 0.75], abs=1e-3),
             "storage.source": 1,
         }
-        assert "both copies are erased" in chain.tool("factory")
+        assert "both copies erased" in chain.tool("factory")
         assert board.stop(signal.SIGINT) == 0
         chain.board(flash=flash)
         assert chain.look("param.i_q_limit")["param.i_q_limit"] == pytest.approx([4.0, 4.0], abs=0.01)
@@ -275,6 +275,6 @@ def test_services_diagnostics_and_the_twin_of_a_board_with_stored_values(tmp_pat
 
 
 _AT_REST: Final = (
-    "only at rest with the outputs off: disable both axes and wait until they stand, then ask again; what was stored "
-    "before is still there"
+    "an axis is moving or enabled. Disable both axes, wait for standstill and try again. The stored values "
+    "are unchanged"
 )

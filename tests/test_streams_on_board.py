@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from path_world import COUNT, JOINTS, PathWorld
-from servo_bridge.setpoints import JointSetPoint, Mode, SetPointRequest
+from servo_bridge.set_points import JointSetPoint, Mode, SetPointRequest
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.shapes import lissajous
 from servo_bridge.trajectory.streamer import Streamer

@@ -26,7 +26,7 @@ NOT_ON_A_TARGET = {
     # The replay is one thread: no interrupt comes while the server copies.
     "latch_commands",
     "publish_snapshot",
-    "journal_watch",
+    "event_log_watch",
     # For hosts that have no serial line.
     "servo_read",
     "servo_write",

@@ -119,7 +119,7 @@ def test_casts_are_found_in_code_only(tmp_path: Path) -> None:
         ),
         (
             "drive/monitors.h",
-            " || hal_break_active(axis->hal, axis->index)",
+            "hal_over_current_active(axis->hal, axis->index) || ",
             "",
             r"period \d+ \(\d+\.\d\d ms\), m[12]: left 1 inputs than were recorded",
         ),

@@ -137,7 +137,7 @@ def test_motor_data_is_refused_in_motion_with_the_member(tmp_path: Path, capsys:
         desk = Desk(board)
         own = desk.raw("config.checksum")
         assert desk.tool("tune", edited(tmp_path, "other.toml", axis1__motor={"psi_m": 0.012})) == 1
-        assert "may only change while the axis is at rest" in capsys.readouterr().err
+        assert "can only be changed at standstill" in capsys.readouterr().err
         assert desk.raw("config.checksum") == own
 
 

@@ -83,7 +83,7 @@ def test_gains_are_given_to_a_board_in_motion_and_read_back(tuner: Tuner, tmp_pa
     assert "taken" not in message
     success, message = tuner.call(motor, send=True)
     assert not success
-    assert message.splitlines()[-1].startswith("rotor_search.follow.flux_min may only change while the axis is at rest")
+    assert message.splitlines()[-1].startswith("rotor_search.follow.flux_min can only be changed at standstill")
     assert tuner.files == [own]
     assert not any(command.variable == "config.take" for command in me.applied())
 
@@ -96,7 +96,7 @@ def test_gains_are_given_to_a_board_in_motion_and_read_back(tuner: Tuner, tmp_pa
     (take,) = [command for command in me.applied() if command.variable == "config.take"]
     assert message.endswith(f"tick {take.tick}")
     assert take.raw == (*new[0], *new[1])
-    assert tuner.call(gains, send=True) == (True, f"the board has the configuration of {gains}; nothing changes")
+    assert tuner.call(gains, send=True) == (True, f"the board already has the configuration of {gains}; no change")
     start = len(me.messages["/diagnostics"])
     me.until(lambda: len(me.messages["/diagnostics"]) > start + 6)
     comparison = me.status("twin/servo_twin: comparison")

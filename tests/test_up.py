@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from chain import DOMAIN, user
 from sensor_msgs.msg import JointState
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_twin.processes import Child, executable
 from servo_twin.up import Stack, main, parser
 
@@ -68,7 +68,9 @@ class Up:
         program = [sys.executable, "-c", f"{before}\n{MAIN}"] if before else [str(executable("servo-up"))]
         with self.log.open("wb") as output:
             self.process = subprocess.Popen(
-                bound_to_us([*program, *IDEAL, "--no-web", "--domain-id", str(DOMAIN), "--out", str(out), *arguments]),
+                with_parent_death_signal(
+                    [*program, *IDEAL, "--no-web", "--domain-id", str(DOMAIN), "--out", str(out), *arguments]
+                ),
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
@@ -112,7 +114,7 @@ def test_without_a_board_everything_stays_up_until_a_child_dies_which_is_named(
     started.append(up)
     up.wait_for("Ctrl-C ramps down")
     assert "no board on /dev/ttyNoSuchPort yet" in up.text()
-    assert "there is no port /dev/ttyNoSuchPort" in up.text()
+    assert "the port /dev/ttyNoSuchPort does not exist" in up.text()
     os.kill(up.child("bin/servo_twin\0"), signal.SIGKILL)
     assert up.process.wait(30.0) == 1
     assert "servo_twin has ended with status -9" in up.text()
@@ -130,7 +132,7 @@ def test_the_demonstration_moves_records_and_draws(tmp_path: Path) -> None:
         check=False,
     )
     assert result.returncode == 0, result.stdout + result.stderr
-    assert "both axes got there" in result.stdout
+    assert "both axes reached their targets" in result.stdout
     figures = json.loads((tmp_path / "demo.json").read_text())
     assert figures["trouble"] is None
     assert (tmp_path / "demo.png").read_bytes().startswith(b"\x89PNG")
@@ -149,8 +151,8 @@ def test_the_demonstration_never_moves_a_real_board(capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["--port", ""], "it is empty"),
-        (["--domain-id", "999"], "'999' is no ROS domain; they are 0 .. 232"),
+        (["--port", ""], "empty; give a device path"),
+        (["--domain-id", "999"], "'999' is not a ROS domain (0 .. 232)"),
         (["--set", "param.features[0]=FOO"], "'FOO' is not a number or one of the names none, ANTI_WINDUP"),
         (["--set", "param.i_q_limit=9,9"], "outside 0.1 .. 4 A"),
     ],
@@ -218,7 +220,7 @@ def test_ctrl_c_while_the_picture_is_drawn_leaves_the_recording(
         assert [child.running for child in children] == [False]
         signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(up_module, "_bring_up", bring_up)
+    monkeypatch.setattr(up_module, "_start_all", bring_up)
     monkeypatch.setattr(up_module, "_run_demo", lambda *_: 0)
     monkeypatch.setattr(up_module, "_finish_demo", finish)
     assert main(["--demo", "--out", str(tmp_path)]) == 130
@@ -230,9 +232,9 @@ def test_ctrl_c_while_the_picture_is_drawn_leaves_the_recording(
 def test_a_signal_is_an_orderly_end_unless_it_interrupts_the_demonstration(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
-    monkeypatch.setattr(up_module, "_refuse_a_second", lambda *_: None)
-    monkeypatch.setattr(up_module, "_bring_up", lambda *_: None)
-    monkeypatch.setattr(up_module, "_stay", lambda *_: signal.raise_signal(number))
+    monkeypatch.setattr(up_module, "_refuse_second_bridge", lambda *_: None)
+    monkeypatch.setattr(up_module, "_start_all", lambda *_: None)
+    monkeypatch.setattr(up_module, "_wait_for_stop", lambda *_: signal.raise_signal(number))
     monkeypatch.setattr(up_module, "_run_demo", lambda *_: signal.raise_signal(number))
     assert main(["--out", str(tmp_path)]) == 0
     assert main(["--demo", "--out", str(tmp_path)]) == 130

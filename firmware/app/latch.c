@@ -1,10 +1,10 @@
 #include "app/latch.h"
 
 #include "app/points.h"
-#include "drive/excitation.h"
 #include "drive/holding_brake.h"
 #include "drive/homing.h"
 #include "drive/limits.h"
+#include "drive/test_signal.h"
 
 #include <stddef.h>
 
@@ -83,7 +83,7 @@ static void apply_command(uint16_t fresh, command_block_t *block, axis_t *axis)
             .growth = block->test_growth[i],
             .calls = block->test_calls[i],
         };
-        excitation_start(axis, block->test_point[i], &sine);
+        test_signal_start(axis, block->test_point[i], &sine);
         block->test_point[i] = TEST_POINT_NONE;
     }
 
@@ -98,8 +98,8 @@ static void apply_command(uint16_t fresh, command_block_t *block, axis_t *axis)
 static uint16_t deferred(const axis_t *axis, const command_block_t *block, uint16_t fresh)
 {
     const uint16_t i = axis->index;
-    const bool opening = axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN && !holding_brake_open(axis);
-    const bool wanted = ((fresh & FRESH_ENABLE) != 0U) ? block->enable[i] == 1U : axis->requested;
+    const bool opening = axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN && !holding_brake_is_open(axis);
+    const bool wanted = ((fresh & FRESH_ENABLE) != 0U) ? block->enable[i] == 1U : axis->enable_requested;
     const bool stopped = (fresh & FRESH_QUICK_STOP) != 0U && block->quick_stop[i] != 0U;
     return (opening && wanted && !stopped) ? (uint16_t)(fresh & FRESH_MOTION) : 0U;
 }
@@ -118,10 +118,10 @@ static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)
     };
     homing_confine(axis, &axis->written_limits);
     axis->limits_fresh = true;
-    axis->following_error = parameter->following_error[i];
-    axis->over_speed = parameter->over_speed[i];
+    axis->following_error_max = parameter->following_error[i];
+    axis->over_speed_max = parameter->over_speed[i];
     axis->command_timeout = parameter->command_timeout;
-    axis->feedback_wanted = parameter->feedback[i];
+    axis->feedback_requested = parameter->feedback[i];
     axis->on_disable = (stop_category_t)parameter->on_disable[i];
     axis->on_quick_stop = (stop_category_t)parameter->on_quick_stop[i];
     axis->latch.enabled = parameter->faults_enabled[i] | FAULTS_ALWAYS;
@@ -155,10 +155,10 @@ bool latch_apply(latch_marks_t *marks, command_block_t *block, const parameter_b
         if (written.parameters) {
             apply_parameter(parameter, &axes[i]);
         }
-        if (axes[i].home.renew) {
+        if (axes[i].home.limits_stale) {
             apply_parameter(parameter, &axes[i]);
             limits_renew(&axes[i]); /* no command needed: no motion beyond the old limits is in progress */
-            axes[i].home.renew = false;
+            axes[i].home.limits_stale = false;
         }
     }
     return written.commands;

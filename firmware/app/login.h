@@ -1,4 +1,4 @@
-/* login.h - passwords of the configuration, and what makes their salts hard to foresee. */
+/* login.h - password hashes of the configuration, and entropy source of the salts. */
 #ifndef SERVO_APP_LOGIN_H
 #define SERVO_APP_LOGIN_H
 
@@ -7,9 +7,10 @@
 #include "comm/access.h"
 #include "drive/axis.h"
 
+/* Password hashes of the configuration. */
 void login_passwords(access_passwords_t *passwords);
 
-/* From the time of a request and the noise of what is measured. */
+/* Nonce from the time of the request and the noise of ADC samples. */
 uint32_t login_nonce(uint32_t tick, const axis_t *axes);
 
 #endif

@@ -1,22 +1,22 @@
-/* points.h - timed points of a trajectory as the host writes them: refused with a reason, or queued as a whole. */
+/* points.h - timed points written by the host: one write is queued completely or refused with a reason. */
 #ifndef SERVO_APP_POINTS_H
 #define SERVO_APP_POINTS_H
 
 #include "app/blocks.h"
 #include "drive/axis.h"
 
-/* What the points are checked against. To be called while the server is locked: nothing else is put into a queue meanwhile. */
+/* Input of the check. The server must be locked, so that the queues do not change. */
 typedef struct {
     const axis_t *axes;
     const snapshot_t *snapshot;
-    bool full; /* points that were written before have not been queued yet */
+    bool full; /* the points of the previous write are not queued yet */
 } points_board_t;
 
-/* May the points, POINT_WORDS words of four bytes each, be queued? POINT_REFUSAL_NONE if so. Every segment has to keep the
- * axis's limits between its ends, too; the first one begins where the axis is meant to be now. */
+/* Check points of POINT_WORDS words of four bytes; POINT_REFUSAL_NONE: accepted. Each segment must be within the
+ * limits of the axis between its ends, too; the first segment begins at the present set-point. */
 point_refusal_t points_check(const points_board_t *board, const uint8_t *data, uint16_t size);
 
-/* Queue the first `count` points of the block; a bit per axis that has got one. */
+/* Queue the first `count` points of the block. Returns the axes with new points, one bit each. */
 uint16_t points_queue(axis_t *axes, const command_block_t *block, uint16_t count);
 
 #endif

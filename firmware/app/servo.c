@@ -1,7 +1,7 @@
 #include "app/servo.h"
 
-#include "drive/estimate.h"
 #include "drive/motion.h"
+#include "drive/sensorless_estimate.h"
 
 #define MOTOR_1 0
 #define MOTOR_2 1
@@ -38,12 +38,12 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->config = (config_request_t){0};
     servo->brake_config = servo_config.brake;
     const bool by_watchdog = hal_reset_by_watchdog(hal);
-    journal_init(&servo->journal, by_watchdog);
-    configure_init(&servo->configure, &servo->config_status);
+    event_log_init(&servo->event_log, by_watchdog);
+    config_blocks_init(&servo->config_blocks, &servo->config_status);
     servo_restore(servo);
-    configure_begin(&servo->configure, &servo->config_status);
+    config_blocks_begin(&servo->config_blocks, &servo->config_status);
     for (uint16_t i = 0; i < HAL_AXES; i++) {
-        const axis_config_t *config = configure_block(&servo->configure, i);
+        const axis_config_t *config = config_blocks_block(&servo->config_blocks, i);
         axis_init(&servo->axis[i], config, hal, i, &servo->record[i], &servo->tick);
         servo->nominal.torque_constant[i] = config->torque_constant;
         servo->nominal.acceleration_current[i] = config->acceleration_forward;
@@ -52,7 +52,7 @@ void servo_init(servo_t *servo, hal_t *hal)
         servo->monitor[i] = 0;
     }
     latch_board(&servo->parameter, &servo->settings);
-    brake_init(&servo->brake);
+    bus_braking_init(&servo->bus_braking);
     servo->tick = 0;
     servo->m2_awaited = false;
     servo->lateness = 0;
@@ -88,7 +88,7 @@ static void note_applied(servo_t *servo)
 static void take_blocks(servo_t *servo)
 {
     config_status_t *status = &servo->config_status;
-    if (configure_latch(&servo->configure, status, &servo->parameter, &servo->nominal, servo->axis)) {
+    if (config_blocks_latch(&servo->config_blocks, status, &servo->parameter, &servo->nominal, servo->axis)) {
         note_applied(servo);
         status->taken_tick = servo->applied_tick;
         status->taken_count++;
@@ -101,7 +101,7 @@ static void latch_commands(servo_t *servo)
     if (servo->locked) {
         return;
     }
-    if (servo->configure.pending != 0U) { /* commands are latched one tick later: one slot is too short for both */
+    if (servo->config_blocks.pending != 0U) { /* commands are latched one tick later: one slot is too short for both */
         take_blocks(servo);
         return;
     }
@@ -136,17 +136,17 @@ static void supervise_host(servo_t *servo)
 /* The DC bus that both axes share: braking resistor, and limits of the regenerated power. */
 static void supervise_bus(servo_t *servo)
 {
-    brake_t *brake = &servo->brake;
+    bus_braking_t *brake = &servo->bus_braking;
     const bool was_on = brake->on;
-    brake_step(brake, &servo->brake_config, servo->settings.brake_fitted, servo->axis[MOTOR_1].u_dc);
+    bus_braking_step(brake, &servo->brake_config, servo->settings.brake_fitted, servo->axis[MOTOR_1].u_dc);
     if (brake->on != was_on) {
         hal_brake(servo->hal, brake->on);
     }
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         axis_t *axis = &servo->axis[i];
-        axis->diagnosis.bus.u_dc_max = brake->able ? servo->brake_config.u_dc_max_able : axis->config->u_dc_max;
+        axis->diagnosis.bus.u_dc_max = brake->available ? servo->brake_config.u_dc_max_braking : axis->config->u_dc_max;
         axis->regen_derating = brake->regen_derating;
-        axis->bus_limits = (uint16_t)(axis->home.refused | ((brake->on || brake->spent) ? LIMIT_BRAKE : 0U) |
+        axis->bus_limits = (uint16_t)(axis->home.refused_limit | ((brake->on || brake->exhausted) ? LIMIT_BRAKE : 0U) |
                                       (field_weakening_active(&axis->weakening) ? LIMIT_FIELD_WEAKENING : 0U));
     }
 }
@@ -178,7 +178,7 @@ static void publish_axis(const axis_t *axis, axis_snapshot_t *view)
 
 static void publish_estimate(const axis_t *axis, axis_estimate_t *view)
 {
-    const estimate_t *estimate = &axis->estimate;
+    const sensorless_estimate_t *estimate = &axis->estimate;
     if (!estimate->runs) {
         *view = (axis_estimate_t){0};
         return;
@@ -279,7 +279,7 @@ static void run_axis_slot(axis_t *axis, uint32_t tick)
         axis_monitor_encoder(axis);
         break;
     case SLOT_EXCITE:
-        axis_excite(axis);
+        axis_test_signal(axis);
         break;
     default: /* SLOT_LATCH is the last one: every slot has a case */
         axis_plan(axis, tick + 1U);
@@ -346,4 +346,4 @@ void servo_m2_isr(servo_t *servo)
 
 void servo_edge_isr(servo_t *servo, uint16_t axis) { axis_edge(&servo->axis[axis]); }
 
-void servo_break_isr(servo_t *servo, uint16_t axis) { axis_break(&servo->axis[axis]); }
+void servo_over_current_isr(servo_t *servo, uint16_t axis) { axis_over_current_trip(&servo->axis[axis]); }

@@ -1,15 +1,15 @@
-/* servo.h - the application: two axes, the timing diagram, the host's view.
+/* servo.h - application: two axes, schedule, communication with the host.
  *
- * All state of one board hangs off one servo_t that the caller owns. A port calls the entry points at the instants that
- * hal/hal.h names.
+ * The complete state of one board is in one servo_t, owned by the caller. A port calls the entry points at the instants
+ * listed in hal/hal.h.
  */
 #ifndef SERVO_APP_SERVO_H
 #define SERVO_APP_SERVO_H
 
 #include "app/analog_out.h"
 #include "app/blocks.h"
-#include "app/configure.h"
-#include "app/journal.h"
+#include "app/config_blocks.h"
+#include "app/event_log.h"
 #include "app/latch.h"
 #include "app/storage.h"
 #include "comm/freemaster.h"
@@ -19,11 +19,11 @@
 /* PWM periods per slow loop: 0.5 ms (DRM 2.3.2). */
 #define SERVO_SLOW_PERIODS AXIS_SLOW_PERIODS
 
-/* Recorders: one sample per PWM period, and one per slow tick. */
+/* Recorder numbers: one sample per PWM period, one sample per slow tick. */
 #define SERVO_RECORDER_FAST 0
 #define SERVO_RECORDER_SLOW 1
 
-/* Bytes of the samples of one of them, a multiple of four. */
+/* Sample memory of both recorders, bytes, a multiple of four. */
 #ifndef SERVO_SAMPLES
 #define SERVO_SAMPLES 7680
 #endif
@@ -43,50 +43,52 @@ typedef struct servo {
 
     hal_t *hal;
     axis_t axis[HAL_AXES];
-    configure_t configure;
+    config_blocks_t config_blocks;
     storage_t storage;
     board_settings_t settings;
-    brake_t brake;
-    brake_config_t brake_config; /* a copy: no interrupt reads what may lie in the data flash */
+    bus_braking_t bus_braking;
+    bus_braking_config_t
+        brake_config; /* copy in RAM, because constants may be in the data flash, which interrupts must not read */
     uint32_t tick; /* PWM periods since reset */
-    bool m2_awaited;     /* M1 has run, M2 has not */
-    uint16_t lateness;   /* of the loops, forgotten with time */
-    uint16_t late_loops;     /* late or left out since reset, modulo 65536 */
-    uint16_t hal_late_loops; /* of the last slow tick */
-    int16_t monitor[HAL_ANALOG_OUTS]; /* what the monitor outputs show */
-    bool monitoring;     /* a monitor output shows something */
+    bool m2_awaited; /* M1 has run, M2 has not */
+    uint16_t lateness; /* count of late loops, with decay */
+    uint16_t late_loops; /* late or omitted loops since reset, modulo 65536 */
+    uint16_t hal_late_loops; /* hal_late_loops of the last slow tick */
+    int16_t monitor[HAL_ANALOG_OUTS]; /* monitor outputs, Q1.15 of the full scale of the selected variable */
+    bool monitoring; /* a variable is selected for a monitor output */
     uint32_t applied_tick; /* tick at which the last write took effect */
     uint16_t applied_count; /* writes that have taken effect, modulo 65536 */
-    volatile bool locked; /* the server is copying: neither latch commands nor publish a snapshot */
+    volatile bool locked; /* the server is copying: do not latch commands, do not publish a snapshot */
     latch_marks_t marks;
-    uint16_t points_refused; /* writes of timed points since reset */
-    uint16_t point_refusal;  /* point_refusal_t of the last one */
-    volatile uint16_t host_commands; /* and keep-alives that came over the line; only the background writes it */
-    uint16_t host_commands_seen;     /* by the last supervision */
-    uint16_t host_silence;           /* slow ticks since then */
-    bool host_seen;                  /* the line has carried a command at all */
-    journal_t journal;
+    uint16_t points_refused; /* refused writes of timed points since reset, modulo 65536 */
+    uint16_t point_refusal; /* point_refusal_t of the last refused write */
+    volatile uint16_t host_commands; /* commands and keep-alives received; written by the background loop only */
+    uint16_t host_commands_seen; /* `host_commands` at the last supervision */
+    uint16_t host_silence; /* slow ticks without a command or keep-alive */
+    bool host_seen; /* a command was received since reset */
+    event_log_t event_log;
     freemaster_t freemaster;
-    uint32_t samples[SERVO_SAMPLES / 4]; /* of both recorders, in words of 4 bytes */
+    uint32_t samples[SERVO_SAMPLES / 4]; /* sample memory of both recorders */
 } servo_t;
 
+/* Initialise everything. */
 void servo_init(servo_t *servo, hal_t *hal);
 
-/* Parts of it: parameters, and what the data flash keeps; for the host, server, its callbacks, passwords. */
+/* Parts of servo_init: parameters and stored values; server, callbacks, passwords. */
 void servo_restore(servo_t *servo);
 void servo_host_init(servo_t *servo);
 
-/* Interrupts: t1 and t3 of DRM F34, a latched encoder edge, the hardware over-current break. */
+/* Interrupts: t1 and t3 of DRM F34, latched encoder edge, hardware over-current latch. */
 void servo_m1_isr(servo_t *servo);
 void servo_m2_isr(servo_t *servo);
 void servo_edge_isr(servo_t *servo, uint16_t axis);
-void servo_break_isr(servo_t *servo, uint16_t axis);
+void servo_over_current_isr(servo_t *servo, uint16_t axis);
 
-/* Below all interrupts, again and again. */
+/* Background loop, below all interrupts. */
 void servo_background(servo_t *servo);
 
-/* The host's view without a serial line: as FreeMASTER READMEM and WRITEMEM; 0 or a FreeMASTER status code. Such a write
- * is no sign of life of a host: HOST_SILENT watches the line. */
+/* Access for hosts without a serial line, as FreeMASTER READMEM and WRITEMEM; 0 or a FreeMASTER status code. Does
+ * not reset the time-out of HOST_SILENT, which supervises the serial line. */
 uint8_t servo_read(servo_t *servo, uint32_t address, uint8_t *data, uint16_t size);
 uint8_t servo_write(servo_t *servo, uint32_t address, const uint8_t *data, uint16_t size);
 

@@ -43,10 +43,10 @@ static bool accepts(void *context, uint16_t offset, const uint8_t *data, const u
     }
     const uint16_t config = (uint16_t)offsetof(servo_t, config);
     if (offset >= config && (uint32_t)offset + size <= config + sizeof servo->config) {
-        const bool accepted = configure_accept(&servo->configure, &servo->config_status, (uint16_t)(offset - config),
-                                               mask == NULL, data, size);
+        const bool accepted = config_blocks_accept(&servo->config_blocks, &servo->config_status,
+                                                   (uint16_t)(offset - config), mask == NULL, data, size);
         if (!accepted) {
-            journal_refused(&servo->journal, offset);
+            event_log_refused(&servo->event_log, offset);
         }
         return accepted;
     }
@@ -54,7 +54,7 @@ static bool accepts(void *context, uint16_t offset, const uint8_t *data, const u
     if (offset >= storage && (uint32_t)offset + size <= storage + sizeof servo->storage_request) {
         const bool accepted = servo_storage_accept(servo, offset, mask == NULL, data, size);
         if (!accepted) {
-            journal_refused(&servo->journal, offset);
+            event_log_refused(&servo->event_log, offset);
         }
         return accepted;
     }
@@ -65,7 +65,7 @@ static bool accepts(void *context, uint16_t offset, const uint8_t *data, const u
     };
     const bool accepted = ranges_accept(&memory, offset, data, mask, size);
     if (!accepted) {
-        journal_refused(&servo->journal, offset);
+        event_log_refused(&servo->event_log, offset);
     }
     return accepted;
 }
@@ -78,7 +78,7 @@ static void written(void *context, uint16_t offset, uint16_t size)
         servo->host_commands++;
         latch_mark(&servo->marks, (uint16_t)(offset - begin), size);
     } else if (offset == offsetof(servo_t, config.window)) {
-        configure_show(&servo->configure, &servo->config);
+        config_blocks_show(&servo->config_blocks, &servo->config);
     } else if (offset >= offsetof(servo_t, parameter) &&
                offset < offsetof(servo_t, parameter) + sizeof servo->parameter) {
         servo->marks.parameters = true;
@@ -186,11 +186,11 @@ void servo_host_init(servo_t *servo)
 void servo_background(servo_t *servo)
 {
     if (storage_busy(&servo->storage, servo->hal)) {
-        freemaster_listen(&servo->freemaster, servo->hal); /* journal and requests need the tables */
+        freemaster_listen(&servo->freemaster, servo->hal); /* event log and requests need the tables */
         return;
     }
-    journal_watch(&servo->journal, &servo->snapshot);
-    journal_print(&servo->journal, &servo->freemaster);
+    event_log_watch(&servo->event_log, &servo->snapshot);
+    event_log_print(&servo->event_log, &servo->freemaster);
     freemaster_poll(&servo->freemaster, servo->hal);
     servo_storage_step(servo);
 }

@@ -7,9 +7,9 @@ static storage_board_t storage_board(servo_t *servo)
     return (storage_board_t){
         .hal = servo->hal,
         .axes = servo->axis,
-        .values = {(uint8_t *)servo, (uint16_t)offsetof(servo_t, parameter), &servo->configure},
+        .values = {(uint8_t *)servo, (uint16_t)offsetof(servo_t, parameter), &servo->config_blocks},
         .config_status = &servo->config_status,
-        .journal = &servo->journal,
+        .event_log = &servo->event_log,
         .request = (uint16_t)offsetof(servo_t, storage_request),
     };
 }
@@ -29,7 +29,7 @@ static void default_parameters(servo_t *servo)
     parameter->command_timeout = servo_config.command_timeout;
     parameter->brake = servo_config.brake.fitted ? 1U : 0U;
     for (uint16_t i = 0; i < HAL_AXES; i++) {
-        const axis_config_t *config = configure_block(&servo->configure, i);
+        const axis_config_t *config = config_blocks_block(&servo->config_blocks, i);
         parameter->speed_limit[i] = config->speed_limit;
         parameter->acceleration_limit[i] = config->acceleration_limit;
         parameter->i_q_limit[i] = config->i_q_limit;

@@ -56,7 +56,7 @@ void storage_begin(storage_t *storage, storage_status_t *status, const storage_b
     look(storage, status, board);
     for (uint16_t i = 0; i < STORAGE_COPIES; i++) {
         if (status->copy[i] != STORED_COPY_EMPTY && status->copy[i] != STORED_COPY_INTACT) {
-            journal_copy(board->journal, i, status->copy[i]);
+            event_log_copy(board->event_log, i, status->copy[i]);
         }
     }
     if (storage->kept != NO_COPY && status->copy[storage->kept] == STORED_COPY_INTACT) {
@@ -70,7 +70,7 @@ void storage_begin(storage_t *storage, storage_status_t *status, const storage_b
 static bool at_rest(const axis_t *axes)
 {
     for (uint16_t i = 0; i < HAL_AXES; i++) {
-        if (!axis_takes_any_config(&axes[i]) || axes[i].requested) {
+        if (!axis_takes_any_config(&axes[i]) || axes[i].enable_requested) {
             return false;
         }
     }
@@ -190,7 +190,7 @@ static void finish(storage_t *storage, storage_status_t *status, const storage_b
     status->answered = storage->token;
     status->state = STORAGE_STATE_IDLE;
     if (refusal != STORAGE_REFUSAL_NONE) {
-        journal_refused(board->journal, board->request);
+        event_log_refused(board->event_log, board->request);
     } else if (storage->kind == STORAGE_REQUEST_SAVE) {
         status->saves++;
     }

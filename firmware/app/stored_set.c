@@ -47,7 +47,7 @@ static uint16_t member_of(uint16_t index)
 static uint32_t value_of(const stored_values_t *values, uint16_t index)
 {
     if (!is_parameter(index)) {
-        return (uint32_t)axis_member_get(configure_block(values->configure, axis_of(index)), member_of(index));
+        return (uint32_t)axis_member_get(config_blocks_block(values->config_blocks, axis_of(index)), member_of(index));
     }
     const element_t element = element_of(values, (uint16_t)(index - STORED_HEAD));
     return ranges_get(&element.range, values->memory + element.offset);
@@ -56,7 +56,7 @@ static uint32_t value_of(const stored_values_t *values, uint16_t index)
 static void set_value(const stored_values_t *values, uint16_t index, uint32_t value)
 {
     if (!is_parameter(index)) {
-        axis_member_set(configure_restore(values->configure, axis_of(index)), member_of(index), (int32_t)value);
+        axis_member_set(config_blocks_restore(values->config_blocks, axis_of(index)), member_of(index), (int32_t)value);
         return;
     }
     const element_t element = element_of(values, (uint16_t)(index - STORED_HEAD));

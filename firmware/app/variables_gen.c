@@ -179,8 +179,8 @@ CHECK(159, SIZE(axis[0].estimate.pll.angle) >= 4);
 CHECK(160, SIZE(axis[0].estimate.pll.step) >= 4);
 CHECK(161, SIZE(axis[0].estimate.observer.e.alpha) >= 4);
 CHECK(162, SIZE(axis[0].estimate.observer.e.beta) >= 4);
-CHECK(163, SIZE(axis[0].excitation.point) >= 2);
-CHECK(164, SIZE(axis[0].excitation.value) >= 2);
+CHECK(163, SIZE(axis[0].test_signal.point) >= 2);
+CHECK(164, SIZE(axis[0].test_signal.value) >= 2);
 CHECK(165, SIZE(axis[0].startup.angle) >= 4);
 CHECK(166, SIZE(axis[0].command.mode) >= 2);
 CHECK(167, SIZE(axis[0].events.command) >= 2);
@@ -225,8 +225,8 @@ CHECK(205, SIZE(axis[1].estimate.pll.angle) >= 4);
 CHECK(206, SIZE(axis[1].estimate.pll.step) >= 4);
 CHECK(207, SIZE(axis[1].estimate.observer.e.alpha) >= 4);
 CHECK(208, SIZE(axis[1].estimate.observer.e.beta) >= 4);
-CHECK(209, SIZE(axis[1].excitation.point) >= 2);
-CHECK(210, SIZE(axis[1].excitation.value) >= 2);
+CHECK(209, SIZE(axis[1].test_signal.point) >= 2);
+CHECK(210, SIZE(axis[1].test_signal.value) >= 2);
 CHECK(211, SIZE(axis[1].startup.angle) >= 4);
 CHECK(212, SIZE(axis[1].command.mode) >= 2);
 CHECK(213, SIZE(axis[1].events.command) >= 2);
@@ -958,8 +958,8 @@ static const tsa_source_t sources[] TABLE_MEMORY = {
     {LIVE(17), OFFSET(axis[0].estimate.pll.step), 4}, /* axis1.pll_speed */
     {LIVE(18), OFFSET(axis[0].estimate.observer.e.alpha), 4}, /* axis1.emf_alpha */
     {LIVE(19), OFFSET(axis[0].estimate.observer.e.beta), 4}, /* axis1.emf_beta */
-    {LIVE(20), OFFSET(axis[0].excitation.point), 2}, /* axis1.test_point */
-    {LIVE(21), OFFSET(axis[0].excitation.value), 2}, /* axis1.test_signal */
+    {LIVE(20), OFFSET(axis[0].test_signal.point), 2}, /* axis1.test_point */
+    {LIVE(21), OFFSET(axis[0].test_signal.value), 2}, /* axis1.test_signal */
     {LIVE(22), OFFSET(axis[0].startup.angle) + 2, 2}, /* axis1.test_angle */
     {LIVE(23), OFFSET(axis[0].command.mode), 2}, /* axis1.mode */
     {LIVE(24), OFFSET(axis[0].events.command), 2}, /* axis1.event_command */
@@ -1004,8 +1004,8 @@ static const tsa_source_t sources[] TABLE_MEMORY = {
     {LIVE(43), OFFSET(axis[1].estimate.pll.step), 4}, /* axis2.pll_speed */
     {LIVE(44), OFFSET(axis[1].estimate.observer.e.alpha), 4}, /* axis2.emf_alpha */
     {LIVE(45), OFFSET(axis[1].estimate.observer.e.beta), 4}, /* axis2.emf_beta */
-    {LIVE(46), OFFSET(axis[1].excitation.point), 2}, /* axis2.test_point */
-    {LIVE(47), OFFSET(axis[1].excitation.value), 2}, /* axis2.test_signal */
+    {LIVE(46), OFFSET(axis[1].test_signal.point), 2}, /* axis2.test_point */
+    {LIVE(47), OFFSET(axis[1].test_signal.value), 2}, /* axis2.test_signal */
     {LIVE(48), OFFSET(axis[1].startup.angle) + 2, 2}, /* axis2.test_angle */
     {LIVE(49), OFFSET(axis[1].command.mode), 2}, /* axis2.mode */
     {LIVE(50), OFFSET(axis[1].events.command), 2}, /* axis2.event_command */

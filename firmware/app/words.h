@@ -1,4 +1,4 @@
-/* words.h - 32-bit words of the host in its order of bytes, the low one first. */
+/* words.h - 32-bit words in the byte order of the host: least significant byte first. */
 #ifndef SERVO_APP_WORDS_H
 #define SERVO_APP_WORDS_H
 

@@ -1,4 +1,4 @@
-/* cell.h - memory of any type as cells of 2 or 4 bytes: one access each, which no interrupt can cut in two. */
+/* cell.h - access to memory of any type in cells of 2 or 4 bytes; each access is atomic with respect to interrupts. */
 #ifndef COMM_CELL_H
 #define COMM_CELL_H
 
@@ -7,12 +7,12 @@
 #ifdef __GNUC__
 typedef uint16_t __attribute__((may_alias)) cell2_t;
 typedef uint32_t __attribute__((may_alias)) cell4_t;
-#else /* a compiler that does not conclude from types that two pointers differ */
+#else /* compilers without type-based alias analysis */
 typedef uint16_t cell2_t;
 typedef uint32_t cell4_t;
 #endif
 
-/* Largest cell, 4, 2 or 1 bytes, that `size` bytes at `offset` of an aligned memory are made of. */
+/* Largest cell (4, 2 or 1 bytes) into which `size` bytes at `offset` of an aligned memory can be divided. */
 static inline uint8_t cell_of(uint32_t offset, uint32_t size)
 {
     const uint32_t odd = offset | size;

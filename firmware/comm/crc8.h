@@ -6,6 +6,7 @@
 
 #define CRC8_START UINT8_C(0)
 
+/* Append one byte to the sum. */
 uint8_t crc8_add(uint8_t crc, uint8_t byte);
 
 #endif

@@ -3,7 +3,7 @@
 #include <stddef.h>
 #include <string.h>
 
-#include "comm/configuration.h"
+#include "comm/getconfig.h"
 #include "comm/payload.h"
 #include "comm/status.h"
 
@@ -109,7 +109,7 @@ void freemaster_print(freemaster_t *server, const uint8_t *text, uint16_t size)
 
 static uint8_t get_configuration(freemaster_t *server, payload_reader_t *request, payload_writer_t *reply)
 {
-    return configuration_get(&server->app, request, reply);
+    return getconfig_answer(&server->app, request, reply);
 }
 
 /* Checks in the order of the vendor's server: access first, then the size. */

@@ -1,7 +1,7 @@
-/* freemaster.h - FreeMASTER v4 server: lets a client on the serial line read and write the application's variables.
+/* freemaster.h - FreeMASTER v4 server: a client on the serial line reads and writes the variables of the application.
  *
- * One scope, recorders, application commands, target-side addressing with safety, passwords, a pipe; no sessions:
- * their commands answer FM_UNKNOWN_COMMAND. A server is one freemaster_t; any number may live side by side.
+ * One scope, recorders, application commands, target-side addressing with access check, passwords, one pipe. No
+ * sessions: their commands are answered with FM_UNKNOWN_COMMAND. Each freemaster_t is an independent server.
  */
 #ifndef COMM_FREEMASTER_H
 #define COMM_FREEMASTER_H
@@ -18,21 +18,21 @@
 #include "comm/tsa.h"
 #include "hal/hal.h"
 
-/* Counters since start; they wrap. */
+/* Counters since reset, modulo 2^32. */
 typedef struct {
-    uint32_t requests;   /* frames with a right checksum: the sign of life of a host */
-    uint32_t refused;    /* of these, answered with an error */
+    uint32_t requests;   /* frames with a correct checksum; any of them shows that a host is connected */
+    uint32_t refused;    /* requests answered with an error */
     uint32_t bad_crc;    /* frames with a wrong checksum */
-    uint32_t too_long;   /* frames that did not fit */
-    uint32_t aborted;    /* frames left unfinished */
-    uint32_t bytes_lost; /* bytes that came in while an answer was due */
+    uint32_t too_long;   /* frames longer than the buffer */
+    uint32_t aborted;    /* unfinished frames */
+    uint32_t bytes_lost; /* bytes received while an answer was pending */
 } freemaster_statistics_t;
 
 typedef struct {
     freemaster_app_t app;
     tsa_space_t space;
     frame_receiver_t receiver;
-    frame_event_t received; /* that has not been dealt with */
+    frame_event_t received; /* event that is not processed yet */
     frame_transmitter_t transmitter;
     scope_t scope;
     recorder_memory_t samples;
@@ -45,25 +45,25 @@ typedef struct {
 
 void freemaster_init(freemaster_t *server, const freemaster_app_t *app);
 
-/* Move bytes from and to the serial line; carries out at most one request. What is received before its answer has been
- * handed to the line is dropped: a vendor target would destroy both answers. */
+/* Transfer bytes from and to the serial line; process at most one request. Bytes received before the answer was sent
+ * are discarded: a vendor target would destroy both answers. */
 void freemaster_poll(freemaster_t *server, hal_t *hal);
 
-/* The same while the tables cannot be read: a request that has come waits for the next freemaster_poll. */
+/* freemaster_poll while the tables cannot be read: a received request waits for the next freemaster_poll. */
 void freemaster_listen(freemaster_t *server, hal_t *hal);
 
-/* What the client on the line may do: ACCESS_NONE .. ACCESS_TUNE. */
+/* Access level of the client on the line: ACCESS_NONE .. ACCESS_TUNE. */
 uint8_t freemaster_level(const freemaster_t *server);
 
-/* What the application has answered with APP_COMMAND_PENDING is done; see app_command_finish. From the background, as
+/* Finish a pending application command (app_command_finish); to be called in the background loop, like
  * freemaster_poll. */
 void freemaster_finish_command(freemaster_t *server, uint8_t code, const uint8_t *result, uint16_t size);
 
-/* Bytes of text that the client's console has room for now, and text for it: as a whole, or not at all. */
+/* Free bytes of the console of the client, and output of a text: completely or not at all. */
 uint16_t freemaster_console_room(const freemaster_t *server);
 void freemaster_print(freemaster_t *server, const uint8_t *text, uint16_t size);
 
-/* As READMEM and WRITEMEM, without a frame, its limits and a password; 0 or a status code. `mask` may be NULL. */
+/* READMEM and WRITEMEM without frame, size limit and password; 0 or a status code. `mask` may be NULL. */
 uint8_t freemaster_read(freemaster_t *server, uint32_t address, uint8_t *data, uint16_t size);
 uint8_t freemaster_write(freemaster_t *server, uint32_t address, const uint8_t *data, const uint8_t *mask,
                          uint16_t size);

@@ -1,4 +1,4 @@
-/* freemaster_app.h - what a FreeMASTER server needs from its application. */
+/* freemaster_app.h - interface of the application to the FreeMASTER server: memory, tables, callbacks. */
 #ifndef COMM_FREEMASTER_APP_H
 #define COMM_FREEMASTER_APP_H
 
@@ -12,40 +12,40 @@
 
 #define FREEMASTER_RECORDERS 2
 
-/* What the application lends to the server; all pointers are needed and stay valid as long as the server. */
+/* Provided by the application; all pointers are required and must stay valid as long as the server. */
 typedef struct {
-    void *context; /* handed back with every call */
-    uint8_t *memory;
-    uint32_t memory_size; /* at most 65536: offsets of writes have 16 bits */
-    const uint8_t *live; /* memory of the loops, for the sources of the table */
+    void *context; /* passed to every callback */
+    uint8_t *memory; /* variables of the table */
+    uint32_t memory_size; /* bytes; at most 65536, because offsets of writes have 16 bits */
+    const uint8_t *live; /* memory of the control loops, for the sources of the table */
     uint32_t live_size; /* bytes */
     recorder_app_t recorder[FREEMASTER_RECORDERS];
-    uint32_t *samples; /* of the recorders */
+    uint32_t *samples; /* sample memory of the recorders */
     uint16_t samples_size; /* bytes */
     const tsa_table_t *tsa;
     const char *name, *description, *version, *build;
 
-    /* Freeze the snapshot and the command latch while bytes are copied. Never nested. */
+    /* Freeze snapshot and command latch during copying. Not nested. */
     void (*lock)(void *context, bool on);
 
-    /* Before each write, while locked: may `size` bytes at `offset` become `data`, where `mask` (NULL: everywhere) has
-     * ones? The range is the one that written() would get; a refusal changes nothing and answers FM_OUT_OF_RANGE. */
+    /* Before each write, while locked: check `size` bytes of `data` at `offset`, with the bits set in `mask` (NULL:
+     * all). The range is that passed to written(). A refusal changes nothing and is answered with FM_OUT_OF_RANGE. */
     bool (*accepts)(void *context, uint16_t offset, const uint8_t *data, const uint8_t *mask, uint16_t size);
 
-    /* After each accepted write, still locked: the smallest range that contains all bytes written (the bytes that
-     * a mask leaves alone at either end do not count, and nothing is reported when none was written). */
+    /* After each accepted write, while locked: smallest range that contains all written bytes, without bytes
+     * excluded by the mask at both ends. Not called if no byte was written. */
     void (*written)(void *context, uint16_t offset, uint16_t size);
 
     app_command_run_t command;
 
-    const char *console; /* name of its pipe */
+    const char *console; /* name of the pipe */
 
     access_passwords_t passwords;
 
-    /* A number that is hard to foresee, for the salt of a password. */
+    /* Unpredictable number for the salt of a password. */
     uint32_t (*nonce)(void *context);
 
-    /* The level that a client needs to write `size` bytes at `offset`: ACCESS_COMMAND or ACCESS_TUNE. */
+    /* Access level required to write `size` bytes at `offset`: ACCESS_COMMAND or ACCESS_TUNE. */
     uint8_t (*level_to_write)(void *context, uint16_t offset, uint16_t size);
 } freemaster_app_t;
 

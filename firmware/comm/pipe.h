@@ -1,7 +1,7 @@
-/* pipe.h - text of the application for a console of the client (PIPE, GETPIPE): one pipe, from here to there.
+/* pipe.h - text output of the application to a console of the client (PIPE, GETPIPE): one pipe, output only.
  *
- * The client fetches what is queued and acknowledges it with its next request; until then it is sent again. A toggle bit
- * tells a new request from a repeated one. What a client sends is taken and ignored: it needs no answer.
+ * The client reads the queued text and acknowledges it with its next request; until then the text is sent again. A
+ * toggle bit distinguishes a new request from a repetition. Input of the client is accepted and ignored.
  */
 #ifndef COMM_PIPE_H
 #define COMM_PIPE_H
@@ -15,19 +15,19 @@
 #define PIPE_QUEUE 96 /* bytes */
 
 typedef struct {
-    const char *name;
-    bool odd;         /* toggle bit of the next new request */
-    uint8_t accepted; /* bytes that the last new one has brought */
-    uint8_t size;     /* bytes queued */
-    uint8_t queue[PIPE_QUEUE]; /* text for the client, the oldest byte first */
+    const char *name; /* name of the pipe */
+    bool odd; /* toggle bit of the next new request */
+    uint8_t accepted; /* input bytes in the last new request */
+    uint8_t size; /* queued bytes */
+    uint8_t queue[PIPE_QUEUE]; /* text for the client, oldest byte first */
 } pipe_t;
 
 void pipe_init(pipe_t *pipe, const char *name);
 
-/* Bytes that can be queued now. */
+/* Free bytes in the queue. */
 static inline uint16_t pipe_room(const pipe_t *pipe) { return (uint16_t)(PIPE_QUEUE - pipe->size); }
 
-/* Queue a text as a whole, or not at all if there is no room. */
+/* Queue a text: completely, or not at all if there is no room. */
 void pipe_write(pipe_t *pipe, const uint8_t *text, uint16_t size);
 
 /* PIPE: u8 port with the toggle bit, u8 bytes received, data. */

@@ -1,4 +1,4 @@
-/* scope.h - a list of variables that the client reads together, again and again (SETSCOPE, READSCOPE). */
+/* scope.h - list of variables that the client reads repeatedly with one request (SETSCOPE, READSCOPE). */
 #ifndef COMM_SCOPE_H
 #define COMM_SCOPE_H
 
@@ -10,16 +10,16 @@
 #define SCOPE_SLOTS 28
 
 typedef struct {
-    tsa_place_t slot[SCOPE_SLOTS]; /* size 0: not set, gives no bytes */
-    uint8_t count;                 /* slots in use; 0: off */
+    tsa_place_t slot[SCOPE_SLOTS]; /* variables; size 0: not set, no bytes in the answer */
+    uint8_t count; /* slots in use; 0: off */
 } scope_t;
 
 void scope_init(scope_t *scope);
 
-/* Carry out the operations of a SETSCOPE request up to the first error; what was done before it stays done. */
+/* Execute the operations of a SETSCOPE request up to the first error; the operations before it remain in effect. */
 uint8_t scope_configure(scope_t *scope, const tsa_space_t *space, payload_reader_t *operations);
 
-/* Append the values of all slots; the caller holds the application's snapshot. */
+/* Append the values of all slots; the caller must freeze the snapshot of the application. */
 uint8_t scope_read(const scope_t *scope, const tsa_space_t *space, payload_writer_t *reply);
 
 #endif

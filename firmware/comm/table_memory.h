@@ -1,6 +1,5 @@
-/* table_memory.h - where large tables lie that only the server reads. Some machines (AVR) have constants in a memory that
- * pointers do not reach, and no room for copies of them: such a table is declared with TABLE_MEMORY and read by way of
- * table_copy() and table_byte(). */
+/* table_memory.h - TABLE_MEMORY: memory of large constant tables that only the server reads. Some processors (AVR)
+ * cannot address it with a data pointer: read such a table with table_copy() and table_byte(). */
 #ifndef COMM_TABLE_MEMORY_H
 #define COMM_TABLE_MEMORY_H
 

@@ -1,11 +1,11 @@
-/* tsa.h - target-side addressing: what a client may touch, and how it learns names and types.
+/* tsa.h - target-side addressing: table of the variables that a client can access, with names and types.
  *
- * Addresses on the wire are virtual and lie in five regions; none is ever used as a pointer:
- *   variables   offset in the application's memory, only inside an entry of the table
+ * Addresses on the line are virtual, in five regions; they are not used as pointers:
+ *   variables   offset in the memory of the application, only within an entry of the table
  *   strings     names and types, readable without the terminating 00
- *   table       the entries as the client expects them, 16 bytes each, produced while they are read
- *   live        variables outside of that memory, read only; `tsa_source_t` says where they are
- *   samples     of the recorders (comm/recorder.h)
+ *   table       entries in the format of the client, 16 bytes each, generated while they are read
+ *   live        variables outside of that memory, read only; their location is in tsa_source_t
+ *   samples     samples of the recorders (comm/recorder.h)
  */
 #ifndef COMM_TSA_H
 #define COMM_TSA_H
@@ -33,8 +33,8 @@
 
 #define TSA_KIND_NONE 0     /* type definition, member, constant */
 #define TSA_KIND_RO 1       /* variable, read only */
-#define TSA_KIND_RO_FLASH 2 /* the same in flash */
-#define TSA_KIND_RW 3       /* variable */
+#define TSA_KIND_RO_FLASH 2 /* variable in flash, read only */
+#define TSA_KIND_RW 3       /* variable, read and write */
 
 #define TSA_FLAGS UINT8_C(0x13)          /* table version 3, fields of 32 bits */
 #define TSA_WIRE_ENTRY_SIZE UINT32_C(16) /* name, type, address, size << 2 | kind: little endian */
@@ -47,23 +47,24 @@ typedef struct {
     uint16_t kind;    /* TSA_KIND_* */
 } tsa_entry_t;
 
-/* Where the loops keep what a variable shows: for those of the region `live`, and for those that are a copy of it. */
+/* Location of the live value in the control loops, for variables of the region `live` and for variables that are
+ * copies. */
 typedef struct {
-    uint32_t address; /* of the variable */
-    uint16_t offset;  /* of its source in the application's live memory */
-    uint16_t size;    /* bytes */
+    uint32_t address; /* virtual address of the variable */
+    uint16_t offset; /* offset of its live value in the live memory of the application, bytes */
+    uint16_t size; /* bytes */
 } tsa_source_t;
 
 typedef struct {
     const tsa_entry_t *entry; /* in TABLE_MEMORY */
     uint16_t entries; /* number of entries */
-    const uint8_t *strings; /* 00-terminated strings one after the other, nothing else; in TABLE_MEMORY */
+    const uint8_t *strings; /* concatenated 00-terminated strings; in TABLE_MEMORY */
     uint16_t strings_size; /* bytes */
     const tsa_source_t *source; /* in TABLE_MEMORY */
     uint16_t sources; /* number of sources */
 } tsa_table_t;
 
-/* Everything that a client can reach. Entries may overlap: one that covers a range suffices. */
+/* Memory accessible to a client. Entries may overlap; one entry that contains the range is sufficient. */
 typedef struct {
     const tsa_table_t *table;
     uint8_t *memory;
@@ -74,9 +75,9 @@ typedef struct {
 
 typedef enum { TSA_REGION_VARIABLES, TSA_REGION_STRINGS, TSA_REGION_TABLE, TSA_REGION_LIVE } tsa_region_t;
 
-/* A range that has passed the check. */
+/* Checked range. */
 typedef struct {
-    uint32_t offset; /* from the beginning of the region */
+    uint32_t offset; /* offset in the region, bytes */
     uint16_t size; /* bytes */
     uint8_t region; /* tsa_region_t */
 } tsa_place_t;
@@ -88,27 +89,27 @@ static inline tsa_entry_t tsa_entry(const tsa_table_t *table, uint16_t i)
     return entry;
 }
 
-/* True if `size` bytes at `address` lie in the `extent` bytes at `base`; no sum that could wrap is formed. */
+/* True if `size` bytes at `address` are within `extent` bytes at `base`; without overflow. */
 static inline bool tsa_inside(uint32_t address, uint32_t size, uint32_t base, uint32_t extent)
 {
     return address >= base && address - base <= extent && size <= extent - (address - base);
 }
 
-/* Check `size` bytes at `address` and say where they are; false leaves `place` as it was. */
+/* Check `size` bytes at `address`, and store their location; false: `place` is not changed. */
 bool tsa_readable(const tsa_space_t *space, uint32_t address, uint32_t size, tsa_place_t *place);
 bool tsa_writable(const tsa_space_t *space, uint32_t address, uint32_t size, tsa_place_t *place);
 
-/* Where the loops keep `size` bytes of a variable, and the largest cell that they are made of (comm/cell.h); NULL if it is
- * none. A variable without a source is its own. */
+/* Live location of `size` bytes of a variable, and its largest cell size (comm/cell.h); NULL: not a variable. A
+ * variable without a source is itself the live location. */
 const uint8_t *tsa_live(const tsa_space_t *space, uint32_t address, uint32_t size, uint8_t *cell);
 
-/* Copy place->size bytes out. */
+/* Copy place->size bytes to `data`. */
 void tsa_copy(const tsa_space_t *space, const tsa_place_t *place, uint8_t *data);
 
-/* Length without the 00 of the string that begins (or goes on) at `address`; false outside of the strings. */
+/* Length without the 00 of the string that begins or continues at `address`; false: not in the strings. */
 bool tsa_string_length(const tsa_table_t *table, uint32_t address, uint16_t *length);
 
-/* Bytes that the table takes on the wire. */
+/* Size of the table on the line, bytes. */
 uint32_t tsa_table_size(const tsa_table_t *table);
 
 #endif

@@ -64,10 +64,10 @@ CHECK(48, SIZE(pll.speed_per_step) == 4);
 CHECK(49, SIZE(pll.step_per_speed) == 4);
 CHECK(50, SIZE(pll.counts_per_turn) == 4);
 CHECK(51, SIZE(pll.acceleration) == 4);
-CHECK(52, SIZE(pll.load) == 4);
-CHECK(53, SIZE(pll.follow) == 4);
-CHECK(54, SIZE(pll.follow_load) == 4);
-CHECK(55, SIZE(pll.forget) == 4);
+CHECK(52, SIZE(pll.load_gain) == 4);
+CHECK(53, SIZE(pll.amplitude_gain) == 4);
+CHECK(54, SIZE(pll.amplitude_load_gain) == 4);
+CHECK(55, SIZE(pll.offset_gain) == 4);
 CHECK(56, SIZE(reliability.period) == 2);
 CHECK(57, SIZE(reliability.variance_threshold) == 2);
 CHECK(58, SIZE(reliability.hysteresis) == 2);
@@ -121,11 +121,11 @@ CHECK(105, SIZE(u_dc_max) == 2);
 CHECK(106, SIZE(u_dc_min) == 2);
 CHECK(107, SIZE(offset_tolerance) == 2);
 CHECK(108, SIZE(offset_duty_min) == 2);
-CHECK(109, SIZE(winding.silent) == 2);
-CHECK(110, SIZE(winding.direction_min) == 2);
+CHECK(109, SIZE(winding.current_min) == 2);
+CHECK(110, SIZE(winding.direction_current_min) == 2);
 CHECK(111, SIZE(winding.resistance) == 4);
 CHECK(112, SIZE(winding.inductance) == 4);
-CHECK(113, SIZE(winding.turn_per_voltage) == 4);
+CHECK(113, SIZE(winding.rotation_per_voltage) == 4);
 CHECK(114, SIZE(winding.emf_floor) == 2);
 CHECK(115, SIZE(heat.hot) == 2);
 CHECK(116, SIZE(heat.cool) == 2);
@@ -285,10 +285,10 @@ const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
     {OFFSET(pll.step_per_speed), 29U},
     {OFFSET(pll.counts_per_turn), 25U},
     {OFFSET(pll.acceleration), 10U},
-    {OFFSET(pll.load), 10U},
-    {OFFSET(pll.follow), 10U},
-    {OFFSET(pll.follow_load), 10U},
-    {OFFSET(pll.forget), 27U},
+    {OFFSET(pll.load_gain), 10U},
+    {OFFSET(pll.amplitude_gain), 10U},
+    {OFFSET(pll.amplitude_load_gain), 10U},
+    {OFFSET(pll.offset_gain), 27U},
     {OFFSET(reliability.period), 30U},
     {OFFSET(reliability.variance_threshold), 31U},
     {OFFSET(reliability.hysteresis), 17U},
@@ -342,11 +342,11 @@ const axis_member_t axis_members[AXIS_MEMBERS] TABLE_MEMORY = {
     {OFFSET(u_dc_min), 4U},
     {OFFSET(offset_tolerance), 43U},
     {OFFSET(offset_duty_min), 4U},
-    {OFFSET(winding.silent), 4U},
-    {OFFSET(winding.direction_min), 4U},
+    {OFFSET(winding.current_min), 4U},
+    {OFFSET(winding.direction_current_min), 4U},
     {OFFSET(winding.resistance), 25U},
     {OFFSET(winding.inductance), 25U},
-    {OFFSET(winding.turn_per_voltage), 25U},
+    {OFFSET(winding.rotation_per_voltage), 25U},
     {OFFSET(winding.emf_floor), 4U},
     {OFFSET(heat.hot), 44U},
     {OFFSET(heat.cool), 44U},

@@ -160,7 +160,7 @@ typedef enum {
 #define FAULT_HOST_SILENT UINT32_C(0x00000040) /* no command and no keep-alive from the host within param.host_timeout, or, with the feature STARVED, no point of a trajectory in time */
 #define FAULT_STALLED UINT32_C(0x00000080) /* no movement at full current, and a current vector turned to both sides found no free rotor */
 #define FAULT_RUNAWAY UINT32_C(0x00000100) /* the speed rises against the full current, or beyond its limit */
-#define FAULT_ENCODER_LOST UINT32_C(0x00000200) /* the motor turns but the encoder does not count */
+#define FAULT_ENCODER_LOST UINT32_C(0x00000200) /* the motor rotates but the encoder does not count, or its count alternates by one */
 #define FAULT_FOLLOWING_ERROR UINT32_C(0x00000400) /* the position differs from its shaped set-point by more than param.following_error */
 #define FAULT_OVER_SPEED UINT32_C(0x00000800) /* the speed is above param.over_speed */
 #define FAULT_ENCODER_REVERSED UINT32_C(0x00001000) /* rotor search: the shaft moves away from the vector; the encoder counts against the direction of rotation */
@@ -169,7 +169,7 @@ typedef enum {
 #define FAULT_SPEED_FEEDBACK UINT32_C(0x00008000) /* the speed estimate of the observer is not reliable: the rotor stands still, oscillates, or does not follow */
 #define FAULT_ANGLE_MISMATCH UINT32_C(0x00010000) /* the encoder angle contradicts the back-EMF, or the torque of a rotating current vector: the encoder has slipped */
 #define FAULT_PHASE_LOST UINT32_C(0x00020000) /* a phase of the motor carries no current although voltage is applied */
-#define FAULT_CURRENT_SENSE UINT32_C(0x00040000) /* the ADC code of a current measurement is constant or out of range */
+#define FAULT_CURRENT_SENSE UINT32_C(0x00040000) /* the ADC code of a current measurement is constant, or differs from its offset although the shunt carries no current */
 #define FAULT_LATE_LOOP UINT32_C(0x00080000) /* the control loop was late, or a period was omitted */
 #define FAULT_WATCHDOG UINT32_C(0x00100000) /* watchdog reset: the control loops had stopped */
 #define FAULT_MOTOR_TEMPERATURE UINT32_C(0x00200000) /* estimated winding temperature above its limit */
@@ -185,7 +185,7 @@ typedef enum {
 #define LIMIT_EXPIRED UINT16_C(0x0008) /* the velocity or torque set-point was not written again within param.command_timeout: the axis has stopped */
 #define LIMIT_POSITION UINT16_C(0x0010) /* a soft limit of the position holds the shaft back */
 #define LIMIT_REGENERATION UINT16_C(0x0020) /* braking current reduced because of a high DC bus voltage */
-#define LIMIT_BRAKE UINT16_C(0x0040) /* the brake resistor is on, or its energy budget is spent */
+#define LIMIT_BRAKE UINT16_C(0x0040) /* the brake resistor is on, or its energy budget is used up */
 #define LIMIT_SENSORLESS UINT16_C(0x0080) /* an axis without an encoder has no position control, no hold at standstill and no torque from rest */
 #define LIMIT_STARVED UINT16_C(0x0100) /* the points of a trajectory ran out in motion: the axis has stopped */
 #define LIMIT_TEMPERATURE UINT16_C(0x0200) /* current limit reduced because the winding is hot */
@@ -210,7 +210,7 @@ typedef enum {
 #define FEATURE_FOLLOWING_ERROR UINT16_C(0x0100) /* fault if the position is too far from its shaped set-point */
 #define FEATURE_OVER_SPEED UINT16_C(0x0200) /* fault if the speed is above param.over_speed */
 #define FEATURE_SPEED_OBSERVER UINT16_C(0x0400) /* speed from position and current by an observer, instead of the M/T method */
-#define FEATURE_ANGLE_CHECK UINT16_C(0x0800) /* fault if the angles of encoder and observer differ */
+#define FEATURE_ANGLE_CHECK UINT16_C(0x0800) /* fault ANGLE_MISMATCH if the observed back-EMF contradicts encoder angle and speed */
 #define FEATURE_STARVED UINT16_C(0x1000) /* fault HOST_SILENT if the points of a trajectory run out in motion */
 #define FEATURE_WINDING_MODEL UINT16_C(0x2000) /* current limit reduced with the estimated winding temperature, and a fault above its maximum */
 #define FEATURE_FIELD_WEAKENING UINT16_C(0x4000) /* field weakening (negative i_d) at speeds that the bus voltage does not permit otherwise */

@@ -1,4 +1,4 @@
-"""The tuning tool: ``python firmware/config/tune.py --help``; what it does stands in `servo_msgs_py.tuning`."""
+"""Command line of the tuning tool: ``python firmware/config/tune.py --help``; see `servo_msgs_py.tuning`."""
 
 from __future__ import annotations
 

@@ -9,8 +9,8 @@ void current_loop_reset(current_loop_t *loop)
     pi_reset(&loop->q, 0);
     loop->omega_e = 0;
     loop->minus_2_omega = 0;
-    loop->turn_sin = 0;
-    loop->turn_versine = 0;
+    loop->rotation_sin = 0;
+    loop->rotation_versine = 0;
 }
 
 void current_loop_limit(current_loop_t *loop, pi_sum_t sum_d, pi_sum_t sum_q, frac16_t u_d, frac16_t u_limit)
@@ -28,13 +28,13 @@ void current_loop_limit(current_loop_t *loop, pi_sum_t sum_d, pi_sum_t sum_q, fr
     loop->limited = true;
 }
 
-void current_loop_turn(current_loop_t *loop, const current_loop_config_t *config, frac16_t omega_e)
+void current_loop_set_speed(current_loop_t *loop, const current_loop_config_t *config, frac16_t omega_e)
 {
     loop->omega_e = f32_from_f16(omega_e);
     loop->minus_2_omega = -2 * (int32_t)omega_e;
     const sin_cos_t turn = sin_cos(current_loop_rounded(pi_sum_add(0, loop->omega_e, config->angle_step)));
-    loop->turn_sin = turn.sin;
-    loop->turn_versine = FRAC16_MAX - ((turn.cos > 0) ? turn.cos : 0); /* below a quarter turn per period */
+    loop->rotation_sin = turn.sin;
+    loop->rotation_versine = FRAC16_MAX - ((turn.cos > 0) ? turn.cos : 0); /* below a quarter turn per period */
 }
 
 /* Preset of the integral parts: the voltage that the decoupling terms do not supply. */

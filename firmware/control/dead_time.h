@@ -1,8 +1,8 @@
 /* dead_time.h - compensation of dead time and switch drops.
  *
- * With both switches open the current chooses the diode, and every conducting path drops some volts: the mean phase
- * voltage is short of the duty by (t_d f + V_drop / u_dc) u_dc against the direction of the current. Around zero current
- * the direction is uncertain within the ripple, so the sign is softened to a ramp.
+ * During the dead time the sign of the current determines which diode conducts. Mean voltage error per phase:
+ *   -(t_d f + V_drop / u_dc) u_dc sign(i)
+ * Near zero current the ripple makes the sign uncertain: there the sign function is replaced by a ramp.
  */
 #ifndef SERVO_CONTROL_DEAD_TIME_H
 #define SERVO_CONTROL_DEAD_TIME_H
@@ -10,14 +10,14 @@
 #include "control/transforms.h"
 
 typedef struct {
-    frac16_t duty;   /* t_d f: part of a PWM period */
-    frac16_t v_drop; /* over the full-scale bus */
-    int16_t slope;   /* full-scale current over the current at which the sign is certain, 8 fraction bits */
+    frac16_t duty;   /* t_d f: dead time as a part of the PWM period */
+    frac16_t v_drop; /* voltage drop of a switch or diode, Q1.15 of full-scale bus voltage */
+    int16_t slope;   /* full-scale current / current above which the sign is certain, 8 fraction bits */
 } dead_time_config_t;
 
 #define DEAD_TIME_SLOPE_BITS 8
 
-/* A leg at 0 or 100 % does not switch and has no dead time; its drop cannot be made up either. */
+/* Legs at 0 or 100 % do not switch: no dead time, and their voltage drop cannot be compensated. */
 static inline int32_t dead_time_leg(int32_t duty, int32_t current, int32_t loss, int32_t slope)
 {
     if ((uint32_t)(duty - 1) >= FRAC16_MAX - 1U) {
@@ -27,7 +27,7 @@ static inline int32_t dead_time_leg(int32_t duty, int32_t current, int32_t loss,
     return sat15(duty + asr32(loss * sign + INT32_C(0x4000), 15));
 }
 
-/* Duties that give the wanted mean voltages; `reciprocal` is 2^29 / u_dc (Q1.15 of the full-scale bus). */
+/* Duties that produce the commanded mean voltages; `reciprocal` is 2^29 / u_dc (Q1.15 of the full-scale bus). */
 static inline abc_t dead_time_compensate(const dead_time_config_t *config, abc_t duty, abc_t current,
                                          int32_t reciprocal)
 {

@@ -19,13 +19,13 @@ static frac32_t change_of(const field_weakening_config_t *config, const field_we
 {
     const frac32_t slew = asr32(f32_from_f16(config->i_d_max), SLEW_SHIFT);
     const frac16_t target = (input->u_max > config->margin) ? f16_sub(input->u_max, config->margin) : 0;
-    const bool unneeded = !input->wanted && i32_abs(input->emf) <= input->u_max;
+    const bool unneeded = !input->enabled && i32_abs(input->emf) <= input->u_max;
     if (unneeded || !emf_matters(input->emf, target)) {
         return -slew;
     }
     const int64_t wanted = -(int64_t)room_of(target, input->demand) * config->gain;
     const frac32_t change = f32_limit(asr64(wanted, FIELD_WEAKENING_GAIN_BITS), slew);
-    return (input->wanted || change < 0) ? change : 0;
+    return (input->enabled || change < 0) ? change : 0;
 }
 
 /* Less than the radius of the current circle, also when a hot winding has reduced that: half of the radius is left for

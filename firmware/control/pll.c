@@ -32,13 +32,15 @@ void pll_retune(pll_t *pll, const pll_config_t *before, const pll_config_t *conf
     pll->load = sat32(pll->load + driven_by(before, i_q) - driven_by(config, i_q));
 }
 
-void pll_push(pll_t *pll, const pll_config_t *config, frac16_t i_q, dq_t beside, int32_t turned)
+void pll_feed_forward(pll_t *pll, const pll_config_t *config, frac16_t i_q, dq_t residual_emf, int32_t rotation)
 {
-    const int32_t error = (pll->backwards ? beside.d : -(int32_t)beside.d) * (int32_t)pll->root; /* 30 fraction bits */
-    const int32_t size = beside.q * (INT32_C(1) << 8) - pll->bias;
-    pll->bias = f32_clip(pll->bias + f32_gain(pll->integral - asr32(turned, TICK_BITS), config->forget), BIAS_MAX);
-    pll->load =
-        sat32(pll->load + asr64((int64_t)error * config->load, 30) + (int64_t)f32_gain(size, config->follow_load));
-    const int64_t gained = driven_by(config, i_q) + pll->load + (int64_t)f32_gain(size, config->follow);
+    const int32_t error =
+        (pll->backwards ? residual_emf.d : -(int32_t)residual_emf.d) * (int32_t)pll->root; /* 30 fraction bits */
+    const int32_t size = residual_emf.q * (INT32_C(1) << 8) - pll->bias;
+    pll->bias =
+        f32_clip(pll->bias + f32_gain(pll->integral - asr32(rotation, TICK_BITS), config->offset_gain), BIAS_MAX);
+    pll->load = sat32(pll->load + asr64((int64_t)error * config->load_gain, 30) +
+                      (int64_t)f32_gain(size, config->amplitude_load_gain));
+    const int64_t gained = driven_by(config, i_q) + pll->load + (int64_t)f32_gain(size, config->amplitude_gain);
     pll->integral = f32_limit(pll->integral + gained, config->step_max);
 }

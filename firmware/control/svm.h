@@ -5,18 +5,18 @@
 #include "control/transforms.h"
 
 typedef struct {
-    abc_t duty;      /* high-side duties, Q1.15 of 0..100 % */
+    abc_t duty;      /* high-side duties, Q1.15 of 100 % */
     uint16_t sector; /* 1 is 0..60 degrees, 6 is 300..360 degrees */
 } svm_t;
 
 #define SVM_FULL INT32_C(32767)
 #define SVM_ONE_BY_SQRT3_Q15 INT32_C(18919)
 
-/* Duty of a leg that would be high shorter by `less` than the longest one, when that is high all the time. */
+/* Over-modulation: duty of a leg whose active time is shorter than the longest one by `less`, scaled to the period. */
 static inline int32_t svm_shortened(int32_t less, int32_t active) { return SVM_FULL - less * SVM_FULL / active; }
 
-/* `modulation` is the wanted stator voltage over 2/3 u_dc, the length of the active vectors U0..U300: (1, 0) is U0.
- * Linear modulation ends at sqrt(3)/2. A vector beyond the hexagon is shortened along its direction to the edge. */
+/* `modulation`: commanded stator voltage / (2/3 u_dc), the length of the active vectors U0..U300; (1, 0) is U0. The
+ * linear range ends at sqrt(3)/2. A vector outside the hexagon is shortened to its edge, with constant direction. */
 static inline svm_t svm(ab_t modulation)
 {
     /* Projections on the normals of the three sector borders: as parts of the period, how much longer leg a is high

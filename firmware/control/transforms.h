@@ -5,28 +5,28 @@
 #include "math/frac.h"
 #include "math/trig.h"
 
-/* Fractions with 15 bits in a word: they come and go through long chains of sums and products. */
+/* Q1.15 fractions in 32-bit words: intermediate results of sums and products. */
 typedef struct {
-    int32_t a; /* Q1.15 of full scale */
-    int32_t b; /* the same */
-    int32_t c; /* the same */
+    int32_t a; /* phase A, Q1.15 of full scale */
+    int32_t b; /* phase B, Q1.15 of full scale */
+    int32_t c; /* phase C, Q1.15 of full scale */
 } abc_t;
 
 typedef struct {
-    frac16_t alpha; /* Q1.15 of full scale */
-    frac16_t beta; /* the same */
+    frac16_t alpha; /* alpha component, Q1.15 of full scale */
+    frac16_t beta; /* beta component, Q1.15 of full scale */
 } ab_t;
 
 typedef struct {
-    frac16_t d; /* Q1.15 of full scale */
-    frac16_t q; /* the same */
+    frac16_t d; /* d component, Q1.15 of full scale */
+    frac16_t q; /* q component, Q1.15 of full scale */
 } dq_t;
 
-/* 1/3 with 32 fraction bits and 1/sqrt 3 with 31: every result is the nearest number. */
+/* 1/3 with 32 fraction bits, 1/sqrt 3 with 31: all results are rounded to nearest. */
 #define CLARKE_ONE_THIRD_Q32 INT32_C(1431655765)
 #define CLARKE_ONE_BY_SQRT3_Q31 INT32_C(1239850263)
 
-/* Rounded x c / 2^32. */
+/* x c / 2^32, rounded. */
 static inline int32_t clarke_scale(int32_t x, int32_t c)
 {
     return (int32_t)asr64((int64_t)x * c + (INT64_C(1) << 31), 32);
@@ -42,11 +42,11 @@ static inline ab_t clarke(abc_t x)
     return result;
 }
 
-/* Rounded and saturated once. Sine and cosine lie on the unit circle, so a sum of two products stays below sqrt(2) 2^30
- * and needs no more than 32 bits. */
+/* Round and saturate a sum of two products with sine and cosine; it is below sqrt(2) 2^30, so 32 bits are
+ * sufficient. */
 static inline frac16_t rotated(int32_t sum) { return sat16_asr(sum + INT32_C(0x4000), 15); }
 
-/* The way back; the third is minus the other two. */
+/* Inverse Clarke transformation; phase C is the negative sum of A and B. */
 static inline abc_t clarke_inverse(ab_t x)
 {
     const int32_t half = asr32((int32_t)x.beta * INT32_C(28378) + INT32_C(0x4000), 15); /* sqrt 3 / 2 beta */
@@ -55,7 +55,7 @@ static inline abc_t clarke_inverse(ab_t x)
     return result;
 }
 
-/* Length of a vector, at most 12 % too long. */
+/* Approximate length of a vector; error 0 .. +12 %. */
 static inline int32_t length_about(int32_t x, int32_t y)
 {
     const int32_t a = i32_abs(x);
@@ -63,7 +63,7 @@ static inline int32_t length_about(int32_t x, int32_t y)
     return (a > b) ? a + b / 2 : b + a / 2;
 }
 
-/* Stator frame to rotor frame and back; `at` is the rotor angle (E16). */
+/* Park transformation and its inverse; `at`: sine and cosine of the rotor angle (E16). */
 static inline dq_t park(ab_t x, sin_cos_t at)
 {
     const dq_t result = {

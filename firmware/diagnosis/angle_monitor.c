@@ -12,9 +12,9 @@
 
 void angle_monitor_start(angle_monitor_t *monitor)
 {
-    monitor->beyond = (dq_t){0, 0};
+    monitor->unexplained_voltage = (dq_t){0, 0};
     monitor->ticks = 0;
-    monitor->conducting = 0;
+    monitor->conducting_phases = 0;
 }
 
 static frac16_t filtered(frac16_t beyond, int32_t x) { return sat16(beyond + asr32(x - beyond, FILTER_SHIFT)); }
@@ -25,8 +25,10 @@ static void filter(angle_monitor_t *m, gain_t resistance, const current_loop_con
     const int32_t omega = o->omega_e;
     const int32_t turned_d = i32_gain(asr32(omega * o->current.q, 15), loop->omega_l_q);
     const int32_t turned_q = i32_gain(asr32(omega * o->current.d, 15), loop->omega_l_d);
-    m->beyond.d = filtered(m->beyond.d, o->voltage.d - i32_gain(o->current.d, resistance) + turned_d);
-    m->beyond.q = filtered(m->beyond.q, o->voltage.q - i32_gain(o->current.q, resistance) - turned_q - o->emf);
+    m->unexplained_voltage.d =
+        filtered(m->unexplained_voltage.d, o->voltage.d - i32_gain(o->current.d, resistance) + turned_d);
+    m->unexplained_voltage.q =
+        filtered(m->unexplained_voltage.q, o->voltage.q - i32_gain(o->current.q, resistance) - turned_q - o->emf);
 }
 
 /* Tolerated voltage: dead time, a quarter of the inductive drop, the change of the current, and half of the expected
@@ -36,16 +38,16 @@ static void filter(angle_monitor_t *m, gain_t resistance, const current_loop_con
 static bool contradicts(const angle_monitor_t *m, const winding_config_t *config, const current_loop_config_t *loop,
                         const observation_t *o)
 {
-    const int32_t size = o->current_size;
+    const int32_t size = o->current_magnitude;
     const int32_t emf = i32_abs(o->emf);
     const int32_t turned = i32_gain(asr32(i32_abs(o->omega_e) * size, 15), loop->omega_l_q);
-    const bool certain = size >= 2 * (int32_t)config->silent;
+    const bool certain = size >= 2 * (int32_t)config->current_min;
     const int32_t lost = certain ? config->emf_floor / 4 : 2 * (int32_t)config->emf_floor;
     const int32_t known = sat16(lost + turned / 4 + i32_gain(o->current_change, config->inductance) + emf / 2);
     const int32_t along = o->drop / 2;
-    const int32_t length = length_about(m->beyond.d, m->beyond.q);
-    const int32_t across =
-        i32_abs(asr32((int32_t)m->beyond.d * o->current.q, 1) - asr32((int32_t)m->beyond.q * o->current.d, 1));
+    const int32_t length = length_about(m->unexplained_voltage.d, m->unexplained_voltage.q);
+    const int32_t across = i32_abs(asr32((int32_t)m->unexplained_voltage.d * o->current.q, 1) -
+                                   asr32((int32_t)m->unexplained_voltage.q * o->current.d, 1));
     return length < known + along + EMF_OVER_SIZE * emf &&
            (length > known + along || (certain && across > asr32(known * size, 1)));
 }
@@ -53,11 +55,11 @@ static bool contradicts(const angle_monitor_t *m, const winding_config_t *config
 void angle_monitor_step(angle_monitor_t *m, const winding_config_t *config, const current_loop_config_t *loop,
                         const observation_t *o, evidence_t *evidence)
 {
-    const bool moves = o->calm == 0U; /* otherwise the encoder count itself is in doubt */
-    if (!moves || (o->features & NEEDED) != NEEDED || o->current_size < (int32_t)config->silent) {
-        m->beyond = (dq_t){0, 0};
+    const bool moves = o->ticks_without_movement == 0U; /* otherwise the encoder count itself is in doubt */
+    if (!moves || (o->features & NEEDED) != NEEDED || o->current_magnitude < (int32_t)config->current_min) {
+        m->unexplained_voltage = (dq_t){0, 0};
         m->ticks = 0;
-        m->conducting = 0;
+        m->conducting_phases = 0;
         return;
     }
     filter(m, config->resistance, loop, o);
@@ -67,9 +69,9 @@ void angle_monitor_step(angle_monitor_t *m, const winding_config_t *config, cons
         m->ticks--;
     }
     if (m->ticks == 0U) {
-        m->conducting = 0;
-    } else if (m->ticks > TICKS_MAX && m->conducting == ALL_PHASES) {
-        evidence->confirmed |= FOUND(FINDING_EMF_ELSEWHERE);
+        m->conducting_phases = 0;
+    } else if (m->ticks > TICKS_MAX && m->conducting_phases == ALL_PHASES) {
+        evidence->confirmed |= FOUND(FINDING_EMF_ANGLE_MISMATCH);
     }
 }
 
@@ -77,7 +79,7 @@ void angle_monitor_suspect(const angle_monitor_t *m, const winding_config_t *con
                            evidence_t *evidence)
 {
     const int32_t explained = i32_abs(o->emf) + config->emf_floor / 4;
-    if (!o->sensorless && length_about(m->beyond.d, m->beyond.q) > explained) {
+    if (!o->sensorless && length_about(m->unexplained_voltage.d, m->unexplained_voltage.q) > explained) {
         evidence->suspected |= SUSPECT_ANGLE;
     }
 }

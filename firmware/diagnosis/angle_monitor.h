@@ -1,9 +1,8 @@
-/* angle_monitor.h - does the back-EMF lie where the encoder says?
+/* angle_monitor.h - detects a slipped encoder from the stator voltage.
  *
- * What the current controllers ask of the inverter is the voltage of the windings, with the back-EMF where the encoder has
- * it. More than that is a back-EMF that points elsewhere: the encoder has slipped. It shows in motion, as soon as the
- * back-EMF is larger than what resistance and dead time may be off by, and at no cost to the fast loop. The observer of
- * FEATURE_ANGLE_CHECK sees it sooner, and with less current.
+ * Expected: u = R i + j omega L i + j omega psi_m at the encoder angle. A residual above the tolerances of resistance,
+ * inductance and dead time means that the back-EMF has another direction. Works in motion only and needs no observer;
+ * FEATURE_ANGLE_CHECK (drive/angle_check.h) detects smaller slips at lower current.
  */
 #ifndef SERVO_DIAGNOSIS_ANGLE_MONITOR_H
 #define SERVO_DIAGNOSIS_ANGLE_MONITOR_H
@@ -13,20 +12,21 @@
 #include "diagnosis/observation.h"
 
 typedef struct {
-    dq_t beyond;         /* voltage that nothing explains, filtered */
-    uint16_t ticks;      /* slow ticks of too much of it, less those without */
-    uint16_t conducting; /* phases that have carried current since it began, a bit each */
+    dq_t unexplained_voltage; /* stator voltage minus the expected one, filtered, Q1.15 of full-scale voltage */
+    uint16_t ticks; /* slow ticks with a residual above the tolerances, minus slow ticks without */
+    uint16_t conducting_phases; /* one bit per phase that has carried current while `ticks` > 0 */
 } angle_monitor_t;
 
-/* The rotor has just been found. */
+/* Reset after a rotor search. */
 void angle_monitor_start(angle_monitor_t *monitor);
 
-/* One slow tick of current control with the encoder's angle. */
+/* One slow tick in SPIN with the encoder angle. */
 void angle_monitor_step(angle_monitor_t *monitor, const winding_config_t *config, const current_loop_config_t *loop,
                         const observation_t *observation, evidence_t *evidence);
 
-/* The back-EMF is missed by more than its size: a resistance whose drop is larger had kept the monitor in doubt. A
- * resistance that is off by as much looks the same. */
+/* Suspect a slipped encoder if the unexplained voltage exceeds the expected back-EMF. This is weaker than the
+ * finding, which tolerates a larger resistance error; a resistance error of the same size cannot be distinguished
+ * from a slip. */
 void angle_monitor_suspect(const angle_monitor_t *monitor, const winding_config_t *config,
                            const observation_t *observation, evidence_t *evidence);
 

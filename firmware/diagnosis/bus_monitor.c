@@ -1,6 +1,6 @@
 #include "diagnosis/bus_monitor.h"
 
-finding_set_t bus_monitor_findings(const bus_monitor_t *monitor, frac16_t u_dc, bool settled, bool broken)
+finding_set_t bus_monitor_findings(const bus_monitor_t *monitor, frac16_t u_dc, bool settled, bool over_current)
 {
     finding_set_t findings = 0;
     if (u_dc > monitor->u_dc_max) {
@@ -9,8 +9,8 @@ finding_set_t bus_monitor_findings(const bus_monitor_t *monitor, frac16_t u_dc, 
     if (u_dc < monitor->u_dc_min && settled) {
         findings |= FOUND(FINDING_UNDER_VOLTAGE);
     }
-    if (broken) {
-        findings |= FOUND(FINDING_HARDWARE_BREAK);
+    if (over_current) {
+        findings |= FOUND(FINDING_OVER_CURRENT_TRIP);
     }
     return findings;
 }

@@ -3,23 +3,23 @@
 #include "config/contract_gen.h"
 
 #define REST_COUNTS 2   /* dither of a shaft at rest */
-#define CALM_TICKS 4U   /* without counts for so long, the shaft is too slow for a back-EMF that matters here */
+#define STANDSTILL_TICKS 4U   /* without counts for so long, the shaft is too slow for a back-EMF that matters here */
 #define WINDOW 32U      /* slow ticks */
 #define TOGGLES_MIN 12U /* changes of the count per window: 375 Hz, faster than any shaft can dither */
 #define WINDOWS_MAX 2U
-#define TURNING_TICKS 8U
-#define SWEPT_MAX 16384U /* a quarter of a turn; the criterion is an eighth */
+#define UNEXPLAINED_TICKS 8U
+#define ROTATION_MAX 16384U /* a quarter of a turn; the criterion is an eighth */
 #define TEST_TICKS 4U    /* longer than the settling time of the current controllers */
-#define WINDUP_TICKS 60U /* of voltage with a constant direction */
+#define WINDUP_TICKS 60U /* slow ticks of voltage with a constant direction */
 #define SHORT_TICKS 8U
-#define SUDDEN_COUNTS 8U  /* per slow tick: a slower shaft cannot drive a current that causes a trip */
+#define ABRUPT_COUNTS 8U  /* counts per slow tick: a slower shaft cannot drive a current that causes a trip */
 #define SETTLED_TICKS 8U  /* settling time of the probing current */
 #define PROBE_TICKS 80U   /* total: ends before the speed of the M/T method, without its enhancement, falls to zero */
-#define SWINGS_MAX 4U
+#define VOLTAGE_CHANGES_MAX 4U
 
 void encoder_monitor_start(encoder_monitor_t *monitor, int32_t position)
 {
-    *monitor = (encoder_monitor_t){.anchor = position, .last = position};
+    *monitor = (encoder_monitor_t){.reference_position = position, .last_position = position};
 }
 
 /* ---- the count ---------------------------------------------------------------------------------------------------- */
@@ -27,20 +27,21 @@ void encoder_monitor_start(encoder_monitor_t *monitor, int32_t position)
 /* Detects a count that alternates by one, over several windows: a shaft that hunts also does so in a single window. */
 static bool single_channel_toggle(encoder_monitor_t *m, int32_t moved)
 {
-    m->window++;
+    m->window_ticks++;
     if (moved != 0) {
-        m->toggles++;
-        m->hunts = m->hunts || (moved != -m->toggled && m->toggled != 0);
-        m->toggled = moved;
+        m->window_changes++;
+        m->not_alternating = m->not_alternating || (moved != -m->last_change && m->last_change != 0);
+        m->last_change = moved;
     }
-    if (m->window < WINDOW) {
+    if (m->window_ticks < WINDOW) {
         return false;
     }
-    m->windows = (m->toggles >= TOGGLES_MIN && !m->hunts) ? (uint8_t)(m->windows + 1U) : 0U;
-    m->hunts = false;
-    m->window = 0;
-    m->toggles = 0;
-    return m->windows >= WINDOWS_MAX;
+    m->alternating_windows =
+        (m->window_changes >= TOGGLES_MIN && !m->not_alternating) ? (uint8_t)(m->alternating_windows + 1U) : 0U;
+    m->not_alternating = false;
+    m->window_ticks = 0;
+    m->window_changes = 0;
+    return m->alternating_windows >= WINDOWS_MAX;
 }
 
 static uint16_t size_of(int32_t moved)
@@ -51,25 +52,26 @@ static uint16_t size_of(int32_t moved)
 
 static void check_count(encoder_monitor_t *m, int32_t position, evidence_t *evidence)
 {
-    const int32_t away = i32_sub_wrap(position, m->anchor);
-    const int32_t moved = i32_sub_wrap(position, m->last);
-    m->last = position;
+    const int32_t away = i32_sub_wrap(position, m->reference_position);
+    const int32_t moved = i32_sub_wrap(position, m->last_position);
+    m->last_position = position;
     if (away > REST_COUNTS || away < -REST_COUNTS) {
-        const uint16_t earlier = m->pace;
-        if (m->calm != 0U) { /* otherwise the monitor was restarted in the previous tick */
+        const uint16_t earlier = m->step_counts;
+        if (m->ticks_without_movement != 0U) { /* otherwise the monitor was restarted in the previous tick */
             encoder_monitor_start(m, position);
         }
-        m->anchor = position;
-        m->wanted = 0;
-        m->pace = size_of(moved);
-        m->earlier = earlier;
+        m->reference_position = position;
+        m->last_i_q_ref = 0;
+        m->step_counts = size_of(moved);
+        m->earlier_step_counts = earlier;
         return;
     }
-    m->sudden = m->sudden || m->pace >= SUDDEN_COUNTS || m->earlier >= SUDDEN_COUNTS;
-    m->pace = 0;
-    m->earlier = 0;
-    if (m->calm < UINT16_MAX) {
-        m->calm++;
+    m->stopped_abruptly =
+        m->stopped_abruptly || m->step_counts >= ABRUPT_COUNTS || m->earlier_step_counts >= ABRUPT_COUNTS;
+    m->step_counts = 0;
+    m->earlier_step_counts = 0;
+    if (m->ticks_without_movement < UINT16_MAX) {
+        m->ticks_without_movement++;
     }
     if (single_channel_toggle(m, moved)) {
         evidence->confirmed |= FOUND(FINDING_SINGLE_CHANNEL_TOGGLE);
@@ -87,20 +89,22 @@ static int32_t drop(frac16_t current, gain_t resistance)
  * as large as the back-EMF to be detected. */
 static void note_unexplained(encoder_monitor_t *m, gain_t resistance, const observation_t *o)
 {
-    m->rest.d = sat16(asr32((int32_t)m->rest.d + o->voltage.d - drop(o->current.d, resistance), 1));
-    m->rest.q = sat16(asr32((int32_t)m->rest.q + o->voltage.q - drop(o->current.q, resistance), 1));
+    m->unexplained_voltage.d =
+        sat16(asr32((int32_t)m->unexplained_voltage.d + o->voltage.d - drop(o->current.d, resistance), 1));
+    m->unexplained_voltage.q =
+        sat16(asr32((int32_t)m->unexplained_voltage.q + o->voltage.q - drop(o->current.q, resistance), 1));
 }
 
 static bool current_flows(const winding_config_t *config, const observation_t *o)
 {
-    return o->current_size >= 2 * (int32_t)config->silent;
+    return o->current_magnitude >= 2 * (int32_t)config->current_min;
 }
 
 /* Voltage that half of the resistance, dead time and switches may account for. Dead time is not compensated at small
  * currents. */
 static int32_t tolerated(const winding_config_t *config, const observation_t *o)
 {
-    const bool exact = (o->features & FEATURE_DEAD_TIME) != 0U && o->current_size > config->silent;
+    const bool exact = (o->features & FEATURE_DEAD_TIME) != 0U && o->current_magnitude > config->current_min;
     return (exact ? 1 : 2) * (int32_t)config->emf_floor + asr32(o->drop, 1);
 }
 
@@ -108,26 +112,29 @@ static int32_t tolerated(const winding_config_t *config, const observation_t *o)
  * `beyond`: the excess over the tolerated voltage. */
 static void note_voltage(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o, int32_t beyond)
 {
-    const dq_t voltage = m->rest;
-    const bool rigid = !m->turned && m->swept > SWEPT_MAX;
-    if (m->turning == 0U || rigid) {
-        m->emf = voltage;
-        m->swept = 0;
-        m->turned = false;
-        m->idle = 0;
-        m->rigid = rigid || (m->turning > 0U && m->rigid);
+    const dq_t voltage = m->unexplained_voltage;
+    const bool rigid = !m->direction_changed && m->expected_rotation > ROTATION_MAX;
+    if (m->unexplained_ticks == 0U || rigid) {
+        m->reference_voltage = voltage;
+        m->expected_rotation = 0;
+        m->direction_changed = false;
+        m->ticks_without_current = 0;
+        m->direction_was_constant = rigid || (m->unexplained_ticks > 0U && m->direction_was_constant);
     }
-    m->swept += (uint32_t)asr64((int64_t)beyond * config->turn_per_voltage, 15);
-    const int32_t along = asr32((int32_t)voltage.d * m->emf.d, 1) + asr32((int32_t)voltage.q * m->emf.q, 1);
-    const int32_t across = asr32((int32_t)voltage.d * m->emf.q, 1) - asr32((int32_t)voltage.q * m->emf.d, 1);
-    m->turned = m->turned || along < across || along < -across; /* more than an eighth of a turn */
-    m->idle = (uint16_t)(m->idle + (current_flows(config, o) ? 0U : 1U));
-    m->turning++;
+    m->expected_rotation += (uint32_t)asr64((int64_t)beyond * config->rotation_per_voltage, 15);
+    const int32_t along =
+        asr32((int32_t)voltage.d * m->reference_voltage.d, 1) + asr32((int32_t)voltage.q * m->reference_voltage.q, 1);
+    const int32_t across =
+        asr32((int32_t)voltage.d * m->reference_voltage.q, 1) - asr32((int32_t)voltage.q * m->reference_voltage.d, 1);
+    m->direction_changed =
+        m->direction_changed || along < across || along < -across; /* more than an eighth of a turn */
+    m->ticks_without_current = (uint16_t)(m->ticks_without_current + (current_flows(config, o) ? 0U : 1U));
+    m->unexplained_ticks++;
 }
 
 static frac16_t test_size(const winding_config_t *config, const observation_t *o)
 {
-    const int32_t wanted = 4 * (int32_t)config->silent;
+    const int32_t wanted = 4 * (int32_t)config->current_min;
     return (wanted < o->current_limit) ? (frac16_t)wanted : o->current_limit;
 }
 
@@ -136,7 +143,7 @@ static void request_test_current(const encoder_monitor_t *m, const winding_confi
 {
     const frac16_t size = test_size(config, o);
     if (m->along_q) {
-        evidence->test_current.q = m->back ? f16_neg(size) : size;
+        evidence->test_current.q = m->negative_q ? f16_neg(size) : size;
     } else {
         evidence->test_current.d = size;
     }
@@ -152,7 +159,8 @@ static frac16_t current_along(const encoder_monitor_t *m, const observation_t *o
  * the next test is at another angle. */
 static bool emf_persists(const encoder_monitor_t *m)
 {
-    return 4 * length_about(m->rest.d, m->rest.q) >= length_about(m->emf.d, m->emf.q);
+    return 4 * length_about(m->unexplained_voltage.d, m->unexplained_voltage.q) >=
+           length_about(m->reference_voltage.d, m->reference_voltage.q);
 }
 
 /* The voltage rotates like a back-EMF. It may be integrator wind-up if hardly any current flows or flowed meanwhile, or
@@ -160,28 +168,29 @@ static bool emf_persists(const encoder_monitor_t *m)
  * requested along the larger component of the voltage, for the settling time of the current controllers. */
 static void test_emf(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o, evidence_t *evidence)
 {
-    if (m->testing == 0U) {
-        if (!m->rigid && 2 * (int32_t)m->idle <= (int32_t)m->turning && current_flows(config, o)) {
+    if (m->test_ticks == 0U) {
+        if (!m->direction_was_constant && 2 * (int32_t)m->ticks_without_current <= (int32_t)m->unexplained_ticks &&
+            current_flows(config, o)) {
             evidence->confirmed |= FOUND(FINDING_EMF_WITHOUT_COUNT);
             return;
         }
-        m->along_q = f16_abs(m->rest.q) > f16_abs(m->rest.d);
-        m->back = m->along_q && o->current_ref.q > 0;
-        m->before = current_along(m, o);
+        m->along_q = f16_abs(m->unexplained_voltage.q) > f16_abs(m->unexplained_voltage.d);
+        m->negative_q = m->along_q && o->current_ref.q > 0;
+        m->current_before_test = current_along(m, o);
     }
-    m->testing++;
-    if (m->testing <= TEST_TICKS) {
+    m->test_ticks++;
+    if (m->test_ticks <= TEST_TICKS) {
         return;
     }
-    m->testing = 0;
+    m->test_ticks = 0;
     const int32_t size = test_size(config, o);
-    const int32_t change = (int32_t)current_along(m, o) - m->before;
-    const int32_t more = 4 * (m->back ? -change : change);
+    const int32_t change = (int32_t)current_along(m, o) - m->current_before_test;
+    const int32_t more = 4 * (m->negative_q ? -change : change);
     if (more < 2 * size) { /* with a lost phase at most half of the test current flows */
         evidence->confirmed |= FOUND(FINDING_CURRENT_NOT_FOLLOWING);
         return;
     }
-    m->turning = 0;
+    m->unexplained_ticks = 0;
     if (emf_persists(m)) {
         evidence->confirmed |= FOUND((more >= 3 * size) ? FINDING_EMF_CONFIRMED : FINDING_EMF_WITHOUT_COUNT);
     }
@@ -190,8 +199,8 @@ static void test_emf(encoder_monitor_t *m, const winding_config_t *config, const
 /* A step of the set-point needs voltage beyond that, through the current controllers' gain. */
 static bool steps(encoder_monitor_t *m, const winding_config_t *config, gain_t kp, const observation_t *o)
 {
-    const int32_t step = f16_abs(f16_sub(o->current_ref.q, m->wanted));
-    m->wanted = o->current_ref.q;
+    const int32_t step = f16_abs(f16_sub(o->current_ref.q, m->last_i_q_ref));
+    m->last_i_q_ref = o->current_ref.q;
     return i32_gain(step, kp) > (int32_t)config->emf_floor;
 }
 
@@ -199,33 +208,35 @@ static bool steps(encoder_monitor_t *m, const winding_config_t *config, gain_t k
  * drop of dead time and switches causes no response of the current controllers, so a test current is needed. */
 static bool needs_test_current(const encoder_monitor_t *m, const winding_config_t *config, const observation_t *o)
 {
-    return m->sudden && m->testing == 0U && m->calm >= ENCODER_CONFIRM_TICKS && !current_flows(config, o) &&
-           f16_abs(o->current_ref.q) < 2 * (int32_t)config->silent;
+    return m->stopped_abruptly && m->test_ticks == 0U && m->ticks_without_movement >= ENCODER_CONFIRM_TICKS &&
+           !current_flows(config, o) && f16_abs(o->current_ref.q) < 2 * (int32_t)config->current_min;
 }
 
 /* At constant current the voltage is constant, unless the rotor turns. A change of the set-point ends the probe: the
  * response will show whether the shaft moves. */
 static void probe(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o, evidence_t *evidence)
 {
-    const dq_t steady = {f16_from_f32((frac32_t)asr64(o->steady_d, GAIN_BITS)),
-                         f16_from_f32((frac32_t)asr64(o->steady_q, GAIN_BITS))};
-    m->probing++;
-    if (m->probing <= SETTLED_TICKS) {
+    const dq_t steady = {f16_from_f32((frac32_t)asr64(o->integrator_d, GAIN_BITS)),
+                         f16_from_f32((frac32_t)asr64(o->integrator_q, GAIN_BITS))};
+    m->probe_ticks++;
+    if (m->probe_ticks <= SETTLED_TICKS) {
         m->along_q = false;
-        m->emf = steady;
-        m->held = o->current_ref.q;
-        m->swings = 0;
+        m->reference_voltage = steady;
+        m->i_q_ref_at_probe = o->current_ref.q;
+        m->voltage_change_ticks = 0;
         return;
     }
     const bool flows = 4 * (int32_t)current_along(m, o) >= 3 * (int32_t)test_size(config, o);
-    const int32_t swing = length_about((int32_t)steady.d - m->emf.d, (int32_t)steady.q - m->emf.q);
-    m->swings = (flows && swing > (int32_t)config->emf_floor / 2) ? (uint8_t)(m->swings + 1U) : 0U;
-    const bool turns = m->swings >= SWINGS_MAX;
-    const bool changed = f16_abs(f16_sub(o->current_ref.q, m->held)) > config->silent / 2;
-    if (turns || changed || m->probing > PROBE_TICKS) {
-        m->probing = 0;
-        m->sudden = false;
-        m->rest = (dq_t){0, 0};
+    const int32_t swing =
+        length_about((int32_t)steady.d - m->reference_voltage.d, (int32_t)steady.q - m->reference_voltage.q);
+    m->voltage_change_ticks =
+        (flows && swing > (int32_t)config->emf_floor / 2) ? (uint8_t)(m->voltage_change_ticks + 1U) : 0U;
+    const bool turns = m->voltage_change_ticks >= VOLTAGE_CHANGES_MAX;
+    const bool changed = f16_abs(f16_sub(o->current_ref.q, m->i_q_ref_at_probe)) > config->current_min / 2;
+    if (turns || changed || m->probe_ticks > PROBE_TICKS) {
+        m->probe_ticks = 0;
+        m->stopped_abruptly = false;
+        m->unexplained_voltage = (dq_t){0, 0};
     }
     if (turns && !changed) {
         evidence->confirmed |= FOUND(FINDING_EMF_WITHOUT_COUNT);
@@ -236,16 +247,17 @@ static void probe(encoder_monitor_t *m, const winding_config_t *config, const ob
 static void judge(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o)
 {
     note_unexplained(m, config->resistance, o);
-    const int32_t size = length_about(m->rest.d, m->rest.q);
+    const int32_t size = length_about(m->unexplained_voltage.d, m->unexplained_voltage.q);
     const int32_t beyond = size - tolerated(config, o);
     if (beyond > 0) {
         note_voltage(m, config, o, beyond);
-    } else if (m->turning > 0U) {
-        m->turning--;
-        m->idle = (m->idle > m->turning) ? m->turning : m->idle;
+    } else if (m->unexplained_ticks > 0U) {
+        m->unexplained_ticks--;
+        m->ticks_without_current =
+            (m->ticks_without_current > m->unexplained_ticks) ? m->unexplained_ticks : m->ticks_without_current;
     }
     const int32_t much = 4 * (int32_t)config->emf_floor + asr32(o->drop, 1);
-    m->windup = (size > much) ? (uint16_t)(m->windup + 1U) : 0U;
+    m->windup_ticks = (size > much) ? (uint16_t)(m->windup_ticks + 1U) : 0U;
 }
 
 /* A voltage that rotates is a back-EMF. A voltage that grows in a constant direction means that no current can flow. */
@@ -253,21 +265,21 @@ static void check_voltage(encoder_monitor_t *m, const winding_config_t *config, 
                           evidence_t *evidence)
 {
     const bool stepped = steps(m, config, kp, o);
-    if (m->calm < CALM_TICKS) {
-        m->turning = 0;
-        m->windup = 0;
+    if (m->ticks_without_movement < STANDSTILL_TICKS) {
+        m->unexplained_ticks = 0;
+        m->windup_ticks = 0;
         return;
     }
-    if (m->probing > 0U || needs_test_current(m, config, o)) {
+    if (m->probe_ticks > 0U || needs_test_current(m, config, o)) {
         probe(m, config, o, evidence);
         return;
     }
     if (!stepped) {
         judge(m, config, o);
     }
-    if (m->testing > 0U || (m->turning >= TURNING_TICKS && m->turned)) {
+    if (m->test_ticks > 0U || (m->unexplained_ticks >= UNEXPLAINED_TICKS && m->direction_changed)) {
         test_emf(m, config, o, evidence);
-    } else if (m->windup >= WINDUP_TICKS) {
+    } else if (m->windup_ticks >= WINDUP_TICKS) {
         evidence->confirmed |= FOUND(FINDING_CURRENT_NOT_FOLLOWING);
     }
 }
@@ -276,10 +288,11 @@ static void check_voltage(encoder_monitor_t *m, const winding_config_t *config, 
 static void check_shorted(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o,
                           evidence_t *evidence)
 {
-    const bool flows = o->current_size > 2 * (int32_t)config->silent;
-    m->turning = (m->calm >= CALM_TICKS && flows) ? (uint16_t)(m->turning + 1U) : 0U;
-    if (m->turning >= SHORT_TICKS) {
-        evidence->confirmed |= FOUND(FINDING_CURRENT_IN_SHORT);
+    const bool flows = o->current_magnitude > 2 * (int32_t)config->current_min;
+    m->unexplained_ticks =
+        (m->ticks_without_movement >= STANDSTILL_TICKS && flows) ? (uint16_t)(m->unexplained_ticks + 1U) : 0U;
+    if (m->unexplained_ticks >= SHORT_TICKS) {
+        evidence->confirmed |= FOUND(FINDING_SHORT_CURRENT_WITHOUT_COUNT);
     }
 }
 
@@ -287,10 +300,10 @@ void encoder_monitor_step(encoder_monitor_t *m, const winding_config_t *config, 
                           evidence_t *evidence)
 {
     check_count(m, o->position, evidence);
-    o->calm = m->calm;
+    o->ticks_without_movement = m->ticks_without_movement;
     if (o->spins) {
         check_voltage(m, config, kp, o, evidence);
-        if (m->testing != 0U || m->probing != 0U) {
+        if (m->test_ticks != 0U || m->probe_ticks != 0U) {
             request_test_current(m, config, o, evidence);
         }
     } else if (o->shorted) {
@@ -300,7 +313,7 @@ void encoder_monitor_step(encoder_monitor_t *m, const winding_config_t *config, 
 
 void encoder_monitor_suspect(const encoder_monitor_t *m, const observation_t *o, evidence_t *evidence)
 {
-    if (o->shorted && m->sudden) {
+    if (o->shorted && m->stopped_abruptly) {
         evidence->suspected |= SUSPECT_ENCODER;
     }
 }

@@ -1,7 +1,7 @@
-/* encoder_monitor.h - an encoder whose count lags the shaft.
+/* encoder_monitor.h - detects an encoder that does not count.
  *
- * One dead line leaves a count that goes one back and forth with the edges of the other one, faster than a shaft at rest
- * can; two leave a count that stands while the voltage shows that the motor turns.
+ * One dead channel: the count alternates by one with the edges of the other channel, faster than a shaft at rest can
+ * dither. Two dead channels: the count is constant while the voltage rotates like a back-EMF.
  */
 #ifndef SERVO_DIAGNOSIS_ENCODER_MONITOR_H
 #define SERVO_DIAGNOSIS_ENCODER_MONITOR_H
@@ -9,52 +9,65 @@
 #include "diagnosis/evidence.h"
 #include "diagnosis/observation.h"
 
-/* Slow ticks at rest after a sudden stop, before a current is sent through the windings. */
+/* Slow ticks without movement after an abrupt stop of the count, before the probe begins. */
 #define ENCODER_CONFIRM_TICKS 20U
 
 typedef struct {
-    int32_t anchor;   /* position that the count has not left by more than two */
-    int32_t last;     /* position of the last tick */
-    uint16_t calm;    /* slow ticks that it has not */
-    uint16_t window;  /* slow ticks of the present window .. */
-    uint16_t toggles; /* .. and those in which the count has changed */
-    int32_t toggled;  /* way of the last change .. */
-    bool hunts;       /* .. and one of this window was not its opposite */
-    uint8_t windows;  /* windows in a row with more changes than a resting shaft makes */
-    uint16_t pace;    /* counts of the last tick that moved the shaft, a part of which it may have stood .. */
-    uint16_t earlier; /* .. and of the one before */
-    bool sudden;      /* it has come to rest at once */
-    frac16_t wanted;  /* i_q* of the last tick */
-    dq_t rest;        /* voltage that the current does not need, of late */
-    uint16_t turning; /* slow ticks of unexplained voltage without a count, less those without */
-    uint16_t idle;    /* those of them without current */
-    uint16_t windup;  /* slow ticks of so much of it that no current follows */
-    uint8_t testing;  /* slow ticks for which a current has been asked to see whether any flows .. */
-    bool along_q;     /* .. in this direction .. */
-    bool back;        /* .. or against it: i_q* may be at its limit .. */
-    frac16_t before;  /* .. in which this has flowed before */
-    uint16_t probing; /* slow ticks for which one has been sent to see whether the voltage stays .. */
-    frac16_t held;    /* .. with an i_q* that does .. */
-    uint8_t swings;   /* .. and of late has not */
-    dq_t emf;         /* that voltage at first .. */
-    uint32_t swept;   /* .. how far it would have turned since if it were a back-EMF, 2^16 a turn .. */
-    bool turned;      /* .. and it has pointed elsewhere */
-    bool rigid;       /* it has not for longer than that */
+    int32_t reference_position; /* counts; movement: the count leaves it by more than two */
+    int32_t last_position; /* counts, previous slow tick */
+    uint16_t ticks_without_movement; /* slow ticks since the last movement */
+
+    /* toggle test: a count that alternates by one */
+    uint16_t window_ticks; /* slow ticks of the present window */
+    uint16_t window_changes; /* slow ticks of the present window in which the count changed */
+    int32_t last_change; /* last change of the count, counts */
+    bool not_alternating; /* a change in the present window did not reverse the previous one */
+    uint8_t alternating_windows; /* consecutive windows with more alternating changes than a shaft at rest causes */
+
+    /* abrupt stop */
+    uint16_t step_counts; /* counts of the last slow tick with movement, in which the shaft may have stopped */
+    uint16_t earlier_step_counts; /* counts of the slow tick before */
+    bool stopped_abruptly; /* the count stopped from a high speed within two slow ticks */
+
+    /* unexplained voltage at a constant count */
+    frac16_t last_i_q_ref; /* i_q* of the previous slow tick, Q1.15 of full-scale current */
+    dq_t unexplained_voltage; /* voltage minus the resistive drop, filtered, Q1.15 of full-scale voltage */
+    uint16_t unexplained_ticks; /* slow ticks with unexplained voltage (READY: with current), minus those without */
+    uint16_t ticks_without_current; /* slow ticks among `unexplained_ticks` without current */
+    uint16_t windup_ticks; /* consecutive slow ticks with a voltage so high that the current cannot follow */
+    dq_t reference_voltage; /* unexplained voltage, or integrator outputs in a probe, at the start of the observation */
+    uint32_t expected_rotation; /* rotation of a back-EMF of that amplitude since then, 2^16 is one turn */
+    bool direction_changed; /* the voltage has rotated by more than an eighth of a turn since then */
+    bool direction_was_constant; /* the direction was constant for longer than that of a back-EMF */
+
+    /* test current */
+    uint8_t test_ticks; /* slow ticks since the test current was requested; 0: no test */
+    bool along_q; /* test current on the q axis, otherwise on the d axis */
+    bool negative_q; /* negative test current, because i_q* may be at its limit */
+    frac16_t current_before_test; /* current on the test axis before the test, Q1.15 of full-scale current */
+
+    /* probe after an abrupt stop: constant current, the voltage changes only if the rotor turns */
+    uint16_t probe_ticks; /* slow ticks since the start of the probe; 0: no probe */
+    frac16_t i_q_ref_at_probe; /* i_q* at the start, Q1.15 of full-scale current; a change ends the probe */
+    uint8_t voltage_change_ticks; /* consecutive slow ticks with a changed voltage */
 } encoder_monitor_t;
 
-/* The shaft rests at `position`. */
+/* Initialise with the shaft at rest at `position` [counts]. */
 void encoder_monitor_start(encoder_monitor_t *monitor, int32_t position);
 
-/* One slow tick with an encoder, in every state; sets `observation->calm`. `kp` is the gain of the q current controller. */
+/* One slow tick in every state except FAULT; sets `observation->ticks_without_movement`. `kp`: gain of the q current
+ * controller. */
 void encoder_monitor_step(encoder_monitor_t *monitor, const winding_config_t *config, gain_t kp,
                           observation_t *observation, evidence_t *evidence);
 
-/* The shaft has just stopped at once, or the encoder has died, and the angle with it: it will show. */
+/* True for ENCODER_CONFIRM_TICKS after an abrupt stop of the count: either the shaft has stopped or the encoder has
+ * failed. */
 static inline bool encoder_monitor_stop_unconfirmed(const encoder_monitor_t *monitor)
 {
-    return monitor->sudden && monitor->calm < ENCODER_CONFIRM_TICKS;
+    return monitor->stopped_abruptly && monitor->ticks_without_movement < ENCODER_CONFIRM_TICKS;
 }
 
+/* Suspect the encoder if the count stopped abruptly and the windings are shorted. */
 void encoder_monitor_suspect(const encoder_monitor_t *monitor, const observation_t *observation, evidence_t *evidence);
 
 #endif

@@ -10,13 +10,13 @@ static fault_rule_t rule_of(uint16_t finding)
     return rule;
 }
 
-/* A silent phase whose converter repeats its code is no evidence of a lost phase; with a suspected converter no silent
- * phase is. */
+/* A phase without current whose ADC code is constant is no evidence of a lost phase; neither is any phase without current
+ * while a current measurement is suspected. */
 static uint16_t suspected_causes(const evidence_t *evidence)
 {
-    const bool sound = (evidence->suspected & SUSPECT_SENSOR) == 0U;
-    const bool silent = (evidence->silent & ~(uint32_t)evidence->repeating) != 0U;
-    return (uint16_t)(evidence->suspected | ((sound && silent) ? SUSPECT_PHASE : 0U));
+    const bool sound = (evidence->suspected & SUSPECT_CURRENT_SENSE) == 0U;
+    const bool no_current = (evidence->phases_without_current & ~(uint32_t)evidence->repeating) != 0U;
+    return (uint16_t)(evidence->suspected | ((sound && no_current) ? SUSPECT_PHASE : 0U));
 }
 
 static fault_set_t cause_of(uint16_t suspected, fault_set_t enabled)

@@ -1,31 +1,34 @@
-/* fault_isolate.h - from evidence to the name of the fault: cause before consequence. */
+/* fault_isolate.h - fault isolation: determines the faults of a set of findings and suspicions; causes replace their
+ * consequences. */
 #ifndef SERVO_DIAGNOSIS_FAULT_ISOLATE_H
 #define SERVO_DIAGNOSIS_FAULT_ISOLATE_H
 
 #include "diagnosis/evidence.h"
 
 typedef struct {
-    fault_set_t first;  /* the one that names them all; 0 if there is none that is enabled */
-    fault_set_t faults; /* all of them */
+    fault_set_t first;  /* fault of the highest priority; 0: none is enabled */
+    fault_set_t faults; /* faults of all findings */
 } fault_verdict_t;
 
-/* May findings have a name that is enabled? If not, nothing has to be suspected for them. */
+/* True if at least one finding can be reported as an enabled fault; otherwise suspicions are not needed. */
 bool fault_relevant(finding_set_t findings, fault_set_t enabled);
 
+/* Apply the priority table. */
 fault_verdict_t fault_isolate(const evidence_t *evidence, fault_set_t enabled);
 
-/* Faults that findings are called where nothing explains them better. */
+/* Faults of the findings without regard to suspicions. */
 fault_set_t fault_names(finding_set_t findings);
 
-/* Those findings that may stop an axis under their own name. */
+/* Findings whose own fault is enabled. */
 finding_set_t fault_wanted(finding_set_t findings, fault_set_t enabled);
 
 typedef struct {
-    fault_set_t first; /* the name that the first fault gets instead; 0: it stays */
-    fault_set_t voids; /* captured faults that were concluded from what is false */
+    fault_set_t first; /* replaces the first fault; 0: no change */
+    fault_set_t voids; /* captured faults to be removed, because their input was invalid */
 } fault_revision_t;
 
-/* `fresh` faults, `age` PWM periods after the first one: is one of them the cause of those that were `captured`? */
+/* Check whether one of the `fresh` faults, `age` PWM periods after the first fault, is the cause of the `captured`
+ * ones. */
 fault_revision_t fault_revise(fault_set_t fresh, fault_set_t captured, uint32_t age);
 
 #endif

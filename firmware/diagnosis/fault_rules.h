@@ -1,5 +1,5 @@
-/* fault_rules.h - the tables that name faults; fault_isolate.c applies them. Tables only, so that a chip may keep them in a
- * slower memory; not in the data flash, which cannot be read while it is written. */
+/* fault_rules.h - priority table of the faults; applied by fault_isolate.c. In program memory (PROGRAM_TABLE),
+ * because the data flash cannot be read while it is written. */
 #ifndef SERVO_DIAGNOSIS_FAULT_RULES_H
 #define SERVO_DIAGNOSIS_FAULT_RULES_H
 
@@ -10,21 +10,21 @@
 #define FAULT_REVISIONS 2
 
 typedef struct {
-    fault_set_t fault;
-    uint16_t instead; /* SUSPECT_ bits */
-    fault_set_t otherwise;
+    fault_set_t fault; /* fault reported for a finding */
+    uint16_t instead; /* SUSPECT_ bits of causes that are reported instead */
+    fault_set_t otherwise; /* reported if `fault` is not enabled; 0: none */
 } fault_rule_t;
 
 typedef struct {
     uint16_t suspicion; /* SUSPECT_ bit */
-    fault_set_t fault;
+    fault_set_t fault; /* fault of the suspected cause */
 } fault_cause_t;
 
 typedef struct {
-    fault_set_t fault;
-    uint32_t within; /* PWM periods */
-    fault_set_t after;
-    fault_set_t voids;
+    fault_set_t fault; /* cause that is detected after its consequence */
+    uint32_t within; /* largest delay after the first fault, PWM periods */
+    fault_set_t after; /* consequences that are replaced */
+    fault_set_t voids; /* consequences that are removed */
 } fault_revision_rule_t;
 
 extern PROGRAM_TABLE fault_rule_t fault_rules[FINDINGS];

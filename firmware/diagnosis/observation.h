@@ -1,7 +1,7 @@
-/* observation.h - measurements and actions of the drive, input of the monitors.
+/* observation.h - input of the monitors: measurements and state of the drive, once per slow tick.
  *
- * The drive fills it in before it calls a monitor, once per slow tick: what is electrical in the period of the watches,
- * the shaft after the controllers.
+ * drive/monitors.c fills observation_t before the monitors, in the PWM period of the monitors; drive/run_states.c fills
+ * shaft_observation_t after the controllers.
  */
 #ifndef SERVO_DIAGNOSIS_OBSERVATION_H
 #define SERVO_DIAGNOSIS_OBSERVATION_H
@@ -11,74 +11,74 @@
 
 #define OBSERVED_PHASES 3
 
-/* Nominal values of motor and inverter. */
+/* Thresholds and nominal values of motor and inverter. */
 typedef struct {
-    frac16_t silent;          /* less is no current */
-    frac16_t direction_min;   /* largest phase current from which on the directions of silence are noted */
-    gain_t resistance;        /* full-scale current over full-scale voltage */
-    gain_t inductance;        /* the same for a current that changes by that within a slow tick */
-    frac16_t emf_floor;       /* voltage that switches and dead time leave unexplained */
-    int32_t turn_per_voltage; /* of a rotor within a slow tick, for its back-EMF at full scale, 2^16 is a turn */
+    frac16_t current_min; /* smaller phase currents count as zero, Q1.15 of full-scale current */
+    frac16_t direction_current_min; /* largest phase current above which octants without current are recorded */
+    gain_t resistance; /* voltage / current, of full scales */
+    gain_t inductance; /* voltage / change of the current per slow tick, of full scales */
+    frac16_t emf_floor; /* voltage error by switches and dead time, Q1.15 of full-scale voltage */
+    int32_t rotation_per_voltage; /* rotation per slow tick / back-EMF, 2^16 is one turn, back-EMF of full scale */
 } winding_config_t;
 
-/* A converter's code at the centre of the high side, where its shunt carries nothing. */
+/* ADC code sampled at the centre of the high side, where the shunt carries no current. */
 typedef struct {
     uint16_t phase; /* 0, 1, 2: A, B, C */
     uint16_t code; /* ADC code, 12 bits */
-    uint16_t zero; /* code of zero current */
+    uint16_t zero; /* offset: ADC code of zero current */
     bool valid; /* the high side conducts long enough */
 } idle_sample_t;
 
 #define IDLE_SAMPLES 2 /* per slow tick */
 
 typedef struct {
-    /* what the axis does */
-    uint16_t state; /* state_t, substate_t */
+    /* state of the axis */
+    uint16_t state; /* state_t */
     uint16_t substate; /* substate_t */
-    bool switching; /* the high sides conduct in turn; open switches leave the current of a turning shaft in diodes */
-    bool controlled; /* a current controller runs, with its d axis at `d_axis_angle` .. */
-    bool spins; /* .. and follows set-points */
-    bool shorted; /* the windings are shorted because the shaft seems to rest */
-    bool sensorless;
+    bool switching; /* the switches operate; with open switches the current of a turning shaft flows in the diodes */
+    bool controlled; /* current control with the d axis at `d_axis_angle` */
+    bool spins; /* current control in SPIN, follows set-points */
+    bool shorted; /* READY: windings shorted, because the shaft seems to be at rest */
+    bool sensorless; /* feedback is the observer */
     uint16_t features; /* FEATURE_ bits */
 
     /* measurements */
-    uint16_t temperature; /* code of the heat sink's sensor */
-    frac16_t u_dc; /* of this period */
+    uint16_t temperature; /* ADC code of the heat sink sensor */
+    frac16_t u_dc; /* bus voltage of this period, Q1.15 of full-scale bus voltage */
     frac16_t theta_e; /* Q1.15 of pi, electrical */
     int32_t position; /* counts */
     frac32_t speed; /* Q1.31 of full-scale speed, mechanical */
 
-    /* currents and voltages of the last period, in the coordinates of `d_axis_angle` */
-    frac16_t d_axis_angle; /* of the current controller, Q1.15 of pi, electrical, stator reference frame */
-    dq_t current;     /* Q1.15 of full-scale current */
-    dq_t current_ref; /* its set-point */
-    dq_t voltage;     /* Q1.15 of full-scale voltage */
-    pi_sum_t steady_d; /* integral parts of the current controllers */
-    pi_sum_t steady_q; /* the same for q */
-    frac16_t current_limit; /* longest current vector, Q1.15 of full-scale current */
+    /* currents and voltages of the previous period, in the frame of `d_axis_angle` */
+    frac16_t d_axis_angle; /* d axis of the current controller in the stator frame, Q1.15 of pi, electrical */
+    dq_t current; /* Q1.15 of full-scale current */
+    dq_t current_ref; /* current set-point, Q1.15 of full-scale current */
+    dq_t voltage; /* Q1.15 of full-scale voltage */
+    pi_sum_t integrator_d; /* integrator of the d current controller, 55 fraction bits */
+    pi_sum_t integrator_q; /* integrator of the q current controller, 55 fraction bits */
+    frac16_t current_limit; /* largest i_q, Q1.15 of full-scale current */
     frac16_t omega_e; /* electrical speed, Q1.15 of full-scale speed x pole pairs */
-    frac16_t emf; /* that belongs to this speed */
-    int32_t current_size; /* length of `current`, and the resistance's voltage for it */
+    frac16_t emf; /* expected back-EMF at this speed, Q1.15 of full-scale voltage */
+    int32_t current_magnitude; /* length of `current`, Q1.15 of full-scale current */
     int32_t drop; /* resistance x current, Q1.15 of full-scale voltage */
-    int32_t current_change; /* length of its change since the last slow tick */
+    int32_t current_change; /* length of the change of `current` since the last slow tick, Q1.15 */
 
-    /* what one monitor has to tell the next */
-    uint16_t calm; /* slow ticks since the count has moved by more than two */
-    bool stop_unconfirmed; /* it has stopped at once, and whether the shaft has is not known yet */
-    uint16_t conducting; /* phases that carry current, a bit each */
+    /* results of one monitor that other monitors use */
+    uint16_t ticks_without_movement; /* slow ticks since the count moved by more than two */
+    bool stop_unconfirmed; /* the count stopped abruptly; it is not confirmed yet whether the shaft has stopped */
+    uint16_t conducting_phases; /* phases that carry current, one bit each */
 } observation_t;
 
-/* The spinning shaft, after the controllers. */
+/* Shaft in SPIN, after the controllers. */
 typedef struct {
     uint16_t features; /* FEATURE_ bits */
     frac32_t speed; /* Q1.31 of full-scale speed, mechanical */
-    frac32_t speed_limit; /* the same */
-    frac32_t over_speed_max; /* the same; a larger speed is a fault */
+    frac32_t speed_limit; /* Q1.31 of full-scale speed */
+    frac32_t over_speed_max; /* Q1.31 of full-scale speed; a higher speed is a fault */
     int32_t following_error; /* counts */
     int32_t following_error_max; /* counts; a larger error is a fault */
-    bool braked; /* by the largest current, all of which the bus takes */
-    bool stands; /* at the largest current */
+    bool decelerated_at_limit; /* decelerated by the full current, not reduced by bus or winding */
+    bool no_movement_at_limit; /* no movement at full current */
 } shaft_observation_t;
 
 #endif

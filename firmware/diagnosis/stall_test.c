@@ -8,14 +8,14 @@
 static rotor_follow_config_t follow_of(const stall_test_t *test, const rotor_search_config_t *config)
 {
     rotor_follow_config_t follow = config->follow;
-    follow.inductive = test->second ? f16_neg(test->inductive) : test->inductive;
-    follow.step = test->second ? (uint16_t)(0U - (uint32_t)follow.step) : follow.step;
+    follow.inductive = test->second_side ? f16_neg(test->inductive) : test->inductive;
+    follow.step = test->second_side ? (uint16_t)(0U - (uint32_t)follow.step) : follow.step;
     return follow;
 }
 
 static void turn_to_side(stall_test_t *test, bool second, int32_t position)
 {
-    test->second = second;
+    test->second_side = second;
     test->origin = position;
     rotor_follow_start(&test->follow, 0);
 }
@@ -24,7 +24,7 @@ void stall_test_start(stall_test_t *test, const rotor_search_config_t *config, c
 {
     const frac16_t i_q = observation->current_ref.q;
     const int32_t current = f16_abs(i_q);
-    *test = (stall_test_t){.runs = true, .positive = i_q > 0, .vector = observation->theta_e};
+    *test = (stall_test_t){.running = true, .positive_torque = i_q > 0, .vector_angle = observation->theta_e};
     test->inductive = sat16((int32_t)config->follow.inductive * current / config->current_limit);
     turn_to_side(test, false, observation->position);
 }
@@ -34,14 +34,14 @@ void stall_test_start(stall_test_t *test, const rotor_search_config_t *config, c
 void stall_test_add(stall_test_t *test, const rotor_search_config_t *config, frac16_t u_d)
 {
     const rotor_follow_config_t follow = follow_of(test, config);
-    rotor_follow_add(&test->follow, &follow, test->positive ? f16_neg(u_d) : u_d);
+    rotor_follow_add(&test->follow, &follow, test->positive_torque ? f16_neg(u_d) : u_d);
 }
 
 /* Movement in the direction of the commanded torque. */
 static int32_t way_from(const stall_test_t *test, int32_t origin, int32_t position)
 {
     const int32_t way = i32_sub_wrap(position, origin);
-    return test->positive ? way : -way;
+    return test->positive_torque ? way : -way;
 }
 
 /* The vector is being rotated; the shaft has not moved yet. */
@@ -51,7 +51,7 @@ static finding_set_t turn_step(stall_test_t *test, const rotor_search_config_t *
     const int32_t way = way_from(test, test->origin, position);
     if (i32_abs(way) >= (int32_t)config->move_counts) {
         test->mirrored = true;
-        test->ahead = way > 0;
+        test->with_torque = way > 0;
         test->phi = f16_neg(test->phi);
         test->ticks = 0;
         test->farthest = position;
@@ -64,10 +64,10 @@ static finding_set_t turn_step(stall_test_t *test, const rotor_search_config_t *
         return 0;
     }
     if (rotor_follow_seen(&test->follow, &follow)) {
-        return FOUND(FINDING_STALL_UNSEEN);
+        return FOUND(FINDING_STALL_WITHOUT_COUNT);
     }
-    if (test->second) {
-        return FOUND(FINDING_SHAFT_HELD);
+    if (test->second_side) {
+        return FOUND(FINDING_SHAFT_BLOCKED);
     }
     turn_to_side(test, true, position);
     return 0;
@@ -86,25 +86,25 @@ static bool turn_outward(stall_test_t *test, const rotor_follow_config_t *config
 static finding_set_t mirrored_step(stall_test_t *test, const rotor_search_config_t *config, int32_t position)
 {
     const int32_t move_min = config->move_counts;
-    const int32_t sign = test->ahead ? 1 : -1;
+    const int32_t sign = test->with_torque ? 1 : -1;
     const int32_t way = sign * way_from(test, test->origin, position);
     const int32_t back = -sign * way_from(test, test->farthest, position);
     test->farthest = (back < 0) ? position : test->farthest;
     test->ticks++;
-    if (test->ticks == STOPS_TICKS / 2U && test->ahead) {
+    if (test->ticks == STOPS_TICKS / 2U && test->with_torque) {
         test->origin = test->farthest;
     }
     if (way >= GOES_ON_OVER_MOVE * move_min) {
-        return FOUND(FINDING_SHAFT_HELD);
+        return FOUND(FINDING_SHAFT_BLOCKED);
     }
     if (back >= TURNS_OVER_MOVE * move_min) {
-        return FOUND(FINDING_STALL_ELSEWHERE);
+        return FOUND(FINDING_STALL_ANGLE_MISMATCH);
     }
-    if (!test->ahead) {
-        return turn_outward(test, &config->follow) ? FOUND(FINDING_SHAFT_HELD) : 0U;
+    if (!test->with_torque) {
+        return turn_outward(test, &config->follow) ? FOUND(FINDING_SHAFT_BLOCKED) : 0U;
     }
     if (test->ticks >= STOPS_TICKS) {
-        return (way >= move_min) ? FOUND(FINDING_SHAFT_HELD) : FOUND(FINDING_STALL_ELSEWHERE);
+        return (way >= move_min) ? FOUND(FINDING_SHAFT_BLOCKED) : FOUND(FINDING_STALL_ANGLE_MISMATCH);
     }
     return 0;
 }
@@ -114,5 +114,5 @@ void stall_test_step(stall_test_t *test, const rotor_search_config_t *config, co
 {
     const int32_t position = observation->position;
     evidence->confirmed |= test->mirrored ? mirrored_step(test, config, position) : turn_step(test, config, position);
-    test->vector = f16_add_wrap(observation->theta_e, test->phi);
+    test->vector_angle = f16_add_wrap(observation->theta_e, test->phi);
 }

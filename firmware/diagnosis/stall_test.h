@@ -1,17 +1,17 @@
-/* stall_test.h - full current and no movement: is the shaft held fast, does it move unseen, or does the current push where
- * no torque comes of it?
+/* stall_test.h - stall test at full current without movement.
  *
- * The current vector turns away from the q axis by an angle phi, first to one side and back, then to the other. Its torque
- * is proportional to cos(phi - delta), where delta is the error of the encoder's angle.
+ * Distinguishes: (1) blocked shaft, (2) free rotor with a dead encoder, (3) wrong encoder angle, error delta. The
+ * current vector is rotated by phi to +phi_max, back, then to -phi_max.
  *
- * Unseen: a rotor that is free has come to lie along a current vector whose angle has stopped changing with the encoder,
- * and is as quiet there as one that is held. It goes with the vector, and its flux across it tells (rotor_follow.h).
+ * (2) The rotor follows the vector although the count is constant: the flux linkage across the vector changes
+ * (rotor_follow.h).
  *
- * Seen: with the right angle the torque is the same at phi and at -phi, and nowhere larger than where the shaft has stood.
- * So as soon as the shaft moves the vector goes to -phi. A shaft that goes on has come free, was driven by its load, or
- * has been pushed off what holds it: it was held. With a wrong angle the torque is another one there: what moved with it
- * stops, what moved against it turns round, if need be where the vector turns on. Whatever the load is, it is the same in
- * both places.
+ * (1) The torque is proportional to cos(phi - delta); with delta = 0 it is equal at +phi and -phi and never larger than
+ * at phi = 0. If the shaft moves, the vector is mirrored to -phi: if the movement continues, the shaft was blocked or
+ * driven by its load.
+ *
+ * (3) If the movement stops or reverses, delta != 0. For movement against the torque the vector is rotated on, to the
+ * largest phi. The load torque is the same at both angles and cancels.
  */
 #ifndef SERVO_DIAGNOSIS_STALL_TEST_H
 #define SERVO_DIAGNOSIS_STALL_TEST_H
@@ -21,27 +21,27 @@
 #include "sensing/rotor_search.h"
 
 typedef struct {
-    bool runs;
-    bool second; /* the vector turns to the second side */
-    bool mirrored; /* the shaft has moved, and the vector has gone to the other side: .. */
-    bool ahead; /* .. with the torque that was wanted, not against it */
-    bool positive; /* the torque that was wanted */
-    frac16_t phi; /* angle of the vector, from where the encoder has it */
-    int32_t origin; /* position at which it began to turn */
-    int32_t farthest; /* position so far in the direction of that movement */
-    uint16_t ticks; /* slow ticks since */
-    frac16_t inductive; /* voltage across the vector of a rotor that stays, at the current that flows */
-    frac16_t vector; /* that the test asks for: angle of the d axis, with the current along q */
+    bool running; /* the test is in progress */
+    bool second_side; /* rotation to -phi_max */
+    bool mirrored; /* the shaft has moved, and the vector has been mirrored */
+    bool with_torque; /* the movement was in the direction of the commanded torque */
+    bool positive_torque; /* sign of the commanded torque */
+    frac16_t phi; /* angle of the vector relative to the q axis of the encoder, Q1.15 of pi */
+    int32_t origin; /* position at the start of the rotation or of the mirrored part, counts */
+    int32_t farthest; /* farthest position in the direction of the movement, counts */
+    uint16_t ticks; /* slow ticks since the vector was mirrored */
+    frac16_t inductive; /* omega L I at the present current, Q1.15 of full-scale voltage */
+    frac16_t vector_angle; /* d axis of the current control, with the current on its q axis, Q1.15 of pi */
     rotor_follow_t follow;
 } stall_test_t;
 
-/* The shaft stands at full current, which stays as it is. */
+/* Begin with the shaft at rest at full current, which is kept. */
 void stall_test_start(stall_test_t *test, const rotor_search_config_t *config, const observation_t *observation);
 
-/* One PWM period, with the voltage along the vector's d axis. */
+/* One PWM period; `u_d`: voltage on the d axis of the vector, Q1.15 of full-scale voltage. */
 void stall_test_add(stall_test_t *test, const rotor_search_config_t *config, frac16_t u_d);
 
-/* One slow tick. */
+/* One slow tick: rotate the vector, confirm the finding. */
 void stall_test_step(stall_test_t *test, const rotor_search_config_t *config, const observation_t *observation,
                      evidence_t *evidence);
 

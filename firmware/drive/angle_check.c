@@ -1,7 +1,7 @@
 #include "drive/angle_check.h"
 
 #include "drive/axis_faults.h"
-#include "drive/estimate.h"
+#include "drive/sensorless_estimate.h"
 
 /* Without dead-time compensation the dead time would appear as an angle error. */
 #define NEEDED (FEATURE_ANGLE_CHECK | FEATURE_DEAD_TIME)
@@ -9,7 +9,7 @@
 void angle_check_start(axis_t *axis)
 {
     axis->fast = LOOP_FAST;
-    estimate_stop(axis);
+    sensorless_estimate_stop(axis);
 }
 
 static uint32_t encoder_angle(const axis_t *axis) { return (uint32_t)(uint16_t)axis->feedback.theta_e << 16; }
@@ -17,9 +17,9 @@ static uint32_t encoder_angle(const axis_t *axis) { return (uint32_t)(uint16_t)a
 /* At low back-EMF the PLL is set to the encoder angle. */
 static void guide_pll(axis_t *axis, int32_t step)
 {
-    estimate_t *estimate = &axis->estimate;
-    if (estimate->size < estimate_emf_at(axis, axis->config->startup.minimum_speed)) {
-        estimate_set(axis, encoder_angle(axis) + (uint32_t)step, step);
+    sensorless_estimate_t *estimate = &axis->estimate;
+    if (estimate->size < sensorless_estimate_emf_at(axis, axis->config->startup.minimum_speed)) {
+        sensorless_estimate_set_angle(axis, encoder_angle(axis) + (uint32_t)step, step);
         pll_adapt(&estimate->pll, &axis->config->pll, estimate->size);
     }
     estimate->pll.backwards = estimate->pll.integral < 0;
@@ -30,33 +30,33 @@ static void guide_pll(axis_t *axis, int32_t step)
 static frac16_t floor_of(const axis_t *axis)
 {
     const dq_t i = axis->current_loop.current;
-    const bool certain = length_about(i.d, i.q) > 2 * (int32_t)axis->config->winding.silent;
+    const bool certain = length_about(i.d, i.q) > 2 * (int32_t)axis->config->winding.current_min;
     return certain ? axis->config->emf_check.floor
                    : f16_add(axis->config->emf_check.floor, axis->config->winding.emf_floor);
 }
 
 void angle_check_step(axis_t *axis)
 {
-    estimate_t *estimate = &axis->estimate;
+    sensorless_estimate_t *estimate = &axis->estimate;
     const int32_t step = pll_step_of(&axis->config->pll, axis->feedback.speed);
     if ((axis->features & NEEDED) != NEEDED || !axis_observable(axis)) {
         axis->fast = LOOP_FAST;
-        estimate_stop(axis);
+        sensorless_estimate_stop(axis);
         return;
     }
     if (!estimate->runs) {
         axis->fast = LOOP_OBSERVED;
-        estimate_start(axis, encoder_angle(axis), step);
+        sensorless_estimate_start(axis, encoder_angle(axis), step);
         estimate->locked = true;
         return;
     }
-    estimate_step(axis);
-    observer_turn(&estimate->observer, step);
+    sensorless_estimate_step(axis);
+    back_emf_observer_set_speed(&estimate->observer, step);
     /* The observed back-EMF is the mean over the period after the sample of the angle: use the angle in the middle of
      * it. */
     const frac16_t middle = pll_upper(encoder_angle(axis) + (uint32_t)asr32(step, 1));
     const dq_t emf = park(estimate->emf, sin_cos(middle));
-    const frac16_t expected = estimate_emf_at(axis, axis->feedback.speed);
+    const frac16_t expected = sensorless_estimate_emf_at(axis, axis->feedback.speed);
     estimate->mismatch = emf_check_deviates(&axis->config->emf_check, floor_of(axis),
                                             emf_check_deviation(emf, expected), expected, axis->current_loop.current.q);
     guide_pll(axis, step);
@@ -64,12 +64,12 @@ void angle_check_step(axis_t *axis)
 
 void angle_check_judge(axis_t *axis)
 {
-    estimate_t *estimate = &axis->estimate;
+    sensorless_estimate_t *estimate = &axis->estimate;
     if (!estimate->runs) {
         return;
     }
-    estimate_judge(axis);
-    if (emf_check_lasts(&estimate->check, estimate->mismatch, axis->config->emf_check.ticks_check)) {
-        axis_raise(axis, FOUND(FINDING_OBSERVED_ELSEWHERE));
+    sensorless_estimate_judge(axis);
+    if (emf_check_confirmed(&estimate->check, estimate->mismatch, axis->config->emf_check.ticks_check)) {
+        axis_raise(axis, FOUND(FINDING_OBSERVER_ANGLE_MISMATCH));
     }
 }

@@ -1,21 +1,21 @@
-/* angle_check.h - the observer beside an encoder: is the rotor where the encoder says? (FEATURE_ANGLE_CHECK)
+/* angle_check.h - checks the encoder angle by the observed back-EMF (FEATURE_ANGLE_CHECK).
  *
- * The back-EMF is looked at in the encoder's frame, where it has to be (0, omega psi_m): an offset that is wrong turns it,
- * half a turn of offset, which reverses the torque, turns it round, and with a dead encoder it comes out of nowhere. No
- * PLL has to lock, so it shows as soon as there is enough of it.
+ * In the frame of the encoder the back-EMF must be (0, omega psi_m). An offset error rotates it, by 180 degrees if the
+ * torque is reversed; a dead encoder gives back-EMF at speed 0. Independent of the lock of the PLL, so the delay is
+ * short.
  */
 #ifndef SERVO_DRIVE_ANGLE_CHECK_H
 #define SERVO_DRIVE_ANGLE_CHECK_H
 
 #include "drive/axis_data.h"
 
-/* SPIN begins. */
+/* Reset at the start of SPIN. */
 void angle_check_start(axis_t *axis);
 
-/* One slow tick in SPIN, after the controllers: the output of the observer. */
+/* One slow tick in SPIN, after the controllers: compare the observed back-EMF. */
 void angle_check_step(axis_t *axis);
 
-/* Some time after that: raises FINDING_OBSERVED_ELSEWHERE. */
+/* In a later PWM period of the same slow tick: raise FINDING_OBSERVER_ANGLE_MISMATCH. */
 void angle_check_judge(axis_t *axis);
 
 #endif

@@ -4,8 +4,8 @@
 #include <string.h>
 
 #include "diagnosis/fault_isolate.h"
+#include "drive/axis_field_weakening.h"
 #include "drive/axis_states.h"
-#include "drive/excitation.h"
 #include "drive/feedback.h"
 #include "drive/holding_brake.h"
 #include "drive/homing.h"
@@ -16,8 +16,8 @@
 #include "drive/run_step.h"
 #include "drive/soft_limits.h"
 #include "drive/stop.h"
-#include "drive/weakening.h"
-#include "drive/winding.h"
+#include "drive/test_signal.h"
+#include "drive/winding_protection.h"
 
 #define U_DC_FILTER_SHIFT 4 /* time constant: 16 PWM periods */
 #define BUS_CODE_SHIFT 3    /* 12-bit code to Q1.15 (DRM E46, E47) */
@@ -41,9 +41,9 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     axis->written_limits = axis->limits;
     axis->limits_fresh = false;
     axis->path_limits = soft_limits_path(config, &axis->limits, config->path_omega_n_ts);
-    winding_init(axis);
-    axis->following_error = config->following_error;
-    axis->over_speed = config->over_speed;
+    winding_protection_init(axis);
+    axis->following_error_max = config->following_error;
+    axis->over_speed_max = config->over_speed;
     axis->regen_derating = FRAC16_MAX;
     axis->on_disable = (stop_category_t)config->stop.disable;
     axis->on_quick_stop = (stop_category_t)config->stop.quick_stop;
@@ -52,7 +52,7 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
     hal_adc_select(hal, index, axis->sense.pair);
     axis->motion.position_gain = config->position_gain;
     axis->fast = LOOP_FAST;
-    axis->feedback_wanted = config->feedback;
+    axis->feedback_requested = config->feedback;
     homing_init(axis);
     axis->source->reset(axis);
     axis_states_init(axis);
@@ -62,7 +62,7 @@ void axis_init(axis_t *axis, const axis_config_t *config, hal_t *hal, uint16_t i
 /* Select the source of angle and speed: not in motion, and no observer without its constants. */
 static void choose_source(axis_t *axis)
 {
-    const bool sensorless = axis->feedback_wanted == FEEDBACK_KIND_OBSERVER && axis_observable(axis);
+    const bool sensorless = axis->feedback_requested == FEEDBACK_KIND_OBSERVER && axis_observable(axis);
     if (sensorless != axis->sensorless && axis->sm.state != STATE_RUN) {
         axis->sensorless = sensorless;
         axis->source = sensorless ? &observer_feedback : &encoder_feedback;
@@ -87,7 +87,7 @@ static void filter_bus(axis_t *axis)
 /* Findings whose cause is present now. */
 static finding_set_t present(const axis_t *axis)
 {
-    return monitor_bus_now(axis) | (axis->diagnosis.heat.hot ? FOUND(FINDING_HOT) : 0U) |
+    return monitor_bus_now(axis) | (axis->diagnosis.heat_sink.hot ? FOUND(FINDING_HEAT_SINK_HOT) : 0U) |
            winding_model_findings(&axis->diagnosis.winding);
 }
 
@@ -125,11 +125,11 @@ static void take_requests(axis_t *axis)
 {
     const axis_command_t *command = &axis->command;
     if (axis->sm.state == STATE_FAULT) {
-        axis->requested = false;
+        axis->enable_requested = false;
         axis->stop_faults = 0;
     } else if ((command->fresh & FRESH_ENABLE) != 0U) {
         if (command->enable) {
-            axis->requested = axis->stop_faults == 0U && inputs_permit(axis);
+            axis->enable_requested = axis->stop_faults == 0U && inputs_permit(axis);
         } else {
             stop_begin(axis, axis->on_disable);
         }
@@ -138,7 +138,7 @@ static void take_requests(axis_t *axis)
         stop_begin(axis, axis->on_quick_stop);
     }
     if ((command->fresh & FRESH_CLEAR_FAULTS) != 0U && axis->sm.state == STATE_FAULT) {
-        hal_break_clear(axis->hal, axis->index);
+        hal_over_current_clear(axis->hal, axis->index);
         const fault_set_t broken = axis->latch.pending & FAULT_CURRENT_SENSE & axis->latch.enabled;
         fault_latch_clear(&axis->latch, broken | fault_names(present(axis)));
         if (axis->latch.captured == 0U) {
@@ -173,7 +173,7 @@ void axis_slow(axis_t *axis)
     if (axis->sensorless && !(axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN)) {
         motion_accept_speed(axis);
     }
-    if (axis->stop_faults != 0U && !stop_in_hand(axis)) {
+    if (axis->stop_faults != 0U && !stop_is_controllable(axis)) {
         axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT); /* at rest: switch the outputs off now */
         axis->stop_faults = 0;
     }
@@ -198,15 +198,15 @@ void axis_protect(axis_t *axis)
     inputs_step(axis);
     holding_brake_step(axis);
     homing_step(axis);
-    winding_protect(axis);
-    weakening_step(axis); /* within the thermal limit of the winding */
+    winding_protection_step(axis);
+    axis_field_weakening_step(axis); /* within the thermal limit of the winding */
 }
 
-void axis_excite(axis_t *axis) { excitation_step(axis); }
+void axis_test_signal(axis_t *axis) { test_signal_step(axis); }
 
 void axis_edge(axis_t *axis) { axis->source->edge(axis); }
 
-void axis_break(axis_t *axis)
+void axis_over_current_trip(axis_t *axis)
 {
     /* The hardware has opened the switches. The fast loop reads its latch and raises the fault; here, above every other
      * interrupt, nothing else may be touched. */

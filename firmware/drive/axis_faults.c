@@ -18,7 +18,7 @@ void axis_raise(axis_t *axis, finding_set_t findings)
     const fault_set_t faults = fault_latch_capture(latch, &evidence, &axis->observation);
     if (faults != 0U) {
         const stop_category_t category = stop_for(&axis->config->stop, faults);
-        if (category == STOP_CATEGORY_COAST || !stop_in_hand(axis)) {
+        if (category == STOP_CATEGORY_COAST || !stop_is_controllable(axis)) {
             axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_FAULT);
         } else {
             axis->stop_faults |= faults;
@@ -29,7 +29,7 @@ void axis_raise(axis_t *axis, finding_set_t findings)
 
 void axis_stop_with(axis_t *axis, finding_set_t findings)
 {
-    if (axis->requested) {
+    if (axis->enable_requested) {
         axis_raise(axis, findings);
     }
 }

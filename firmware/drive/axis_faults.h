@@ -1,12 +1,11 @@
-/* axis_faults.h - from a finding to what the axis does about it: name and capture it, then stop. */
+/* axis_faults.h - response of the axis to findings: isolate and capture the faults, then stop. */
 #ifndef SERVO_DRIVE_AXIS_FAULTS_H
 #define SERVO_DRIVE_AXIS_FAULTS_H
 
 #include "drive/axis_data.h"
-#include "drive/estimate.h"
+#include "drive/sensorless_estimate.h"
 
-/* State and measurements of this moment go into the observation: what is recorded, and what separates cause from
- * consequence. */
+/* Copy present state and measurements to the observation, for the fault record and the isolation. */
 static inline void axis_observe(axis_t *axis)
 {
     observation_t *o = &axis->observation;
@@ -17,14 +16,14 @@ static inline void axis_observe(axis_t *axis)
     o->theta_e = axis->feedback.theta_e;
     o->speed = axis->feedback.speed;
     o->current = axis->current_loop.current;
-    o->emf = estimate_emf_at(axis, axis->current_loop.omega_e);
+    o->emf = sensorless_estimate_emf_at(axis, axis->current_loop.omega_e);
 }
 
-/* Name and capture findings. The outputs go off with the next call of the state machine, or after a stop where the
- * configuration has one for all of these faults (stop.h). */
+/* Isolate and capture findings. The outputs are switched off with the next call of the state machine, or after a
+ * stop if the configuration has a stop category for all of these faults (stop.h). */
 void axis_raise(axis_t *axis, finding_set_t findings);
 
-/* The same, for what concerns an axis only while its drive is wanted (host silence). */
+/* axis_raise for findings that are relevant only while the axis is enabled (host silence, underrun). */
 void axis_stop_with(axis_t *axis, finding_set_t findings);
 
 #endif

@@ -26,7 +26,7 @@ static void state_init(axis_t *axis, axis_loop_t loop)
 
 static void state_stop(axis_t *axis, axis_loop_t loop)
 {
-    if (loop == LOOP_SLOW && axis->requested) {
+    if (loop == LOOP_SLOW && axis->enable_requested) {
         axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_START);
     }
 }
@@ -34,7 +34,7 @@ static void state_stop(axis_t *axis, axis_loop_t loop)
 static void state_run(axis_t *axis, axis_loop_t loop)
 {
     run_state_step(axis, loop);
-    if (loop == LOOP_SLOW && !axis->requested) {
+    if (loop == LOOP_SLOW && !axis->enable_requested) {
         axis->sm.ctrl = (uint16_t)(axis->sm.ctrl | SM_CTRL_STOP);
     }
 }
@@ -49,7 +49,7 @@ static void state_run(axis_t *axis, axis_loop_t loop)
 static void off(axis_t *axis)
 {
     axis_zero_voltage(axis, false);
-    axis->requested = false;
+    axis->enable_requested = false;
     axis->aligned = axis->aligned && (axis->latch.captured & ~(fault_set_t)ANGLE_HOLDS) == 0U;
 }
 
@@ -72,7 +72,7 @@ static void stop_run(axis_t *axis)
 
 static void run_stop(axis_t *axis)
 {
-    if (axis->requested) {
+    if (axis->enable_requested) {
         /* Requested again before the stop was complete. */
         axis->sm.ctrl = (uint16_t)(axis->sm.ctrl & (uint16_t)~SM_CTRL_STOP);
     } else if (run_state_may_leave(axis)) {
@@ -101,7 +101,7 @@ void axis_states_init(axis_t *axis)
     axis->sm.ctrl = SM_CTRL_NONE;
     axis->sm.state = STATE_INIT;
     axis->substate = SUBSTATE_CALIB;
-    axis->requested = false;
+    axis->enable_requested = false;
     axis->stop = (stop_t){.category = STOP_CATEGORY_COAST};
     axis->stop_faults = 0;
     axis->active_limits = 0;

@@ -14,10 +14,10 @@ void drive_current(axis_t *axis, frac16_t theta_e)
 void drive_observed(axis_t *axis, frac16_t theta_e)
 {
     const axis_config_t *config = axis->config;
-    estimate_t *estimate = &axis->estimate;
+    sensorless_estimate_t *estimate = &axis->estimate;
     drive_current(axis, theta_e);
-    observer_step(&estimate->observer, &config->observer, axis->current_loop.stator_current,
-                  axis->current_loop.stator_voltage);
+    back_emf_observer_step(&estimate->observer, &config->observer, axis->current_loop.stator_current,
+                           axis->current_loop.stator_voltage);
     if (estimate->locked) {
         pll_step(&estimate->pll, &config->pll, estimate->observer.e);
     } else {

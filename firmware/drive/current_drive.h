@@ -1,4 +1,4 @@
-/* current_drive.h - one PWM period of an axis: currents in, duties out. */
+/* current_drive.h - one PWM period of the current control of an axis: measured currents to duties. */
 #ifndef SERVO_DRIVE_CURRENT_DRIVE_H
 #define SERVO_DRIVE_CURRENT_DRIVE_H
 
@@ -7,7 +7,7 @@
 /* Current control with the d axis at `theta_e`. */
 void drive_current(axis_t *axis, frac16_t theta_e);
 
-/* The same under the eyes of the observer, which has to know the true voltage: the bus is always compensated. */
+/* drive_current with the back-EMF observer, which needs the true voltage: the bus ripple is always compensated. */
 void drive_observed(axis_t *axis, frac16_t theta_e);
 
 static inline void drive_choose_pair(axis_t *axis, phase_pair_t pair)
@@ -28,7 +28,7 @@ static inline abc_t drive_measured(const axis_t *axis)
     return current_sense_read(&axis->sense, hal_adc_currents(axis->hal, axis->index));
 }
 
-/* Voltage of the bus in this period. Unfiltered: it is the ripple that counts. */
+/* Bus voltage of this period, unfiltered, for the ripple compensation. */
 static inline frac16_t drive_bus(const axis_t *axis) { return (frac16_t)asr32(axis->u_dc_now, 16); }
 
 #endif

@@ -12,29 +12,29 @@
 
 typedef struct {
     uint32_t offset[SENSE_PHASES]; /* code of zero current, 16 fraction bits */
-    uint32_t sum[SENSE_PHASES]; /* of the codes of a calibration */
-    uint16_t samples; /* in the sum */
-    phase_pair_t pair; /* pair that the conversions now waiting belong to */
-    abc_t duty;        /* duties under which they were taken */
-    abc_t current;     /* of this period, while it is controlled */
+    uint32_t sum[SENSE_PHASES]; /* calibration: sum of the codes */
+    uint16_t samples; /* calibration: samples in the sum */
+    phase_pair_t pair; /* phase pair of the pending conversions */
+    abc_t duty;        /* duties during these conversions, Q1.15 */
+    abc_t current;     /* phase currents of this period during current control, Q1.15 of full-scale current */
 } current_sense_t;
 
 void current_sense_reset(current_sense_t *sense);
 
-/* The pair whose low sides conduct longest in a sector of the SVM. */
+/* Phase pair with the longest low-side conduction in a sector of the SVM. */
 extern const uint8_t current_sense_pairs[7];
 static inline phase_pair_t current_sense_pair(uint16_t sector) { return (phase_pair_t)current_sense_pairs[sector]; }
 
 #define SENSE_OFFSET_BITS 16
 
-/* A 12-bit code against its offset, over half the ADC range: Q1.15, rounded to the nearest, halves downwards. */
+/* (12-bit code - offset) / half the ADC range: Q1.15, rounded to nearest, halves downwards. */
 static inline int32_t current_sense_of(uint32_t offset, uint16_t code)
 {
     const uint32_t above = ((uint32_t)code << SENSE_OFFSET_BITS) - offset;
     return sat16_asr((int32_t)(above + UINT32_C(0x7FF)), SENSE_OFFSET_BITS - 4);
 }
 
-/* Phase currents from the codes of the present pair; the third is their negative sum. */
+/* Phase currents from the codes of the present pair; the third current is their negative sum. */
 static inline abc_t current_sense_read(const current_sense_t *sense, adc_pair_t codes)
 {
     abc_t x;
@@ -58,15 +58,15 @@ static inline abc_t current_sense_read(const current_sense_t *sense, adc_pair_t 
     return x;
 }
 
-/* Calibration with the outputs off. Feed one sample per PWM period; the function asks for the next pair through
- * `sense->pair`. True when all offsets are measured. */
+/* Offset calibration with the outputs off, one sample per PWM period. Selects the next pair in `sense->pair`. True
+ * when all offsets are measured. */
 bool current_sense_calibrate(current_sense_t *sense, adc_pair_t codes);
 
 /* True when every offset lies within `tolerance` codes of mid-scale. */
 bool current_sense_offsets_plausible(const current_sense_t *sense, uint16_t tolerance);
 
-/* Follow slow drift from a sample at the high-side centre. The sample is true only when the high side of its phase
- * conducted long enough, so phases below `duty_min` are left alone. */
+/* Track the offset drift with a sample at the high-side centre. The sample is valid only if the high side conducts long
+ * enough: phases with a duty below `duty_min` are skipped. */
 void current_sense_track(current_sense_t *sense, adc_pair_t codes, frac16_t duty_min);
 
 #endif

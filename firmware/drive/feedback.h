@@ -1,4 +1,4 @@
-/* feedback.h - the sources of angle and speed: the encoder, and the observer of a sensorless axis. */
+/* feedback.h - feedback sources for angle and speed: encoder, or observer of a sensorless axis. */
 #ifndef SERVO_DRIVE_FEEDBACK_H
 #define SERVO_DRIVE_FEEDBACK_H
 

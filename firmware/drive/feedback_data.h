@@ -1,7 +1,5 @@
-/* feedback_data.h - where an axis takes its angle and speed from.
- *
- * A source fills the same numbers whatever it measures: the encoder, or the observer of a sensorless axis. The
- * controllers know only `feedback_t`.
+/* feedback_data.h - data of the feedback sources (feedback.h). All sources provide feedback_t; the controllers use
+ * nothing else.
  */
 #ifndef SERVO_DRIVE_FEEDBACK_DATA_H
 #define SERVO_DRIVE_FEEDBACK_DATA_H
@@ -13,40 +11,40 @@
 struct axis;
 
 typedef struct {
-    frac16_t theta_e; /* electrical angle at the sampling instant, fast loop */
-    frac32_t speed;   /* mechanical, slow loop */
-    frac32_t mean_speed; /* over the last slow tick; as coarse as a count, but the sum of it is the way */
-    int32_t position; /* multi-turn counts, slow loop */
-    bool still;       /* no movement seen for the source's own longest interval */
+    frac16_t theta_e; /* fast loop: electrical angle at the sampling instant, Q1.15 of pi */
+    frac32_t speed; /* slow loop: mechanical, Q1.31 of full-scale speed */
+    frac32_t mean_speed; /* slow loop: mean of the last slow tick; resolution of one count, the sum is the distance */
+    int32_t position; /* slow loop: multi-turn position, counts */
+    bool still; /* slow loop: no movement within the longest measuring interval of the source */
 } feedback_t;
 
 typedef struct {
     void (*reset)(struct axis *axis);
-    void (*fast)(struct axis *axis);               /* theta_e */
-    bool (*slow)(struct axis *axis);               /* speeds, position, still; false: the source contradicts itself */
-    void (*edge)(struct axis *axis);               /* edge interrupt */
-    void (*resync)(struct axis *axis); /* a fault has been cleared: contradictions of the past are settled */
-    void (*align)(struct axis *axis, frac16_t theta_e); /* the rotor stands at theta_e */
+    void (*fast)(struct axis *axis); /* updates theta_e */
+    bool (*slow)(struct axis *axis); /* updates speeds, position, still; false: contradictory measurements */
+    void (*edge)(struct axis *axis); /* edge interrupt */
+    void (*resync)(struct axis *axis); /* clears contradictions after a fault was cleared */
+    void (*align)(struct axis *axis, frac16_t theta_e); /* sets the encoder offset: the rotor is at theta_e */
 } feedback_source_t;
 
-/* State of the encoder source. The edge interrupt has the lowest priority and may be cut in two by the slow loop, so it
- * only leaves the latched edge here; the slow loop computes. */
+/* State of the encoder source. The edge interrupt has the lowest priority and may be interrupted by the slow loop:
+ * it only stores the latched edge, the slow loop evaluates it. */
 typedef struct {
     encoder_t position;
     mt_speed_t speed;
     speed_observer_t observer;
-    bool observes; /* the observer runs and gives the speed */
-    edge_capture_t edge;
-    volatile bool edge_waits;
+    bool observes; /* the speed observer is running and provides the speed */
+    edge_capture_t edge; /* last latched edge */
+    volatile bool edge_waits; /* `edge` is not evaluated yet */
     bool skip_edge; /* the next edge may have been latched before the counter was preset */
-    bool found; /* the rotor has been found before: positions count from there (E41) */
+    bool found; /* a rotor search was successful before: the position is counted from there (E41) */
 } encoder_feedback_t;
 
-/* What the observer has seen the shaft turn, in counts of the encoder that is not there. */
+/* Position of a sensorless axis, in equivalent encoder counts. */
 typedef struct {
-    int32_t counts; /* counts since the source was reset */
-    uint16_t rest; /* 16 fraction bits */
-    uint32_t angle; /* of the last slow tick, 2^32 is an electrical turn */
+    int32_t counts; /* position since reset of the source, counts */
+    uint16_t rest; /* fraction of a count, 16 fraction bits */
+    uint32_t angle; /* electrical angle of the last slow tick, 2^32 is one turn */
 } observer_feedback_t;
 
 #endif

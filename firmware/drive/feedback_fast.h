@@ -1,4 +1,4 @@
-/* feedback_fast.h - what of the sources of angle and speed runs in every period. */
+/* feedback_fast.h - functions of the feedback sources in the fast loop. */
 #ifndef SERVO_DRIVE_FEEDBACK_FAST_H
 #define SERVO_DRIVE_FEEDBACK_FAST_H
 

@@ -1,11 +1,11 @@
 /* feedback_observer.c - angle and speed of an axis without an encoder. */
-#include "drive/estimate.h"
 #include "drive/feedback.h"
 #include "drive/feedback_fast.h"
+#include "drive/sensorless_estimate.h"
 
 static void observer_source_reset(axis_t *axis)
 {
-    estimate_stop(axis);
+    sensorless_estimate_stop(axis);
     axis->observed_position = (observer_feedback_t){.counts = axis->feedback.position};
     axis->feedback.speed = 0;
     axis->feedback.mean_speed = 0;

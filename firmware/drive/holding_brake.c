@@ -22,11 +22,11 @@ void holding_brake_step(axis_t *axis)
 {
     holding_brake_t *brake = &axis->brake;
     if (!holding_brake_fitted(axis) || !held_by_drive(axis)) {
-        brake->wanted = false;
-    } else if (axis->substate == SUBSTATE_SPIN && axis->requested) {
-        brake->wanted = true; /* also if the drive is requested again while a stop closes the brake */
+        brake->open_requested = false;
+    } else if (axis->substate == SUBSTATE_SPIN && axis->enable_requested) {
+        brake->open_requested = true; /* also if the drive is requested again while a stop closes the brake */
     }
-    follow(axis, brake->wanted);
+    follow(axis, brake->open_requested);
     const bool open = brake->powered && brake->ticks == 0U;
     if (open && axis->motion.resting) {
         brake->load = axis->current_ref.q;

@@ -1,7 +1,7 @@
-/* holding_brake.h - the brake that holds the shaft while the drive does not: closed without current.
+/* holding_brake.h - spring-applied holding brake (closed without current).
  *
- * It opens when there is torque, and closes before the torque goes; where the outputs go off at once, it closes at once. An
- * axis without one has a brake that is always open.
+ * Opens after torque has been built up, closes before it is removed; closes immediately if the outputs are switched off
+ * immediately. Without a fitted brake it counts as open.
  */
 #ifndef SERVO_DRIVE_HOLDING_BRAKE_H
 #define SERVO_DRIVE_HOLDING_BRAKE_H
@@ -13,25 +13,29 @@ static inline bool holding_brake_fitted(const axis_t *axis)
     return (axis->config->pins.fitted & INPUT_BRAKE_OPEN) != 0U;
 }
 
-/* True once it holds nothing. */
-static inline bool holding_brake_open(const axis_t *axis)
+/* True if the brake is open, or not fitted. */
+static inline bool holding_brake_is_open(const axis_t *axis)
 {
     return !holding_brake_fitted(axis) || (axis->brake.powered && axis->brake.ticks == 0U);
 }
 
-/* True once it holds. */
-static inline bool holding_brake_closed(const axis_t *axis) { return !axis->brake.powered && axis->brake.ticks == 0U; }
+/* True if the brake is closed. */
+static inline bool holding_brake_is_closed(const axis_t *axis)
+{
+    return !axis->brake.powered && axis->brake.ticks == 0U;
+}
 
-/* True if a stop ends with the position held until the brake has closed: without an encoder there is none to hold. */
+/* True if a stop ends with position hold until the brake is closed. An axis without an encoder cannot hold a
+ * position. */
 static inline bool holding_brake_takes_over(const axis_t *axis)
 {
     return holding_brake_fitted(axis) && !axis->sensorless;
 }
 
-/* Ask for it; it takes its time. */
-static inline void holding_brake_ask(axis_t *axis, bool open) { axis->brake.wanted = open; }
+/* Request opening or closing; done after open_ticks or close_ticks. */
+static inline void holding_brake_request(axis_t *axis, bool open) { axis->brake.open_requested = open; }
 
-/* One slow tick. */
+/* One slow tick: switch the coil, measure the load. */
 void holding_brake_step(axis_t *axis);
 
 #endif

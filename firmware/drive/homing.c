@@ -5,7 +5,7 @@
 #include "drive/inputs.h"
 #include "drive/motion.h"
 #include "drive/path_units.h"
-#include "drive/zero.h"
+#include "drive/set_position.h"
 
 /* Legs of a homing: approaches have odd numbers, the back-off after each of them the next even number. The first
  * approach is fast and only gives the approximate position for the others. */
@@ -22,7 +22,7 @@
 #define TOUCH_COUNTS 4    /* contact: the distance that the set speed would have covered while the shaft stood .. */
 #define TOUCH_TICKS 8U    /* .. for at least this number of slow ticks: then the full current is applied */
 #define STAND_TICKS 100U  /* slow ticks of standstill at full current that count as a contact */
-#define LEFT_TICKS 64U    /* slow ticks per unit of home_t.left */
+#define LEFT_TICKS 64U    /* slow ticks per unit of home_t.timeout */
 #define LEFT_MIN 64U      /* 2 s: for acceleration, contact and reversal */
 
 /* Faults that invalidate the encoder count. */
@@ -42,8 +42,8 @@ static bool confined(const axis_t *axis)
 static void set_state(axis_t *axis, uint16_t state)
 {
     axis->home.state = state;
-    axis->home.refused = 0;
-    axis->home.renew = true;
+    axis->home.refused_limit = 0;
+    axis->home.limits_stale = true;
 }
 
 /* ---- queries -------------------------------------------------------------------------------------------------------- */
@@ -103,7 +103,7 @@ static void fail(axis_t *axis, home_result_t result)
 
 static void set_zero(axis_t *axis, int32_t from, uint16_t state)
 {
-    zero_shift(axis, i32_sub_wrap(axis->home.value, from));
+    set_position_shift(axis, i32_sub_wrap(axis->home.value, from));
     set_state(axis, state);
     end(axis, HOME_RESULT_DONE);
 }
@@ -122,7 +122,7 @@ uint16_t homing_filter(axis_t *axis, uint16_t fresh, int32_t position)
     const int32_t off = i32_sub_wrap(position, home->origin);
     const int32_t reach = (int32_t)axis->config->home.reach;
     const bool far = (fresh & FRESH_POSITION) != 0U && confined(axis) && (off > reach || off < -reach);
-    home->refused = far ? LIMIT_NOT_HOMED : 0U;
+    home->refused_limit = far ? LIMIT_NOT_HOMED : 0U;
     return far ? (uint16_t)(fresh & (uint16_t)~FRESH_POSITION) : fresh;
 }
 
@@ -184,10 +184,10 @@ static void begin_leg(axis_t *axis, uint16_t leg)
     home_t *home = &axis->home;
     home->leg = leg;
     home->ticks = 0;
-    home->anchor = axis->feedback.position;
+    home->rest_position = axis->feedback.position;
     home->origin = axis->feedback.position;
     const frac32_t speed = leg_speed(axis);
-    home->left = time_for(axis, f32_abs(speed));
+    home->timeout = time_for(axis, f32_abs(speed));
     motion_home(axis, speed);
 }
 
@@ -196,9 +196,9 @@ static bool stands(axis_t *axis)
 {
     home_t *home = &axis->home;
     const frac32_t speed = leg_speed(axis);
-    const int32_t off = i32_sub_wrap(axis->feedback.position, home->anchor);
+    const int32_t off = i32_sub_wrap(axis->feedback.position, home->rest_position);
     if (off > STAND_COUNTS || off < -STAND_COUNTS) {
-        home->anchor = axis->feedback.position;
+        home->rest_position = axis->feedback.position;
         home->ticks = 0;
         motion_home(axis, speed);
         return false;
@@ -277,8 +277,9 @@ static home_result_t back_off(axis_t *axis, int32_t way)
 static bool out_of_time(axis_t *axis)
 {
     home_t *home = &axis->home;
-    home->left = (uint16_t)(home->left - (((*axis->latch.clock / AXIS_SLOW_PERIODS) % LEFT_TICKS == 0U) ? 1U : 0U));
-    return home->left == 0U;
+    home->timeout =
+        (uint16_t)(home->timeout - (((*axis->latch.clock / AXIS_SLOW_PERIODS) % LEFT_TICKS == 0U) ? 1U : 0U));
+    return home->timeout == 0U;
 }
 
 static void run_leg(axis_t *axis)
@@ -298,8 +299,8 @@ static void run_leg(axis_t *axis)
 
 static bool held(const axis_t *axis)
 {
-    return axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN && axis->requested &&
-           axis->latch.captured == 0U && !axis->command.quick_stop && holding_brake_open(axis);
+    return axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN && axis->enable_requested &&
+           axis->latch.captured == 0U && !axis->command.quick_stop && holding_brake_is_open(axis);
 }
 
 static home_result_t refusal(const axis_t *axis)
@@ -312,7 +313,7 @@ static home_result_t refusal(const axis_t *axis)
         return HOME_RESULT_KNOWN;
     }
     const bool sets = home->method == HOME_METHOD_HERE || home->method == HOME_METHOD_ASSUME;
-    return (zero_may_shift(axis) && (sets || held(axis))) ? HOME_RESULT_RUNNING : HOME_RESULT_MOTION;
+    return (set_position_permitted(axis) && (sets || held(axis))) ? HOME_RESULT_RUNNING : HOME_RESULT_MOTION;
 }
 
 static void take_request(axis_t *axis)
@@ -338,12 +339,12 @@ static void proceed(axis_t *axis)
     if (!held(axis)) {
         end(axis, HOME_RESULT_ABORTED);
     } else if (home->leg == LEG_SETTLE) {
-        if (zero_may_shift(axis)) {
+        if (set_position_permitted(axis)) {
             set_zero(axis, i32_add_wrap(home->lowest, (int32_t)(home->spread / 2U)), HOME_STATE_KNOWN);
         }
     } else if (home->leg != LEG_LIMITS) {
         run_leg(axis);
-    } else if (!home->renew) {
+    } else if (!home->limits_stale) {
         begin_leg(axis, (by_switch(home) && active(axis)) ? LEG_CLEAR : LEG_FIRST);
     }
 }

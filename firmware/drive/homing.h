@@ -1,7 +1,7 @@
-/* homing.h - what the position of an axis is worth, and how it becomes known (firmware/doc/homing.md).
+/* homing.h - validity of the position, and homing (firmware/doc/homing.md).
  *
- * The position is set where the shaft is, or a stop or a switch is looked for. That is a motion like any other: it obeys
- * limits, every other command ends it, and the host has to be there.
+ * Methods: set the present position, or search for a hard stop or a home switch. The search obeys the limits; any other
+ * command ends it; HOST_SILENT stays active.
  */
 #ifndef SERVO_DRIVE_HOMING_H
 #define SERVO_DRIVE_HOMING_H
@@ -10,24 +10,24 @@
 
 void homing_init(axis_t *axis);
 
-/* cmd.home has been written: it is taken with the next homing_step. */
+/* cmd.home was written: take the request with the next homing_step. */
 void homing_request(axis_t *axis, uint16_t method, int32_t value);
 
-/* FRESH_ bits of a command with this position that may take effect: a set-point out of reach does not. What moves the
- * shaft in another way ends a homing. */
+/* Remove a position set-point beyond home.reach from the FRESH_ bits of an axis that is not homed. Other motion
+ * commands end a homing. */
 uint16_t homing_filter(axis_t *axis, uint16_t fresh, int32_t position);
 
-/* Limits as far as homing lets them stand: less current, no soft limits meanwhile; around where the axis was enabled until
- * the position is known. */
+/* Modify the limits. During homing: reduced current, no soft limits; not homed: home.reach around the position at
+ * enabling. */
 void homing_confine(axis_t *axis, axis_limits_t *limits);
 
-/* SPIN begins here. */
+/* Start of SPIN at the present position. */
 void homing_spin(axis_t *axis);
 
-/* The count of the position has been lost. */
+/* The encoder count is invalid: the position is not known any more. */
 void homing_forget(axis_t *axis);
 
-/* Once per slow tick. */
+/* One slow tick. */
 void homing_step(axis_t *axis);
 
 #endif

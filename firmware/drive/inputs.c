@@ -22,8 +22,8 @@ bool inputs_permit(const axis_t *axis)
 /* A changed level is accepted in its second slow tick. */
 static uint16_t filtered(axis_t *axis, uint16_t levels)
 {
-    const uint16_t changing = levels ^ axis->inputs_state.seen;
-    axis->inputs_state.seen = levels;
+    const uint16_t changing = levels ^ axis->inputs_state.last_levels;
+    axis->inputs_state.last_levels = levels;
     return (uint16_t)((axis->inputs & changing) | (levels & (uint16_t)~changing));
 }
 
@@ -31,11 +31,11 @@ static uint16_t filtered(axis_t *axis, uint16_t levels)
  * no fault, and it is armed again when it closes. */
 static void check_enable(axis_t *axis)
 {
-    if ((axis->config->pins.fitted & INPUT_ENABLE) == 0U || (axis->inputs_state.seen & INPUT_ENABLE) != 0U) {
+    if ((axis->config->pins.fitted & INPUT_ENABLE) == 0U || (axis->inputs_state.last_levels & INPUT_ENABLE) != 0U) {
         return;
     }
     axis->inputs = (uint16_t)(axis->inputs & (uint16_t)~INPUT_ENABLE);
-    if (axis->sm.state == STATE_RUN || axis->requested) {
+    if (axis->sm.state == STATE_RUN || axis->enable_requested) {
         axis_raise(axis, FOUND(FINDING_ENABLE_OPEN));
     } else {
         inputs_configure(axis);
@@ -49,7 +49,7 @@ static bool reached(const axis_t *axis, uint16_t fresh)
     const frac32_t speed = axis->feedback.speed;
     const bool ahead =
         ((fresh & INPUT_LIMIT_MAX) != 0U && speed >= 0) || ((fresh & INPUT_LIMIT_MIN) != 0U && speed <= 0);
-    return ahead || axis->inputs_state.clear > BOUNCE_TICKS;
+    return ahead || axis->inputs_state.inactive_ticks > BOUNCE_TICKS;
 }
 
 static void check_limits(axis_t *axis, uint16_t before)
@@ -65,9 +65,9 @@ static void check_limits(axis_t *axis, uint16_t before)
         }
     }
     if ((axis->inputs & INPUT_LIMITS) != 0U) {
-        axis->inputs_state.clear = 0;
-    } else if (axis->inputs_state.clear < UINT16_MAX) {
-        axis->inputs_state.clear++;
+        axis->inputs_state.inactive_ticks = 0;
+    } else if (axis->inputs_state.inactive_ticks < UINT16_MAX) {
+        axis->inputs_state.inactive_ticks++;
     }
 }
 

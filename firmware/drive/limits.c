@@ -89,7 +89,7 @@ void limits_retune(axis_t *axis)
     const uint16_t before = axis->path_limits.omega_n_ts;
     limits_settle(axis);
     if (axis->path_limits.omega_n_ts != before && axis->motion.motion == MOTION_POSITION) {
-        path_retune(&axis->motion.path, axis->motion.target, axis->path_limits.acceleration, before,
-                    axis->path_limits.omega_n_ts);
+        path_filter_retune(&axis->motion.path, axis->motion.target, axis->path_limits.acceleration, before,
+                           axis->path_limits.omega_n_ts);
     }
 }

@@ -7,7 +7,8 @@
 finding_set_t monitor_bus_now(const axis_t *axis)
 {
     const bool settled = axis->sm.state != STATE_INIT;
-    return bus_monitor_findings(&axis->diagnosis.bus, axis->u_dc, settled, hal_break_active(axis->hal, axis->index));
+    return bus_monitor_findings(&axis->diagnosis.bus, axis->u_dc, settled,
+                                hal_over_current_active(axis->hal, axis->index));
 }
 
 /* ---- observation ---------------------------------------------------------------------------------------------------- */
@@ -36,8 +37,8 @@ static void observe_d_axis(axis_t *axis)
         o->d_axis_angle = startup_angle(axis);
     } else if (substate == SUBSTATE_TEST) {
         o->d_axis_angle = test_mode_angle(axis);
-    } else if (substate == SUBSTATE_ALIGN && axis->diagnosis.stall.runs) {
-        o->d_axis_angle = axis->diagnosis.stall.vector;
+    } else if (substate == SUBSTATE_ALIGN && axis->diagnosis.stall.running) {
+        o->d_axis_angle = axis->diagnosis.stall.vector_angle;
     } else {
         o->d_axis_angle = rotor_search_angle(&axis->search);
         o->controlled = substate == SUBSTATE_ALIGN && rotor_search_drives(&axis->search);
@@ -53,16 +54,16 @@ static void observe_currents(axis_t *axis, dq_t before)
     o->position = axis->feedback.position;
     o->current_ref = axis->current_ref;
     o->voltage = loop->voltage;
-    if (axis->diagnosis.encoder.sudden) { /* not needed without a probe */
-        o->steady_d = loop->d.integral;
-        o->steady_q = loop->q.integral;
+    if (axis->diagnosis.encoder.stopped_abruptly) { /* not needed without a probe */
+        o->integrator_d = loop->d.integral;
+        o->integrator_q = loop->q.integral;
     }
     o->current_limit = axis->current_max.q;
     o->omega_e = f16_from_f32(loop->omega_e);
-    o->current_size = length_about(o->current.d, o->current.q);
-    o->drop = i32_gain(o->current_size, axis->config->winding.resistance);
+    o->current_magnitude = length_about(o->current.d, o->current.q);
+    o->drop = i32_gain(o->current_magnitude, axis->config->winding.resistance);
     o->current_change = length_about(f16_sub(o->current.d, before.d), f16_sub(o->current.q, before.q));
-    o->calm = axis->diagnosis.encoder.calm;
+    o->ticks_without_movement = axis->diagnosis.encoder.ticks_without_movement;
     o->stop_unconfirmed = encoder_monitor_stop_unconfirmed(&axis->diagnosis.encoder);
 }
 
@@ -88,7 +89,7 @@ static void monitor_converters(axis_t *axis, evidence_t *evidence)
         {first, codes.first, (uint16_t)(offset[first] >> SENSE_OFFSET_BITS), high[first] >= high_min},
         {second, codes.second, (uint16_t)(offset[second] >> SENSE_OFFSET_BITS), high[second] >= high_min},
     };
-    sensor_monitor_step(&axis->diagnosis.sensor, samples, axis->observation.switching, evidence);
+    current_sense_monitor_step(&axis->diagnosis.current_sense, samples, axis->observation.switching, evidence);
 }
 
 void monitor_currents(axis_t *axis)
@@ -105,15 +106,16 @@ void monitor_currents(axis_t *axis)
     }
     fault_latch_sample(&axis->latch, o);
     o->temperature = hal_adc_temperature(axis->hal, axis->index);
-    heat_monitor_step(&d->heat, &axis->config->heat, o, &d->evidence);
+    heat_sink_monitor_step(&d->heat_sink, &axis->config->heat, o, &d->evidence);
     d->evidence.confirmed |= winding_model_findings(&d->winding);
-    const bool possible = bus_monitor_fault_possible(&d->bus, axis->u_dc) || hal_break_active(axis->hal, axis->index);
+    const bool possible =
+        bus_monitor_fault_possible(&d->bus, axis->u_dc) || hal_over_current_active(axis->hal, axis->index);
     const finding_set_t now = d->evidence.confirmed | (possible ? monitor_bus_now(axis) : 0U);
     axis->latch.pending = (now != 0U) ? fault_names(now) : 0U;
     if (axis->sm.state != STATE_FAULT) {
         observe_currents(axis, before);
         phase_monitor_step(&d->phase, &axis->config->winding, o, &d->evidence);
-        d->angle.conducting = (uint16_t)(d->angle.conducting | o->conducting);
+        d->angle.conducting_phases = (uint16_t)(d->angle.conducting_phases | o->conducting_phases);
     }
 }
 

@@ -48,9 +48,9 @@ static void start_path(axis_t *axis, int32_t target, frac32_t speed)
     motion_state_t *m = &axis->motion;
     m->path_forward = (axis->features & FEATURE_SPEED_FORWARD) != 0U;
     limits_settle(axis);
-    path_reset(&m->path, i32_add_wrap(axis->feedback.position, lag_of(axis, speed)), path_step_of(axis->config, speed),
-               axis->path_limits.omega_n_ts);
-    m->model = path_counts(axis->feedback.position);
+    path_filter_reset(&m->path, i32_add_wrap(axis->feedback.position, lag_of(axis, speed)),
+                      path_step_of(axis->config, speed), axis->path_limits.omega_n_ts);
+    m->model_position = path_counts(axis->feedback.position);
     m->target = target;
     m->target_clipped = false;
     enter(axis, MOTION_POSITION, speed);
@@ -70,7 +70,7 @@ static void take_mode(axis_t *axis)
     const uint16_t mode = axis->command.mode;
     if ((uint16_t)m->motion != mode) {
         m->expired = false;
-        m->starved = false;
+        m->underrun = false;
         m->speed_target = 0;
         m->i_q_target = 0;
         axis->command.age = 0;
@@ -89,7 +89,7 @@ static void take_set_point(axis_t *axis)
         return;
     }
     m->expired = false;
-    m->starved = false;
+    m->underrun = false;
     limits_renew(axis);
     if (command->mode == CONTROL_MODE_TRAJECTORY || command->mode == CONTROL_MODE_TEST) {
         return; /* points wait in their queue; a test begins at rest with the drive off */
@@ -105,8 +105,8 @@ static void take_set_point(axis_t *axis)
         m->target_clipped = false;
     } else {
         start_path(axis, command->position, axis->feedback.speed);
-        path_brake(&m->path, soft_limits_inside(axis, m->target), axis->path_limits.acceleration,
-                   axis->path_limits.omega_n_ts);
+        path_filter_start_braking(&m->path, soft_limits_inside(axis, m->target), axis->path_limits.acceleration,
+                                  axis->path_limits.omega_n_ts);
     }
 }
 
@@ -141,13 +141,14 @@ void motion_expire_speed(axis_t *axis)
 /* Does the stop end with position hold? Yes if the drive is requested, or if the stop holds for a time. */
 static bool stop_holds(const axis_t *axis)
 {
-    return axis->requested || axis->stop.category == STOP_CATEGORY_HOLD || holding_brake_takes_over(axis);
+    return axis->enable_requested || axis->stop.category == STOP_CATEGORY_HOLD || holding_brake_takes_over(axis);
 }
 
 static void take_stop(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
-    const bool begins = (axis->command.fresh & FRESH_QUICK_STOP) != 0U || (!axis->requested && axis->stop.ticks == 0U);
+    const bool begins =
+        (axis->command.fresh & FRESH_QUICK_STOP) != 0U || (!axis->enable_requested && axis->stop.ticks == 0U);
     if (begins || !stop_holds(axis) || m->motion != MOTION_POSITION) {
         begin(axis, MOTION_STOP);
     }
@@ -155,7 +156,7 @@ static void take_stop(axis_t *axis)
         m->speed_target = 0;
     }
     m->expired = false;
-    m->starved = false;
+    m->underrun = false;
 }
 
 static void take_commands(axis_t *axis)
@@ -167,7 +168,7 @@ static void take_commands(axis_t *axis)
         take_stop(axis);
         return;
     }
-    if (!axis->requested || command->quick_stop) {
+    if (!axis->enable_requested || command->quick_stop) {
         take_stop(axis);
         return;
     }
@@ -181,7 +182,7 @@ static void take_commands(axis_t *axis)
     if (m->expired) {
         axis_report(axis, LIMIT_EXPIRED);
     }
-    if (m->starved) {
+    if (m->underrun) {
         axis_report(axis, LIMIT_STARVED);
     }
 }
@@ -238,8 +239,8 @@ static void follow_path(axis_t *axis)
     if (m->shaped_speed == 0) {
         m->path_forward = (axis->features & FEATURE_SPEED_FORWARD) != 0U; /* in motion this would be a step */
     }
-    path_step(&m->path, m->target, axis->path_limits.step, axis->path_limits.acceleration,
-              axis->path_limits.omega_n_ts);
+    path_filter_step(&m->path, m->target, axis->path_limits.step, axis->path_limits.acceleration,
+                     axis->path_limits.omega_n_ts);
     shape(m, path_speed_of(axis->config, m->path.output - before));
 }
 
@@ -250,7 +251,7 @@ static bool rests(axis_t *axis)
     motion_state_t *m = &axis->motion;
     const int32_t off = i32_sub_wrap(m->target, axis->feedback.position);
     const int32_t max = m->resting ? REST_LEFT : REST_COUNTS;
-    m->resting = off <= max && off >= -max && path_at_rest(&m->path, m->target);
+    m->resting = off <= max && off >= -max && path_filter_at_rest(&m->path, m->target);
     if (!m->resting) {
         return false;
     }
@@ -284,11 +285,12 @@ static void follow_model(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
     if ((axis->features & FEATURE_FOLLOWING_ERROR) == 0U || m->current_reduced) {
-        m->model = path_counts(axis->feedback.position);
+        m->model_position = path_counts(axis->feedback.position);
         return;
     }
-    const path_position_t behind = path_beyond(m->path.output, path_whole(m->model)) - path_part(m->model);
-    m->model += path_step_of(axis->config, followed_speed(axis, behind));
+    const path_position_t behind =
+        path_beyond(m->path.output, path_whole(m->model_position)) - path_part(m->model_position);
+    m->model_position += path_step_of(axis->config, followed_speed(axis, behind));
 }
 
 static frac32_t position_controller(axis_t *axis)
@@ -313,8 +315,9 @@ static bool follows_position(const motion_state_t *m)
 bool motion_takes_points(const axis_t *axis)
 {
     const bool spins = axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN;
-    const bool wanted = axis->requested && !axis->command.quick_stop && axis->command.mode == CONTROL_MODE_TRAJECTORY;
-    const bool free = holding_brake_open(axis) && !axis->sensorless;
+    const bool wanted =
+        axis->enable_requested && !axis->command.quick_stop && axis->command.mode == CONTROL_MODE_TRAJECTORY;
+    const bool free = holding_brake_is_open(axis) && !axis->sensorless;
     return spins && wanted && free && follows_position(&axis->motion);
 }
 
@@ -325,7 +328,7 @@ void motion_plan(axis_t *axis, uint32_t tick)
         trajectory_clear(t);
         return;
     }
-    if (t->leads || trajectory_waiting(t) != 0U) {
+    if (t->active || trajectory_waiting(t) != 0U) {
         const motion_state_t *m = &axis->motion;
         const hermite_state_t present = {m->path.output, path_step_of(axis->config, m->shaped_speed)};
         trajectory_step(t, axis->config, present, tick);
@@ -336,17 +339,17 @@ void motion_plan(axis_t *axis, uint32_t tick)
 static void rest_at_end(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
-    m->target = path_position(&m->path);
+    m->target = path_filter_position(&m->path);
     m->target_clipped = false;
-    path_reset(&m->path, m->target, 0, axis->path_limits.omega_n_ts);
+    path_filter_reset(&m->path, m->target, 0, axis->path_limits.omega_n_ts);
     enter(axis, MOTION_POSITION, 0);
 }
 
 /* The points have run out at a speed other than 0. */
-static void stop_starved(axis_t *axis)
+static void stop_after_underrun(axis_t *axis)
 {
     enter(axis, MOTION_STOP, axis->motion.shaped_speed);
-    axis->motion.starved = true;
+    axis->motion.underrun = true;
     axis_report(axis, LIMIT_STARVED);
 }
 
@@ -359,11 +362,11 @@ static frac32_t trajectory_controller(axis_t *axis)
     shape(m, path_speed_of(axis->config, m->path.output - before));
     const frac32_t speed = followed_speed(axis, path_beyond(m->path.output, axis->feedback.position));
     if (t->reference.over) {
-        t->leads = false;
+        t->active = false;
         if (t->end.speed == 0) {
             rest_at_end(axis);
         } else {
-            stop_starved(axis);
+            stop_after_underrun(axis);
         }
     }
     return speed;
@@ -470,7 +473,7 @@ void motion_accept_speed(axis_t *axis)
 {
     motion_state_t *m = &axis->motion;
     const axis_command_t *command = &axis->command;
-    if (!axis->requested || command->quick_stop || command->mode != CONTROL_MODE_SPEED) {
+    if (!axis->enable_requested || command->quick_stop || command->mode != CONTROL_MODE_SPEED) {
         m->speed_target = 0;
         m->expired = false;
     } else if ((command->fresh & FRESH_SPEED) != 0U) {
@@ -484,7 +487,7 @@ void motion_accept_speed(axis_t *axis)
         axis_report(axis, LIMIT_EXPIRED);
     }
     const bool unable = command->mode != CONTROL_MODE_SPEED || m->speed_target != 0;
-    if (axis->requested && unable && motion_wanted_speed(axis) == 0) {
+    if (axis->enable_requested && unable && motion_wanted_speed(axis) == 0) {
         axis_report(axis, LIMIT_SENSORLESS);
     }
 }
@@ -516,7 +519,7 @@ static void follow_gain(axis_t *axis)
 /* Speed set-point plus test signal; the limits apply to the sum. */
 static frac32_t excited_speed(axis_t *axis)
 {
-    const frac32_t speed = f32_add(axis->motion.speed_ref, axis->motion.speed_excitation);
+    const frac32_t speed = f32_add(axis->motion.speed_ref, axis->motion.speed_test_signal);
     return confined_speed(axis, limited_speed(axis, speed));
 }
 
@@ -529,7 +532,7 @@ void motion_step(axis_t *axis)
         axis->current_ref.q = torque_control(axis);
         return;
     }
-    if (m->motion == MOTION_POSITION && axis->trajectory.leads) {
+    if (m->motion == MOTION_POSITION && axis->trajectory.active) {
         m->path_forward = true;
         m->motion = MOTION_TRAJECTORY;
     }
@@ -546,7 +549,7 @@ void motion_step(axis_t *axis)
             end_stop(axis);
         }
     }
-    if (m->speed_excitation != 0) {
+    if (m->speed_test_signal != 0) {
         m->speed_ref = excited_speed(axis);
     }
     axis->current_ref.q = speed_control(axis);
@@ -561,7 +564,7 @@ bool motion_stopped(const axis_t *axis)
 
 int32_t motion_position_ref(const axis_t *axis)
 {
-    return follows_position(&axis->motion) ? path_position(&axis->motion.path) : axis->feedback.position;
+    return follows_position(&axis->motion) ? path_filter_position(&axis->motion.path) : axis->feedback.position;
 }
 
 int32_t motion_following_error(axis_t *axis)
@@ -570,5 +573,5 @@ int32_t motion_following_error(axis_t *axis)
         return 0;
     }
     follow_model(axis);
-    return i32_sub_wrap(path_whole(axis->motion.model), axis->feedback.position);
+    return i32_sub_wrap(path_whole(axis->motion.model_position), axis->feedback.position);
 }

@@ -6,13 +6,13 @@
 #include "drive/angle_check.h"
 #include "drive/axis_faults.h"
 #include "drive/current_drive.h"
-#include "drive/estimate.h"
 #include "drive/holding_brake.h"
 #include "drive/homing.h"
 #include "drive/limits.h"
 #include "drive/motion.h"
 #include "drive/outputs.h"
 #include "drive/run_step.h"
+#include "drive/sensorless_estimate.h"
 #include "drive/sensorless_startup.h"
 #include "drive/stop.h"
 #include "drive/test_mode.h"
@@ -52,7 +52,7 @@ static void wait_for_rest(axis_t *axis)
     axis->ticks++;
     if (axis->ticks > axis->config->rest_ticks_max) {
         axis->ticks = 0;
-        axis->requested = false;
+        axis->enable_requested = false;
     }
 }
 
@@ -62,7 +62,7 @@ static void wait_for_rest(axis_t *axis)
 static void to_ready(axis_t *axis)
 {
     axis_zero_voltage(axis, !axis->sensorless);
-    estimate_stop(axis);
+    sensorless_estimate_stop(axis);
     axis->fast = LOOP_FAST;
     enter(axis, SUBSTATE_READY);
 }
@@ -76,7 +76,7 @@ static void ready_align(axis_t *axis)
     } else {
         rotor_search_start(&axis->search, axis->feedback.position);
     }
-    axis->diagnosis.stall.runs = false;
+    axis->diagnosis.stall.running = false;
     enter(axis, SUBSTATE_ALIGN);
 }
 
@@ -122,20 +122,20 @@ static void observe_stall(axis_t *axis)
 /* Start of the stall test: locate the rotor before the fault is raised. */
 static void spin_align(axis_t *axis)
 {
-    estimate_stop(axis);
+    sensorless_estimate_stop(axis);
     axis->fast = LOOP_FAST;
     choose_dead_time(axis, FEATURE_DEAD_TIME);
     observe_stall(axis);
     stall_test_start(&axis->diagnosis.stall, &axis->config->rotor_search, &axis->observation);
     axis->current_ref.d = 0;
-    current_loop_turn(&axis->current_loop, &axis->config->current_loop, 0);
+    current_loop_set_speed(&axis->current_loop, &axis->config->current_loop, 0);
     enter(axis, SUBSTATE_ALIGN);
 }
 
 static void to_freewheel(axis_t *axis)
 {
     axis_zero_voltage(axis, false);
-    estimate_stop(axis);
+    sensorless_estimate_stop(axis);
     axis->fast = LOOP_FAST;
     enter(axis, SUBSTATE_FREEWHEEL);
 }
@@ -174,7 +174,7 @@ static void startup_spin(axis_t *axis)
 {
     startup_hand_over(axis);
     axis->estimate.started_reverse = axis->estimate.speed < 0;
-    axis->fading_out = false;
+    axis->switching_off = false;
     axis->fast = LOOP_OBSERVED;
     enter(axis, SUBSTATE_SPIN);
 }
@@ -200,7 +200,7 @@ static void calib_slow(axis_t *axis)
     if (current_sense_offsets_plausible(&axis->sense, axis->config->offset_tolerance)) {
         to_ready(axis);
     } else {
-        axis_raise(axis, FOUND(FINDING_OFFSET_FAR));
+        axis_raise(axis, FOUND(FINDING_OFFSET_OUT_OF_RANGE));
     }
 }
 
@@ -212,19 +212,19 @@ static void ready_fast(axis_t *axis) { measure(axis); }
 
 static void ready_slow(axis_t *axis)
 {
-    if (!axis->requested) {
+    if (!axis->enable_requested) {
         return;
     }
     if (axis->command.mode == CONTROL_MODE_TEST && !axis->sensorless) {
         if (test_mode_wanted(axis)) {
             ready_test(axis);
         } else {
-            axis->requested = false;
+            axis->enable_requested = false;
         }
         return;
     }
     if (axis->sensorless && motion_wanted_speed(axis) == 0) {
-        holding_brake_ask(axis, false);
+        holding_brake_request(axis, false);
         return;
     }
     if (holding_brake_fitted(axis) && axis->aligned && !axis->sensorless) {
@@ -232,8 +232,8 @@ static void ready_slow(axis_t *axis)
     } else if (!axis->sensorless) {
         ready_align(axis);
     } else {
-        holding_brake_ask(axis, true); /* needed for a sensorless start; meanwhile shorted windings brake */
-        if (holding_brake_open(axis)) {
+        holding_brake_request(axis, true); /* needed for a sensorless start; meanwhile shorted windings brake */
+        if (holding_brake_is_open(axis)) {
             ready_startup(axis);
         }
     }
@@ -244,8 +244,8 @@ static void ready_slow(axis_t *axis)
 static void align_fast(axis_t *axis)
 {
     stall_test_t *test = &axis->diagnosis.stall;
-    if (test->runs) {
-        drive_current(axis, test->vector);
+    if (test->running) {
+        drive_current(axis, test->vector_angle);
         stall_test_add(test, &axis->config->rotor_search, axis->current_loop.voltage.d);
     } else if (rotor_search_drives(&axis->search)) {
         drive_current(axis, rotor_search_angle(&axis->search));
@@ -257,9 +257,10 @@ static void align_fast(axis_t *axis)
 /* Finding for a shaft that has not moved, or on which no torque acts. */
 static finding_t search_failure(const axis_t *axis)
 {
-    const int32_t silent = axis->config->winding.silent;
-    const bool asked = axis->current_ref.d > 2 * silent;
-    return (asked && f16_abs(axis->current_loop.current.d) < silent) ? FINDING_SEARCH_SILENT : FINDING_SEARCH_HELD;
+    const int32_t current_min = axis->config->winding.current_min;
+    const bool asked = axis->current_ref.d > 2 * current_min;
+    return (asked && f16_abs(axis->current_loop.current.d) < current_min) ? FINDING_SEARCH_NO_CURRENT
+                                                                          : FINDING_SEARCH_NO_MOVEMENT;
 }
 
 /* One slow tick of the stall test: the vector rotates at full current. */
@@ -275,13 +276,13 @@ static void test_stall(axis_t *axis)
 static finding_t search_end(const axis_t *axis, finding_t failure)
 {
     switch (axis->search.phase) {
-    case ROTOR_SEARCH_BLIND:
-        return FINDING_SEARCH_UNSEEN;
-    case ROTOR_SEARCH_STARVED:
-        return FINDING_SEARCH_STARVED;
+    case ROTOR_SEARCH_NO_COUNT:
+        return FINDING_SEARCH_WITHOUT_COUNT;
+    case ROTOR_SEARCH_NO_CURRENT:
+        return FINDING_SEARCH_LOW_CURRENT;
     case ROTOR_SEARCH_REVERSED:
         return FINDING_SEARCH_REVERSED;
-    case ROTOR_SEARCH_HELD:
+    case ROTOR_SEARCH_NO_MOVEMENT:
         return failure;
     default:
         return (axis->ticks > axis->config->search_ticks_max) ? failure : FINDINGS;
@@ -295,21 +296,21 @@ static void search_step(axis_t *axis)
         rotor_search_step(search, &axis->config->rotor_search, axis->feedback.position);
         return;
     }
-    if (axis->requested && rotor_hold_holds(search)) {
-        holding_brake_ask(axis, true);
-        search->released = holding_brake_open(axis);
+    if (axis->enable_requested && rotor_hold_opens_brake(search)) {
+        holding_brake_request(axis, true);
+        search->brake_released = holding_brake_is_open(axis);
     }
     rotor_hold_step(search, &axis->config->rotor_search, axis->feedback.position);
 }
 
 static void align_slow(axis_t *axis)
 {
-    if (axis->diagnosis.stall.runs && axis->requested) {
+    if (axis->diagnosis.stall.running && axis->enable_requested) {
         test_stall(axis);
         return;
     }
-    if (!axis->requested && holding_brake_takes_over(axis) && !holding_brake_closed(axis)) {
-        holding_brake_ask(axis, false); /* the vector holds the load until then */
+    if (!axis->enable_requested && holding_brake_takes_over(axis) && !holding_brake_is_closed(axis)) {
+        holding_brake_request(axis, false); /* the vector holds the load until then */
         return;
     }
     const bool driven = rotor_search_drives(&axis->search);
@@ -318,7 +319,7 @@ static void align_slow(axis_t *axis)
     axis->ticks++;
     axis->current_ref = (dq_t){f16_from_f32(axis->search.current), 0};
     const finding_t end = search_end(axis, failure);
-    if (!axis->requested) {
+    if (!axis->enable_requested) {
         to_ready(axis);
     } else if (end != FINDINGS) {
         axis_raise(axis, FOUND(end));
@@ -334,38 +335,40 @@ static void align_slow(axis_t *axis)
 /* Sensorless: at the lower speed limit of the observer the current fades out, then the outputs go off. */
 static void fade_out(axis_t *axis)
 {
-    axis->fading_out = axis->fading_out || motion_too_slow(axis);
-    if (axis->fading_out) {
-        const frac32_t q = f32_from_f16(axis->current_q_left);
+    axis->switching_off = axis->switching_off || motion_too_slow(axis);
+    if (axis->switching_off) {
+        const frac32_t q = f32_from_f16(axis->last_i_q_ref);
         axis->current_ref.q = f16_from_f32(q - f32_clip(q, axis->config->startup.fade_step));
     }
-    axis->current_q_left = axis->current_ref.q;
+    axis->last_i_q_ref = axis->current_ref.q;
 }
 
 /* Sensorless: run the PLL, then check whether it still follows the rotor. */
 static void follow_rotor(axis_t *axis)
 {
-    estimate_t *estimate = &axis->estimate;
-    estimate_turn(axis);
-    estimate_step(axis);
-    observer_turn(&estimate->observer, estimate->pll.integral);
-    if (axis->fading_out) {
+    sensorless_estimate_t *estimate = &axis->estimate;
+    sensorless_estimate_update_rotation(axis);
+    sensorless_estimate_step(axis);
+    back_emf_observer_set_speed(&estimate->observer, estimate->pll.integral);
+    if (axis->switching_off) {
         return;
     }
     estimate->pll.backwards = estimate->pll.integral < 0;
-    pll_push(&estimate->pll, &axis->config->pll, axis->current_loop.current.q, estimate->deviation, estimate->turned);
+    pll_feed_forward(&estimate->pll, &axis->config->pll, axis->current_loop.current.q, estimate->deviation,
+                     estimate->rotation);
 }
 
 static void judge_observer(axis_t *axis)
 {
-    estimate_t *estimate = &axis->estimate;
-    estimate_judge(axis);
-    if (axis->fading_out) {
+    sensorless_estimate_t *estimate = &axis->estimate;
+    sensorless_estimate_judge(axis);
+    if (axis->switching_off) {
         return;
     }
     const bool lost = estimate->reliability.failures > axis->config->reliability.hysteresis;
-    const bool stands = estimate_standing(axis) > axis->config->emf_check.ticks_stand;
-    if (emf_check_lasts(&estimate->check, estimate->deviates, axis->config->emf_check.ticks_spin) || lost || stands) {
+    const bool stands = sensorless_estimate_standstill_ticks(axis) > axis->config->emf_check.ticks_stand;
+    if (emf_check_confirmed(&estimate->check, estimate->deviates, axis->config->emf_check.ticks_spin) || lost ||
+        stands) {
         axis_raise(axis, FOUND(FINDING_OBSERVER_LOST));
     }
 }
@@ -373,13 +376,13 @@ static void judge_observer(axis_t *axis)
 /* The observer has lost the rotor, or the drive is no longer requested. */
 static void bring_to_rest(axis_t *axis)
 {
-    if (axis->fading_out) {
+    if (axis->switching_off) {
         if (axis->current_ref.q == 0) {
             to_freewheel(axis);
         }
         return;
     }
-    const stop_category_t next = axis->requested ? STOP_CATEGORY_HOLD : stop_step(axis);
+    const stop_category_t next = axis->enable_requested ? STOP_CATEGORY_HOLD : stop_step(axis);
     if (next == STOP_CATEGORY_COAST) {
         to_freewheel(axis);
     } else if (next == STOP_CATEGORY_SHORT) {
@@ -408,13 +411,13 @@ static finding_set_t monitor_shaft(axis_t *axis)
         .features = axis->features,
         .speed = axis->feedback.speed,
         .speed_limit = axis->limits.speed,
-        .braked = full && opposed,
-        .stands = full && axis->feedback.still,
+        .decelerated_at_limit = full && opposed,
+        .no_movement_at_limit = full && axis->feedback.still,
         .following_error = motion_following_error(axis),
     };
     if ((seen.features & (FEATURE_FOLLOWING_ERROR | FEATURE_OVER_SPEED)) != 0U) {
-        seen.following_error_max = axis->following_error;
-        seen.over_speed_max = axis->over_speed;
+        seen.following_error_max = axis->following_error_max;
+        seen.over_speed_max = axis->over_speed_max;
     }
     return shaft_monitor_step(&axis->diagnosis.shaft, &axis->config->shaft, &seen);
 }
@@ -423,7 +426,7 @@ static finding_set_t monitor_shaft(axis_t *axis)
 static void judge_shaft(axis_t *axis, finding_set_t findings)
 {
     const finding_set_t wanted = fault_wanted(findings, axis->latch.enabled);
-    if (wanted == FOUND(FINDING_SHAFT_HELD) && axis->requested && !axis->sensorless) {
+    if (wanted == FOUND(FINDING_SHAFT_BLOCKED) && axis->enable_requested && !axis->sensorless) {
         spin_align(axis);
     } else {
         axis_raise(axis, wanted);
@@ -436,12 +439,12 @@ static void spin_slow(axis_t *axis)
     if (axis->test_current.d != 0 || axis->test_current.q != 0) {
         axis->current_ref.d = f16_add(axis->current_ref.d, axis->test_current.d);
         axis->current_ref.q = f16_add(axis->current_ref.q, axis->test_current.q);
-        if (axis->excitation.point == TEST_POINT_TORQUE) {
-            axis->current_ref.q = f16_limit(axis->current_ref.q, axis->excitation.limit);
+        if (axis->test_signal.point == TEST_POINT_TORQUE) {
+            axis->current_ref.q = f16_limit(axis->current_ref.q, axis->test_signal.limit);
         }
     }
     if (axis->sensorless) {
-        axis->current_ref.d = f16_add(axis->current_ref.d, startup_fade(axis));
+        axis->current_ref.d = f16_add(axis->current_ref.d, startup_reduce_i_d(axis));
         fade_out(axis);
     }
     bound_current(axis);
@@ -458,7 +461,7 @@ static void spin_estimate(axis_t *axis)
 {
     track_offsets(axis);
     choose_dead_time(axis, axis->features);
-    current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->feedback.speed));
+    current_loop_set_speed(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->feedback.speed));
     if (axis->sensorless) {
         follow_rotor(axis);
     } else if (axis->estimate.runs || (axis->features & FEATURE_ANGLE_CHECK) != 0U) {
@@ -473,7 +476,7 @@ static void spin_check(axis_t *axis)
     } else {
         angle_check_judge(axis);
     }
-    if (axis->motion.starved && (axis->features & FEATURE_STARVED) != 0U) {
+    if (axis->motion.underrun && (axis->features & FEATURE_STARVED) != 0U) {
         axis_raise(axis, FOUND(FINDING_HOST_SILENT));
     }
     const finding_set_t findings = monitor_shaft(axis);
@@ -486,7 +489,7 @@ static void spin_check(axis_t *axis)
 
 static void startup_slow_state(axis_t *axis)
 {
-    if (!axis->requested || motion_wanted_speed(axis) == 0) {
+    if (!axis->enable_requested || motion_wanted_speed(axis) == 0) {
         to_freewheel(axis);
     }
 }
@@ -494,15 +497,15 @@ static void startup_slow_state(axis_t *axis)
 static void startup_estimate(axis_t *axis)
 {
     track_offsets(axis);
-    estimate_turn(axis);
-    estimate_step(axis);
-    observer_turn(&axis->estimate.observer, axis->estimate.pll.integral);
+    sensorless_estimate_update_rotation(axis);
+    sensorless_estimate_step(axis);
+    back_emf_observer_set_speed(&axis->estimate.observer, axis->estimate.pll.integral);
     startup_step(axis);
 }
 
 static void startup_check(axis_t *axis)
 {
-    estimate_judge(axis);
+    sensorless_estimate_judge(axis);
     switch (startup_judge(axis)) {
     case STARTUP_DONE:
         startup_spin(axis);
@@ -523,7 +526,7 @@ static void test_slow(axis_t *axis)
         test_mode_slow(axis);
         return;
     }
-    axis->requested = false; /* the next motion needs a new enable command */
+    axis->enable_requested = false; /* the next motion needs a new enable command */
     axis->fast = LOOP_FAST;
     if (stop_may_short(axis)) {
         to_ready(axis);
@@ -545,7 +548,7 @@ static void test_check(axis_t *axis)
         .features = (uint16_t)(axis->features & FEATURE_OVER_SPEED),
         .speed = axis->feedback.speed,
         .speed_limit = axis->limits.speed,
-        .over_speed_max = axis->over_speed,
+        .over_speed_max = axis->over_speed_max,
     };
     axis_raise(axis, shaft_monitor_step(&axis->diagnosis.shaft, &axis->config->shaft, &seen));
 }
@@ -572,7 +575,7 @@ static void freewheel_slow(axis_t *axis)
         wait_for_rest(axis);
         return;
     }
-    if (axis->requested && !axis->sensorless && !holding_brake_fitted(axis)) {
+    if (axis->enable_requested && !axis->sensorless && !holding_brake_fitted(axis)) {
         freewheel_align(axis);
     } else {
         to_ready(axis);
@@ -585,11 +588,11 @@ const axis_function_t run_table[7][6] = {
     [SUBSTATE_CALIB] = {calib_fast, calib_slow, calib_fast, idle, idle, calib_fast},
     [SUBSTATE_READY] = {ready_fast, ready_slow, ready_fast, track_offsets, idle, ready_fast},
     [SUBSTATE_ALIGN] = {align_fast, align_slow, align_fast, track_offsets, idle, align_fast},
-    [SUBSTATE_SPIN] = {spin_fast, spin_slow, spin_observed_fast, spin_estimate, spin_check, spin_excited_fast},
+    [SUBSTATE_SPIN] = {spin_fast, spin_slow, spin_observed_fast, spin_estimate, spin_check, spin_test_signal_fast},
     [SUBSTATE_FREEWHEEL] = {freewheel_fast, freewheel_slow, freewheel_fast, track_offsets, idle, freewheel_fast},
     [SUBSTATE_STARTUP] = {startup_fast, startup_slow_state, startup_fast, startup_estimate, startup_check,
                           startup_fast},
-    [SUBSTATE_TEST] = {test_mode_fast, test_slow, test_mode_fast, test_estimate, test_check, test_mode_excited_fast},
+    [SUBSTATE_TEST] = {test_mode_fast, test_slow, test_mode_fast, test_estimate, test_check, test_mode_signal_fast},
 };
 
 void run_state_enter(axis_t *axis)
@@ -598,8 +601,8 @@ void run_state_enter(axis_t *axis)
     current_sense_reset(&axis->sense);
     axis->calibrated = false;
     axis->fast = LOOP_FAST;
-    axis->fading_out = false;
-    estimate_stop(axis);
+    axis->switching_off = false;
+    sensorless_estimate_stop(axis);
     drive_choose_pair(axis, axis->sense.pair);
     enter(axis, SUBSTATE_CALIB);
 }

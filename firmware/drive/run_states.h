@@ -4,7 +4,7 @@
 
 #include "drive/axis_data.h"
 
-/* RUN begins in CALIB; RUN may be left from CALIB and READY only. */
+/* Enter RUN in sub-state CALIB; leave RUN from CALIB and READY only. */
 void run_state_enter(axis_t *axis);
 bool run_state_may_leave(const axis_t *axis);
 

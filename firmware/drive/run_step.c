@@ -1,12 +1,12 @@
 #include "drive/run_step.h"
 
 #include "drive/current_drive.h"
-#include "drive/excitation.h"
+#include "drive/test_signal.h"
 
 void spin_fast(axis_t *axis) { drive_current(axis, axis->feedback.theta_e); }
 
 void spin_observed_fast(axis_t *axis) { drive_observed(axis, axis->feedback.theta_e); }
 
-void spin_excited_fast(axis_t *axis) { excitation_drive(axis, axis->feedback.theta_e); }
+void spin_test_signal_fast(axis_t *axis) { test_signal_drive(axis, axis->feedback.theta_e); }
 
 void run_state_step(axis_t *axis, axis_loop_t loop) { run_table[axis->substate][loop](axis); }

@@ -1,4 +1,4 @@
-/* run_step.h - what of the sub-states runs in every period. */
+/* run_step.h - functions of the sub-states in the fast loop. */
 #ifndef SERVO_DRIVE_RUN_STEP_H
 #define SERVO_DRIVE_RUN_STEP_H
 
@@ -7,11 +7,11 @@
 /* Call the function of the present sub-state for `loop`. */
 void run_state_step(axis_t *axis, axis_loop_t loop);
 
-/* By sub-state and loop (drive/run_states.c). */
+/* Functions by sub-state and loop (drive/run_states.c). */
 extern const axis_function_t run_table[7][6];
 
 void spin_fast(axis_t *axis);
 void spin_observed_fast(axis_t *axis);
-void spin_excited_fast(axis_t *axis);
+void spin_test_signal_fast(axis_t *axis);
 
 #endif

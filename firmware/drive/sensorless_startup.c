@@ -1,8 +1,8 @@
 #include "drive/sensorless_startup.h"
 
 #include "drive/current_drive.h"
-#include "drive/estimate.h"
 #include "drive/motion.h"
+#include "drive/sensorless_estimate.h"
 
 #define QUARTER_TURN INT16_C(16384)
 #define SETTLE_TICKS 6 /* slow ticks until the observer has the back-EMF of a turning shaft */
@@ -25,7 +25,7 @@ void startup_begin(axis_t *axis, bool backwards)
     *startup = (startup_t){0};
     startup->backwards = backwards;
     enter(startup, STARTUP_CATCH);
-    estimate_start(axis, 0, 0);
+    sensorless_estimate_start(axis, 0, 0);
 }
 
 /* ---- the fast loop ------------------------------------------------------------------------------------------------ */
@@ -34,7 +34,7 @@ void startup_begin(axis_t *axis, bool backwards)
  * part would. */
 static void hold_current_off(axis_t *axis)
 {
-    const ab_t emf = observer_emf(&axis->estimate.observer, &axis->config->observer);
+    const ab_t emf = back_emf_observer_emf(&axis->estimate.observer, &axis->config->observer);
     axis->current_loop.d.integral = pi_sum_of(f32_from_f16(emf.alpha));
     axis->current_loop.q.integral = pi_sum_of(f32_from_f16(emf.beta));
     drive_observed(axis, 0);
@@ -55,7 +55,10 @@ void startup_fast(axis_t *axis)
 
 /* ---- catching a turning shaft --------------------------------------------------------------------------------------- */
 
-static frac16_t least_emf(const axis_t *axis) { return estimate_emf_at(axis, axis->config->startup.minimum_speed); }
+static frac16_t least_emf(const axis_t *axis)
+{
+    return sensorless_estimate_emf_at(axis, axis->config->startup.minimum_speed);
+}
 
 static void begin_ramp(axis_t *axis)
 {
@@ -82,8 +85,8 @@ static void begin_track(axis_t *axis)
     const int32_t step = (int32_t)turn * (INT32_C(65536) / AXIS_SLOW_PERIODS);
     enter(startup, STARTUP_TRACK);
     axis->estimate.locked = true;
-    estimate_forget(axis);
-    estimate_set(axis, ((uint32_t)(uint16_t)rotor << 16) + (uint32_t)asr32(step, 1), step);
+    sensorless_estimate_clear_checks(axis);
+    sensorless_estimate_set_angle(axis, ((uint32_t)(uint16_t)rotor << 16) + (uint32_t)asr32(step, 1), step);
 }
 
 static void seek(axis_t *axis)
@@ -101,9 +104,9 @@ static void seek(axis_t *axis)
  * undisturbed PLL follows the vector. */
 static bool seen(const axis_t *axis)
 {
-    const estimate_t *estimate = &axis->estimate;
-    const frac16_t expected = estimate_emf_at(axis, estimate->speed);
-    return estimate->locked && !emf_check_lacks(&estimate->check, &axis->config->emf_check, expected);
+    const sensorless_estimate_t *estimate = &axis->estimate;
+    const frac16_t expected = sensorless_estimate_emf_at(axis, estimate->speed);
+    return estimate->locked && !emf_check_emf_missing(&estimate->check, &axis->config->emf_check, expected);
 }
 
 static dq_t rotate(dq_t x, uint32_t angle)
@@ -118,7 +121,7 @@ static dq_t enter_rotor_frame(axis_t *axis, uint32_t between, uint32_t at_sample
 {
     const dq_t current = rotate(axis->current_loop.current, at_sample);
     const dq_t voltage = rotate(axis->current_loop.voltage, between);
-    current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->estimate.speed));
+    current_loop_set_speed(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->estimate.speed));
     current_loop_take_over(&axis->current_loop, &axis->config->current_loop, current, voltage);
     axis->feedback.theta_e = pll_theta(&axis->estimate.pll);
     return current;
@@ -144,10 +147,10 @@ static void prove(axis_t *axis)
 {
     startup_t *startup = &axis->startup;
     const frac32_t kept = f32_from_f16(axis->config->startup.first_current) / 2; /* same value as later without load */
-    startup->fade += f32_clip(kept - startup->fade, axis->config->startup.fade_step);
-    axis->current_ref = (dq_t){f16_from_f32(startup->fade), 0};
+    startup->i_d += f32_clip(kept - startup->i_d, axis->config->startup.fade_step);
+    axis->current_ref = (dq_t){f16_from_f32(startup->i_d), 0};
     axis->estimate.pll.backwards = axis->estimate.pll.integral < 0;
-    current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->estimate.speed));
+    current_loop_set_speed(&axis->current_loop, &axis->config->current_loop, f16_from_f32(axis->estimate.speed));
 }
 
 static startup_result_t judge_prove(axis_t *axis)
@@ -170,7 +173,7 @@ static frac16_t damping_current(const axis_t *axis, frac32_t speed)
     const startup_t *startup = &axis->startup;
     const frac16_t angle = pll_upper(startup->angle - (uint32_t)asr32(startup->step, 1));
     const dq_t emf = park(axis->estimate.emf, sin_cos_of(angle));
-    const int32_t swing = (int32_t)emf.q - estimate_emf_at(axis, speed);
+    const int32_t swing = (int32_t)emf.q - sensorless_estimate_emf_at(axis, speed);
     const frac32_t current = f32_gain(f32_from_f16(sat16(-swing)), axis->config->startup.damping);
     return f16_limit(asr32(current, 16), axis->config->startup.damping_limit);
 }
@@ -184,9 +187,9 @@ static void lock(axis_t *axis, int32_t before)
     } else if (axis->estimate.size >= least_emf(axis) && startup->speed >= axis->config->startup.minimum_speed) {
         axis->estimate.locked = true;
         pll_adapt(&axis->estimate.pll, &axis->config->pll, axis->estimate.size);
-        estimate_forget(axis);
+        sensorless_estimate_clear_checks(axis);
     } else {
-        estimate_set(axis, startup->angle, startup->step);
+        sensorless_estimate_set_angle(axis, startup->angle, startup->step);
     }
     axis->estimate.pll.backwards = startup->backwards;
 }
@@ -202,7 +205,7 @@ static void ramp(axis_t *axis)
     const frac32_t speed = turned(startup->speed, startup->backwards);
     startup->step = pll_step_of(&axis->config->pll, speed);
     lock(axis, before);
-    current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(speed));
+    current_loop_set_speed(&axis->current_loop, &axis->config->current_loop, f16_from_f32(speed));
     axis->current_ref = (dq_t){f16_from_f32(startup->current), damping_current(axis, speed)};
 }
 
@@ -266,7 +269,7 @@ startup_result_t startup_judge(axis_t *axis)
 finding_t startup_failure(const axis_t *axis)
 {
     const bool starved = axis->current_loop.current.d < axis->config->startup.first_current / 4;
-    return starved ? FINDING_START_UP_SILENT : FINDING_START_UP_SLOW;
+    return starved ? FINDING_START_UP_NO_CURRENT : FINDING_START_UP_SLOW;
 }
 
 /* ---- hand-over ------------------------------------------------------------------------------------------------------ */
@@ -280,14 +283,14 @@ void startup_hand_over(axis_t *axis)
         const uint32_t between = startup->angle - axis->estimate.pll.angle;
         current = enter_rotor_frame(axis, between, between);
     }
-    startup->fade = f32_from_f16(current.d);
+    startup->i_d = f32_from_f16(current.d);
     axis->feedback.speed = axis->estimate.speed;
     axis->feedback.mean_speed = axis->estimate.speed;
     motion_start_turning(axis, current.q);
     axis->current_ref = current;
 }
 
-frac16_t startup_fade(axis_t *axis)
+frac16_t startup_reduce_i_d(axis_t *axis)
 {
     startup_t *startup = &axis->startup;
     const startup_config_t *config = &axis->config->startup;
@@ -296,6 +299,6 @@ frac16_t startup_fade(axis_t *axis)
     const frac32_t first = axis->motion.current_reduced ? 0 : f32_from_f16(config->first_current);
     const frac32_t spare = first - f32_from_f16(f16_abs(axis->current_ref.q));
     const frac32_t kept = (spare > first / 2) ? first / 2 : ((spare > 0) ? spare : 0);
-    startup->fade += f32_clip(kept - startup->fade, config->fade_step);
-    return f16_from_f32(startup->fade);
+    startup->i_d += f32_clip(kept - startup->i_d, config->fade_step);
+    return f16_from_f32(startup->i_d);
 }

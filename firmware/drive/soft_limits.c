@@ -14,11 +14,11 @@
 path_limits_t soft_limits_path(const axis_config_t *config, const axis_limits_t *limits, uint16_t omega_n_ts)
 {
     const path_position_t acceleration = path_step_of(config, limits->acceleration);
-    const int64_t bend = asr64(acceleration, 1) * HALF_E_SQUARED_Q12 << 20;
+    const int64_t constant = asr64(acceleration, 1) * HALF_E_SQUARED_Q12 << 20;
     return (path_limits_t){
         .step = path_step_of(config, limits->speed),
         .acceleration = acceleration,
-        .bend = i64_over_u16(i64_over_u16(bend, omega_n_ts), omega_n_ts),
+        .braking_constant = i64_over_u16(i64_over_u16(constant, omega_n_ts), omega_n_ts),
         .omega_n_ts = omega_n_ts,
     };
 }
@@ -34,7 +34,7 @@ static frac32_t approach_speed(const axis_t *axis, int64_t distance)
     path_position_t step = (near < limits->step) ? near : limits->step;
     const path_position_t acceleration = asr64(limits->acceleration, 1);
     if (asr64(step * k, 32) > acceleration) {
-        step = braking_speed(distance * (INT32_C(1) << PATH_BITS) - limits->bend, acceleration, step);
+        step = braking_speed(distance * (INT32_C(1) << PATH_BITS) - limits->braking_constant, acceleration, step);
     }
     return (step < limits->step) ? path_speed_of(axis->config, step) : axis->limits.speed;
 }
@@ -83,7 +83,7 @@ int32_t soft_limits_target(const axis_t *axis)
     if (target <= limits->position_max && target >= limits->position_min) {
         return target;
     }
-    const int32_t here = path_stop(&axis->motion.path, axis->path_limits.acceleration);
+    const int32_t here = path_filter_stopping_position(&axis->motion.path, axis->path_limits.acceleration);
     const int32_t range_min = (limits->position_min < here) ? limits->position_min : here;
     const int32_t range_max = (limits->position_max > here) ? limits->position_max : here;
     return confined(target, here, range_min, range_max);

@@ -1,20 +1,21 @@
-/* speed_control.h - i_q* within what motor, bus and speed limits allow (DRM 2.5). Both leave i_d* in `axis->current_ref`. */
+/* speed_control.h - speed and torque control: i_q* within the limits of motor, bus and speed (DRM 2.5). All
+ * functions set i_d* in `axis->current_ref`. */
 #ifndef SERVO_DRIVE_SPEED_CONTROL_H
 #define SERVO_DRIVE_SPEED_CONTROL_H
 
 #include "drive/axis_data.h"
 
-/* Towards `motion.speed_ref`. */
+/* Speed control to `motion.speed_ref`. Returns i_q*. */
 frac16_t speed_control(axis_t *axis);
 
-/* Gains and feed-forwards of `config`, which is not in force yet, without a step of the current set-point: the integral
- * part takes what they would change. */
+/* Bumpless change to gains and feed-forward of `config`, before it takes effect: the integrator compensates the
+ * change. */
 void speed_control_retune(axis_t *axis, const axis_config_t *config);
 
-/* The torque that is wanted, within the speed limits. */
+/* Torque control within the speed limits. Returns i_q*. */
 frac16_t torque_control(axis_t *axis);
 
-/* One slow tick of a constant current i_q, from which the speed controller goes on afterwards. */
+/* One slow tick of constant current, with bumpless transfer to the speed controller. Returns i_q*. */
 frac16_t press_control(axis_t *axis);
 
 #endif

@@ -1,7 +1,7 @@
 /* state_machine.h - the main state machine of one axis (DRM 4.4, F36).
  *
- * FAULT -> INIT -> STOP <-> RUN, steered by flags; every transition has a function of its own, called before the state
- * changes. One machine serves every axis: the owner comes along as a pointer.
+ * FAULT -> INIT -> STOP <-> RUN, controlled by flags; each transition has a function, called before the state changes.
+ * One implementation for all axes.
  */
 #ifndef SERVO_DRIVE_STATE_MACHINE_H
 #define SERVO_DRIVE_STATE_MACHINE_H
@@ -12,14 +12,14 @@
 
 struct axis;
 
-/* The loop that calls: a sub-state has a function for each. */
+/* Calling loop: each sub-state has one function per loop. */
 typedef enum {
     LOOP_FAST,
     LOOP_SLOW,
-    LOOP_OBSERVED, /* the fast loop with the observer in it */
-    LOOP_ESTIMATE, /* in axis_estimate */
-    LOOP_CHECK, /* in axis_check */
-    LOOP_EXCITED, /* the fast loop with a test signal on a current */
+    LOOP_OBSERVED, /* fast loop with observer */
+    LOOP_ESTIMATE, /* axis_estimate */
+    LOOP_CHECK, /* axis_check */
+    LOOP_TEST_SIGNAL, /* fast loop with a test signal on a current */
 } axis_loop_t;
 
 typedef void (*axis_function_t)(struct axis *axis);
@@ -47,7 +47,7 @@ typedef struct {
     axis_function_t init_fault;
     axis_function_t init_stop;
     axis_function_t stop_fault;
-    axis_function_t stop_init; /* in the reference design, where no flag leads here */
+    axis_function_t stop_init; /* exists in the reference design; no flag causes it */
     axis_function_t stop_run;
     axis_function_t run_fault;
     axis_function_t run_stop;
@@ -58,13 +58,13 @@ typedef struct {
     const sm_transitions_t *transitions;
     uint16_t ctrl; /* control flags */
     state_t state;
-    uint16_t entered; /* slow ticks to go since state or sub-state have changed */
+    uint16_t entered; /* remaining slow ticks, of EVENT_TICKS, since state or sub-state changed */
 } sm_t;
 
-/* How long something that happened in a moment can be seen, for a recorder that does not look in every period. */
+/* Time for which an event stays visible to a recorder that does not sample in every period. */
 #define EVENT_TICKS 64 /* slow ticks */
 
-/* Call the function of the present state for `loop`, then make at most one transition. */
+/* Call the function of the present state for `loop`, then at most one transition. */
 void sm_step(sm_t *sm, struct axis *axis, axis_loop_t loop);
 
 #endif

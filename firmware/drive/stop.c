@@ -5,8 +5,8 @@
 
 void stop_begin(axis_t *axis, stop_category_t category)
 {
-    if (axis->requested) {
-        axis->requested = false;
+    if (axis->enable_requested) {
+        axis->enable_requested = false;
         axis->stop = (stop_t){.category = category};
     } else if (category < axis->stop.category) {
         axis->stop.category = category;
@@ -22,7 +22,7 @@ stop_category_t stop_for(const stop_config_t *config, fault_set_t faults)
     return ((faults & config->shorted) != 0U) ? STOP_CATEGORY_SHORT : controlled;
 }
 
-bool stop_in_hand(const axis_t *axis)
+bool stop_is_controllable(const axis_t *axis)
 {
     return axis->sm.state == STATE_RUN && (axis->substate == SUBSTATE_SPIN || axis->shorted);
 }
@@ -41,17 +41,17 @@ static bool held_long_enough(axis_t *axis)
     if (axis->motion.motion == MOTION_STOP) {
         return false; /* not at rest yet */
     }
-    axis->stop.held++;
-    return axis->stop.held > axis->config->stop.hold_ticks;
+    axis->stop.rest_ticks++;
+    return axis->stop.rest_ticks > axis->config->stop.hold_ticks;
 }
 
 /* Hold the position until the holding brake has closed. Without position hold the brake closes as it is. */
 static bool handed_to_brake(axis_t *axis, bool long_enough)
 {
     if (axis->motion.motion != MOTION_STOP && long_enough) {
-        holding_brake_ask(axis, false);
+        holding_brake_request(axis, false);
     }
-    return axis->motion.motion != MOTION_STOP && !axis->brake.wanted && holding_brake_closed(axis);
+    return axis->motion.motion != MOTION_STOP && !axis->brake.open_requested && holding_brake_is_closed(axis);
 }
 
 static bool over(axis_t *axis, stop_category_t category)

@@ -1,33 +1,33 @@
-/* stop.h - how an axis comes to rest when its drive is withdrawn: by a command, or by a fault that leaves a choice.
+/* stop.h - stop categories for disable, quick stop and faults.
  *
- * A category that the moment does not permit gives way to the next harsher one: hold -> ramp -> short -> coast. What is
- * demanded while a stop is in progress takes over if it is harsher.
+ * A category that is not possible is replaced by the next harsher one: hold -> ramp -> short -> coast. During a stop
+ * only a harsher category is accepted.
  */
 #ifndef SERVO_DRIVE_STOP_H
 #define SERVO_DRIVE_STOP_H
 
 #include "drive/axis_data.h"
 
-/* Withdraw the drive, or let a stop in progress go on in a harsher way. */
+/* Withdraw the enable and begin a stop, or change a stop in progress to a harsher category. */
 void stop_begin(axis_t *axis, stop_category_t category);
 
-/* The harshest answer to a set of faults. */
+/* Harshest category configured for a set of faults. */
 stop_category_t stop_for(const stop_config_t *config, fault_set_t faults);
 
-/* True while an axis can still be brought to rest by what drives it. */
-bool stop_in_hand(const axis_t *axis);
+/* True while the shaft can be decelerated by current control or shorted windings. */
+bool stop_is_controllable(const axis_t *axis);
 
 /* True if the windings may be shorted at this speed. */
 bool stop_may_short(const axis_t *axis);
 
-/* One slow tick of a spinning axis without a drive: how it goes on. STOP_CATEGORY_COAST: outputs off now; STOP_CATEGORY_SHORT: short the
- * windings now; else go on decelerating or holding. */
+/* One slow tick of a stop in SPIN. Returns STOP_CATEGORY_COAST: outputs off now; STOP_CATEGORY_SHORT: short the
+ * windings now; otherwise: continue the deceleration or position hold. */
 stop_category_t stop_step(axis_t *axis);
 
-/* One slow tick of shorted windings: true when the short has to end. */
+/* One slow tick of shorted windings: true if the short must end. */
 bool stop_short_over(axis_t *axis);
 
-/* True if more current flows in the short than is allowed. */
+/* True if the current of the shorted windings exceeds its limit. */
 bool stop_short_overloaded(const axis_t *axis);
 
 #endif

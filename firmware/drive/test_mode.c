@@ -1,18 +1,18 @@
 #include "drive/test_mode.h"
 
 #include "drive/current_drive.h"
-#include "drive/excitation.h"
 #include "drive/holding_brake.h"
 #include "drive/limits.h"
 #include "drive/motion.h"
 #include "drive/soft_limits.h"
+#include "drive/test_signal.h"
 
 /* The imposed vector uses the state of the sensorless start-up, which an axis with an encoder does not need. */
 
 bool test_mode_wanted(const axis_t *axis)
 {
     const bool able = !axis->sensorless && !holding_brake_fitted(axis);
-    return axis->requested && !axis->command.quick_stop && axis->command.mode == CONTROL_MODE_TEST && able;
+    return axis->enable_requested && !axis->command.quick_stop && axis->command.mode == CONTROL_MODE_TEST && able;
 }
 
 void test_mode_start(axis_t *axis)
@@ -33,9 +33,9 @@ void test_mode_fast(axis_t *axis)
     axis->startup.angle += (uint32_t)axis->startup.step;
 }
 
-void test_mode_excited_fast(axis_t *axis)
+void test_mode_signal_fast(axis_t *axis)
 {
-    excitation_drive(axis, next_angle(&axis->startup));
+    test_signal_drive(axis, next_angle(&axis->startup));
     axis->startup.angle += (uint32_t)axis->startup.step;
 }
 
@@ -88,5 +88,5 @@ void test_mode_slow(axis_t *axis)
     const frac32_t missing = f32_sub(f32_from_f16(wanted), vector->current);
     vector->current += f32_clip(missing, axis->config->rotor_search.current_slew);
     axis->current_ref = (dq_t){f16_from_f32(vector->current), 0};
-    current_loop_turn(&axis->current_loop, &axis->config->current_loop, f16_from_f32(vector->speed));
+    current_loop_set_speed(&axis->current_loop, &axis->config->current_loop, f16_from_f32(vector->speed));
 }

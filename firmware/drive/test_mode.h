@@ -1,24 +1,24 @@
-/* test_mode.h - sub-state TEST: a current vector along an imposed angle, for a motor of which nothing is known yet. */
+/* test_mode.h - sub-state TEST: current vector at an imposed angle, for the identification of an unknown motor. */
 #ifndef SERVO_DRIVE_TEST_MODE_H
 #define SERVO_DRIVE_TEST_MODE_H
 
 #include "drive/axis_data.h"
 
-/* The axis is asked to run in control mode TEST, and can: with an encoder, which tells what becomes of it, and without a
- * holding brake, whose load a vector at a wrong angle does not hold. */
+/* True if mode TEST is requested and permitted: the axis has an encoder (to observe the motion) and no holding brake
+ * (an imposed vector cannot hold its load). */
 bool test_mode_wanted(const axis_t *axis);
 
-/* No current, angle 0. */
+/* Begin with zero current at angle 0. */
 void test_mode_start(axis_t *axis);
 
-/* In every period. */
+/* One PWM period, without and with a test signal. */
 void test_mode_fast(axis_t *axis);
-void test_mode_excited_fast(axis_t *axis);
+void test_mode_signal_fast(axis_t *axis);
 
-/* Once per slow tick: current and speed of the vector towards their set-points. */
+/* One slow tick: ramp current and speed of the vector to their set-points. */
 void test_mode_slow(axis_t *axis);
 
-/* The vector of the last period. */
+/* Angle of the vector in the last period. */
 frac16_t test_mode_angle(const axis_t *axis);
 
 #endif

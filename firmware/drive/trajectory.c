@@ -14,7 +14,7 @@ static const trajectory_point_t *at(const trajectory_t *t, uint16_t index)
 void trajectory_clear(trajectory_t *t)
 {
     t->out = t->in;
-    t->leads = false;
+    t->active = false;
 }
 
 void trajectory_put(trajectory_t *t, trajectory_point_t point, bool replace)
@@ -23,7 +23,7 @@ void trajectory_put(trajectory_t *t, trajectory_point_t point, bool replace)
         while (t->in != t->out && !earlier(at(t, (uint16_t)(t->in - 1U))->tick, point.tick)) {
             t->in--;
         }
-        t->leads = t->leads && earlier(t->end.tick, point.tick);
+        t->active = t->active && earlier(t->end.tick, point.tick);
     }
     t->point[t->in % TRAJECTORY_POINTS] = point;
     t->in++;
@@ -38,7 +38,7 @@ const trajectory_point_t *trajectory_before(const trajectory_t *t, uint32_t tick
             return point;
         }
     }
-    return (t->leads && earlier(t->end.tick, tick)) ? &t->end : NULL;
+    return (t->active && earlier(t->end.tick, tick)) ? &t->end : NULL;
 }
 
 path_position_t trajectory_position(const trajectory_point_t *point, path_position_t near)
@@ -63,7 +63,7 @@ static void set_out(trajectory_t *t, const axis_config_t *config, hermite_state_
             t->begin = begin;
             t->i_q_begin = i_q;
             t->end_position = to.position;
-            t->leads = true;
+            t->active = true;
             return;
         }
     }
@@ -73,19 +73,19 @@ void trajectory_step(trajectory_t *t, const axis_config_t *config, hermite_state
 {
     trajectory_reference_t *reference = &t->reference;
     reference->over = false;
-    if (!t->leads) {
+    if (!t->active) {
         set_out(t, config, present, tick - SLOW_PERIODS, 0);
     } else if (!earlier(tick, t->end.tick)) {
         const hermite_state_t from = {t->end_position, path_step_of(config, t->end.speed)};
-        t->leads = false;
+        t->active = false;
         set_out(t, config, from, t->end.tick, t->end.i_q);
-        if (!t->leads) {
-            t->leads = true; /* until the caller has handled the end */
+        if (!t->active) {
+            t->active = true; /* until the caller has handled the end */
             *reference = (trajectory_reference_t){t->end_position, 0, true};
             return;
         }
     }
-    if (t->leads) {
+    if (t->active) {
         const uint32_t elapsed = tick - t->begin;
         const int32_t change = (int32_t)t->end.i_q - t->i_q_begin;
         const int32_t part = (int32_t)(hermite_part(&t->segment, elapsed) >> 16);

@@ -1,15 +1,14 @@
-/* hal.h - what a board gives to the servo, at the meaning of the peripherals.
+/* hal.h - hardware abstraction layer: ADC codes, duty cycles, timer counts, captures, bytes.
  *
- * Raw ADC codes, compare duties, timer counts and captures, bytes: never "position" or "speed". One port implements
- * these functions per board (the MC56F84789 with registers, the virtual board on a motor model). Every call carries
- * the board it is for, so that many boards can live in one process.
+ * One port per board implements these functions (MC56F84789 with registers, virtual board with a motor model). Each
+ * function has the board as its first parameter, so that one process can contain many boards.
  *
  * A port calls these entry points of the application (app/servo.h) at the instants of DRM F34:
  *   servo_m1_isr      t1, after the three conversions of motor 1
  *   servo_m2_isr      t3, at the end of the scan
- *   servo_edge_isr    on the captured encoder B edge of an axis, when the interrupt is armed
- *   servo_break_isr   when the over-current latch of an axis has opened its switches
- *   servo_background  again and again, below every interrupt
+ *   servo_edge_isr    at the captured encoder B edge of an axis, if the interrupt is armed
+ *   servo_over_current_isr   when the over-current latch of an axis has opened its switches
+ *   servo_background  in an endless loop, below all interrupts
  */
 #ifndef SERVO_HAL_H
 #define SERVO_HAL_H
@@ -19,7 +18,7 @@
 
 #define HAL_AXES 2
 
-typedef struct hal hal_t; /* the port's own context; the application only passes it on */
+typedef struct hal hal_t; /* context of the port; opaque to the application */
 
 /* The two phases whose shunts are sampled; the third current is their negative sum (DRM 2.3.2). */
 typedef enum {
@@ -32,7 +31,7 @@ typedef enum {
  * current into the motor raises the code above mid-scale. */
 typedef struct {
     uint16_t first; /* code of the first phase of the pair */
-    uint16_t second; /* code of the second */
+    uint16_t second; /* code of the second phase of the pair */
 } adc_pair_t;
 
 /* Encoder counter and free-running time stamp (bus clock / 128), both latched by the same B edge (DRM F17). */
@@ -43,7 +42,7 @@ typedef struct {
 
 /* ---- analogue inputs ------------------------------------------------------------------------------------------ */
 
-/* Choose the pair that the next conversions of `axis` take; both the currents and the offsets follow it. */
+/* Select the phase pair of the next conversions of `axis`, for currents and offsets. */
 void hal_adc_select(hal_t *hal, uint16_t axis, phase_pair_t pair);
 
 /* Codes sampled at the low-side centre of `axis` (phase currents). */
@@ -63,38 +62,38 @@ uint16_t hal_adc_temperature(hal_t *hal, uint16_t axis);
 /* High-side duties of the phases in Q1.15 (0..32767 is 0..100 %); loaded at the next half cycle of the axis. */
 void hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int16_t duty_c);
 
-/* Let the six switches of `axis` follow the duties, or open all of them at once. */
+/* on: the six switches of `axis` follow the duties; off: all switches open immediately. */
 void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on);
 
 /* True while the hardware over-current latch of `axis` holds its outputs off. */
-bool hal_break_active(hal_t *hal, uint16_t axis);
+bool hal_over_current_active(hal_t *hal, uint16_t axis);
 
 /* Release the latch; it latches again at once if the current is still too high. */
-void hal_break_clear(hal_t *hal, uint16_t axis);
+void hal_over_current_clear(hal_t *hal, uint16_t axis);
 
 /* ---- switches and holding brake ---------------------------------------------------------------------------------- */
 
-/* Digital inputs of an axis, after their polarity: 1 is active. A cut wire reads as the safe state: limit switches and the
- * enable input are closed in normal operation. */
+/* Digital inputs of an axis, after polarity: 1 is active. Limit switches and enable input are closed in normal
+ * operation, so a broken wire gives the safe state. */
 #define HAL_INPUT_HOME UINT16_C(1)      /* closed: the shaft is in the range of the home switch */
-#define HAL_INPUT_LIMIT_MIN UINT16_C(2) /* open: the end of the way is reached */
+#define HAL_INPUT_LIMIT_MIN UINT16_C(2) /* open: the end of the travel is reached */
 #define HAL_INPUT_LIMIT_MAX UINT16_C(4)
-#define HAL_INPUT_ENABLE UINT16_C(8) /* closed, and without a gap since the last hal_enable_input */
+#define HAL_INPUT_ENABLE UINT16_C(8) /* closed without interruption since the last hal_enable_input */
 uint16_t hal_inputs(hal_t *hal, uint16_t axis);
 
-/* With `used`, an open enable input of `axis` opens the six switches without software, and they stay open until this is called
- * again with a closed input. Not in RUN. */
+/* `used`: an open enable input of `axis` opens the six switches in hardware, until the next call of this function
+ * with a closed input. Must not be called in RUN. */
 void hal_enable_input(hal_t *hal, uint16_t axis, bool used);
 
-/* The coil of the holding brake of `axis`; without current it is closed, also in reset. */
+/* Coil of the holding brake of `axis`; without current, and in reset, the brake is closed. */
 void hal_holding_brake(hal_t *hal, uint16_t axis, bool release);
 
 /* ---- DC bus and monitor outputs --------------------------------------------------------------------------------- */
 
-/* The switch of the brake resistor between the bus voltage and ground. */
+/* Switch of the brake resistor between bus voltage and ground. */
 void hal_brake(hal_t *hal, bool on);
 
-/* Two slow analogue outputs for an oscilloscope; 0 is 0 V, 65535 the full voltage. */
+/* Two slow analogue outputs for an oscilloscope; 0: 0 V, 65535: full voltage. */
 #define HAL_ANALOG_OUTS 2
 void hal_analog_out(hal_t *hal, uint16_t channel, uint16_t value);
 
@@ -104,7 +103,7 @@ void hal_analog_out(hal_t *hal, uint16_t channel, uint16_t value);
 uint16_t hal_encoder_count(hal_t *hal, uint16_t axis);
 void hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count);
 
-/* TMRx2: emulated index pulses; only ever counts up (F13). */
+/* TMRx2: number of emulated index pulses, counts upwards in both directions of rotation (F13). */
 uint16_t hal_index_count(hal_t *hal, uint16_t axis);
 
 /* Clear the capture flags of TMRx0/1/3 and arm the B-edge interrupt; the next B edge is latched, later ones are not. */
@@ -121,9 +120,9 @@ uint32_t hal_edge_age(hal_t *hal, uint16_t axis);
 
 /* ---- data flash ------------------------------------------------------------------------------------------------- */
 
-/* What stays without power: sectors of words of 32 bits. An erase makes ones of a sector; a word is programmed once after
- * that. One command at a time; each ends by itself. While it is under way, the contents of
- * the sector or the word are undefined, and stay so if power fails; nothing else in the data flash can be read. */
+/* Non-volatile memory: sectors of 32-bit words. An erase sets all bits of a sector to 1; then each word can be
+ * programmed once. One command at a time. During a command, and after a power failure in it, the contents of the
+ * sector or word are undefined; the data flash cannot be read during a command. */
 #define HAL_FLASH_SECTORS 4U
 #define HAL_FLASH_SECTOR_WORDS 256U
 
@@ -133,7 +132,7 @@ typedef enum {
     HAL_FLASH_FAILED,
 } hal_flash_t;
 
-/* False on a board without data flash: the other functions must not be called then. */
+/* False on a board without data flash; then the other functions must not be called. */
 bool hal_flash_present(hal_t *hal);
 
 uint32_t hal_flash_read(hal_t *hal, uint16_t word);
@@ -142,31 +141,31 @@ uint32_t hal_flash_read(hal_t *hal, uint16_t word);
 void hal_flash_erase(hal_t *hal, uint16_t sector);
 void hal_flash_program(hal_t *hal, uint16_t word, uint32_t value);
 
-/* What has become of the last command. */
+/* Result of the last command. */
 hal_flash_t hal_flash_result(hal_t *hal);
 
 /* ---- serial line and watchdog ---------------------------------------------------------------------------------- */
 
-/* Take one received byte; false when there is none. */
+/* Read one received byte; false if there is none. */
 bool hal_serial_get(hal_t *hal, uint8_t *byte);
 
-/* Hand one byte to the transmitter; false when it is still busy. */
+/* Send one byte; false if the transmitter is busy. */
 bool hal_serial_put(hal_t *hal, uint8_t byte);
 
-/* The fast loop of `axis` is through. A loop whose duties come after the instant at which they should be loaded is late. */
+/* End of the fast loop of `axis`. A loop is late if its duties are set after the instant of their loading. */
 void hal_duties_done(hal_t *hal, uint16_t axis);
 
-/* Loops since reset whose duties were late, and pairs of loops (M1 and M2 in turn) that were left out, two for each pair;
- * modulo 65536. A single loop left out is not counted: the application finds it by the order of its entry points. */
+/* Number of late loops since reset plus two per omitted pair of loops (M1 and M2), modulo 65536. A single omitted
+ * loop is not counted here; the application detects it by the order of its entry points. */
 uint16_t hal_late_loops(hal_t *hal);
 
-/* Received bytes lost since reset, modulo 65536. */
+/* Number of received bytes lost since reset, modulo 65536. */
 uint16_t hal_receiver_overruns(hal_t *hal);
 
-/* True when it was the watchdog that has reset the board. */
+/* True if the last reset was caused by the watchdog. */
 bool hal_reset_by_watchdog(hal_t *hal);
 
-/* Service the watchdog: called once per slow tick, after both fast loops have reported. */
+/* Service the watchdog; called once per slow tick, after both fast loops. */
 void hal_watchdog_service(hal_t *hal);
 
 #endif

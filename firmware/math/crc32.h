@@ -6,7 +6,7 @@
 
 #define CRC32_START UINT32_C(0xFFFFFFFF)
 
-/* The sum with the low `size` bytes of `value` behind what it has, the lowest one first. */
+/* Append the low `size` bytes of `value` to the sum, lowest byte first. */
 uint32_t crc32_add(uint32_t crc, uint32_t value, uint16_t size);
 
 static inline uint32_t crc32_end(uint32_t crc) { return crc ^ UINT32_C(0xFFFFFFFF); }

@@ -1,10 +1,11 @@
-/* divide.h - 64 bits by 16, with three divisions of 32 bits instead of the kilobyte of library of a general one. */
+/* divide.h - division of 64 bits by 16, with three 32-bit divisions; a general 64-bit library division takes one
+ * kilobyte. */
 #ifndef SERVO_MATH_DIVIDE_H
 #define SERVO_MATH_DIVIDE_H
 
 #include <stdint.h>
 
-/* x / divisor, towards zero; the divisor is not 0, and x is not INT64_MIN. */
+/* x / divisor, rounded towards zero; divisor != 0, x != INT64_MIN. */
 int64_t i64_over_u16(int64_t x, uint16_t divisor);
 
 #endif

@@ -1,7 +1,7 @@
 /* frac.h - Q1.15 and Q1.31 fractions with the rounding and saturation of the DSC's arithmetic unit.
  *
- * frac16_t is the fraction raw / 2^15, frac32_t is raw / 2^31; both cover [-1, 1). Nothing here depends on the width of
- * `int`: products are widened before they are formed, and right shifts of negative numbers go through asr16/32/64.
+ * frac16_t is raw / 2^15, frac32_t is raw / 2^31; range [-1, 1). Independent of the width of `int`: operands are
+ * widened before a product, and negative numbers are shifted right with asr32 and asr64.
  */
 #ifndef SERVO_MATH_FRAC_H
 #define SERVO_MATH_FRAC_H
@@ -14,7 +14,7 @@
 typedef int16_t frac16_t;
 typedef int32_t frac32_t;
 
-/* A gain between -128 and 128 with a fixed scale: raw / 2^24. */
+/* Gain raw / 2^24, range [-128, 128). */
 typedef int32_t gain_t;
 #define GAIN_BITS 24
 
@@ -25,7 +25,8 @@ typedef int32_t gain_t;
 
 static inline int64_t asr64(int64_t x, unsigned n) { return (x < 0) ? ~(~x >> n) : (x >> n); }
 
-/* A number fits when its upper half is the sign of its lower one. Written so, compilers do not carry on with 64 bits. */
+/* Saturate to 32 bits: no overflow if the upper half is the sign extension of the lower half. In this form compilers
+ * use 32-bit operations. */
 static inline int32_t sat32(int64_t x)
 {
     const uint32_t high = (uint32_t)((uint64_t)x >> 32);
@@ -73,13 +74,13 @@ static inline frac32_t f32_abs(frac32_t a)
     return (a == FRAC32_MIN) ? FRAC32_MAX : -a;
 }
 
-/* Angles wrap: the sum of two angles in [-pi, pi) is taken modulo 2 pi. */
+/* Sums and differences of angles in [-pi, pi), modulo 2 pi. */
 static inline frac16_t f16_add_wrap(frac16_t a, frac16_t b) { return (frac16_t)(uint16_t)((uint16_t)a + (uint16_t)b); }
 static inline frac16_t f16_sub_wrap(frac16_t a, frac16_t b) { return (frac16_t)(uint16_t)((uint16_t)a - (uint16_t)b); }
 static inline int32_t i32_sub_wrap(int32_t a, int32_t b) { return (int32_t)((uint32_t)a - (uint32_t)b); }
 static inline int32_t i32_add_wrap(int32_t a, int32_t b) { return (int32_t)((uint32_t)a + (uint32_t)b); }
 
-/* Of what is far from the ends of its type. */
+/* Absolute value; a != INT32_MIN. */
 static inline int32_t i32_abs(int32_t a) { return (a < 0) ? -a : a; }
 
 /* Rounded product; (-1) x (-1) saturates (DSC: MPYR with saturation). */
@@ -92,21 +93,21 @@ static inline frac32_t f32_mul16(frac16_t a, frac16_t b)
     return (product == INT32_C(0x40000000)) ? FRAC32_MAX : product * 2;
 }
 
-/* Widen without loss, and round back. */
+/* Conversion to Q1.31, exact, and to Q1.15, rounded. */
 static inline frac32_t f32_from_f16(frac16_t a) { return (frac32_t)a * INT32_C(65536); }
 static inline frac16_t f16_from_f32(frac32_t a) { return sat16_asr(asr32(a, 15) + 1, 1); }
 
-/* gain x fraction, rounded, saturated. */
+/* Gain x fraction, rounded and saturated. */
 static inline frac32_t f32_gain(frac32_t x, gain_t gain)
 {
     return sat32(asr64((int64_t)x * gain + (INT64_C(1) << (GAIN_BITS - 1)), GAIN_BITS));
 }
 
-/* The same for fractions of 15 bits, which may be a little beyond 1; rounded down. */
+/* Gain x Q1.15 fraction in a 32-bit word, rounded down; the result is limited to [-2, 2). */
 static inline int32_t i32_gain(int32_t x, gain_t gain)
 {
     const int32_t product =
-        (int32_t)asr64((int64_t)x * gain + INT32_C(256), GAIN_BITS); /* rounded 15 bits farther down */
+        (int32_t)asr64((int64_t)x * gain + INT32_C(256), GAIN_BITS); /* rounded at the 15th bit below */
     if (product > INT32_C(0xFFFF)) {
         return INT32_C(0xFFFF);
     }

@@ -1,6 +1,6 @@
-/* program_table.h - where tables lie that interrupts read although the data flash is being written: beside the program.
- * Pointers to data do not reach that memory on every machine: such a table is declared with PROGRAM_TABLE in the place of
- * `const`, and read by way of program_table_copy(). */
+/* program_table.h - PROGRAM_TABLE: constant table in program memory, used in place of `const`. Interrupts may read
+ * it while the data flash is being written. Some processors cannot address it with a data pointer: read it with
+ * program_table_copy(). */
 #ifndef SERVO_MATH_PROGRAM_TABLE_H
 #define SERVO_MATH_PROGRAM_TABLE_H
 

@@ -1,4 +1,4 @@
-/* root.h - square root of 64 bits with three divisions of 32. */
+/* root.h - square root of a 64-bit number with three 32-bit divisions. */
 #ifndef SERVO_MATH_ROOT_H
 #define SERVO_MATH_ROOT_H
 

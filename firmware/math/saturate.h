@@ -1,7 +1,7 @@
-/* saturate.h - saturation to 16 bits, with the instruction for it where the machine has one.
+/* saturate.h - saturation to 16 bits.
  *
- * Cortex-M shifts and saturates in one instruction (SSAT, USAT), which compilers find only now and then by themselves.
- * What is written here for it does the same as the C below it, bit for bit (`make targets`).
+ * Cortex-M shifts and saturates in one instruction (SSAT, USAT), which compilers rarely generate from C. The assembly
+ * code is bit-identical to the C code (`make targets`).
  */
 #ifndef SERVO_MATH_SATURATE_H
 #define SERVO_MATH_SATURATE_H
@@ -9,15 +9,15 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* Shift right and round towards minus infinity. C99 leaves the right shift of a negative number to the compiler; this
- * form is defined everywhere, and compilers make one instruction of it. */
+/* Arithmetic shift right (rounds towards minus infinity). In C99 the right shift of a negative number is
+ * implementation-defined; compilers translate this form to one instruction. */
 static inline int32_t asr32(int32_t x, unsigned n) { return (x < 0) ? (int32_t)~(~x >> n) : (int32_t)(x >> n); }
 
 #if defined(__ARM_FEATURE_SAT) && defined(__OPTIMIZE__)
 
 #define SATURATE_INLINE static inline __attribute__((always_inline))
 
-/* Tells the compiler what it cannot see, so that it extends no signs. */
+/* States the range of a result of assembly code to the compiler: avoids sign extensions. */
 #define SATURATE_IS(holds)                                                                                             \
     do {                                                                                                               \
         if (!(holds)) {                                                                                                \
@@ -63,7 +63,7 @@ static inline int16_t sat16(int32_t x)
     return (int16_t)x;
 }
 
-/* The same of asr32(x, n); n is a constant from 1 to 31. */
+/* sat16(asr32(x, n)); n is a constant from 1 to 31. */
 static inline int16_t sat16_asr(int32_t x, unsigned n) { return sat16(asr32(x, n)); }
 
 /* Saturate to [0, 1). */

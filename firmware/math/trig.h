@@ -4,19 +4,19 @@
 
 #include "math/frac.h"
 
-/* Fractions with 15 bits in a word, ready to be multiplied. */
+/* Q1.15 fractions in 32-bit words, for products. */
 typedef struct {
-    int32_t sin; /* Q1.15 */
-    int32_t cos; /* Q1.15 */
+    int32_t sin; /* sine, Q1.15 */
+    int32_t cos; /* cosine, Q1.15 */
 } sin_cos_t;
 
-/* sin(pi/2 i/256) in Q1.15, one quarter wave and its end point. Linear interpolation between neighbours is off by at
- * most (pi/512)^2 / 8 = 4.7e-6, a seventh of one LSB. */
+/* sin(pi/2 i/256) in Q1.15, one quarter wave with its end point. Largest error of the linear interpolation:
+ * (pi/512)^2 / 8 = 4.7e-6, a seventh of one LSB. */
 #define TRIG_QUARTER_STEPS 256
 #define TRIG_REST_BITS 6
 extern const int16_t trig_quarter_wave[TRIG_QUARTER_STEPS + 1];
 
-/* `part` of the way from one entry to the next. */
+/* Linear interpolation between two entries; `part` has TRIG_REST_BITS fraction bits. */
 static inline int32_t trig_between(const int16_t *entry, int32_t part)
 {
     const int32_t low = entry[0];
@@ -25,13 +25,13 @@ static inline int32_t trig_between(const int16_t *entry, int32_t part)
                  TRIG_REST_BITS);
 }
 
-/* Sine and cosine of pi x angle; at most 1.001 LSB off. */
+/* Sine and cosine of pi x angle; error at most 1.001 LSB. */
 static inline sin_cos_t sin_cos(frac16_t angle)
 {
     const uint16_t phase = (uint16_t)angle; /* 0..0xFFFF is 0..2 pi */
     const uint16_t step = (uint16_t)((phase >> TRIG_REST_BITS) & (TRIG_QUARTER_STEPS - 1U));
     const int32_t part = (int32_t)(phase & ((1U << TRIG_REST_BITS) - 1U));
-    /* Within a quarter the cosine is the sine read backwards. */
+    /* cos(x) = sin(pi/2 - x) */
     const int32_t up = trig_between(&trig_quarter_wave[step], part);
     const int32_t down =
         trig_between(&trig_quarter_wave[TRIG_QUARTER_STEPS - 1U - step], (INT32_C(1) << TRIG_REST_BITS) - part);
@@ -46,10 +46,10 @@ static inline sin_cos_t sin_cos(frac16_t angle)
     return result;
 }
 
-/* The same as a call, where code counts for more than time. */
+/* sin_cos as a function call: less code, more time. */
 sin_cos_t sin_cos_of(frac16_t angle);
 
-/* Angle of the vector (x, y), 2^16 is a turn; at most 0.25 degrees off. */
+/* Angle of the vector (x, y), 2^16 is one turn; error at most 0.25 degrees. */
 frac16_t f16_angle(frac16_t x, frac16_t y);
 
 /* Square root of a fraction in [0, 1), rounded down; 0 for negative numbers. */

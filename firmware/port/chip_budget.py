@@ -1,11 +1,11 @@
-"""Stack and RAM of the MC56F84789, as far as other compilers can tell: ``make chip-budget``.
+"""Estimates of stack and RAM of the MC56F84789 from other compilers: ``make chip-budget``.
 
-There is no free compiler for the 56800EX. So the firmware is compiled as for silicon by arm-none-eabi-gcc, which knows
-what every function calls and what it leaves on the stack, and by avr-gcc, whose int and pointers have 16 bits as those
-of the chip. Both are estimates; the allowances below are added, and the linker file has to keep what comes out.
+There is no free compiler for the 56800EX. Therefore the firmware is compiled as for silicon by arm-none-eabi-gcc, for
+the calls and the stack frame of each function, and by avr-gcc, whose int and pointers have 16 bits like on the chip.
+Both are estimates; the allowances below are added, and the linker file has to reserve the result.
 
-Functions are followed from the interrupts of ``vectors.c``, whose levels stand in ``vectors.h`` and ``settings.h``.
-Where a function is called by a pointer, `POINTERS` says what that may hold; one that is not in there is an error.
+The analysis starts at the interrupt handlers of ``vectors.c``; their levels are in ``vectors.h`` and ``settings.h``.
+For a call through a pointer, `POINTERS` contains its possible targets; a missing pointer is an error.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ ARM: Final = ("arm-none-eabi-gcc", "-mcpu=cortex-m3", "-mthumb", "-O2")
 AVR: Final = ("avr-gcc", "-mmcu=atmega1284p", "-Os")
 
 RAM_WORDS: Final = 0x4000
-DATA_FLASH_WORDS: Final = 0x3800  # the rest is what the board keeps without power
+DATA_FLASH_WORDS: Final = 0x3800  # the remaining data flash is non-volatile storage
 BYTES_PER_WORD: Final = 2
 CALL_WORDS: Final = 2  # JSR pushes PC and SR
-INTERRUPT_WORDS: Final = 64  # `interrupt alignsp saveall`: some 45 words of registers, alignment, PC and SR
-LIBRARY_WORDS: Final = 32  # for a function of the run-time library; its frame is not known
-CODE_ALLOWANCE: Final = 1.25  # words of the chip per halfword of Thumb-2, at `-opt speed`
+INTERRUPT_WORDS: Final = 64  # `interrupt alignsp saveall`: about 45 words of registers, alignment, PC and SR
+LIBRARY_WORDS: Final = 32  # assumed frame of a function of the run-time library
+CODE_ALLOWANCE: Final = 1.25  # words on the chip per halfword of Thumb-2, with `-opt speed`
 
 SOURCES: Final = r"(encoder|observer)_source_"
 POINTERS: Final[Mapping[str, str]] = {
-    # axis_t.source: feedback by an encoder, or by the observer
+    # axis_t.source: feedback from the encoder or the observer
     "fast": SOURCES + "fast",
     "slow": SOURCES + "slow",
     "edge": SOURCES + "edge",
     "reset": SOURCES + "reset",
     "align": SOURCES + "align",
     "resync": SOURCES + "resync",
-    # states, transitions and sub-states
+    # states, transitions and substates
     "run_table": r"(calib|ready|align|spin|freewheel|startup|test)_(fast|slow|slow_state|estimate|check)"
     r"|spin_(observed|excited)_fast|test_mode_(excited_)?fast|track_offsets|idle|off",
     "state": r"state_(fault|init|stop|run)|off",
@@ -65,16 +65,16 @@ POINTERS: Final[Mapping[str, str]] = {
     r"|(set|get)_recorder|get_(tsa_info|string_length|configuration|app_command_status|app_command_data)"
     r"|challenge_client|check_password|exchange_pipe|get_pipe",
 }
-"""Functions that a pointer may hold, by its name in the source, or by file and name."""
+"""Possible target functions of a pointer, by its name in the source, or by file and name."""
 
 
 class BudgetError(Exception):
-    """Something about the firmware that the tool does not know."""
+    """The firmware contains a construct that the tool cannot analyse."""
 
 
 @dataclass
 class Function:
-    """What a compiler says of one function."""
+    """Compiler data of one function."""
 
     name: str
     file: str
@@ -84,16 +84,16 @@ class Function:
 
 @dataclass(frozen=True)
 class Program:
-    """All functions of the firmware by what the compiler calls them, and the sizes of the files."""
+    """All functions of the firmware by their compiler names, and the sizes of the files."""
 
     functions: Mapping[str, Function]
     code: Mapping[str, int]
     """Bytes of Thumb-2 by file."""
     constants: Mapping[str, int]
-    """Bytes of read-only data by file; but for `table_files` and `program_table_files` the chip keeps them in RAM."""
+    """Bytes of read-only data by file; except for `table_files` and `program_table_files` they are in RAM."""
 
     def find(self, pattern: str) -> set[str]:
-        """Functions whose name matches.
+        """Functions with a matching name.
 
         Raises
         ------
@@ -102,27 +102,27 @@ class Program:
         """
         found = {key for key, one in self.functions.items() if re.fullmatch(pattern, one.name)}
         if not found:
-            raise BudgetError(f"no function is called {pattern}")
+            raise BudgetError(f"no function matches {pattern}")
         return found
 
     def reach(self, roots: Iterable[str]) -> set[str]:
-        """These functions and everything that they call, without the run-time library."""
+        """These functions and all functions called from them, without the run-time library."""
         found: set[str] = set()
-        waiting = list(roots)
-        while waiting:
-            key = waiting.pop()
+        pending = list(roots)
+        while pending:
+            key = pending.pop()
             if key in self.functions and key not in found:
                 found.add(key)
-                waiting += self.functions[key].calls
+                pending += self.functions[key].calls
         return found
 
     def depth(self, root: str) -> int:
-        """Deepest stack below a call of this function [words].
+        """Maximum stack of a call of this function [words].
 
         Raises
         ------
         BudgetError
-            If it may call itself.
+            If there is a recursion.
         """
         known: dict[str, int] = {}
 
@@ -140,8 +140,8 @@ class Program:
         return below(root, ())
 
 
-def listed(target: str) -> list[str]:
-    """Names of files, without their ending, as the makefile of the chip lists them."""
+def makefile_list(target: str) -> list[str]:
+    """File names without extension from a target of the makefile of the chip."""
     return _output("make", "--silent", "--no-print-directory", "-C", CHIP, target).split()
 
 
@@ -149,19 +149,19 @@ def listed(target: str) -> list[str]:
 
 
 def sources() -> list[Path]:
-    """Every C file that is flashed."""
-    return [FIRMWARE / f"{name}.c" for name in listed("list")]
+    """All C files in the flash."""
+    return [FIRMWARE / f"{name}.c" for name in makefile_list("list")]
 
 
 def missing_tools() -> list[str]:
-    """Compilers that are needed and not installed."""
+    """Required compilers that are not installed."""
     return [tool for tool in (ARM[0], AVR[0], "arm-none-eabi-objdump", "avr-size") if shutil.which(tool) is None]
 
 
 def _compile(compiler: Sequence[str], options: Sequence[str], folder: Path, files: Iterable[Path]) -> list[Path]:
     objects = []
-    environment = {**os.environ, "CCACHE_DISABLE": "1"}  # ccache keeps the objects without the call graphs
-    for path in files:  # two folders may have files of one name
+    environment = {**os.environ, "CCACHE_DISABLE": "1"}  # ccache does not cache the call graphs
+    for path in files:  # different folders can contain files with the same name
         objects.append(folder / f"{path.parent.name}_{path.stem}.o")
         command = [*compiler, "-std=c99", f"-I{FIRMWARE}", *options, "-c", str(path), "-o", str(objects[-1])]
         subprocess.run(command, env=environment, check=True)
@@ -173,7 +173,7 @@ def _output(*command: object) -> str:
 
 
 def load(files: Sequence[Path] | None = None) -> Program:
-    """Compile the firmware as for silicon, with arm-none-eabi-gcc, and read what it says."""
+    """Compile the firmware as for silicon with arm-none-eabi-gcc and read call graph and sizes."""
     paths = list(sources() if files is None else files)
     functions: dict[str, Function] = {}
     code: dict[str, int] = {}
@@ -204,7 +204,7 @@ def _read_graph(text: str, functions: dict[str, Function]) -> None:
 
 
 def pointer_at(where: str) -> str:
-    """``*`` and the name of the pointer by which a call at file:line:column goes."""
+    """``*`` and the name of the pointer in a call at file:line:column."""
     path, line, column = where.rsplit(":", 2)
     text = Path(path).read_text(encoding="ascii").splitlines()[int(line) - 1][int(column) - 1 :]
     called = re.sub(r"\[[^]]*\]", "", text.split("(")[0])
@@ -214,32 +214,32 @@ def pointer_at(where: str) -> str:
         return f"*{specific}"
     if name in POINTERS:
         return f"*{name}"
-    raise BudgetError(f"{where}: POINTERS does not say what {name} may hold")
+    raise BudgetError(f"{where}: POINTERS does not contain {name}")
 
 
 def resolve(program: Program) -> Program:
-    """The same program with calls of all functions that they may hold for the calls by pointers."""
+    """The same program with calls through pointers replaced by calls of their possible targets."""
     functions = {}
     for key, one in program.functions.items():
-        held = (program.find(POINTERS[call[1:]]) for call in one.calls if call.startswith("*"))
+        targets = (program.find(POINTERS[call[1:]]) for call in one.calls if call.startswith("*"))
         plain = {call for call in one.calls if not call.startswith("*")}
-        functions[key] = replace(one, calls=plain.union(*held))
+        functions[key] = replace(one, calls=plain.union(*targets))
     return replace(program, functions=functions)
 
 
 def data_words(files: Sequence[Path] | None = None) -> int:
-    """Variables of the chip [words], by avr-gcc."""
+    """Size of the variables on the chip [words], from avr-gcc."""
     with tempfile.TemporaryDirectory() as name:
         objects = _compile(AVR, [], Path(name), sources() if files is None else files)
         rows = [line.split() for line in _output("avr-size", *objects).splitlines()[1:]]
     return -(-sum(int(row[1]) + int(row[2]) for row in rows) // BYTES_PER_WORD)
 
 
-# ---- what the sources say ------------------------------------------------------------------------------------------
+# ---- data from the sources -------------------------------------------------------------------------------------------
 
 
 def levels() -> dict[int, list[str]]:
-    """Handlers by the level of their interrupt."""
+    """Interrupt handlers by interrupt level."""
     settings = (CHIP / "settings.h").read_text(encoding="ascii")
     numbers = {name: int(value) for name, value in re.findall(r"#define (LEVEL_\w+) (\d+)U", settings)}
     found: dict[int, list[str]] = {}
@@ -250,22 +250,22 @@ def levels() -> dict[int, list[str]]:
 
 
 def fast_files() -> list[str]:
-    """Files that run from RAM."""
-    return [f"{name}.c" for name in listed("list-fast")]
+    """Files with code in RAM."""
+    return [f"{name}.c" for name in makefile_list("list-fast")]
 
 
 def table_files() -> list[str]:
-    """Files of nothing but tables that stay in the data flash."""
-    return [f"{name}.c" for name in listed("list-tables")]
+    """Files with tables in the data flash only."""
+    return [f"{name}.c" for name in makefile_list("list-tables")]
 
 
 def program_table_files() -> list[str]:
-    """Files of nothing but tables that stay beside the program."""
-    return [f"{name}.c" for name in listed("list-program-tables")]
+    """Files with tables in the program flash only."""
+    return [f"{name}.c" for name in makefile_list("list-program-tables")]
 
 
 def stack_words() -> int:
-    """What the linker file keeps for the stack."""
+    """Stack size in the linker file."""
     text = (CHIP / "mc56f84789.cmd").read_text(encoding="ascii")
     return int(re.findall(r"__stack_size = (\w+);", text)[0], 16)
 
@@ -275,25 +275,25 @@ class Budget:
     """Words of the chip's RAM."""
 
     background: int
-    by_level: Mapping[int, tuple[str, int]]  # deepest handler, its stack with the interrupt itself
+    by_level: Mapping[int, tuple[str, int]]  # handler with the largest stack, and that stack including the interrupt
     code: int
     data: int
     constants: int
-    stack: int  # kept by the linker file
-    tables: int  # in the data flash
+    stack: int  # reserved in the linker file
+    tables: int  # in data flash
 
     @property
     def deepest(self) -> int:
-        """Of the background, interrupted by the deepest handler of each level."""
+        """Largest total stack: background, interrupted by the handler with the largest stack of each level."""
         return self.background + sum(depth for _, depth in self.by_level.values())
 
     @property
-    def left(self) -> int:
+    def free(self) -> int:
         return RAM_WORDS - self.code - self.data - self.constants - self.stack
 
 
 def budget(program: Program) -> Budget:
-    """Everything that lies in the RAM."""
+    """RAM use of the program."""
     by_level = {}
     for level, handlers in sorted(levels().items()):
         depths = {handler: INTERRUPT_WORDS + program.depth(handler) for handler in handlers}
@@ -301,13 +301,13 @@ def budget(program: Program) -> Budget:
         by_level[level] = (deepest, depths[deepest])
     code = sum(program.code[name] for name in fast_files())
     tables = sum(program.constants[name] for name in table_files())
-    beside = sum(program.constants[name] for name in program_table_files())
+    program_tables = sum(program.constants[name] for name in program_table_files())
     return Budget(
         program.depth("main"),
         by_level,
         round(code / BYTES_PER_WORD * CODE_ALLOWANCE),
         data_words(),
-        -(-(sum(program.constants.values()) - tables - beside) // BYTES_PER_WORD),
+        -(-(sum(program.constants.values()) - tables - program_tables) // BYTES_PER_WORD),
         stack_words(),
         -(-tables // BYTES_PER_WORD),
     )
@@ -321,7 +321,7 @@ def report(one: Budget) -> str:
     ram = (("code that runs from RAM", one.code), ("variables", one.data), ("constants", one.constants))
     return "\n".join(
         ["| stack | deepest | words |", "|---|---|---:|", *rows, "", "| RAM | words |", "|---|---:|"]
-        + [f"| {name} | {words} |" for name, words in (*ram, ("stack", one.stack), ("left", one.left))]
+        + [f"| {name} | {words} |" for name, words in (*ram, ("stack", one.stack), ("free", one.free))]
         + [f"| all | {RAM_WORDS} |", "", f"Tables in the data flash: {one.tables} of {DATA_FLASH_WORDS} words."]
     )
 

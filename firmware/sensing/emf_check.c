@@ -24,13 +24,13 @@ dq_t emf_check_filter(emf_check_t *check, dq_t deviation)
     return (dq_t){smoothed(&check->d, deviation.d), smoothed(&check->q, deviation.q)};
 }
 
-bool emf_check_lacks(const emf_check_t *check, const emf_check_config_t *config, frac16_t expected)
+bool emf_check_emf_missing(const emf_check_t *check, const emf_check_config_t *config, frac16_t expected)
 {
     const dq_t deviation = {sat16_asr(check->d, FILTER_BITS), sat16_asr(check->q, FILTER_BITS)};
     return emf_check_deviates(config, 0, deviation, expected, 0);
 }
 
-bool emf_check_lasts(emf_check_t *check, bool deviates, uint16_t max)
+bool emf_check_confirmed(emf_check_t *check, bool deviates, uint16_t max)
 {
     if (deviates) {
         check->ticks++;

@@ -6,27 +6,28 @@
 #include "sensing/encoder.h"
 
 typedef struct {
-    uint32_t speed_per_ratio; /* speed at one count per timer tick over full-scale speed, 16 fraction bits (E33) */
+    uint32_t speed_per_ratio; /* speed at one count per timer tick / full-scale speed, 16 fraction bits (E33) */
 } mt_speed_config_t;
 
 typedef struct {
-    edge_capture_t last; /* M1(n-1), M2(n-1) as latched */
-    bool primed;         /* `last` is young enough to measure from */
+    edge_capture_t last; /* M1(n-1), M2(n-1): last latched edge */
+    bool primed;         /* `last` is valid: the timer has not overflowed since */
     bool fresh;          /* an edge was latched since the last slow loop */
-    uint16_t interval;   /* M2 of the last speed */
-    uint32_t waited;     /* age of the last edge at the last slow loop that saw no new one */
-    frac32_t edge_speed; /* speed between the last two latched edges */
-    frac32_t speed;      /* the result */
+    uint16_t interval;   /* M2 of the last speed: time between edges, ticks of bus clock / 128 */
+    uint32_t waited;     /* age of the last edge at the last slow loop without a new one, ticks of bus clock / 128 */
+    frac32_t edge_speed; /* speed between the last two latched edges, Q1.31 of full-scale speed */
+    frac32_t speed;      /* measured speed, Q1.31 of full-scale speed */
 } mt_speed_t;
 
 void mt_speed_reset(mt_speed_t *mt);
 
-/* A B edge was latched. */
+/* Process a latched B edge. */
 void mt_speed_edge(mt_speed_t *mt, const mt_speed_config_t *config, const encoder_config_t *encoder,
                    edge_capture_t capture);
 
-/* Slow loop, before the next edge is armed; `age` is the time since the last latched edge (hal_edge_age). The enhanced
- * method stretches the interval to it (F19); the plain one keeps its speed until the timer has run out (F18). */
+/* One slow loop, before the next edge is armed; `age`: time since the last latched edge (hal_edge_age). Enhanced
+ * method: the interval is extended to `age` (F19); plain method: the speed is constant until the timer overflows
+ * (F18). */
 void mt_speed_slow(mt_speed_t *mt, uint32_t age, bool enhanced);
 
 #endif

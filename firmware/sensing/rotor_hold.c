@@ -37,13 +37,13 @@ void rotor_hold_start(rotor_search_t *search, const rotor_search_config_t *confi
     *search = (rotor_search_t){
         .phase = ROTOR_SEARCH_HOLD,
         .origin = position,
-        .last = position,
+        .last_position = position,
         .damping = (uint16_t)((damping < DAMPING_MAX) ? damping : DAMPING_MAX),
         .searches = 1,
     };
 }
 
-bool rotor_hold_holds(const rotor_search_t *search)
+bool rotor_hold_opens_brake(const rotor_search_t *search)
 {
     return search->phase == ROTOR_SEARCH_HOLD && search->stage != (uint16_t)STAGE_RISE;
 }
@@ -64,7 +64,7 @@ static frac16_t lead(frac16_t turned)
 
 static void found(rotor_search_t *search)
 {
-    const frac16_t turned = f16_sub_wrap(search->vector, search->ahead);
+    const frac16_t turned = f16_sub_wrap(search->vector, search->lead_angle);
     const frac16_t behind = f16_add_wrap(lead(turned), turned);
     const frac16_t across = sat16(sin_cos(behind).sin);
     search->vector = f16_sub_wrap(search->vector, behind);
@@ -76,7 +76,7 @@ static void next(rotor_search_t *search, rotor_hold_stage_t stage)
 {
     search->stage = (uint16_t)stage;
     search->timer = 0;
-    search->calm = 0;
+    search->ticks_without_movement = 0;
 }
 
 /* Turn the vector against the displacement of the shaft. Returns the number of slow ticks for which the shaft has been
@@ -84,16 +84,16 @@ static void next(rotor_search_t *search, rotor_hold_stage_t stage)
 static uint16_t balance(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     const int32_t off = i32_sub_wrap(position, search->origin);
-    const int32_t moved = i32_sub_wrap(position, search->last);
+    const int32_t moved = i32_sub_wrap(position, search->last_position);
     const uint32_t per_count = (uint32_t)config->angle_per_count;
     const uint32_t angle = (uint32_t)off * per_count; /* modulo a turn, like the vector */
-    search->balance -= (uint32_t)(off * (int32_t)(per_count >> INTEGRAL_SHIFT)); /* below a turn: see ASTRAY */
+    search->balance_angle -= (uint32_t)(off * (int32_t)(per_count >> INTEGRAL_SHIFT)); /* below a turn: see ASTRAY */
     const int32_t first = (moved > 0) - (moved < 0); /* less damping for this count prevents dither */
     const int32_t rate = DAMPED_PARTS * moved - (DAMPED_PARTS - 1) * first;
     const uint32_t damped = (uint32_t)(rate * (int32_t)search->damping) * (per_count / DAMPED_PARTS);
-    search->vector = upper(search->balance - GAIN * angle - damped);
+    search->vector = upper(search->balance_angle - GAIN * angle - damped);
     search->timer = (off >= -1 && off <= 1 && moved == 0) ? (uint16_t)(search->timer + 1U) : 0U;
-    search->last = position;
+    search->last_position = position;
     return search->timer;
 }
 
@@ -104,18 +104,18 @@ static void away(rotor_search_t *search, const rotor_search_config_t *config, in
 {
     const int32_t counts = AWAY_OVER_MOVE * (int32_t)config->move_counts;
     const int32_t moved = i32_sub_wrap(position, search->origin);
-    search->last = position;
-    if (moved < -counts && search->escapes == 0U) {
-        search->escapes++;
-        search->ahead = 0;
+    search->last_position = position;
+    if (moved < -counts && search->runaways == 0U) {
+        search->runaways++;
+        search->lead_angle = 0;
         next(search, STAGE_CATCH);
     } else if (moved > 3 * counts || moved < -counts) {
         search->phase = ROTOR_SEARCH_REVERSED;
-    } else if (search->timer == 0U && moved < counts && search->ahead < (int32_t)config->verify_angle) {
-        search->ahead = f16_add(search->ahead, (frac16_t)config->verify_step);
-        search->vector = f16_add_wrap(upper(search->balance), search->ahead);
+    } else if (search->timer == 0U && moved < counts && search->lead_angle < (int32_t)config->verify_angle) {
+        search->lead_angle = f16_add(search->lead_angle, (frac16_t)config->verify_step);
+        search->vector = f16_add_wrap(upper(search->balance_angle), search->lead_angle);
     } else if (++search->timer >= config->hold_ticks) {
-        search->phase = (moved >= counts / 2) ? ROTOR_SEARCH_HOLD : ROTOR_SEARCH_HELD;
+        search->phase = (moved >= counts / 2) ? ROTOR_SEARCH_HOLD : ROTOR_SEARCH_NO_MOVEMENT;
         next(search, STAGE_BACK);
     }
 }
@@ -145,11 +145,11 @@ void rotor_hold_step(rotor_search_t *search, const rotor_search_config_t *config
     const int64_t way = (int64_t)i32_sub_wrap(position, search->origin) * config->angle_per_count;
     const int64_t astray = (search->stage > (uint16_t)STAGE_CATCH) ? ASTRAY_CAUGHT : ASTRAY;
     if (way > astray || way < -astray) {
-        search->phase = ROTOR_SEARCH_HELD;
+        search->phase = ROTOR_SEARCH_NO_MOVEMENT;
         return;
     }
-    if (search->starved >= ROTOR_SEARCH_STARVED_MAX) {
-        search->phase = ROTOR_SEARCH_STARVED;
+    if (search->no_current_periods >= ROTOR_SEARCH_NO_CURRENT_MAX) {
+        search->phase = ROTOR_SEARCH_NO_CURRENT;
         return;
     }
     if (search->stage == (uint16_t)STAGE_AWAY) {
@@ -162,7 +162,7 @@ void rotor_hold_step(rotor_search_t *search, const rotor_search_config_t *config
         rise(search, config, limit);
         break;
     case STAGE_CATCH:
-        if (!search->released) {
+        if (!search->brake_released) {
             search->timer = 0;
         } else if (calm >= config->hold_ticks) {
             next(search, STAGE_AWAY);
@@ -170,7 +170,7 @@ void rotor_hold_step(rotor_search_t *search, const rotor_search_config_t *config
         break;
     case STAGE_BACK:
         if (calm >= config->rest_ticks) {
-            search->ahead = search->vector;
+            search->lead_angle = search->vector;
             next(search, STAGE_WEAKEN);
         }
         break;

@@ -66,12 +66,12 @@ static void pull(rotor_search_t *search, int32_t position)
     search->vector = aim(search);
     search->current = 0;
     search->origin = position;
-    search->last = position;
+    search->last_position = position;
     search->timer = 0;
-    search->held = 0;
+    search->ticks_at_limit = 0;
     search->moving = 0;
     search->direction = 0;
-    search->starved = 0;
+    search->no_current_periods = 0;
     search->searches++;
 }
 
@@ -79,11 +79,11 @@ static void rest(rotor_search_t *search, const rotor_search_config_t *config, in
 {
     search->phase = ROTOR_SEARCH_REST;
     search->current = slew(search, config, 0);
-    search->fade = true;
-    search->last = position;
+    search->current_decaying = true;
+    search->last_position = position;
     search->timer = 0;
-    search->anchor = position;
-    search->calm = 0;
+    search->reference_position = position;
+    search->ticks_without_movement = 0;
 }
 
 static void finish(rotor_search_t *search, rotor_search_phase_t phase)
@@ -104,7 +104,7 @@ static void verify(rotor_search_t *search, int32_t position)
     search->phase = ROTOR_SEARCH_VERIFY;
     search->vector = search->theta_m;
     search->origin = position;
-    search->anchor = position;
+    search->reference_position = position;
     search->direction = 1;
     search->follows = false;
 }
@@ -112,10 +112,10 @@ static void verify(rotor_search_t *search, int32_t position)
 /* The assumed position is wrong and there is no other candidate: try from the side, or give up. */
 static void reject_position(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    if (search->escapes >= ESCAPES_MAX) {
+    if (search->runaways >= ESCAPES_MAX) {
         finish(search, ROTOR_SEARCH_REVERSED);
-    } else if (search->refusals >= REFUSALS_MAX) {
-        finish(search, ROTOR_SEARCH_HELD);
+    } else if (search->verify_failures >= REFUSALS_MAX) {
+        finish(search, ROTOR_SEARCH_NO_MOVEMENT);
     } else {
         search->reach = HALF_TURN;
         search->side = 1;
@@ -142,16 +142,16 @@ static void handle_no_movement(rotor_search_t *search, const rotor_search_config
 }
 
 /* Reverse the current in equal steps, which cancel each other, within the slew rate of the current controller. */
-static void brake(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
+static void decelerate(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     const uint32_t reversal = 2U * (uint32_t)search->current; /* not negative during a pull */
     const uint32_t steps = reversal / (uint32_t)config->current_slew + 1U;
-    search->phase = ROTOR_SEARCH_BRAKE;
-    search->last = position;
+    search->phase = ROTOR_SEARCH_DECELERATE;
+    search->last_position = position;
     search->timer = 0;
-    search->peak = -search->current;
-    search->swing = (frac32_t)(reversal / steps + ((reversal % steps != 0U) ? 1U : 0U));
-    search->current -= search->swing;
+    search->brake_current = -search->current;
+    search->reversal_step = (frac32_t)(reversal / steps + ((reversal % steps != 0U) ? 1U : 0U));
+    search->current -= search->reversal_step;
 }
 
 static void pull_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
@@ -161,41 +161,42 @@ static void pull_step(rotor_search_t *search, const rotor_search_config_t *confi
     search->moving = (moved == 0U) ? 0U : (uint16_t)(search->moving + 1U);
     if (moved >= (uint32_t)config->move_counts * ((search->side != 0) ? SIDE_OVER_MOVE : 1U)) {
         search->direction = (i32_sub_wrap(position, search->origin) > 0) ? 1 : -1;
-        brake(search, config, position);
+        decelerate(search, config, position);
         return;
     }
     const frac32_t limit = f32_from_f16(config->current_limit);
-    search->timer = (position == search->last) ? (uint16_t)(search->timer + 1U) : 0U;
-    search->last = position;
+    search->timer = (position == search->last_position) ? (uint16_t)(search->timer + 1U) : 0U;
+    search->last_position = position;
     if (search->current < limit) {
         search->current = f32_limit((int64_t)search->current + growth(search, config), limit);
         search->timer = 0;
         return;
     }
-    search->held++;
-    if (search->timer >= config->hold_ticks || search->held >= (uint32_t)HELD_OVER_HOLD * config->hold_ticks) {
+    search->ticks_at_limit++;
+    if (search->timer >= config->hold_ticks ||
+        search->ticks_at_limit >= (uint32_t)HELD_OVER_HOLD * config->hold_ticks) {
         handle_no_movement(search, config, position);
     }
 }
 
 /* Mirrors the pull with reversed current, until the shaft turns back or the speed gained by the pull is cancelled. */
-static void brake_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
+static void decelerate_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    const int32_t ahead = i32_sub_wrap(position, search->last);
+    const int32_t ahead = i32_sub_wrap(position, search->last_position);
     const bool back = (search->direction > 0) ? ahead < 0 : ahead > 0;
     search->vector = f16_add_wrap(aim(search), shift_of(search, config, position));
-    search->last = position;
+    search->last_position = position;
     search->timer++;
     bool spent = false;
-    if (search->current > search->peak) {
-        const frac32_t next = search->current - search->swing;
-        search->current = (next > search->peak) ? next : search->peak;
-    } else if (search->held > 0U) {
-        search->held--;
+    if (search->current > search->brake_current) {
+        const frac32_t next = search->current - search->reversal_step;
+        search->current = (next > search->brake_current) ? next : search->brake_current;
+    } else if (search->ticks_at_limit > 0U) {
+        search->ticks_at_limit--;
     } else {
-        search->peak = f32_add(search->peak, growth(search, config));
-        spent = search->peak >= 0;
-        search->current = spent ? 0 : search->peak;
+        search->brake_current = f32_add(search->brake_current, growth(search, config));
+        spent = search->brake_current >= 0;
+        search->current = spent ? 0 : search->brake_current;
     }
     if (back || spent || search->timer >= (uint32_t)BRAKE_OVER_MOVING * search->moving) {
         rest(search, config, position);
@@ -224,19 +225,19 @@ static void rest_step(rotor_search_t *search, const rotor_search_config_t *confi
     if (search->current != 0) {
         search->current = slew(search, config, 0);
     } else {
-        search->fade = false;
+        search->current_decaying = false;
     }
-    search->timer = (position == search->last) ? (uint16_t)(search->timer + 1U) : 0U;
-    search->last = position;
-    if (distance(search->anchor, position) > 1U) {
-        search->anchor = position;
-        search->calm = 0;
+    search->timer = (position == search->last_position) ? (uint16_t)(search->timer + 1U) : 0U;
+    search->last_position = position;
+    if (distance(search->reference_position, position) > 1U) {
+        search->reference_position = position;
+        search->ticks_without_movement = 0;
     }
-    search->calm++;
+    search->ticks_without_movement++;
     /* A shaft without friction would coast on: it is accepted while it moves. */
     const bool coasts = search->verified && distance(search->origin, position) > 2U * config->move_counts;
-    const bool rests =
-        search->timer >= config->rest_ticks || search->calm >= (uint32_t)CALM_OVER_REST * config->rest_ticks;
+    const bool rests = search->timer >= config->rest_ticks ||
+                       search->ticks_without_movement >= (uint32_t)CALM_OVER_REST * config->rest_ticks;
     if (!rests && !coasts) {
         return;
     }
@@ -268,17 +269,17 @@ static void verify_step(rotor_search_t *search, const rotor_search_config_t *con
     const frac16_t ahead = f16_sub_wrap(search->vector, rotor);
     const int64_t gone = (int64_t)distance(search->origin, position) * config->angle_per_count;
     if (gone > (int64_t)config->verify_angle << 14) { /* a quarter of the largest turn: not held by the vector */
-        search->escapes++;
+        search->runaways++;
         reject_position(search, config, position);
         return;
     }
     if (search->current < limit || search->timer < config->hold_ticks) {
         search->timer = (uint16_t)((search->current < limit) ? 0U : search->timer + 1U);
         search->current = f32_limit((int64_t)search->current + growth(search, config), limit);
-        search->anchor = position;
+        search->reference_position = position;
         return;
     }
-    const int32_t moved = search->direction * i32_sub_wrap(position, search->anchor);
+    const int32_t moved = search->direction * i32_sub_wrap(position, search->reference_position);
     const int16_t way = (int16_t)(search->follows ? -search->direction : search->direction);
     if (search->follows ? moved > 0 : moved < (int32_t)config->move_counts) {
         if ((int32_t)way * f16_sub_wrap(search->vector, search->theta_m) < (int32_t)config->verify_angle) {
@@ -286,14 +287,14 @@ static void verify_step(rotor_search_t *search, const rotor_search_config_t *con
         } else if (way > 0 && !search->follows) {
             search->direction = -1;
         } else {
-            search->refusals++;
+            search->verify_failures++;
             reject_position(search, config, position);
         }
     } else if (!search->follows) {
         search->follows = true;
-        search->ahead = ahead;
+        search->lead_angle = ahead;
     } else {
-        search->theta_m = f16_add_wrap(rotor, (frac16_t)(((int32_t)search->ahead + ahead) / 2));
+        search->theta_m = f16_add_wrap(rotor, (frac16_t)(((int32_t)search->lead_angle + ahead) / 2));
         search->origin = position;
         search->verified = true;
         rest(search, config, position); /* the shaft has just moved: wait for standstill before the hand-over */
@@ -303,7 +304,7 @@ static void verify_step(rotor_search_t *search, const rotor_search_config_t *con
 static void turn_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
     if (distance(search->origin, position) >= config->move_counts) { /* free again, and counted */
-        search->refusals++;
+        search->verify_failures++;
         reject_position(search, config, position);
         return;
     }
@@ -311,7 +312,7 @@ static void turn_step(rotor_search_t *search, const rotor_search_config_t *confi
     search->vector = search->follow.theta;
     if (back) {
         const bool seen = rotor_follow_seen(&search->follow, &config->follow);
-        finish(search, seen ? ROTOR_SEARCH_BLIND : ROTOR_SEARCH_HELD);
+        finish(search, seen ? ROTOR_SEARCH_NO_COUNT : ROTOR_SEARCH_NO_MOVEMENT);
     }
 }
 
@@ -325,21 +326,21 @@ void rotor_search_watch(rotor_search_t *search, const rotor_search_config_t *con
      * that swings with a dead encoder disturbs the current too, but does not suppress it. */
     const bool much = search->current >= f32_from_f16(config->current_limit) / 4;
     const bool starved = much && f32_abs(f32_from_f16(current)) < search->current / 4;
-    search->starved = starved ? (uint16_t)(search->starved + 1U) : 0U;
+    search->no_current_periods = starved ? (uint16_t)(search->no_current_periods + 1U) : 0U;
 }
 
 void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    if (search->starved >= ROTOR_SEARCH_STARVED_MAX) {
-        finish(search, ROTOR_SEARCH_STARVED);
+    if (search->no_current_periods >= ROTOR_SEARCH_NO_CURRENT_MAX) {
+        finish(search, ROTOR_SEARCH_NO_CURRENT);
         return;
     }
     switch (search->phase) {
     case ROTOR_SEARCH_PULL:
         pull_step(search, config, position);
         break;
-    case ROTOR_SEARCH_BRAKE:
-        brake_step(search, config, position);
+    case ROTOR_SEARCH_DECELERATE:
+        decelerate_step(search, config, position);
         break;
     case ROTOR_SEARCH_REST:
         rest_step(search, config, position);
@@ -357,9 +358,9 @@ void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *conf
 
 bool rotor_search_drives(const rotor_search_t *search)
 {
-    return search->phase == ROTOR_SEARCH_PULL || search->phase == ROTOR_SEARCH_BRAKE ||
+    return search->phase == ROTOR_SEARCH_PULL || search->phase == ROTOR_SEARCH_DECELERATE ||
            search->phase == ROTOR_SEARCH_VERIFY || search->phase == ROTOR_SEARCH_TURN ||
-           search->phase == ROTOR_SEARCH_HOLD || (search->phase == ROTOR_SEARCH_REST && search->fade);
+           search->phase == ROTOR_SEARCH_HOLD || (search->phase == ROTOR_SEARCH_REST && search->current_decaying);
 }
 
 frac16_t rotor_search_angle(const rotor_search_t *search) { return search->vector; }

@@ -1,17 +1,17 @@
 /* rotor_search.h - initial rotor position without Hall sensors: bisection with coordinate correction (DRM 2.4.3, F15).
  *
- * A current vector at theta_M makes the shaft twitch towards it; the direction halves [theta_L, theta_H], and what the
- * shaft has moved shifts both. The current grows slowly while nothing moves.
+ * PULL: a current vector at theta_M with slowly growing current makes the shaft twitch towards it. The direction of the
+ * twitch halves the interval [theta_L, theta_H], the movement shifts it.
  *
- * Gentle: the coordinate correction holds within a twitch too - the vector goes with the shaft, so that its torque keeps
- * its size - and the brake is the pull played backwards with the current reversed. The shaft then stops, whatever its
- * inertia, about as far behind the first counts as these were from rest; friction stops it sooner.
+ * DECELERATE: during a twitch the vector follows the shaft, so the torque stays constant. The pull is then repeated in
+ * reverse order with negative current, which stops the shaft after about the same distance, independent of the inertia;
+ * friction shortens it.
  *
- * Nothing is assumed without a test. Where the rotor is assumed to lie, the vector turns a little at full
- * current until the shaft follows, and back: this cancels friction, and shows a shaft that leans on an end stop, which
- * twitches alone do not, and a reversed encoder, with which the shaft runs away from the vector. Where the largest current
- * moves nothing at all, a vector that turns by a wide angle tells by its voltage a shaft that is held from one that moves
- * unseen.
+ * VERIFY: at full current the vector is rotated to both sides until the shaft follows. This eliminates friction and
+ * detects an end stop, which twitches do not, and a reversed encoder, with which the shaft runs away from the vector.
+ *
+ * TURN: if nothing moves at full current, the voltage during a wide rotation distinguishes a blocked shaft from a dead
+ * encoder (rotor_follow.h).
  */
 #ifndef SERVO_SENSING_ROTOR_SEARCH_H
 #define SERVO_SENSING_ROTOR_SEARCH_H
@@ -19,80 +19,81 @@
 #include "sensing/rotor_follow.h"
 
 typedef struct {
-    frac32_t current_step;    /* growth of Ip per slow tick, while the rotor may be a quarter turn off the vector */
-    frac32_t current_slew;    /* largest change of Ip per slow tick that the current controller follows */
-    frac16_t current_limit;   /* largest Ip */
-    uint16_t hold_ticks;      /* wait at the largest Ip, without another count, before "no movement" */
-    uint16_t rest_ticks;      /* standstill after a twitch before its movement is measured */
-    uint16_t move_counts;     /* movement that counts as a twitch; at least 2, one is what an edge does by itself */
-    uint16_t verify_angle;    /* largest turn of the vector for the shaft to follow, 2^16 is a turn; below 2^15 */
-    uint16_t verify_step;     /* angle per slow tick */
-    int32_t angle_per_count;  /* electrical, 2^16 is a turn, 16 fraction bits */
-    int32_t interval;         /* theta_H - theta_L at which the search ends, 2^16 is a turn */
+    frac32_t current_step; /* increase of Ip per slow tick, with the rotor up to a quarter turn off the vector */
+    frac32_t current_slew; /* largest change of Ip per slow tick that the current controller follows */
+    frac16_t current_limit; /* largest Ip, Q1.15 of full-scale current */
+    uint16_t hold_ticks; /* slow ticks at the largest Ip without a count before "no movement" */
+    uint16_t rest_ticks; /* slow ticks of standstill after a twitch before its movement is measured */
+    uint16_t move_counts; /* smallest movement of a twitch, counts; at least 2, because an edge dithers by one count */
+    uint16_t verify_angle; /* VERIFY: largest rotation of the vector, 2^16 is one turn; below 2^15 */
+    uint16_t verify_step; /* VERIFY: angle per slow tick, 2^16 is one turn */
+    int32_t angle_per_count; /* electrical angle per count, 2^16 is one turn, 16 fraction bits */
+    int32_t interval; /* theta_H - theta_L at which the bisection ends, 2^16 is one turn */
     rotor_follow_config_t follow;
 } rotor_search_config_t;
 
-#define ROTOR_SEARCH_STARVED_MAX UINT16_C(64) /* PWM periods: 4 ms */
+#define ROTOR_SEARCH_NO_CURRENT_MAX UINT16_C(64) /* PWM periods: 4 ms */
 
 typedef enum {
-    ROTOR_SEARCH_PULL,     /* the current at theta_M grows */
-    ROTOR_SEARCH_BRAKE,    /* reversed, it shrinks */
-    ROTOR_SEARCH_REST,     /* none; then the windings are shorted until the shaft rests */
-    ROTOR_SEARCH_VERIFY,   /* does the shaft follow the vector where the rotor is assumed to lie? */
-    ROTOR_SEARCH_TURN,     /* nothing moves: does the rotor follow a turning vector unseen? */
-    ROTOR_SEARCH_FOUND,
-    ROTOR_SEARCH_HELD,     /* the rotor does not move, or not far enough */
-    ROTOR_SEARCH_BLIND,    /* the rotor moves, the encoder does not count */
-    ROTOR_SEARCH_REVERSED, /* the encoder counts the wrong way: the shaft runs away from where it was found */
-    ROTOR_SEARCH_STARVED,  /* no current flows */
-    ROTOR_SEARCH_HOLD,     /* the other way to search: rotor_hold.h */
+    ROTOR_SEARCH_PULL, /* growing current at theta_M */
+    ROTOR_SEARCH_DECELERATE, /* decreasing negative current */
+    ROTOR_SEARCH_REST, /* current ramp to zero, then shorted windings until standstill */
+    ROTOR_SEARCH_VERIFY, /* rotation of the vector: the shaft must follow */
+    ROTOR_SEARCH_TURN, /* no movement at full current: wide rotation, evaluated by the voltage */
+    ROTOR_SEARCH_FOUND, /* done */
+    ROTOR_SEARCH_NO_MOVEMENT, /* failed: the rotor does not move, or not far enough */
+    ROTOR_SEARCH_NO_COUNT, /* failed: the rotor moves, the encoder does not count */
+    ROTOR_SEARCH_REVERSED, /* failed: the encoder counts in the wrong direction */
+    ROTOR_SEARCH_NO_CURRENT, /* failed: no current flows */
+    ROTOR_SEARCH_HOLD, /* search with a holding brake: rotor_hold.h */
 } rotor_search_phase_t;
 
 typedef struct {
     rotor_search_phase_t phase;
-    frac16_t theta_m;  /* middle of the bounds at the start of this pull */
-    uint16_t reach;    /* theta_H - theta_M = theta_M - theta_L, 2^16 is a turn */
-    int16_t side;      /* the vector stands this many quarter turns beside theta_M: -1, 0, 1 */
-    frac16_t vector;   /* angle of the current vector now */
-    frac32_t current;  /* Ip along the vector; negative while it brakes */
-    frac32_t peak;     /* Ip of the brake after the reversal .. */
-    frac32_t swing;    /* .. which takes so much per slow tick */
-    bool fade;         /* the current of a twitch is still controlled, to zero */
-    int32_t origin;    /* position at the start of this pull */
-    int32_t last;      /* position: the farthest while it brakes, the last one while it comes to rest */
-    int32_t anchor; /* position that the resting shaft has not left by more than a count; at the start of the turn */
-    uint32_t calm; /* slow ticks that it has not */
-    uint32_t held; /* slow ticks at the largest Ip */
+    frac16_t theta_m; /* middle of the interval at the start of this pull, Q1.15 of pi */
+    uint16_t reach; /* theta_H - theta_M = theta_M - theta_L, 2^16 is one turn */
+    int16_t side; /* quarter turns between theta_M and the vector: -1, 0, 1 */
+    frac16_t vector; /* angle of the current vector, Q1.15 of pi */
+    frac32_t current; /* Ip along the vector, negative in DECELERATE; Q1.31 of full-scale current */
+    frac32_t brake_current; /* DECELERATE: Ip after the reversal, Q1.31 of full-scale current */
+    frac32_t reversal_step; /* DECELERATE: change of Ip per slow tick in the reversal, Q1.31 of full-scale current */
+    bool current_decaying; /* REST: the current is still controlled, to zero */
+    int32_t origin; /* position at the start of this pull or rotation, counts */
+    int32_t last_position; /* position of the previous slow tick, counts */
+    int32_t reference_position; /* REST: a movement leaves it by more than one count; VERIFY: start of the rotation */
+    uint32_t ticks_without_movement; /* slow ticks since the count left `reference_position` */
+    uint32_t ticks_at_limit; /* slow ticks at the largest Ip */
     uint16_t timer; /* slow ticks without another count */
-    uint16_t moving;   /* slow ticks since this pull's first count */
-    uint16_t searches; /* vectors tried so far */
-    int16_t direction; /* -1 or 1: of the last twitch, 0 when nothing moved; of the turn that verifies */
-    bool follows; /* the shaft has followed this turn .. */
-    frac16_t ahead; /* .. when the vector was so far ahead of the rotor, as far as that was known */
-    bool verified; /* it has come back: found, once it rests */
-    uint16_t escapes; /* times that the shaft ran away from where it was found */
-    uint16_t refusals; /* times that it did not follow there, or came free only in TURN */
-    uint32_t balance; /* HOLD: angle of the vector at which the shaft stays where it was, 2^32 is a turn */
-    uint16_t damping; /* HOLD: turn of the vector against a turn of the rotor per slow tick */
-    uint16_t stage;   /* HOLD: rotor_hold_stage_t */
-    bool released;    /* HOLD: nothing but the current holds the shaft */
-    uint16_t starved; /* PWM periods with less than a quarter of the current asked for */
+    uint16_t moving; /* slow ticks since the first count of this pull */
+    uint16_t searches; /* number of pulls */
+    int16_t direction; /* direction of the last twitch, or of the rotation in VERIFY: -1, 1; 0: no movement */
+    bool follows; /* VERIFY: the shaft has followed this rotation */
+    frac16_t lead_angle; /* VERIFY: lead over the assumed rotor angle when the shaft followed, Q1.15 of pi */
+    bool verified; /* VERIFY: the shaft has returned; found as soon as it rests */
+    uint16_t runaways; /* times that the shaft ran away from the assumed position */
+    uint16_t verify_failures; /* times that the shaft did not follow in VERIFY, or moved only in TURN */
+    uint32_t balance_angle; /* HOLD: angle of the vector at which the shaft keeps its position, 2^32 is one turn */
+    uint16_t damping; /* HOLD: rotation of the vector / rotation of the rotor per slow tick */
+    uint16_t stage; /* HOLD: rotor_hold_stage_t */
+    bool brake_released; /* HOLD: the holding brake is open */
+    uint16_t no_current_periods; /* consecutive PWM periods with less than a quarter of the requested current */
     rotor_follow_t follow;
 } rotor_search_t;
 
+/* Begin at `position` [counts] with an unknown rotor angle. */
 void rotor_search_start(rotor_search_t *search, int32_t position);
 
-/* One PWM period in which the vector was applied: the current along it, the voltage across it. */
+/* One PWM period with the vector applied: current along it, voltage across it. */
 void rotor_search_watch(rotor_search_t *search, const rotor_search_config_t *config, frac16_t current,
                         frac16_t u_across);
 
-/* One slow tick with the position in counts. */
+/* One slow tick; `position` in counts. */
 void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position);
 
-/* True while a current vector is to be applied. */
+/* True while the current vector must be applied. */
 bool rotor_search_drives(const rotor_search_t *search);
 
-/* Electrical angle of the vector; once found, of the rotor. */
+/* Electrical angle of the vector; after ROTOR_SEARCH_FOUND, of the rotor. */
 frac16_t rotor_search_angle(const rotor_search_t *search);
 
 #endif

@@ -6,9 +6,9 @@
 #define inline
 #include "control/current_loop.h"
 #include "control/field_weakening.h"
-#include "control/path.h"
+#include "control/path_filter.h"
 #include "control/pll.h"
-#include "diagnosis/heat_monitor.h"
+#include "diagnosis/heat_sink_monitor.h"
 #include "diagnosis/shaft_monitor.h"
 #include "diagnosis/winding_model.h"
 #include "drive/current_sense.h"

@@ -32,7 +32,7 @@ probe_period_t probe_current_loop(current_loop_t *loop, const current_loop_confi
                                   dq_t reference, frac16_t theta_e, frac16_t omega_e, frac16_t u_dc)
 {
     loop->limited = false;
-    current_loop_turn(loop, config, omega_e);
+    current_loop_set_speed(loop, config, omega_e);
     const svm_t modulation = current_loop_step(loop, config, current, reference, theta_e, u_dc);
     return (probe_period_t){loop->current, loop->voltage, modulation, loop->limited};
 }

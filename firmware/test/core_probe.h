@@ -1,4 +1,5 @@
-/* core_probe.h - what tests cannot reach through the headers: inline functions, and loops that Python is too slow for. */
+/* core_probe.h - what tests cannot reach through the headers: inline functions, and loops that Python is too slow
+ * for. */
 #ifndef TEST_CORE_PROBE_H
 #define TEST_CORE_PROBE_H
 

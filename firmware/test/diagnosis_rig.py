@@ -64,14 +64,14 @@ class Diagnosis:
         """A current flows from the next step on."""
         self.seen.current_change = _length(d - self.seen.current.d, q - self.seen.current.q)
         self.seen.current = (d, q)
-        self.seen.current_size = _length(d, q)
-        self.seen.drop = int(self.seen.current_size * RESISTANCE)
+        self.seen.current_magnitude = _length(d, q)
+        self.seen.drop = int(self.seen.current_magnitude * RESISTANCE)
 
     def sensor(self, phase: int, code: int, *, zero: int = 2048) -> set[str]:
         samples = self.ffi.new("idle_sample_t[2]", [(phase, code, zero, True), (0, 0, 0, False)])
         self.evidence[0] = self.ffi.new("evidence_t *")[0]
-        monitor = self.ffi.addressof(self.monitors, "sensor")
-        self.lib.sensor_monitor_step(monitor, samples, self.seen.switching, self.evidence)
+        monitor = self.ffi.addressof(self.monitors, "current_sense")
+        self.lib.current_sense_monitor_step(monitor, samples, self.seen.switching, self.evidence)
         return self.names()
 
     def phase(self) -> set[str]:
@@ -82,12 +82,14 @@ class Diagnosis:
         return self._step(self.lib.encoder_monitor_step, "encoder", self.winding, kp)
 
     def angle(self) -> set[str]:
-        self.monitors.angle.conducting |= self.seen.conducting
+        self.monitors.angle.conducting_phases |= self.seen.conducting_phases
         return self._step(self.lib.angle_monitor_step, "angle", self.winding, self.loop)
 
     def heat(self, hot: int, cool: int, code: int) -> set[str]:
         self.seen.temperature = code
-        return self._step(self.lib.heat_monitor_step, "heat", self.ffi.new("heat_monitor_config_t *", (hot, cool)))
+        return self._step(
+            self.lib.heat_sink_monitor_step, "heat_sink", self.ffi.new("heat_sink_monitor_config_t *", (hot, cool))
+        )
 
     def shaft(self, **config: int) -> set[str]:
         limits = {"runaway_margin": 1000, "runaway_ticks_max": 4, "stall_ticks_max": 5}

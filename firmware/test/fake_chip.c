@@ -180,4 +180,4 @@ void servo_edge_isr(servo_t *servo, uint16_t axis)
     }
 }
 
-void servo_break_isr(servo_t *servo, uint16_t axis) { enter(servo->hal->chip, FAKE_SERVO, FAKE_BREAK, axis); }
+void servo_over_current_isr(servo_t *servo, uint16_t axis) { enter(servo->hal->chip, FAKE_SERVO, FAKE_BREAK, axis); }

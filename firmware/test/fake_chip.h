@@ -1,8 +1,8 @@
 /* fake_chip.h - registers that remember, and a list of every access, in order: the port without a chip.
  *
- * A read gives what was last written or set; a write goes to the list and, as far as the port relies on it, has the effect
- * of the flags: write 1 to clear in PWM STS, FSTS0 and ADC STAT, RDY cleared by reading a result, LDOK by CLDOK. Entries
- * of the application (app/servo.h) are in the list too.
+ * A read gives what was last written or set; a write goes to the list and, as far as the port relies on it, has the
+ * effect of the flags: write 1 to clear in PWM STS, FSTS0 and ADC STAT, RDY cleared by reading a result, LDOK by CLDOK.
+ * Entries of the application (app/servo.h) are in the list too.
  */
 #ifndef FAKE_CHIP_H
 #define FAKE_CHIP_H

@@ -83,14 +83,14 @@ void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on)
     a->outputs_on = on;
 }
 
-bool hal_break_active(hal_t *hal, uint16_t axis)
+bool hal_over_current_active(hal_t *hal, uint16_t axis)
 {
     fake_axis_t *a = &hal->axis[axis];
     a->break_latched = a->break_latched || a->over_current;
     return a->break_latched;
 }
 
-void hal_break_clear(hal_t *hal, uint16_t axis)
+void hal_over_current_clear(hal_t *hal, uint16_t axis)
 {
     note(hal, FAKE_BREAK_CLEAR, axis, 0);
     hal->axis[axis].break_latched = false;

@@ -52,7 +52,7 @@ typedef struct {
     bool outputs_on;
     bool armed;
     uint32_t times_on;  /* transitions of the outputs from off to on */
-    uint32_t times_off; /* and back */
+    uint32_t times_off; /* transitions of the outputs from on to off */
 } fake_axis_t;
 
 struct hal {
@@ -72,12 +72,12 @@ struct hal {
     uint16_t serial_out_size;
     uint32_t flash[FAKE_FLASH];
     bool flash_absent;
-    uint16_t flash_polls; /* for which a command is busy */
-    uint16_t flash_left;  /* .. of the present one */
-    uint16_t flash_commands; /* begun */
-    uint16_t flash_reads;  /* while one was under way: not allowed */
-    bool flash_erases;     /* the present one is an erase */
-    uint16_t flash_at;     /* .. of this sector, or programs this word */
+    uint16_t flash_polls; /* polls for which a command is busy */
+    uint16_t flash_left;  /* remaining polls of the present command */
+    uint16_t flash_commands; /* commands begun */
+    uint16_t flash_reads;  /* reads during a command, which are not permitted */
+    bool flash_erases;     /* the present command is an erase */
+    uint16_t flash_at;     /* sector or word of the present command */
     uint32_t flash_value;
     bool flash_fails; /* the controller reports an error from now on */
     uint32_t flash_stuck; /* bits that no command changes */

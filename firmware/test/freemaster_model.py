@@ -16,7 +16,7 @@ COMM_SOURCES = tuple(
     for name in (
         "access",
         "app_command",
-        "configuration",
+        "getconfig",
         "crc8",
         "frame",
         "freemaster",

@@ -40,9 +40,9 @@ class Estimator:
         self.lib, self.ffi = core.lib, core.ffi
         self.config: Any = core.lib.probe_config().axis[0]
         self._pll: Any = core.ffi.new("pll_config_t *", self.config.pll)
-        self.observer: Any = core.ffi.new("observer_t *")
+        self.observer: Any = core.ffi.new("back_emf_observer_t *")
         self.pll: Any = core.ffi.new("pll_t *")
-        self.lib.observer_reset(self.observer, self._observer, {"alpha": 0, "beta": 0})
+        self.lib.back_emf_observer_reset(self.observer, self._observer, {"alpha": 0, "beta": 0})
         self.start(0.0, 0.0)
 
     @property
@@ -51,7 +51,7 @@ class Estimator:
 
     def leave_size_out(self) -> None:
         """Let the PLL find the speed by the angle alone."""
-        self._pll.follow = self._pll.follow_load = 0
+        self._pll.amplitude_gain = self._pll.amplitude_load_gain = 0
 
     def start(self, theta: float, omega: float) -> None:
         """Set the PLL to an electrical angle and speed [rad, rad/s]."""
@@ -62,25 +62,25 @@ class Estimator:
 
     def fast(self, current: complex, voltage: complex) -> None:
         """One sample and the voltage commanded from it."""
-        self.lib.observer_step(self.observer, self._observer, ab(current, I_FS), ab(voltage, U_FS))
+        self.lib.back_emf_observer_step(self.observer, self._observer, ab(current, I_FS), ab(voltage, U_FS))
         self.lib.pll_step(self.pll, self._pll, self.observer.e)
 
     def slow(self, push: float | None = 0.0) -> None:
         """What a slow tick does; `push` is the current that the PLL is told of [A]."""
         self.pll.backwards = self.pll.integral < 0
-        self.lib.observer_turn(self.observer, self.pll.integral)
+        self.lib.back_emf_observer_set_speed(self.observer, self.pll.integral)
         self.lib.pll_adapt(self.pll, self._pll, frac16(abs(self.emf) / U_FS))
         turned = (self.pll.angle - self._angle + 2**31) % 2**32 - 2**31
         self._angle = self.pll.angle
         if push is not None:
             emf = self.emf_dq
             beside = {"d": frac16(emf.real / U_FS), "q": frac16((emf.imag - PSI * self.omega) / U_FS)}
-            self.lib.pll_push(self.pll, self._pll, frac16(push / I_FS), beside, turned)
+            self.lib.pll_feed_forward(self.pll, self._pll, frac16(push / I_FS), beside, turned)
 
     @property
     def emf(self) -> complex:
         """Back-EMF in the stator frame [V]."""
-        e = self.lib.observer_emf(self.observer, self._observer)
+        e = self.lib.back_emf_observer_emf(self.observer, self._observer)
         return complex(e.alpha, e.beta) / 32768 * U_FS
 
     @property

@@ -60,8 +60,8 @@ def test_any_range_marks_exactly_what_it_touches(core: Core, data: st.DataObject
 def test_element_write_touches_one_axis(bench: Bench) -> None:
     bench.write(1, enable=1)
     bench.slow()
-    assert not bench.axis(0).requested
-    assert bench.axis(1).requested
+    assert not bench.axis(0).enable_requested
+    assert bench.axis(1).enable_requested
 
 
 def test_freshness_lasts_one_tick(bench: Bench) -> None:
@@ -133,11 +133,11 @@ def test_locked_block_is_not_read_and_not_lost(bench: Bench) -> None:
     bench.write(0, enable=1)
     bench.servo.locked = True
     bench.slow(3)
-    assert not bench.axis(0).requested
+    assert not bench.axis(0).enable_requested
     assert bench.servo.snapshot.tick == tick
     bench.servo.locked = False
     bench.slow()
-    assert bench.axis(0).requested
+    assert bench.axis(0).enable_requested
     assert bench.servo.snapshot.tick == bench.servo.snapshot.applied_tick == tick + 32
 
 
@@ -187,13 +187,13 @@ def test_locked_tick_does_not_repeat_a_fresh_write(bench: Bench) -> None:
 def test_parameter_counts_from_the_tick_after_it_was_written(bench: Bench, core: Core) -> None:
     """Written over the wire, not only standing in memory; of both axes and of the board."""
     core.lib.probe_run(bench.servo, 8)
-    before = [bench.axis(i).following_error for i in range(2)]
+    before = [bench.axis(i).following_error_max for i in range(2)]
     bench.servo.parameter.following_error = [7, 8]
     core.lib.probe_run(bench.servo, 8)
-    assert [bench.axis(i).following_error for i in range(2)] == before
+    assert [bench.axis(i).following_error_max for i in range(2)] == before
     bench.write_raw("param.host_timeout", [321])
     core.lib.probe_run(bench.servo, 8)
-    assert [bench.axis(i).following_error for i in range(2)] == [7, 8]
+    assert [bench.axis(i).following_error_max for i in range(2)] == [7, 8]
     assert bench.servo.settings.host_timeout == 321
     assert not bench.servo.marks.parameters
 

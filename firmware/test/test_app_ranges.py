@@ -188,4 +188,4 @@ def test_a_refused_command_takes_no_effect(bench: Bench) -> None:
     assert bench.servo.freemaster.statistics.refused == 1
     bench.slow(3)
     assert (snapshot.applied_count, bench.servo.host_commands) == (count, commands), "nor is it a sign of life"
-    assert not bench.axis(0).requested
+    assert not bench.axis(0).enable_requested

@@ -415,7 +415,7 @@ def test_what_is_wrong_with_a_copy_stands_in_the_log(core: Core) -> None:
     flash = flash.copy()
     flash[ROOM + 9] ^= 1
     bench = StorageBench(core, flash)
-    events = [bench.servo.journal.event[k].value for k in range(bench.servo.journal.count)]
+    events = [bench.servo.event_log.event[k].value for k in range(bench.servo.event_log.count)]
     assert events == [0, 1 << 8 | CATALOGUE.enums["stored_copy_t"]["DAMAGED"]]
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from servo_msgs_py.tuning.assessment import assess
 from servo_msgs_py.tuning.errors import ConfigError
-from servo_msgs_py.tuning.field_weakening import Loop, field_weakening_loops, reserve_at, top_speed
+from servo_msgs_py.tuning.field_weakening import Loop, field_weakening_loops, largest_torque, top_speed
 from servo_msgs_py.tuning.findings import findings
 from servo_msgs_py.tuning.report import axis_reports, text
 from tuning_tool import axis, configuration
@@ -36,7 +36,7 @@ def test_the_torque_that_is_left_is_within_voltage_and_current(
     speed: float, volts: float, maximum: float, fraction: float
 ) -> None:
     """And no other current within them gives more, to what the steps of i_d leave."""
-    best = reserve_at(MOTOR, 4.0, speed, volts, -maximum)
+    best = largest_torque(MOTOR, 4.0, speed, volts, -maximum)
     omega, i_d = 2.0 * speed, -fraction * maximum
     assert -maximum <= best.i_d <= 0.0
     assert math.hypot(best.i_d, best.i_q) <= 4.0 + 1e-9

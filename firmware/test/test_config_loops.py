@@ -273,7 +273,7 @@ FINDINGS = [
     case("axis1.control.current_bandwidth = 2500", "current d loop has a phase margin"),
     case("axis1.motor.inertia = 8e-06", "0.5 times", axis1__control__speed_bandwidth=120.0),
     case("axis1.control.position_gain = 150", "K_v T = 0.3"),
-    case("axis1.control.position_gain = 250", "that nothing shapes"),
+    case("axis1.control.position_gain = 250", "without shaping"),
     case(
         "axis1.control.position_gain = 90",
         "a shaped move overshoots by",
@@ -283,7 +283,7 @@ FINDINGS = [
     case("axis1.limits.speed = 400", "386.4 rad/s", axis1__limits__over_speed=420.0),
     case("axis1.control.path_current_use = 0.99", "the limit is 4 A"),
     case("axis1.limits.acceleration = 25000", "4.33 A"),
-    case("axis1: position K_v = 0.001 1/s", "rounded", axis1__control__position_gain=0.001),
+    case("axis1: position K_v = 0.001 1/s", "rounding", axis1__control__position_gain=0.001),
 ]
 
 

@@ -166,7 +166,7 @@ TOGETHER = [
     case("axis1.rotor_search.current = 4.5", "write 4 A or less"),
     case(
         "axis1.rotor_search.current (in [defaults.rotor_search]) = 4",
-        "more than the motor may carry, 1 A (limits.current); write 1 A or less",
+        "above the current limit of 1 A (limits.current); write 1 A or less",
         axis1__limits__current=1.0,
     ),
     case(
@@ -182,7 +182,7 @@ TOGETHER = [
     # what the supply and the shaft cannot do
     case(
         "axis1.limits.speed = 400",
-        "20 V reach 352.4 rad/s without load",
+        "above the no-load speed of 352.4 rad/s at 20 V",
         axis1__limits__over_speed=450.0,
         board__nominal_voltage=20.0,
     ),
@@ -210,34 +210,34 @@ TOGETHER = [
     # rotor search
     case("axis1.rotor_search.interval = 60", "torque"),
     case("axis1.rotor_search.interval = 0.1", "0.18"),
-    case("axis1.rotor_search.move_counts = 250", "no twitch"),
-    case("axis1.rotor_search.move_counts = 2", "dithers"),
+    case("axis1.rotor_search.move_counts = 250", "runs away"),
+    case("axis1.rotor_search.move_counts = 2", "dither"),
     case("axis1.rotor_search.time_max = 0.5", "8 vectors"),
     # without an encoder: K1, K2 and the poles
     case("axis1.observer.k_1 = 100", "not below 0", **K),
     case("axis1.observer.k_1 = 0", "too small", **K),
     case("axis1.observer.k_2 = -5000", "not above 0", **K),
-    case("axis1.observer.k_1 = -17000", "jumps past", **K),
+    case("axis1.observer.k_1 = -17000", "overshoots the measured current", **K),
     case("axis1.observer.k_2 = 900000", "outside the unit circle", **K),
     case("axis1.observer.k_2 = 50", "too near to the unit circle", **K),
-    case("axis1.observer.k_1 = -5000", "nothing without k_2"),
+    case("axis1.observer.k_1 = -5000", "observer.k_2 is missing"),
     case("axis1.observer.k_1 = -5200", "400 Hz specifies the same", **K, axis1__observer__bandwidth=400.0),
-    case("axis1.observer.bandwidth = 2000", "16000 Hz sample"),
+    case("axis1.observer.bandwidth = 2000", "sampling rate of 16000 Hz"),
     case("axis1.observer.bandwidth = 100", "105 Hz at limits.speed"),
     case("axis1.observer.damping = 10", "too near to the unit circle", axis1__motor__r_s=0.1),
-    case("axis1.observer.bandwidth (in", "phase-locked", axis1__observer__pll_i=9e8),
-    case("axis1.observer.pll_i = 1.4e+07", "its samples", axis1__observer__pll_damping=9.0),
-    case("axis1.observer.pll_i = 10000", "trail the start-up"),
+    case("axis1.observer.bandwidth (in", "natural frequency of the PLL", axis1__observer__pll_i=9e8),
+    case("axis1.observer.pll_i = 1.4e+07", "its sampling", axis1__observer__pll_damping=9.0),
+    case("axis1.observer.pll_i = 10000", "lag the start-up ramp"),
     case("axis1.observer.pll_load = 1", "oscillates"),
-    case("axis1.reliability.variance_threshold", "twice its", axis1__reliability__variance_threshold=0.5),
+    case("axis1.reliability.variance_threshold", "twice its mean", axis1__reliability__variance_threshold=0.5),
     # start-up
     case("axis1.start_up.speed_time = 0.008", "9812 rad/s^2"),
     case("axis1.start_up.swings = 0.2", "of the start-up current"),
     case("axis1.start_up.speed_time = 0.25", "correct motor.inertia", **HEAVY),
     case("axis1.start_up.current_first (in", "0.0693 N m", axis1__friction__coulomb=0.08),
     case("axis1.start_up.minimum_speed = 0.3", "94.2 rad/s"),
-    case("axis1.start_up.mean_max = 1", "chance"),
-    case("axis1.start_up.mean_min = 1", "perfectly"),
+    case("axis1.start_up.mean_max = 1", "not above 1"),
+    case("axis1.start_up.mean_min = 1", "not below 1"),
     case("axis1.start_up.wait_max (in [defaults.start_up])", "64 speeds", axis1__reliability__period=60),
     # gains and scales that do not fit
     case("axis1: speed controller Kp = 2", "does not fit gain_t", axis1__motor__inertia=4e-4),
@@ -308,16 +308,16 @@ def test_axis_2_is_checked_like_axis_1(changes: dict[str, object]) -> None:
 # ---- stop categories ------------------------------------------------------------------------------------------------
 
 STOPS = [
-    ("over_voltage", "ramp", "return energy"),
+    ("over_voltage", "ramp", "regeneration would raise"),
     ("over_current", "short", "may be broken"),
     ("encoder_lost", "ramp", "angle of the rotor"),
     ("encoder_lost", "short", "speed is not known"),
     ("runaway", "hold", "angle of the rotor"),
-    ("under_voltage", "ramp", "does not carry"),
-    ("over_temperature", "hold", "goes on heating"),
-    ("phase_lost", "ramp", "not to be trusted"),
-    ("host_silent", "halt", "no stop category"),
-    ("following_error", 1, "no stop category"),
+    ("under_voltage", "ramp", "too low for gate drivers"),
+    ("over_temperature", "hold", "heats the winding"),
+    ("phase_lost", "ramp", "currents are not valid"),
+    ("host_silent", "halt", "not a stop category"),
+    ("following_error", 1, "not a stop category"),
 ]
 
 
@@ -368,7 +368,7 @@ def test_passwords_go_into_the_firmware_as_hashes(monkeypatch: pytest.MonkeyPatc
     [
         ({"command": "open sesame"}, r"board\.passwords\.command = \.\.\.: neither a hash"),
         ({"view": "sha1:12"}, r"board\.passwords\.view = \.\.\.: neither a hash"),
-        ({"view": 12}, r"board\.passwords\.view = 12: no text"),
+        ({"view": 12}, r"board\.passwords\.view = 12: not a string"),
         ({"tune": "env:SERVO_NOT_SET"}, r"env:SERVO_NOT_SET: the environment variable is not set"),
         ({"tunes": "env:HOME"}, r"board\.passwords\.tunes is unknown; did you mean tune"),
     ],

@@ -16,7 +16,7 @@ from servo_msgs_py.tuning.assessment import assess
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.findings import findings
 from servo_msgs_py.tuning.linear import pole_of
-from servo_msgs_py.tuning.sensorless import BackEmfObserver, angle_error, slide_damping
+from servo_msgs_py.tuning.sensorless import BackEmfObserver, angle_error, st_damping
 from servo_msgs_py.tuning.sensorless_constants import F2, FIELDS
 from tuning_tool import axis, logarithmic
 
@@ -67,12 +67,12 @@ def test_phase_locked_loop(constants: dict[str, Any]) -> None:
     gained = 3.0 * PSI * I_FS / 0.8e-5 * P * 0.5e-3 * T / (2.0 * math.pi) * 2.0**32
     assert constants["pll.acceleration"] == pytest.approx(gained, rel=1e-6)
     learnt = omega_n**3 / 8.0 * 0.5e-3 * 0.5e-3 * T / (2.0 * math.pi) * 2.0**32
-    assert constants["pll.load"] == pytest.approx(learnt, rel=1e-5)
+    assert constants["pll.load_gain"] == pytest.approx(learnt, rel=1e-5)
     left = math.exp(-2.0 * math.pi * 75.0 * 0.5e-3)
     per_emf = U_FS / 2.0**23 / PSI * T / (2.0 * math.pi) * 2.0**32  # step of the speed that has the least back-EMF
-    assert constants["pll.follow"] / 2.0**24 == pytest.approx((1.0 - left**2) * per_emf, rel=1e-5)
-    assert constants["pll.follow_load"] / 2.0**24 == pytest.approx((1.0 - left) ** 2 * per_emf, rel=1e-5)
-    assert constants["pll.forget"] / 2.0**24 == pytest.approx(0.5e-3 / 0.128 / per_emf, rel=1e-3)
+    assert constants["pll.amplitude_gain"] / 2.0**24 == pytest.approx((1.0 - left**2) * per_emf, rel=1e-5)
+    assert constants["pll.amplitude_load_gain"] / 2.0**24 == pytest.approx((1.0 - left) ** 2 * per_emf, rel=1e-5)
+    assert constants["pll.offset_gain"] / 2.0**24 == pytest.approx(0.5e-3 / 0.128 / per_emf, rel=1e-3)
 
 
 def test_slide_damping_is_that_of_its_two_gains() -> None:
@@ -80,8 +80,8 @@ def test_slide_damping_is_that_of_its_two_gains() -> None:
     for rpm, damping in ((4000.0, 1.073), (200.0, 0.240)):
         omega_e = P * rpm * math.pi / 30.0
         kp = 532.0 * P * rpm * T * 2.0**15 / 2.0**14 * 2.0 * math.pi / 2.0**16 / T
-        assert slide_damping(omega_e) == pytest.approx(kp / (2.0 * math.sqrt(172.43 * omega_e)), rel=1e-4)
-        assert slide_damping(omega_e) == pytest.approx(damping, rel=2e-3)
+        assert st_damping(omega_e) == pytest.approx(kp / (2.0 * math.sqrt(172.43 * omega_e)), rel=1e-4)
+        assert st_damping(omega_e) == pytest.approx(damping, rel=2e-3)
 
 
 def test_start_up_constants_follow_from_motor_and_load(constants: dict[str, Any]) -> None:
@@ -211,7 +211,8 @@ def test_a_loop_that_is_told_nothing_of_the_torque_has_little_phase_at_low_speed
 def test_gains_that_another_winding_makes_unstable_are_found() -> None:
     it = axis(axis1__observer__k_1=-5200.0, axis1__observer__k_2=3.1e5)
     assert any(
-        "with R x 1 and L x 0.5 the observer's gains are unstable" in finding for finding in findings(it, assess(it))
+        "with R x 1 and L x 0.5 the gains of the observer are unstable" in finding
+        for finding in findings(it, assess(it))
     )
 
 
@@ -221,7 +222,7 @@ def test_a_sign_that_is_certain_too_soon_is_found() -> None:
     found = [finding for finding in findings(it, assess(it)) if "sign_current" in finding]
     assert len(found) == 1
     assert "change by 0.16 A" in found[0]
-    assert "write some 0.21" in found[0]
+    assert "write about 0.21" in found[0]
     cured = axis(axis1__motor__l_d=0.15e-3, axis1__sensing__sign_current=0.21)
     assert not any("sign_current" in finding for finding in findings(cured, assess(cured)))
 
@@ -230,12 +231,12 @@ def test_a_winding_whose_warmth_hides_the_back_emf_is_found() -> None:
     """A quarter of 2.2 ohm times 4 A are 2.2 V, the back-EMF of 0.0308 V s at 71.4 rad/s, 23 % of the speed limit."""
     it = axis(axis1__motor__r_s=2.2)
     assert it.trouble is None
-    found = [finding for finding in findings(it, assess(it)) if "hides the back-EMF" in finding]
+    found = [finding for finding in findings(it, assess(it)) if "exceeds the back-EMF" in finding]
     assert len(found) == 1
     assert "axis1.motor.r_s = 2.2" in found[0]
     assert "below 71.4 rad/s" in found[0]
     cured = axis(axis1__motor__r_s=2.2, axis1__limits__current=3.0, axis1__rotor_search__current=3.0)
-    assert not any("hides the back-EMF" in finding for finding in findings(cured, assess(cured)))
+    assert not any("exceeds the back-EMF" in finding for finding in findings(cured, assess(cured)))
 
 
 LITTLE_FLUX: dict[str, object] = {
@@ -248,12 +249,12 @@ LITTLE_FLUX: dict[str, object] = {
 def test_a_flux_too_small_to_tell_a_held_shaft_is_found() -> None:
     it = axis(**LITTLE_FLUX)
     seen = 0.3 * 0.004 * math.radians(it.axis("rotor_search.turn_angle")) / 0.1
-    found = [finding for finding in findings(it, assess(it)) if "follows the turn" in finding]
+    found = [finding for finding in findings(it, assess(it)) if "following rotor" in finding]
     assert len(found) == 1
-    assert f"shows in {1e3 * seen:.2g} mV" in found[0]
-    assert f"write some {0.1 * seen / 0.075:.2g}" in found[0]
+    assert f"gives {1e3 * seen:.2g} mV" in found[0]
+    assert f"write about {0.1 * seen / 0.075:.2g}" in found[0]
     cured = axis(**LITTLE_FLUX, axis1__rotor_search__turn_time=0.025)
-    assert not any("follows the turn" in finding for finding in findings(cured, assess(cured)))
+    assert not any("following rotor" in finding for finding in findings(cured, assess(cured)))
 
 
 def test_a_back_emf_too_small_to_tell_of_the_speed_is_found() -> None:
@@ -261,7 +262,7 @@ def test_a_back_emf_too_small_to_tell_of_the_speed_is_found() -> None:
     it = axis(**LITTLE_FLUX)
     found = [finding for finding in findings(it, assess(it)) if "pll_size" in finding]
     assert len(found) == 1
-    assert "43.7 rad/s more or less; write some 14" in found[0]
+    assert "speed error of 43.7 rad/s; write about 14" in found[0]
     cured = axis(**LITTLE_FLUX, axis1__observer__pll_size=14.0)
     assert not any("pll_size" in finding for finding in findings(cured, assess(cured)))
 
@@ -273,7 +274,7 @@ def test_a_minimum_speed_that_dead_time_looks_like_is_found() -> None:
     found = [finding for finding in findings(it, assess(it)) if "minimum_speed" in finding]
     assert len(found) == 1
     part = 43.75 / it.axis("limits.speed") / 0.68
-    assert f"look like 43.7 rad/s without an encoder; write some {part:.2g}" in found[0]
+    assert f"speed error of 43.7 rad/s, sensorless; write about {part:.2g}" in found[0]
     cured = axis(**LITTLE_FLUX, axis1__start_up__minimum_speed=part, axis1__start_up__speed_final=0.4)
     assert not any("minimum_speed" in finding for finding in findings(cured, assess(cured)))
 
@@ -291,7 +292,7 @@ def test_a_motor_that_cannot_be_observed_still_has_its_encoder() -> None:
     it = axis(**FAST_WINDING)
     assert it.trouble is not None
     assert {field: raw for field in FIELDS if (raw := it.constants[field]) != 0} == {"observer.f2": F2}
-    assert any("cannot do without its encoder" in finding for finding in findings(it, assess(it)))
+    assert any("without encoder is not possible" in finding for finding in findings(it, assess(it)))
 
 
 @pytest.mark.parametrize("wish", [{"axis1__feedback": "observer"}])

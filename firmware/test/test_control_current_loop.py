@@ -295,10 +295,10 @@ def test_every_bit_of_a_turn(core: Core, omega: int, angle_step: int) -> None:
     config: Any = core.ffi.new("current_loop_config_t *", core.lib.probe_config().axis[0].current_loop)
     config.angle_step = angle_step
     loop: Any = core.ffi.new("current_loop_t *")
-    core.lib.current_loop_turn(loop, config, omega)
+    core.lib.current_loop_set_speed(loop, config, omega)
     turn = core.lib.sin_cos(clip16(nearest(omega * angle_step, 2**24)))
     assert (loop.omega_e, loop.minus_2_omega) == (omega * 2**16, -2 * omega)
-    assert (loop.turn_sin, loop.turn_versine) == (turn.sin, MAX16 - max(turn.cos, 0))
+    assert (loop.rotation_sin, loop.rotation_versine) == (turn.sin, MAX16 - max(turn.cos, 0))
 
 
 @given(theta=I16, turn=edges(-(2**14), 2**14))
@@ -309,13 +309,13 @@ def test_angle_of_the_duties(core: Core, theta: int, turn: int) -> None:
     1.01 LSB of the sine and cosine here, 1.5 of those of the turn, half of one for the rounding, less for 1 - cosine.
     """
     sin_cos = core.lib.sin_cos
-    loop: Any = core.ffi.new("current_loop_t *", {"turn_sin": sin_cos(turn).sin})
-    loop.turn_versine = MAX16 - sin_cos(turn).cos
+    loop: Any = core.ffi.new("current_loop_t *", {"rotation_sin": sin_cos(turn).sin})
+    loop.rotation_versine = MAX16 - sin_cos(turn).cos
     ahead = core.lib.current_loop_ahead(loop, sin_cos(theta))
     angle = math.pi * (theta + turn) / 32768
     assert abs(ahead.sin - 32768 * math.sin(angle)) <= 3.5
     assert abs(ahead.cos - 32768 * math.cos(angle)) <= 3.5
-    at, s, v = sin_cos(theta), loop.turn_sin, loop.turn_versine
+    at, s, v = sin_cos(theta), loop.rotation_sin, loop.rotation_versine
     assert ahead.sin == clip16(at.sin + nearest(at.cos * s - at.sin * v, 2**15))
     assert ahead.cos == clip16(at.cos - nearest(at.sin * s + at.cos * v, 2**15))
 
@@ -347,7 +347,7 @@ def test_a_reset_clears_currents_voltages_and_integrators(core: Core) -> None:
     core.lib.current_loop_reset(loop)
     assert (loop.current.d, loop.current.q, loop.voltage.d, loop.voltage.q, loop.limited) == (0, 0, 0, 0, False)
     assert (loop.d.integral, loop.d.excess, loop.q.integral, loop.q.excess) == (0, 0, 0, 0)
-    assert (loop.omega_e, loop.minus_2_omega, loop.turn_sin, loop.turn_versine) == (0, 0, 0, 0)
+    assert (loop.omega_e, loop.minus_2_omega, loop.rotation_sin, loop.rotation_versine) == (0, 0, 0, 0)
     assert loop.dead_time_off  # a choice, not a state
 
 

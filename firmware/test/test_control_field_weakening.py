@@ -41,7 +41,7 @@ class Input:
     u_max: int = round(13.0 * VOLT)
     emf: int = round(13.0 * VOLT)
     current: int = round(4.0 * AMP)
-    wanted: bool = True
+    enabled: bool = True
 
 
 @dataclass
@@ -64,7 +64,7 @@ class Weakening:
         """i_d, i_q_max and i_q_motoring of the C."""
         it = self.core.ffi.new("field_weakening_input_t *")
         it.demand.d, it.demand.q = given.d, given.q
-        it.u_max, it.emf, it.current, it.wanted = given.u_max, given.emf, given.current, given.wanted
+        it.u_max, it.emf, it.current, it.enabled = given.u_max, given.emf, given.current, given.enabled
         self.core.lib.field_weakening_step(self.state, self._config, it)
         lib = self.core.lib
         return lib.field_weakening_i_d(self.state), int(self.state.i_q_max), lib.field_weakening_motoring(self.state)
@@ -76,12 +76,12 @@ class Weakening:
         end = min(c.i_d_max, given.current - (given.current >> 3)) * Q16
         slew = slew_of(c)
         change = -slew
-        unneeded = not given.wanted and abs(given.emf) <= given.u_max
+        unneeded = not given.enabled and abs(given.emf) <= given.u_max
         if not unneeded and 2 * min(abs(given.emf), ONE) > target:
             squares = sum(min(2 * u * u, 2**31 - 1) for u in (given.d, given.q))
             room = clip32(2 * target * target - squares)
             change = clip(-room * c.gain >> 8, -slew, slew)
-            change = change if given.wanted else min(change, 0)
+            change = change if given.enabled else min(change, 0)
         q_moves = self.d >= end if change > 0 else self.q > 0
         if not q_moves:
             self.d = self.d + change
@@ -95,7 +95,7 @@ class Weakening:
 
 
 CONFIGS = st.builds(Config, margin=FRACTION16, gain=FRACTION16, i_d_max=FRACTION16, q_share=edges(1, ONE - 1))
-INPUTS = st.builds(Input, d=I16, q=I16, u_max=FRACTION16, emf=I16, current=FRACTION16, wanted=st.booleans())
+INPUTS = st.builds(Input, d=I16, q=I16, u_max=FRACTION16, emf=I16, current=FRACTION16, enabled=st.booleans())
 
 
 @given(config=CONFIGS, inputs=st.lists(INPUTS, min_size=1, max_size=20), current=FRACTION16)
@@ -154,7 +154,7 @@ def i_q_of(config: Config, current: int) -> int:
 @pytest.mark.parametrize(
     "given_",
     [
-        pytest.param(Input(q=round(14.0 * VOLT), wanted=False), id="switched off"),
+        pytest.param(Input(q=round(14.0 * VOLT), enabled=False), id="switched off"),
         pytest.param(Input(q=round(14.0 * VOLT), emf=round(6.0 * VOLT)), id="a transient at a low speed"),
         pytest.param(Input(q=round(14.0 * VOLT), emf=-round(6.0 * VOLT)), id="the same the other way round"),
     ],
@@ -181,7 +181,7 @@ def test_is_kept_while_there_is_no_voltage_to_give_it_back(core: Core) -> None:
         weakening.step(Input(q=round(14.0 * VOLT)))
     before = int(weakening.state.d)
     for _ in range(100):
-        weakening.step(Input(q=round(14.0 * VOLT), emf=round(13.2 * VOLT), wanted=False))
+        weakening.step(Input(q=round(14.0 * VOLT), emf=round(13.2 * VOLT), enabled=False))
     assert weakening.state.d == before > 0
 
 

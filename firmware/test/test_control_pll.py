@@ -171,7 +171,7 @@ def test_steps_stay_within_their_bound(
     core.lib.pll_reset(estimator.pll, 0, max(min(step, maximum), -maximum))
     for _ in range(40):
         core.lib.pll_adapt(estimator.pll, config, emf)
-        core.lib.pll_push(estimator.pll, config, i_q, {"d": beside[0], "q": beside[1]}, turned)
+        core.lib.pll_feed_forward(estimator.pll, config, i_q, {"d": beside[0], "q": beside[1]}, turned)
         core.lib.pll_step(estimator.pll, config, {"alpha": e[0], "beta": e[1]})
         assert abs(estimator.pll.integral) <= maximum
         assert abs(estimator.pll.step) <= maximum

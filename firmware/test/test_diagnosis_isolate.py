@@ -32,35 +32,35 @@ class Rule(NamedTuple):
 RULES: Final = {
     "OVER_VOLTAGE": Rule("OVER_VOLTAGE"),
     "UNDER_VOLTAGE": Rule("UNDER_VOLTAGE"),
-    "HARDWARE_BREAK": Rule("OVER_CURRENT", PHASE | ENCODER),
-    "OFFSET_FAR": Rule("CURRENT_OFFSET"),
-    "SEARCH_HELD": Rule("ROTOR_SEARCH"),
+    "OVER_CURRENT_TRIP": Rule("OVER_CURRENT", PHASE | ENCODER),
+    "OFFSET_OUT_OF_RANGE": Rule("CURRENT_OFFSET"),
+    "SEARCH_NO_MOVEMENT": Rule("ROTOR_SEARCH"),
     "COUNT_CONTRADICTS_INDEX": Rule("ENCODER"),
     "HOST_SILENT": Rule("HOST_SILENT"),
-    "SHAFT_HELD": Rule("STALLED"),
-    "RUNS_AWAY": Rule("RUNAWAY", SENSOR | PHASE | CURRENT | ANGLE),
+    "SHAFT_BLOCKED": Rule("STALLED"),
+    "RUNAWAY": Rule("RUNAWAY", SENSOR | PHASE | CURRENT | ANGLE),
     "SINGLE_CHANNEL_TOGGLE": Rule("ENCODER_LOST"),
-    "CURRENT_IN_SHORT": Rule("ENCODER_LOST"),
+    "SHORT_CURRENT_WITHOUT_COUNT": Rule("ENCODER_LOST"),
     "EMF_WITHOUT_COUNT": Rule("ENCODER_LOST", SENSOR | PHASE | CURRENT),
     "EMF_CONFIRMED": Rule("ENCODER_LOST", SENSOR),
-    "SEARCH_UNSEEN": Rule("ENCODER_LOST", otherwise="ROTOR_SEARCH"),
-    "STALL_UNSEEN": Rule("ENCODER_LOST", otherwise="STALLED"),
-    "OFF_PATH": Rule("FOLLOWING_ERROR"),
-    "TOO_FAST": Rule("OVER_SPEED"),
+    "SEARCH_WITHOUT_COUNT": Rule("ENCODER_LOST", otherwise="ROTOR_SEARCH"),
+    "STALL_WITHOUT_COUNT": Rule("ENCODER_LOST", otherwise="STALLED"),
+    "FOLLOWING_ERROR": Rule("FOLLOWING_ERROR"),
+    "OVER_SPEED": Rule("OVER_SPEED"),
     "SEARCH_REVERSED": Rule("ENCODER_REVERSED", SENSOR | PHASE | CURRENT),
-    "HOT": Rule("OVER_TEMPERATURE"),
+    "HEAT_SINK_HOT": Rule("OVER_TEMPERATURE"),
     "WINDING_HOT": Rule("MOTOR_TEMPERATURE"),
     "START_UP_SLOW": Rule("START_UP"),
     "OBSERVER_LOST": Rule("SPEED_FEEDBACK", SENSOR | PHASE | CURRENT),
-    "EMF_ELSEWHERE": Rule("ANGLE_MISMATCH", SENSOR),
-    "OBSERVED_ELSEWHERE": Rule("ANGLE_MISMATCH"),
-    "STALL_ELSEWHERE": Rule("ANGLE_MISMATCH", otherwise="STALLED"),
-    "PHASE_SILENT": Rule("PHASE_LOST", SENSOR),
+    "EMF_ANGLE_MISMATCH": Rule("ANGLE_MISMATCH", SENSOR),
+    "OBSERVER_ANGLE_MISMATCH": Rule("ANGLE_MISMATCH"),
+    "STALL_ANGLE_MISMATCH": Rule("ANGLE_MISMATCH", otherwise="STALLED"),
+    "PHASE_NO_CURRENT": Rule("PHASE_LOST", SENSOR),
     "CURRENT_NOT_FOLLOWING": Rule("PHASE_LOST", SENSOR),
-    "SEARCH_STARVED": Rule("PHASE_LOST", SENSOR, "ROTOR_SEARCH"),
-    "SEARCH_SILENT": Rule("PHASE_LOST", otherwise="ROTOR_SEARCH"),
-    "START_UP_SILENT": Rule("PHASE_LOST", otherwise="START_UP"),
-    "CONVERTER_BROKEN": Rule("CURRENT_SENSE"),
+    "SEARCH_LOW_CURRENT": Rule("PHASE_LOST", SENSOR, "ROTOR_SEARCH"),
+    "SEARCH_NO_CURRENT": Rule("PHASE_LOST", otherwise="ROTOR_SEARCH"),
+    "START_UP_NO_CURRENT": Rule("PHASE_LOST", otherwise="START_UP"),
+    "CURRENT_SENSE_FAILED": Rule("CURRENT_SENSE"),
     "LOOPS_LATE": Rule("LATE_LOOP"),
     "WATCHDOG_RESET": Rule("WATCHDOG"),
     "HOMING_FAILED": Rule("HOMING"),
@@ -79,7 +79,7 @@ def verdict(rig: Diagnosis, findings: int, suspected: int = 0, enabled: int = AL
     """The first fault, and all of them."""
     evidence = rig.ffi.new("evidence_t *", {"confirmed": findings, "suspected": suspected & ~PHASE, **more})
     if suspected & PHASE:
-        evidence.silent = 2
+        evidence.phases_without_current = 2
     result = rig.lib.fault_isolate(evidence, enabled)
     return result.first, result.faults
 
@@ -106,7 +106,7 @@ def test_a_suspicion_names_what_it_explains_and_nothing_else(rig: Diagnosis, nam
     cause = CAUSES[suspicion] if rule.instead & suspicion else rule.fault
     first, faults = verdict(rig, rig.finding(name), suspicion)
     assert first == BITS[cause]
-    kept = BITS["OVER_CURRENT"] if name == "HARDWARE_BREAK" else 0  # the switches are open, whatever the cause
+    kept = BITS["OVER_CURRENT"] if name == "OVER_CURRENT_TRIP" else 0  # the switches are open, whatever the cause
     assert faults == BITS[cause] | kept
 
 
@@ -138,12 +138,12 @@ def test_a_finding_is_relevant_while_one_of_its_names_is_enabled(rig: Diagnosis,
 
 def test_the_strongest_suspicion_comes_first(rig: Diagnosis) -> None:
     everything = SENSOR | PHASE | CURRENT | ENCODER | ANGLE
-    away = rig.finding("RUNS_AWAY")
+    away = rig.finding("RUNAWAY")
     assert verdict(rig, away, everything)[0] == BITS["CURRENT_SENSE"]
     assert verdict(rig, away, everything & ~SENSOR)[0] == BITS["PHASE_LOST"]
     assert verdict(rig, away, CURRENT | ANGLE)[0] == BITS["PHASE_LOST"]
     assert verdict(rig, away, ENCODER | ANGLE)[0] == BITS["ANGLE_MISMATCH"]
-    assert verdict(rig, rig.finding("HARDWARE_BREAK"), PHASE | ENCODER)[0] == BITS["PHASE_LOST"]
+    assert verdict(rig, rig.finding("OVER_CURRENT_TRIP"), PHASE | ENCODER)[0] == BITS["PHASE_LOST"]
 
 
 def test_of_simultaneous_findings_the_first_row_names_the_fault(rig: Diagnosis) -> None:
@@ -154,11 +154,11 @@ def test_of_simultaneous_findings_the_first_row_names_the_fault(rig: Diagnosis) 
 
 
 def test_a_silent_phase_whose_converter_repeats_its_code_is_no_suspect(rig: Diagnosis) -> None:
-    trip = rig.finding("HARDWARE_BREAK")
-    assert verdict(rig, trip, silent=0b010, repeating=0b101)[0] == BITS["PHASE_LOST"]
-    assert verdict(rig, trip, silent=0b010, repeating=0b010)[0] == BITS["OVER_CURRENT"]
-    assert verdict(rig, trip, silent=0b110, repeating=0b010)[0] == BITS["PHASE_LOST"]
-    assert verdict(rig, trip, SENSOR, silent=0b010)[0] == BITS["OVER_CURRENT"]
+    trip = rig.finding("OVER_CURRENT_TRIP")
+    assert verdict(rig, trip, phases_without_current=0b010, repeating=0b101)[0] == BITS["PHASE_LOST"]
+    assert verdict(rig, trip, phases_without_current=0b010, repeating=0b010)[0] == BITS["OVER_CURRENT"]
+    assert verdict(rig, trip, phases_without_current=0b110, repeating=0b010)[0] == BITS["PHASE_LOST"]
+    assert verdict(rig, trip, SENSOR, phases_without_current=0b010)[0] == BITS["OVER_CURRENT"]
 
 
 # ---- causes that are found after their consequence
@@ -223,9 +223,9 @@ class Latch:
 def test_the_first_fault_is_recorded_and_later_ones_only_captured(rig: Diagnosis) -> None:
     latch = Latch(rig)
     rig.seen.state, rig.seen.substate, rig.seen.u_dc = 3, 4, 77
-    assert latch.capture("TOO_FAST") == BITS["OVER_SPEED"]
+    assert latch.capture("OVER_SPEED") == BITS["OVER_SPEED"]
     latch.clock[0], rig.seen.state, rig.seen.u_dc = 1010, 0, 78
-    assert latch.capture("HOT") == BITS["OVER_TEMPERATURE"]
+    assert latch.capture("HEAT_SINK_HOT") == BITS["OVER_TEMPERATURE"]
     rig.lib.fault_latch_sample(latch.latch, rig.seen)
     assert latch.latch.captured == BITS["OVER_SPEED"] | BITS["OVER_TEMPERATURE"]
     assert latch.first == BITS["OVER_SPEED"]
@@ -235,9 +235,9 @@ def test_the_first_fault_is_recorded_and_later_ones_only_captured(rig: Diagnosis
 
 def test_a_revision_renames_the_first_fault_and_takes_back_what_is_void(rig: Diagnosis) -> None:
     latch = Latch(rig)
-    latch.capture("PHASE_SILENT")
+    latch.capture("PHASE_NO_CURRENT")
     latch.clock[0] += 2047
-    latch.capture("CONVERTER_BROKEN")
+    latch.capture("CURRENT_SENSE_FAILED")
     assert (latch.first, latch.latch.captured) == (BITS["CURRENT_SENSE"], BITS["CURRENT_SENSE"])
     assert latch.record.code == latch.latch.first
 
@@ -245,24 +245,24 @@ def test_a_revision_renames_the_first_fault_and_takes_back_what_is_void(rig: Dia
 def test_what_is_not_enabled_is_not_captured(rig: Diagnosis) -> None:
     latch = Latch(rig)
     latch.latch.enabled = ALL & ~BITS["OVER_SPEED"]
-    assert latch.capture("TOO_FAST") == 0
+    assert latch.capture("OVER_SPEED") == 0
     assert (latch.latch.captured, latch.first, latch.latch.findings, latch.record.size) == (0, 0, 0, 0)
 
 
 def test_a_fault_after_a_partial_clear_keeps_the_name_of_what_remained(rig: Diagnosis) -> None:
     latch = Latch(rig)
-    latch.capture("TOO_FAST")
-    latch.capture("HOT")
+    latch.capture("OVER_SPEED")
+    latch.capture("HEAT_SINK_HOT")
     rig.lib.fault_latch_clear(latch.latch, BITS["OVER_TEMPERATURE"])
-    latch.capture("PHASE_SILENT")
+    latch.capture("PHASE_NO_CURRENT")
     assert latch.first == BITS["OVER_TEMPERATURE"]
     assert latch.latch.captured == BITS["OVER_TEMPERATURE"] | BITS["PHASE_LOST"]
 
 
 def test_clearing_keeps_what_remains_and_lets_the_record_go_on(rig: Diagnosis) -> None:
     latch = Latch(rig)
-    latch.capture("TOO_FAST")
-    latch.capture("HOT")
+    latch.capture("OVER_SPEED")
+    latch.capture("HEAT_SINK_HOT")
     rig.lib.fault_latch_clear(latch.latch, BITS["OVER_TEMPERATURE"])
     assert (latch.latch.captured, latch.first) == (BITS["OVER_TEMPERATURE"],) * 2
     rig.lib.fault_latch_clear(latch.latch, 0)

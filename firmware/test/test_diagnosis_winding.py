@@ -258,7 +258,7 @@ def test_the_figures_of_the_report_are_those_of_the_balance() -> None:
         ({"maximum": 145.0}, r"axis1\.winding\.maximum = 145", "not below winding.fault"),
         ({"initial": 131.0}, r"axis1\.winding\.initial = 131", "above winding.maximum"),
         ({"fault": 300.0}, r"axis1\.winding\.fault = 300", "does not fit"),
-        ({"thermal_resistance": 25.0}, r"axis1\.motor\.rated_current = 2", "for ever it heats the winding to"),
+        ({"thermal_resistance": 25.0}, r"axis1\.motor\.rated_current = 2", "continuously it heats the winding to"),
         ({"heat_capacity": 1e-4}, "heating of the winding", "does not fit"),
         ({"heat_capacity": 1e12}, "heating of the winding", "would vanish"),
     ],

@@ -94,7 +94,7 @@ def test_over_current_opens_the_switches_in_the_next_fast_loop(bench: Bench) -> 
 def test_break_interrupt_opens_them_at_once(bench: Bench) -> None:
     bench.to_spin(0)
     bench.hal.axis[0].over_current = True
-    bench.core.lib.servo_break_isr(bench.servo, 0)
+    bench.core.lib.servo_over_current_isr(bench.servo, 0)
     assert not bench.hal.axis[0].outputs_on
     bench.slow()
     assert bench.view(0).faults == FAULTS.OVER_CURRENT
@@ -353,11 +353,11 @@ def test_enable_during_the_ramp_down_of_a_silent_host_is_ignored(bench: Bench) -
     bench.keep_alive()
     bench.to_spin(0)
     bench.let_turn(0, 100.0)
-    bench.until(lambda: not bench.axis(0).requested, 1100)
+    bench.until(lambda: not bench.axis(0).enable_requested, 1100)
     bench.keep_alive()
     bench.write(0, enable=1)
     bench.slow(10)
-    assert not bench.axis(0).requested
+    assert not bench.axis(0).enable_requested
     bench.turn(0, 0.0)
     bench.until(lambda: bench.view(0).state == STATE.FAULT, 1200)
 

@@ -310,7 +310,7 @@ def test_not_while_a_quick_stop_holds(bench: Bench) -> None:
 
 def test_missing_switch_is_a_fault(bench: Bench) -> None:
     bench.servo.parameter.faults_enabled = [0, 0]
-    bench.axis(0).home.left = 0
+    bench.axis(0).home.timeout = 0
     ask(bench, "SWITCH_POSITIVE")
     limit = bench.axis(0).config.home.turns_max * 4000
     for _ in range(200_000):

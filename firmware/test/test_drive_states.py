@@ -111,7 +111,7 @@ def test_align_pulls_brakes_and_rests(bench: Bench) -> None:
             break
         phases.add(axis.search.phase)
         assert bench.hal.axis[0].outputs_on
-        if axis.search.phase == REST and axis.search.fade == 0:
+        if axis.search.phase == REST and axis.search.current_decaying == 0:
             assert list(bench.hal.axis[0].duty) == [HALF] * 3
         elif axis.search.phase != REST:
             assert axis.current_ref.d == pytest.approx(axis.search.current / 65536, abs=1)

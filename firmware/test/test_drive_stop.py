@@ -146,9 +146,9 @@ def test_switched_on_again_while_the_windings_are_shorted(turning: Bench) -> Non
 
 
 def fail(bench: Bench, *findings: str) -> None:
-    """Findings, OFF_PATH if nothing else is said: that is a following error."""
+    """Findings, FOLLOWING_ERROR if nothing else is said: that is a following error."""
     lib = bench.core.lib
-    found = sum(1 << int(getattr(lib, f"FINDING_{name}")) for name in findings or ("OFF_PATH",))
+    found = sum(1 << int(getattr(lib, f"FINDING_{name}")) for name in findings or ("FOLLOWING_ERROR",))
     lib.axis_raise(bench.core.ffi.addressof(bench.axis(0)), found)
     bench.slow()
 
@@ -196,7 +196,7 @@ def test_a_worse_fault_does_not_wait(turning: Bench) -> None:
 
 def test_two_faults_at_once_take_the_harsher_way(turning: Bench) -> None:
     configure(turning, ramp=FAULTS.FOLLOWING_ERROR)
-    fail(turning, "OFF_PATH", "OVER_VOLTAGE")
+    fail(turning, "FOLLOWING_ERROR", "OVER_VOLTAGE")
     assert turning.view(0).state == STATE.FAULT
 
 

@@ -226,10 +226,10 @@ def test_enable_does_not_wait_for_ever(bench: Bench, wait: int) -> None:
     bench.write(0, enable=1)
     bench.slow(5)
     assert (bench.view(0).state, bench.view(0).substate) == (STATE.RUN, wait)
-    assert bench.axis(0).requested
+    assert bench.axis(0).enable_requested
     times_on = bench.hal.axis[0].times_on
     bench.core.lib.probe_run(bench.servo, 26 * 16000)  # servo.toml: timing.rest_max; the edges stay young
-    assert not bench.axis(0).requested
+    assert not bench.axis(0).enable_requested
     bench.turn(0, 0.0)
     bench.until(lambda: bench.view(0).state == STATE.STOP, 300)
     bench.slow(500)
@@ -425,7 +425,7 @@ def test_a_current_that_tests_the_encoder_stays_within_the_limit_of_the_motor(
     bench.slow(2)
     axis = bench.axis(0)
     monitor, before = axis.diagnosis.encoder, axis.current_ref.q
-    monitor.testing, monitor.along_q, monitor.back = 1, along_q, along_q and before > 0
+    monitor.test_ticks, monitor.along_q, monitor.negative_q = 1, along_q, along_q and before > 0
     bench.core.lib.probe_run(bench.servo, PERIODS)
     asked = axis.current_ref.q - before if along_q else axis.current_ref.d
     assert abs(asked) == pytest.approx(amps(0.64), abs=4)

@@ -35,7 +35,7 @@ def start_signal(bench: Bench, point: int, amplitude: float = 0.05, step: float 
 
 
 def point(bench: Bench) -> int:
-    return int(bench.axis(0).excitation.point)
+    return int(bench.axis(0).test_signal.point)
 
 
 @pytest.fixture
@@ -158,7 +158,7 @@ def test_an_axis_with_a_holding_brake_does_not_test(core: Core) -> None:
     bench.slow(100)
     assert bench.view(0).state == STATE.STOP
     assert not bench.view(0).inputs & INPUTS.BRAKE_OPEN
-    assert not bench.axis(0).requested
+    assert not bench.axis(0).enable_requested
 
 
 # ---- test signals -------------------------------------------------------------------------------------------------
@@ -174,13 +174,13 @@ def test_a_fast_signal_lasts_its_periods_and_leaves_the_set_point(testing: Bench
     seen = set()
     for _ in range(12):
         testing.slow()
-        seen.add(testing.axis(0).excitation.value)
+        seen.add(testing.axis(0).test_signal.value)
         assert current(testing) == pytest.approx(1.0, abs=0.001)
         assert testing.axis(0).current_ref.q == 0
     assert len(seen) > 8
     testing.slow(3)
     assert point(testing) == TEST_POINT.NONE
-    assert testing.axis(0).excitation.value == 0
+    assert testing.axis(0).test_signal.value == 0
     assert testing.axis(0).fast == testing.core.lib.LOOP_FAST
 
 
@@ -191,7 +191,7 @@ def test_a_signal_on_the_torque_shows_in_the_set_point(bench: Bench) -> None:
     bench.slow(2)
     for _ in range(40):
         bench.slow()
-        assert bench.view(0).i_q_ref == bench.axis(0).excitation.value
+        assert bench.view(0).i_q_ref == bench.axis(0).test_signal.value
     bench.slow(20)
     assert (point(bench), bench.view(0).i_q_ref) == (TEST_POINT.NONE, 0)
 
@@ -203,7 +203,7 @@ def test_a_signal_on_the_speed_shows_in_the_set_point(bench: Bench) -> None:
     bench.slow(2)
     for _ in range(40):
         bench.slow()
-        assert bench.view(0).speed_ref == bench.axis(0).excitation.value * 65536
+        assert bench.view(0).speed_ref == bench.axis(0).test_signal.value * 65536
     bench.slow(20)
     assert (point(bench), bench.view(0).speed_ref) == (TEST_POINT.NONE, 0)
 
@@ -266,7 +266,7 @@ def test_what_ends_a_signal(bench: Bench, end: dict[str, int]) -> None:
     bench.write(0, **end)
     bench.slow(2)
     assert point(bench) == TEST_POINT.NONE
-    assert bench.axis(0).motion.speed_excitation == 0
+    assert bench.axis(0).motion.speed_test_signal == 0
 
 
 def test_a_fault_ends_a_signal(bench: Bench) -> None:

@@ -301,20 +301,20 @@ def test_a_fault_input_calls_the_break_handler(board: FakeBoard, axis: int) -> N
     board.isr(FAULT[axis])
     assert servo_calls(board) == [(BREAK, axis)]
     assert board[module + 0xC6] == 0x3030  # does not ask again
-    assert board.lib.hal_break_active(board.hal, axis)
-    assert not board.lib.hal_break_active(board.hal, 1 - axis)
+    assert board.lib.hal_over_current_active(board.hal, axis)
+    assert not board.lib.hal_over_current_active(board.hal, 1 - axis)
 
-    board.lib.hal_break_clear(board.hal, axis)
+    board.lib.hal_over_current_clear(board.hal, axis)
     assert board[module + 0xC6] == 0x3031
     board[module + 0xC7] = 0x0110
-    assert board.lib.hal_break_active(board.hal, axis)  # the comparator still says so
+    assert board.lib.hal_over_current_active(board.hal, axis)  # the comparator still says so
     board[module + 0xC7] = 0x0010
-    assert not board.lib.hal_break_active(board.hal, axis)
+    assert not board.lib.hal_over_current_active(board.hal, axis)
 
 
 def test_clearing_a_break_keeps_the_way_back(board: FakeBoard) -> None:
     """FFULL stays: without it the outputs would never come back."""
-    board.lib.hal_break_clear(board.hal, 0)
+    board.lib.hal_over_current_clear(board.hal, 0)
     assert board.writes[0] == (0xE6C7, 0x0031)
 
 

@@ -66,7 +66,7 @@ def test_an_enable_input_in_use_opens_all_switches_of_its_axis(board: FakeBoard,
 
 def test_clearing_an_over_current_does_not_close_the_enable_input(board: FakeBoard) -> None:
     board.forget()
-    board.lib.hal_break_clear(board.hal, 0)
+    board.lib.hal_over_current_clear(board.hal, 0)
     assert all(value & 0x0002 == 0 for value in board.writes_of(PWM[0] + FSTS0))
 
 

@@ -137,7 +137,7 @@ def lacks(core: Core, emf: float, expected: float, ticks: int) -> bool:
     for _ in range(ticks):
         deviation = core.lib.emf_check_deviation({"d": 0, "q": frac16(emf / U_FS)}, volts)
         core.lib.emf_check_filter(check, deviation)
-    return bool(core.lib.emf_check_lacks(check, config, volts))
+    return bool(core.lib.emf_check_emf_missing(check, config, volts))
 
 
 @pytest.mark.parametrize("volts", [0.4, -0.4, 1.0, 3.0])
@@ -150,9 +150,9 @@ def test_no_back_emf_is_none_however_low_the_speed(core: Core, volts: float) -> 
 def test_deviation_has_to_last(core: Core) -> None:
     check = core.ffi.new("emf_check_t *")
     core.lib.emf_check_reset(check)
-    assert [core.lib.emf_check_lasts(check, True, 3) for _ in range(4)] == [False, False, False, True]
+    assert [core.lib.emf_check_confirmed(check, True, 3) for _ in range(4)] == [False, False, False, True]
     for _ in range(6):
-        core.lib.emf_check_lasts(check, False, 3)
+        core.lib.emf_check_confirmed(check, False, 3)
     assert check.ticks == 0
 
 
@@ -195,7 +195,7 @@ def test_a_rotor_that_swings_fools_the_variance_but_not_the_back_emf(
 
 @pytest.mark.parametrize(("amplitude", "swing"), [(0.2, 150.0), (0.2, 250.0), (0.5, 400.0)])
 def test_a_pll_that_is_told_the_size_gets_nowhere_with_it(core: Core, amplitude: float, swing: float) -> None:
-    """The mean speed is next to nothing, which is what counts as standing (estimate.c)."""
+    """The mean speed is next to nothing, which is what counts as standing (sensorless_estimate.c)."""
     rig = Rig(core)
     it = rig.estimator
     it.start(0.0, swing)

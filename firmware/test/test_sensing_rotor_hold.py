@@ -40,9 +40,9 @@ def search(core: Core, axis: int, degrees: float, load: float = 0.0, *, locked: 
         shaft.locked = locked or asked is None or tick - asked < OPEN_TIME / SLOW
         shaft.slow_tick(s.current / 2**31 * FULL_CURRENT, core.lib.rotor_search_angle(s) * math.pi / 32768.0, False)
         travel = max(travel, abs(shaft.moved))
-        if core.lib.rotor_hold_holds(s):
+        if core.lib.rotor_hold_opens_brake(s):
             asked = tick if asked is None else asked
-            s.released = tick - asked > 1.25 * OPEN_TIME / SLOW
+            s.brake_released = tick - asked > 1.25 * OPEN_TIME / SLOW
         core.lib.rotor_hold_step(s, reference, shaft.counts)
         if s.phase != HOLD:
             break
@@ -113,7 +113,7 @@ def test_the_brake_opens_with_the_full_current(core: Core) -> None:
     s: Any = core.ffi.new("rotor_search_t *")
     reference = core.ffi.addressof(config.rotor_search)
     core.lib.rotor_hold_start(s, reference, 7, config.speed_observer.acceleration_per_current)
-    while not core.lib.rotor_hold_holds(s):
+    while not core.lib.rotor_hold_opens_brake(s):
         assert s.current < config.rotor_search.current_limit << 16
         core.lib.rotor_hold_step(s, reference, 7)
     assert s.current == config.rotor_search.current_limit << 16

@@ -448,7 +448,7 @@ def test_verification_turns_to_both_sides(stepped: Stepped) -> None:
     maximum = config.verify_angle + config.verify_step
     assert config.verify_angle <= max(angles) < maximum
     assert config.verify_angle <= -min(angles) < maximum
-    assert (s.phase, s.side, s.refusals) == (REST, 1, 1)
+    assert (s.phase, s.side, s.verify_failures) == (REST, 1, 1)
 
 
 def test_a_shaft_that_follows_and_stays_is_not_found(stepped: Stepped) -> None:
@@ -457,7 +457,7 @@ def test_a_shaft_that_follows_and_stays_is_not_found(stepped: Stepped) -> None:
     while not s.follows:
         stepped.step(4 if wrapped(s.vector) > 300 else 0)
     stepped.until(REST, 4, 1000)
-    assert s.refusals == 1
+    assert s.verify_failures == 1
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
@@ -469,7 +469,7 @@ def test_a_shaft_that_leaves_its_vector(stepped: Stepped, sign: int) -> None:
     stepped.step(sign * far)
     assert s.phase == VERIFY
     stepped.step(sign * (far + 1))
-    assert (s.phase, s.escapes) == (REST, 1)
+    assert (s.phase, s.runaways) == (REST, 1)
     s.phase, s.origin = VERIFY, 0
     stepped.step(sign * (far + 1))
     assert (s.phase, s.current) == (REVERSED, 0)
@@ -687,18 +687,18 @@ def test_a_shaft_follows_the_vector_by_three_counts(stepped: Stepped, counts: in
 def test_a_shaft_that_does_not_follow_three_times_is_held(stepped: Stepped, before: int, phase: int) -> None:
     s = stepped.state
     stepped.to_verification()
-    s.refusals = before
+    s.verify_failures = before
     while s.phase == VERIFY:
         stepped.step(0)
-    assert (s.phase, s.refusals) == (phase, before + 1)
+    assert (s.phase, s.verify_failures) == (phase, before + 1)
 
 
 def test_a_shaft_comes_free_by_three_counts(stepped: Stepped) -> None:
     stepped.until(TURN, maximum=2000)
     stepped.step(2)
-    assert (stepped.state.phase, stepped.state.refusals) == (TURN, 0)
+    assert (stepped.state.phase, stepped.state.verify_failures) == (TURN, 0)
     stepped.step(3)
-    assert (stepped.state.phase, stepped.state.refusals) == (REST, 1)
+    assert (stepped.state.phase, stepped.state.verify_failures) == (REST, 1)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 400))

@@ -24,21 +24,21 @@ def _defaults(package: str, name: str) -> str:
 
 
 ARGUMENTS = {
-    "virtual": ("false", "true: start a virtual board and link it to `port`, which must not exist"),
+    "virtual": ("false", "true: start a virtual board and create the link `port` to it, which must not exist"),
     "port": (
         "",
         "serial port of the board, or a pyserial URL; empty: /dev/ttyUSB0, /tmp/servo_board for a virtual board",
     ),
     "baud": ("115200", "line speed [bit/s]"),
     "autostart": ("true", "false: the bridge waits for the transitions configure and activate"),
-    "namespace": ("", "put before `servo` and `twin`: one for each board"),
+    "namespace": ("", "namespace before `servo` and `twin`, different for each board"),
     "params": (_defaults("servo_bridge", "servo_bridge.yaml"), "parameter file of the bridge"),
     "twin_params": (_defaults("servo_twin", "servo_twin.yaml"), "parameter file of the twin"),
     "viewer_params": (_defaults("servo_twin", "servo_viewer.yaml"), "parameter file of the viewer"),
     "twin": ("true", "false: no twin"),
     "viewer": ("true", "false: no rerun viewer"),
     "use_sim_time": ("false", "true: stamps in the time of the topic /clock"),
-    "respawn": ("false", "true: start a program again that has ended by itself"),
+    "respawn": ("false", "true: restart programs that end unexpectedly"),
 }
 
 
@@ -63,7 +63,7 @@ def generate_launch_description() -> LaunchDescription:
         ],
         **common,
     )
-    # Not a node: it does not know the arguments that Node would add.
+    # Not a node, because it does not accept the arguments that Node adds.
     board = ExecuteProcess(
         cmd=[ExecutableInPackage("virtual_board", "servo_twin"), "--link", port, "--baud", value["baud"]],
         condition=IfCondition(value["virtual"]),
@@ -86,7 +86,7 @@ def generate_launch_description() -> LaunchDescription:
     )
 
     def bridge_ended(event: ProcessExited, context: LaunchContext) -> None:
-        """End the launch with a failure: without the bridge nothing is left to watch."""
+        """End the launch with a failure if the bridge ends."""
         if not context.is_shutdown and context.perform_substitution(respawn) != "true":
             raise RuntimeError(f"the bridge has ended with status {event.returncode}")
 

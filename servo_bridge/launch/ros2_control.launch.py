@@ -5,7 +5,7 @@ ros2 launch servo_bridge ros2_control.launch.py virtual:=true
 ros2 service call /servo/enable std_srvs/srv/SetBool "{data: true}"       # then the controllers move the axes
 
 Needs ros-jazzy-ros2-control, ros-jazzy-ros2-controllers, ros-jazzy-joint-state-topic-hardware-interface and
-ros-jazzy-robot-state-publisher. doc/ros2_control.md says how it works.
+ros-jazzy-robot-state-publisher. See doc/ros2_control.md.
 """
 
 from pathlib import Path
@@ -33,17 +33,17 @@ CONFIG = Path(get_package_share_directory("servo_bridge")) / "config"
 ARGUMENTS = {
     "virtual": ("false", "true: start a virtual board"),
     "port": ("", "serial port of the board, or a pyserial URL; empty: as for bridge.launch.py"),
-    "baud": ("1000000", "line speed [bit/s]; of a real board what its firmware was built for"),
-    "namespace": ("", "put before everything: one for each board"),
-    "params": (str(CONFIG / "servo_bridge.yaml"), "parameter file of the bridge; joints and limits are taken from it"),
+    "baud": ("1000000", "line speed [bit/s]; for a real board the value of its firmware"),
+    "namespace": ("", "namespace of all nodes, different for each board"),
+    "params": (str(CONFIG / "servo_bridge.yaml"), "parameter file of the bridge; also source of joints and limits"),
     "controllers": (str(CONFIG / "ros2_controllers.yaml"), "parameter file of controller_manager and controllers"),
-    "twin": ("false", "true: the twin, too"),
-    "viewer": ("false", "true: the rerun viewer, too"),
+    "twin": ("false", "true: start the twin, too"),
+    "viewer": ("false", "true: start the rerun viewer, too"),
 }
 
 
 def _under_control(context: LaunchContext) -> list[LaunchDescriptionEntity]:
-    """What needs the robot description, which follows from the parameter file."""
+    """Nodes that need the robot description, which is derived from the parameter file."""
     value = {name: context.perform_substitution(LaunchConfiguration(name)) for name in ARGUMENTS}
     text = description_from_file(value["params"], value["namespace"])
     robot = {"robot_description": ParameterValue(text, value_type=str)}
@@ -63,7 +63,7 @@ def _under_control(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         arguments=["joint_state_broadcaster", "joint_trajectory_controller", "--param-file", value["controllers"]],
         output="screen",
     )
-    # A controller that starts before the first state would take NaN for the position of its joints.
+    # A controller that starts before the first state would use NaN as the position of its joints.
     namespace = value["namespace"].strip("/")
     states = f"{'/' if namespace else ''}{namespace}/servo/joint_states"
     first_state = ExecuteProcess(cmd=["ros2", "topic", "echo", "--once", states], output="log")
@@ -79,5 +79,5 @@ def generate_launch_description() -> LaunchDescription:
     passed = {name: LaunchConfiguration(name) for name in ARGUMENTS if name != "controllers"}
     file = PathJoinSubstitution([ThisLaunchFileDir(), "bridge.launch.py"])
     bridge = IncludeLaunchDescription(PythonLaunchDescriptionSource(file), launch_arguments=passed.items())
-    # First what can fail because of a file: nothing has been started then.
+    # Errors of a file occur first, before anything is started.
     return LaunchDescription([*declared, OpaqueFunction(function=_under_control), GroupAction([bridge])])

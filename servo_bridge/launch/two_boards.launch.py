@@ -1,4 +1,4 @@
-"""Example: two boards, each with bridge and twin in a namespace of its own. Only the first has a viewer.
+"""Example: two boards, each with bridge and twin in its own namespace. Only the first has a viewer.
 
 ros2 launch servo_bridge two_boards.launch.py port_a:=/dev/ttyUSB0 port_b:=/dev/ttyUSB1
 ros2 launch servo_bridge two_boards.launch.py virtual:=true port_a:=/tmp/board_a port_b:=/tmp/board_b
@@ -22,7 +22,7 @@ def generate_launch_description() -> LaunchDescription:
         arguments = {"namespace": namespace, "port": LaunchConfiguration(port), "viewer": viewer}
         file = PathJoinSubstitution([ThisLaunchFileDir(), "bridge.launch.py"])
         include = IncludeLaunchDescription(PythonLaunchDescriptionSource(file), launch_arguments=arguments.items())
-        return GroupAction([include])  # the arguments of one board are not those of the other
+        return GroupAction([include])  # separates the arguments of both boards
 
     declared = [
         DeclareLaunchArgument(name, default_value=default, description=text)

@@ -1,9 +1,9 @@
-"""Who commands: the one place where a set-point is let through or refused.
+"""Checks every set-point before it is sent to the board.
 
-A request passes four gates: the link is up, set-points are released (only the service ``enable`` does that), every
-commanded axis is in RUN/SPIN, and every value is inside the limits of the board and of the configuration. It passes
-as a whole or not at all. What passed goes into the `SetPointQueue` as raw firmware integers. Requests are in joint
-units, raw integers in those of the motors. Pure.
+A request is accepted if the link is up, set-points are released (by the service ``enable`` only), every commanded axis
+is in RUN/SPIN, and every value is inside the limits of the board and of the configuration. It is accepted or refused as
+a whole. Accepted set-points go to the `SetPointQueue` as raw firmware integers. Requests are in joint units, raw
+integers in motor units. Pure.
 """
 
 from __future__ import annotations
@@ -16,29 +16,31 @@ from servo_msgs_py.joints import Joint, JointLimits, joint_names
 from servo_msgs_py.units import unwrap_u32
 
 from servo_bridge.set_point_queue import TARGETS, SetPointQueue, Target
-from servo_bridge.setpoints import Mode, NotReady, Rejected, SetPointRequest
-from servo_bridge.sources import Source, Sources
+from servo_bridge.set_point_sources import Source, Sources
+from servo_bridge.set_points import Mode, NotReady, Rejected, SetPointRequest
 
 _QUANTITY = {Mode.POSITION: ("position", "rad"), Mode.SPEED: ("velocity", "rad/s"), Mode.TORQUE: ("effort", "N m")}
-_REMEDY = "send a value inside, or change the limits in the parameters of the bridge"
-_BOARD = "the board takes no other; send a value inside"
-_FARTHER = "one set-point may be no farther from the shaft: send it there in steps"
-_NOT_ENABLED = "outputs have not been enabled over this bridge"
+_REMEDY = "send a value within this range, or change the limits in the parameters of the bridge"
+_BOARD = "this is the range of the board; send a value within it"
+_REACH = "one set-point may not be farther from the shaft; move in steps"
+_NOT_ENABLED = "the outputs have not been enabled by this bridge"
 
 
 @dataclass(frozen=True)
 class AxisStatus:
-    """What the newest telemetry says about one axis."""
+    """State of one axis in the newest telemetry."""
 
-    label: str  # state in one word, for messages
+    label: str  # state and substate, for messages
     spinning: bool  # accepts set-points: RUN/SPIN; without an encoder a set-point starts the axis in RUN/READY
     faulted: bool = False  # state FAULT
-    position: int = 0  # of the shaft [counts], extended past the 32 bits of the board
-    position_ref: int | None = None  # its set-point, likewise [counts]; None without ``position_ref`` in the telemetry
+    position: int = 0  # of the shaft [counts], extended beyond the 32 bits of the board
+    position_ref: int | None = (
+        None  # position set-point, extended [counts]; None without ``position_ref`` in the telemetry
+    )
 
 
 class Arbiter:
-    """Set-points of all axes of one board.
+    """Checks the set-points of all axes of one board.
 
     Parameters
     ----------
@@ -47,7 +49,7 @@ class Arbiter:
     joints : sequence of Joint
         In the order of the axes.
     sources : Sources, optional
-        Finds sources that contradict each other.
+        Detects sources that contradict each other.
     """
 
     def __init__(
@@ -56,7 +58,7 @@ class Arbiter:
         joints: Sequence[Joint],
         sources: Sources | None = None,
     ) -> None:
-        self.queue = SetPointQueue()  # of what has passed
+        self.queue = SetPointQueue()  # of the accepted set-points
         self.sources = sources or Sources()
         self._variables: Mapping[Mode, Variable] = {mode: catalogue[name] for mode, name in TARGETS.items()}
         self._joints = joint_names(joints)
@@ -64,24 +66,24 @@ class Arbiter:
         self._reach = catalogue.bits["position"]["REACH"]
         self._torque_constants: list[float] | None = None
         self._axes: list[AxisStatus] | None = None
-        self._link = "the board has not been seen yet"
+        self._link = "no board since the start"
         self._blocked = _NOT_ENABLED
-        self.inactive = ""  # why no set-point passes, enabled or not, and what to do; empty while the node is active
+        self.inactive = ""  # reason and remedy while the node is not active; else empty
 
-    # ---- what the board says
-    def board_seen(self, axes: Sequence[AxisStatus]) -> None:
-        """Take the state of all axes from a sample; an axis that left RUN/SPIN loses what was waiting for it."""
+    # ---- state of the board
+    def update_axes(self, axes: Sequence[AxisStatus]) -> None:
+        """Update the state of all axes; pending set-points of an axis that is not in RUN/SPIN are discarded."""
         self._axes = list(axes)
         for axis, status in enumerate(axes):
             if not status.spinning:
                 self.queue.drop(axis, f"{self._joints[axis]} is in {status.label}")
 
     def set_torque_constants(self, values: Sequence[float]) -> None:
-        """Torque per ampere of i_q of every axis, nominal value of the board [N m/A]."""
+        """Set the nominal torque per ampere of i_q of every axis [N m/A]."""
         self._torque_constants = list(values)
 
     def link_lost(self, reason: str) -> None:
-        """Throw away what is waiting; set-points stay refused until ``enable`` is called again."""
+        """Discard the pending set-points; further ones are refused until ``enable`` is called again."""
         self._link = reason
         if self._axes is not None:
             self.block("the link to the board was lost")
@@ -89,27 +91,27 @@ class Arbiter:
         self._axes = None
         self._torque_constants = None
 
-    # ---- the gate that only ``enable`` opens
+    # ---- release by ``enable``
     def release(self) -> None:
-        """Let set-points through from now on; modes are written anew, whatever the board did meanwhile."""
+        """Accept set-points from now on; the control modes are written again."""
         self._blocked = ""
         self.queue.forget_modes()
 
     def block(self, reason: str) -> None:
-        """Refuse set-points from now on and throw away what is waiting."""
+        """Refuse set-points from now on and discard the pending ones."""
         self._blocked = reason
         for axis in range(AXES):
             self.queue.drop(axis, reason)
 
     @property
     def armed(self) -> bool:
-        """True when a set-point for every joint would be obeyed."""
+        """True if a set-point for every joint would be accepted."""
         blocked = self._blocked or self.inactive
         return self._axes is not None and not blocked and all(axis.spinning for axis in self._axes)
 
     # ---- commands
     def submit(self, *requests: SetPointRequest) -> None:
-        """Check requests and make them the waiting set-points of their axes, also when they have the same already.
+        """Check requests and queue their set-points, also if they equal the previous ones.
 
         Parameters
         ----------
@@ -119,7 +121,7 @@ class Arbiter:
         Raises
         ------
         Rejected
-            If any of it must not pass; then nothing has changed.
+            If any part of a request is refused; then nothing is changed.
         """
         targets: dict[int, tuple[str, Target]] = {}
         for request in requests:
@@ -132,25 +134,25 @@ class Arbiter:
             self.queue.put(axis, target, f"a set-point on {source} took over")
 
     def admit(self, source: str, axes: Iterable[int]) -> None:
-        """Check that paths of some axes may be followed: as `submit`, but for the values.
+        """Check that some axes may follow a path; as `submit`, without values.
 
         Raises
         ------
         Rejected
-            If not.
+            If the path is refused.
         """
         axes = list(axes)
         self.check_ready(source, axes)
         self._claim(Source(source, "trajectory"), axes)
-        self.queue.make_way(axes)
+        self.queue.discard(axes)
 
     def check_ready(self, source: str, axes: Iterable[int]) -> None:
-        """Check that some axes obey set-points.
+        """Check that some axes accept set-points.
 
         Raises
         ------
         NotReady
-            If not.
+            If an axis does not.
         """
         if self._axes is None:
             raise NotReady(f"{source}: not connected ({self._link}); see state and /diagnostics")
@@ -178,12 +180,12 @@ class Arbiter:
     def _raw(self, request: SetPointRequest, axis: int) -> int:
         value, mode, joint = request.values[axis], request.mode, self.joints[axis]
         variable = self._variables[mode]
-        wanted_low, wanted_high = _wanted(joint.limits, mode)
+        limit_low, limit_high = _configured_range(joint.limits, mode)
         factor = 1.0
         if mode is Mode.POSITION:
             assert self._axes is not None
             position = self._axes[axis].position
-            ends = [joint.position((position + way) * variable.lsb) for way in (-self._reach, self._reach)]
+            ends = [joint.position((position + distance) * variable.lsb) for distance in (-self._reach, self._reach)]
             motor = joint.motor_position(value)
         elif mode is Mode.SPEED:
             ends = [joint.velocity(end) for end in (variable.minimum, variable.maximum)]
@@ -193,9 +195,9 @@ class Arbiter:
             ends = [joint.effort(end / factor) for end in (variable.minimum, variable.maximum)]
             motor = joint.motor_effort(value)
         low, high = sorted(ends)
-        boards = (value > high and high <= wanted_high) or (value < low and low >= wanted_low)
-        remedy = (_FARTHER if mode is Mode.POSITION else _BOARD) if boards else _REMEDY
-        low, high = max(low, wanted_low), min(high, wanted_high)
+        boards = (value > high and high <= limit_high) or (value < low and low >= limit_low)
+        remedy = (_REACH if mode is Mode.POSITION else _BOARD) if boards else _REMEDY
+        low, high = max(low, limit_low), min(high, limit_high)
         if not low <= value <= high:
             quantity, unit = _QUANTITY[mode]
             raise Rejected(
@@ -203,9 +205,9 @@ class Arbiter:
                 f"{unit}; {remedy}"
             )
         if mode is Mode.POSITION:
-            # Positions of the board wrap at 32 bits, and it takes the shorter way.
+            # Positions of the board wrap at 32 bits; the board takes the shorter distance.
             return unwrap_u32(round(motor / variable.lsb) & 0xFFFF_FFFF, 0)
-        # A value at the limit itself must not fall outside by the last bit of the product.
+        # Rounding of the product must not exceed the limit.
         return variable.to_raw(min(max(motor * factor, variable.minimum), variable.maximum))
 
     def _amperes_per_newton_metre(self, source: str, axis: int) -> float:
@@ -216,8 +218,8 @@ class Arbiter:
         return 1.0 / self._torque_constants[axis]
 
 
-def _wanted(limits: JointLimits, mode: Mode) -> tuple[float, float]:
-    """Lowest and highest set-point of a mode that the configuration lets pass."""
+def _configured_range(limits: JointLimits, mode: Mode) -> tuple[float, float]:
+    """Smallest and largest set-point of a mode in the configuration."""
     if mode is Mode.POSITION:
         return limits.position_min, limits.position_max
     magnitude = limits.velocity_max if mode is Mode.SPEED else limits.effort_max

@@ -1,4 +1,4 @@
-"""What the bridge needs of a link to a board."""
+"""Interface of a link to a board."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 
 class BoardLink(Protocol):
-    """What the node needs of a `Link`."""
+    """Interface of `Link` that the node uses."""
 
     layout: ScopeLayout
 
@@ -41,7 +41,7 @@ class BoardLink(Protocol):
 
 
 class LinkFactory(Protocol):
-    """Makes a link; `Link` itself, unless a test puts something else in its place."""
+    """Constructor of a link: `Link`, or a replacement in a test."""
 
     def __call__(
         self,

@@ -1,6 +1,6 @@
-"""The parameters of the connected board: read, set to what the user requests, read again and reported. Pure.
+"""Parameters of the connected board: read, compare with the request, write, verify, report. Pure.
 
-Everything runs in one thread except the link's own work, whose ends come back through `post`.
+All methods run in one thread. Results of the link are returned to it through `post`.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from servo_bridge.outcome import error_of
 
 
 class BoardParameters:
-    """Keeps a board at the parameters that the user requests.
+    """Keeps the parameters of the board at the values that the user requests.
 
-    What the user does not name stays as it is on the board. The first thing that goes wrong stands in `trouble`.
+    Parameters that are not requested keep the value of the board. `trouble` has the first error.
 
     Parameters
     ----------
     catalogue : Catalogue
-        Which parameters there are.
+        Definition of the parameters.
     read : callable
-        Starts to read a variable by name, SI.
+        Starts to read a variable by name [SI].
     write_raw : callable
         Starts to write all elements of a variable as firmware integers.
     post : callable
-        Calls a function in the owner's thread.
+        Calls a function in the thread of the owner.
     changed : callable
-        Gets the raw parameters whenever they have been read.
+        Receives the raw parameters after each reading.
     say, warn : callable
-        Get sentences for the log.
+        Receive messages for the log.
     """
 
     def __init__(
@@ -48,8 +48,8 @@ class BoardParameters:
         say: Callable[[str], None],
         warn: Callable[[str], None],
     ) -> None:
-        self.values: RawParameters | None = None  # of the board; None: not known
-        self.trouble = ""  # why the board does not have what the user requests; empty: it has
+        self.values: RawParameters | None = None  # read from the board; None: not known
+        self.trouble = ""  # first error of the present request; empty: none
         self._catalogue = catalogue
         self._variables = parameters(catalogue)
         self._read = read
@@ -60,32 +60,32 @@ class BoardParameters:
         self._warn = warn
         self._wanted: Sequence[Assignment] = ()
         self._connected = False
-        self._round = 0  # what comes back from an earlier round is void
+        self._round = 0  # results of earlier rounds are ignored
 
-    # ---- what the owner tells
+    # ---- calls of the owner
     def request(self, assignments: Sequence[Assignment]) -> None:
-        """Bring the board to these, now and after every connection."""
+        """Set these parameters now and after every connection."""
         self._wanted = assignments
         if self._connected:
             self._begin()
 
     def check(self, assignments: Sequence[Assignment]) -> str:
-        """Why these would be refused, empty if they would not."""
+        """Reason to refuse these parameters; empty if they are valid."""
         return contradiction(applied(assignments, self.values or {}), self._catalogue)
 
     def connected(self) -> None:
-        """The link is up."""
+        """Report that the link is up."""
         self._connected = True
         self._begin()
 
     def link_lost(self) -> None:
-        """Nothing is known any more."""
+        """Forget the parameters of the board."""
         self._connected = False
         self._round += 1
         self.values = None
         self.trouble = ""
 
-    # ---- one round: read, write what differs, read again
+    # ---- one round: read, write differences, read again
     def _begin(self) -> None:
         self._round += 1
         self.trouble = ""
@@ -140,8 +140,8 @@ class BoardParameters:
             if list(now[name]) == list(target[name]):
                 self._say(f"{name}: {self._text(name, before)} -> {self._text(name, now)}")
             else:
-                reason = errors[name] or "the board keeps another value"
-                self._fail(f"{name} is {self._text(name, now)} and not {self._text(name, target)}: {reason}")
+                reason = errors[name] or "the board has another value"
+                self._fail(f"{name} is {self._text(name, now)}, requested {self._text(name, target)}: {reason}")
         self._tell(now)
 
     # ---- details
@@ -154,7 +154,7 @@ class BoardParameters:
         self._warn(text)
 
     def _when_done(self, futures: Sequence[Future[Any]], then: Callable[[], None]) -> None:
-        # The link works in order: when the last one is done, all are.
+        # The link works in order: the last future is the last to be done.
         futures[-1].add_done_callback(lambda _: self._post(then))
 
     def _raw(self, name: str, value: float) -> int:

@@ -1,4 +1,4 @@
-"""A measured loop as a recording for the rerun viewer."""
+"""Recording of a measured loop for the rerun viewer."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from servo_msgs_py.measurement.bode_report import rows, text
 from servo_bridge.bursts.rerun_log import entity_of, import_rerun, send_curve
 
 FREQUENCY: Final = "frequency"
-"""Time line on which a second is a hertz."""
+"""Timeline with one second per hertz."""
 
 LOG_FREQUENCY: Final = "log_frequency"
-"""Time line on which a second is a decade, from 1 Hz."""
+"""Timeline with one second per decade, from 1 Hz."""
 
 _CURVES: Final = (
     ("gain", "measured", 1, "gain [dB]"),
@@ -28,7 +28,7 @@ _CURVES: Final = (
 
 
 def write_recording(bode: Bode, path: Path) -> None:
-    """Write gain, phase and coherence over the frequency, both as it is and as its logarithm, and the figures as text.
+    """Write gain, phase and coherence over frequency (linear and logarithmic timeline), and the figures as text.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def write_recording(bode: Bode, path: Path) -> None:
         )
     )
     table = rows(bode)
-    table[~bode.response.good, 1:3] = np.nan  # a gap: these points determine nothing
+    table[~bode.response.good, 1:3] = np.nan  # gap: these points are not valid
     for quantity, which, column, head in _CURVES:
         entity = entity_of([*base, quantity, which])
         recording.log(entity, rr.SeriesLines(names=head), static=True)

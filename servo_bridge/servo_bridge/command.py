@@ -1,4 +1,4 @@
-"""``servo-command``: one command to the servo over ROS topics and services, for machines without the ros2 command.
+"""``servo-command``: send one command to the servo over ROS; a replacement for the ros2 command line.
 
 servo-command enable
 servo-command position axis1=6.28 axis2=-6.28
@@ -55,36 +55,36 @@ from servo_bridge.trajectory.errors import TrajectoryError
 from servo_msgs_py import argument, topics
 
 _STEP: Final = 0.02  # [s]
-_MATCH: Final = 0.3  # until a subscription receives what a running node publishes [s]
-_REPEAT: Final = 0.05  # between two velocity or effort set-points, which expire when they are not renewed [s]
+_MATCH: Final = 0.3  # time until a new subscription is matched [s]
+_REPEAT: Final = 0.05  # period of velocity and effort set-points, which expire otherwise [s]
 _QUANTITIES: Final = ("position", "velocity", "effort")
-_BRIDGE: Final = "servo_bridge"  # name of the node
-_LIST: Final = "board_parameters"  # its parameter
-_LOST: Final = "DISCONNECTED"  # how its state begins while there is no board
-_DIAGNOSTICS: Final = 2.5  # they come every second [s]
-_HOME_POSITIONS: Final = "home_positions"  # its parameter
-_HOMING: Final = 600.0  # longest homing [s]
+_BRIDGE: Final = "servo_bridge"  # name of the bridge node
+_LIST: Final = "board_parameters"  # parameter of the bridge
+_LOST: Final = "DISCONNECTED"  # first word of the state without a board
+_DIAGNOSTICS: Final = 2.5  # timeout; the period is 1 s [s]
+_HOME_POSITIONS: Final = "home_positions"  # parameter of the bridge
+_HOMING: Final = 600.0  # timeout of a homing [s]
 _UNITS: Final = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
 
 
 class CommandError(RuntimeError):
-    """The command had no effect; the text says why and what to do."""
+    """The command had no effect; the text has the reason and a remedy."""
 
 
 class Commander(Node):
-    """A user of one servo.
+    """Client of one servo.
 
     Parameters
     ----------
     executor : EventsExecutor
-        Runs this node; only `wait_for` and `turn` turn it.
+        Runs this node; spun by `wait_for` and `spin_for` only.
     namespace : str
-        Of the bridge.
+        Namespace of the bridge.
     timeout : float
-        For answers [s].
+        Timeout of responses [s].
     interrupted : threading.Event
-        Set by a signal; what waits then raises `KeyboardInterrupt`, and clears it: a motion has to be stopped after
-        that.
+        Set by a signal handler. Waiting functions then raise `KeyboardInterrupt` and clear the event, so that the
+        motion can still be stopped.
     """
 
     def __init__(self, executor: EventsExecutor, namespace: str, timeout: float, interrupted: threading.Event) -> None:
@@ -103,11 +103,11 @@ class Commander(Node):
         return f"{self._namespace}/{name}"
 
     def _part(self, name: str) -> str:
-        """Name of a part of the bridge in /diagnostics."""
+        """Name of a status of the bridge in /diagnostics."""
         return f"{self._of(_BRIDGE).lstrip('/')}: {name}"
 
-    def wait_for(self, condition: Callable[[], Any], what: str, timeout: float | None = None) -> None:
-        """Turn the executor until the condition holds, for so long [s] or for the timeout of this user.
+    def wait_for(self, condition: Callable[[], Any], failure: str, timeout: float | None = None) -> None:
+        """Spin the executor until the condition holds; `timeout` [s], default: that of this client.
 
         Raises
         ------
@@ -118,7 +118,9 @@ class Commander(Node):
         deadline = time.monotonic() + timeout
         while not condition():
             if time.monotonic() >= deadline:
-                raise CommandError(f"{what} within {timeout:g} s; is `make up` running in the same ROS domain?")
+                raise CommandError(
+                    f"{failure} within {timeout:g} s; check that the bridge runs in the same ROS domain (`make up`)"
+                )
             self._spin()
 
     def _spin(self) -> None:
@@ -134,32 +136,32 @@ class Commander(Node):
         self.wait_for(future.done, f"{self._of(name)} did not answer")
         return future.result()
 
-    def _ask(self, kind: Any, request: Any, name: str, what: str) -> str:
-        """Call a service that says whether it did what it was asked for."""
+    def _call_checked(self, kind: Any, request: Any, name: str, what: str) -> str:
+        """Call a service and check its success."""
         response = self._call(kind, request, name)
         if not response.success:
             raise CommandError(f"{what} was refused: {response.message}")
         return str(response.message)
 
     def enable(self, on: bool) -> str:
-        """Enable or disable both axes; returns what the service says."""
-        return self._ask(SetBool, SetBool.Request(data=on), topics.ENABLE, "enable" if on else "disable")
+        """Enable or disable both axes; returns the message of the service."""
+        return self._call_checked(SetBool, SetBool.Request(data=on), topics.ENABLE, "enable" if on else "disable")
 
     def trigger(self, name: str) -> str:
         """Call ``quick_stop`` or ``clear_faults``."""
-        return self._ask(Trigger, Trigger.Request(), name, name)
+        return self._call_checked(Trigger, Trigger.Request(), name, name)
 
     def home(self, joint: str, method: str, position: float | None) -> str:
-        """Home a joint, or set its position where it is, to `position` [rad]; None: to that of the bridge's parameter.
+        """Home a joint, or set its present position, to `position` [rad]; None: parameter `home_positions`.
 
         Raises
         ------
         CommandError
-            If there is no such joint, or the bridge or the board refuses, with the reason.
+            If the joint does not exist, or the bridge or the board refuses, with the reason.
         """
         names = [one.name for one in self.joints()]
         if joint not in names:
-            raise CommandError(f"there is no joint {joint}; there are {', '.join(names)}")
+            raise CommandError(f"joint {joint} does not exist; the joints are {', '.join(names)}")
         if position is not None:
             self._set_home_position(names.index(joint), position)
         name = topics.home_service(joint, method)
@@ -184,7 +186,7 @@ class Commander(Node):
             raise CommandError(answer.results[0].reason)
 
     def state(self) -> str:
-        """State of the servo and its joints now, with faults and limits, for people."""
+        """Text of the state of the servo and its joints, with faults and limits."""
         joints: list[JointState] = []
         reports: list[DiagnosticArray] = []
         self.create_subscription(JointState, self._of(topics.JOINT_STATES), joints.append, telemetry_qos())
@@ -196,7 +198,7 @@ class Commander(Node):
         self.wait_for(lambda: joints, f"no {self._of(topics.JOINT_STATES)} were received")
         last = joints[-1]
         names = [self._part(name) for name in last.name]
-        with contextlib.suppress(CommandError):  # what there is to say without is worth saying
+        with contextlib.suppress(CommandError):  # print the rest if there are no diagnostics
             self.wait_for(lambda: _statuses(reports).keys() >= set(names), "no diagnostics", _DIAGNOSTICS)
         statuses = _statuses(reports)
         for name, position, velocity in zip(last.name, last.position, last.velocity, strict=True):
@@ -207,9 +209,11 @@ class Commander(Node):
             for key, heading in (("faults", "fault"), ("first fault", "first fault"), ("limits", "at limit")):
                 if values.get(key, "none") != "none":
                     lines.append(f"    {heading} {values[key]}")
-            left = values.get("current limit left [%]", "100")
-            if left != "100":
-                lines.append(f"    winding at {values['winding [deg C]']} deg C: {left} % of the current limit left")
+            remaining = values.get("current limit left [%]", "100")
+            if remaining != "100":
+                lines.append(
+                    f"    winding at {values['winding [deg C]']} deg C: {remaining} % of the current limit left"
+                )
         board = statuses.get(self._part("parameters"))
         if board is not None and board.level != DiagnosticStatus.OK:
             lines.append(f"  parameters: {board.message}")
@@ -219,40 +223,40 @@ class Commander(Node):
         return self._latched(topics.STATE)
 
     def _latched(self, name: str) -> str:
-        """What a latched topic says."""
+        """Text of a latched topic."""
         texts: list[str] = []
         self.create_subscription(String, self._of(name), lambda m: texts.append(m.data), latched_qos())
-        self.wait_for(lambda: texts, f"no {self._of(name)} was heard")
+        self.wait_for(lambda: texts, f"no {self._of(name)} was received")
         return texts[-1]
 
     # ---- parameters of the board
-    def parameters(self, wanted: Callable[[RawParameters], bool] = lambda _: True) -> RawParameters:
-        """Raw parameters of the board, as soon as they are as wanted.
+    def parameters(self, accepted: Callable[[RawParameters], bool] = lambda _: True) -> RawParameters:
+        """Raw parameters of the board, when `accepted` returns true for them.
 
         Raises
         ------
         CommandError
-            If they are not within the timeout, or there is no board.
+            After the timeout, or if there is no board.
         """
         state = self._state()
         if state.startswith(_LOST):
             raise CommandError(f"the board is not connected: {state}")
-        heard: list[RawParameters] = []
+        received: list[RawParameters] = []
 
         def take(message: Float64MultiArray) -> None:
-            heard.append(parameters_from_message(message, self._catalogue))
+            received.append(parameters_from_message(message, self._catalogue))
 
         topic = self._of(topics.PARAMETERS)
         self.create_subscription(Float64MultiArray, topic, take, latched_qos())
-        self.wait_for(lambda: heard, f"no {topic} were received")
-        self.wait_for(lambda: wanted(heard[-1]), "the board does not have them (/diagnostics says why)")
-        return heard[-1]
+        self.wait_for(lambda: received, f"no {topic} were received")
+        self.wait_for(lambda: accepted(received[-1]), "the parameters were not applied (see /diagnostics)")
+        return received[-1]
 
-    def get(self, wanted: Sequence[tuple[Variable, int | None]]) -> str:
-        """Parameters of the board in words."""
+    def get(self, names: Sequence[tuple[Variable, int | None]]) -> str:
+        """Text of parameters of the board; default: all."""
         values = si(self.parameters(), self._catalogue)
         lines = []
-        for variable, element in wanted or [(variable, None) for variable in parameters(self._catalogue)]:
+        for variable, element in names or [(variable, None) for variable in parameters(self._catalogue)]:
             value = values[variable.name]
             if element is not None and isinstance(value, list):
                 value = value[element]
@@ -261,12 +265,12 @@ class Commander(Node):
         return "\n".join(lines)
 
     def set(self, assignments: Sequence[Assignment]) -> str:
-        """Set parameters of the board by way of the bridge's own parameter, and wait until the board has them.
+        """Set parameters of the board through the parameter of the bridge; wait until the board has them.
 
         Raises
         ------
         CommandError
-            If the bridge refuses them, with its reason, or the board does not take them.
+            If the bridge or the board refuses them, with the reason.
         """
         bridge = f"{_BRIDGE}/"
         request = GetParameters.Request(names=[_LIST])
@@ -279,7 +283,7 @@ class Commander(Node):
         if not result.successful:
             raise CommandError(f"set was refused: {result.reason.removeprefix(f'parameter {_LIST}: ')}")
         if self._state().startswith(_LOST):
-            return "the board is not connected; it gets them when it is"
+            return "the board is not connected; the parameters are set after the connection"
         reports: list[DiagnosticArray] = []
         self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, reports.append, telemetry_qos())
         try:
@@ -292,15 +296,15 @@ class Commander(Node):
         return self.get([(assignment.variable, assignment.element) for assignment in assignments])
 
     def set_points(self, quantity: str, targets: dict[str, float], duration: float) -> None:
-        """Publish set-points by joint name; repeated for `duration` [s] when it is not 0.
+        """Publish set-points by joint name; repeated for `duration` [s] if it is not 0.
 
         Raises
         ------
         CommandError
-            If the bridge rejects them, or does not say within the timeout that they took effect.
+            If the bridge rejects them, or does not report their effect within the timeout.
         """
         applied: list[Float64MultiArray] = []
-        heard = self._bridge_log()
+        log = self._bridge_log()
         self.create_subscription(Float64MultiArray, self._of(topics.COMMANDS_APPLIED), applied.append, telemetry_qos())
         publisher = self._publisher(JointState, topics.JOINT_COMMANDS)
         message = JointState(name=list(targets))
@@ -311,23 +315,23 @@ class Commander(Node):
             pause = time.monotonic() + _REPEAT
             while time.monotonic() < min(pause, end):
                 self._spin()
-            if heard("rejected") or time.monotonic() >= end:
+            if log("rejected") or time.monotonic() >= end:
                 break
-        self.wait_for(lambda: applied or heard("rejected"), "the bridge neither took nor rejected the set-points")
-        if heard("rejected"):
-            raise CommandError(heard("rejected")[0])
+        self.wait_for(lambda: applied or log("rejected"), "no response of the bridge to the set-points")
+        if log("rejected"):
+            raise CommandError(log("rejected")[0])
 
     def motors(self) -> list[Motor]:
-        """The motors, in the order of the axes; empty if the bridge does not know them."""
+        """Motors in the order of the axes; empty if the bridge does not have their data."""
         return motors_of(self._latched(topics.ROBOT_DESCRIPTION))
 
     def joints(self) -> list[Joint]:
-        """The joints, in the order of the axes.
+        """Joints in the order of the axes.
 
         Raises
         ------
         CommandError
-            If the bridge does not tell them.
+            If the robot description of the bridge does not have them.
         """
         try:
             return joints_of(self._latched(topics.ROBOT_DESCRIPTION))
@@ -335,44 +339,44 @@ class Commander(Node):
             raise CommandError(f"{self._of(topics.ROBOT_DESCRIPTION)}: {error}") from None
 
     def positions(self) -> dict[str, float]:
-        """Where the joints are [rad], by name."""
-        heard: list[JointState] = []
+        """Positions of the joints [rad], by name."""
+        received: list[JointState] = []
         topic = self._of(topics.JOINT_STATES)
-        subscription = self.create_subscription(JointState, topic, heard.append, telemetry_qos())
-        self.wait_for(lambda: heard, f"no {topic} were received")
+        subscription = self.create_subscription(JointState, topic, received.append, telemetry_qos())
+        self.wait_for(lambda: received, f"no {topic} were received")
         self.destroy_subscription(subscription)
-        return dict(zip(heard[-1].name, heard[-1].position, strict=True))
+        return dict(zip(received[-1].name, received[-1].position, strict=True))
 
     def send_path(self, message: JointTrajectory) -> None:
-        """Publish a trajectory, and return when the bridge follows it.
+        """Publish a trajectory and wait until the bridge follows it.
 
         Raises
         ------
         CommandError
-            If the bridge rejects it, or does not say within the timeout that it follows it.
+            If the bridge rejects it, or does not respond within the timeout.
         """
-        heard = self._bridge_log()
+        log = self._bridge_log()
         self._publisher(JointTrajectory, topics.JOINT_TRAJECTORY).publish(message)
         self.wait_for(
-            lambda: heard("following a trajectory" if len(message.points) else "stopping ") or heard("rejected"),
-            "the bridge neither followed nor rejected the trajectory",
+            lambda: log("following a trajectory" if len(message.points) else "stopping ") or log("rejected"),
+            "no response of the bridge to the trajectory",
         )
-        if heard("rejected"):
-            raise CommandError(heard("rejected")[0])
-        self._path_log = heard
+        if log("rejected"):
+            raise CommandError(log("rejected")[0])
+        self._path_log = log
 
     def path_refusal(self) -> str:
-        """What the bridge says of points of the last trajectory that the board has refused; empty if there are none."""
+        """Message of the bridge about points of the last trajectory that the board refused; empty if there are none."""
         return next(iter(self._path_log("the board has refused points")), "")
 
-    def turn(self, seconds: float) -> None:
-        """Let the executor turn for so long [s]."""
+    def spin_for(self, seconds: float) -> None:
+        """Spin the executor for a time [s]."""
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
             self._spin()
 
     def _bridge_log(self) -> Callable[[str], list[str]]:
-        """Listen to the log of the bridge; the result gives the lines from now on that begin in a way."""
+        """Subscribe to the log of the bridge; the result returns the new lines that begin with a text."""
         if self._log_lines is None:
             self._log_lines = []
             self.create_subscription(Log, "/rosout", self._on_log, telemetry_qos())
@@ -385,24 +389,24 @@ class Commander(Node):
             self._log_lines.append(message.msg)
 
     def _publisher(self, kind: Any, name: str) -> Any:
-        """A publisher matched with the bridge, and a subscription matched with the bridge's log."""
+        """Publisher that is matched with the bridge; the log of the bridge is matched, too."""
         if name in self._matched_publishers:
             return self._matched_publishers[name]
         topic = self._of(name)
         publisher = self._matched_publishers[name] = self.create_publisher(kind, topic, command_qos())
         self.wait_for(publisher.get_subscription_count, f"no subscriber on {topic}")
         self.wait_for(lambda: self.count_publishers("/rosout") > 1, "the log of the bridge was not found")
-        self.turn(_MATCH)  # until the new subscriptions are matched: what is published before is not heard
+        self.spin_for(_MATCH)  # messages published before the subscriptions are matched would be lost
         return publisher
 
     def close(self) -> None:
-        """End the node."""
+        """Destroy the node."""
         self._runner.remove_node(self)
         self.destroy_node()
 
 
 def _statuses(reports: Sequence[DiagnosticArray]) -> dict[str, DiagnosticStatus]:
-    """Every status by its name, the newest."""
+    """Newest status of each name."""
     return {status.name: status for report in reports for status in report.status}
 
 
@@ -443,14 +447,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--wait", type=float, default=10.0, metavar="S", help="time to wait (default: %(default)s)")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="COMMAND")
     for verb, text in (
-        ("enable", "find the rotors and hold position"),
-        ("disable", "ramp down, outputs off"),
-        (topics.QUICK_STOP, "ramp down at the limit and hold; enable again to continue"),
-        (topics.CLEAR_FAULTS, "clear the faults whose cause is gone"),
-        ("state", "print state, positions, speeds, faults with remedy, limits that are reached"),
+        ("enable", "enable both axes (rotor search, then position hold)"),
+        ("disable", "stop with a ramp, then switch the outputs off"),
+        (topics.QUICK_STOP, "stop with the largest deceleration and hold; call enable to continue"),
+        (topics.CLEAR_FAULTS, "clear the faults whose cause is removed"),
+        ("state", "print state, positions, speeds, faults with remedy, active limits"),
     ):
         verbs.add_parser(verb, help=text)
-    homer = verbs.add_parser("home", help="turn a joint to a stop or a switch, which tells its position")
+    homer = verbs.add_parser("home", help="home a joint to a hard stop or a home switch (the joint moves)")
     homer.add_argument("joint", metavar="JOINT")
     homer.add_argument(
         "--method", required=True, choices=[name.replace("_", "-") for name in METHODS if name != "here"]
@@ -459,14 +463,12 @@ def _parser() -> argparse.ArgumentParser:
         "--position",
         type=argument.finite,
         metavar="RAD",
-        help="position of the joint at its reference; stored in the bridge's parameter home_positions, the default",
+        help="position of the joint at the reference; stored in parameter home_positions of the bridge (default)",
     )
-    zero = verbs.add_parser("zero", help="set the position of a joint where it is")
+    zero = verbs.add_parser("zero", help="set the present position of a joint")
     zero.add_argument("joint", metavar="JOINT")
     zero.add_argument("position", nargs="?", type=argument.finite, default=0.0, metavar="RAD", help="default: 0")
-    setter = verbs.add_parser(
-        "set", help="set parameters of the board; the bridge sets them again after a reconnection"
-    )
+    setter = verbs.add_parser("set", help="set parameters of the board; the bridge repeats this after a reconnection")
     setter.add_argument(
         "assignments",
         nargs="+",
@@ -477,9 +479,7 @@ def _parser() -> argparse.ArgumentParser:
     getter = verbs.add_parser("get", help="print parameters of the board")
     getter.add_argument("names", nargs="*", type=_parameter, metavar="NAME", help="default: all")
     for quantity in _QUANTITIES:
-        verb_parser = verbs.add_parser(
-            quantity, help=f"set-points [{_UNITS[quantity]}], both joints at once if both are named"
-        )
+        verb_parser = verbs.add_parser(quantity, help=f"set-points [{_UNITS[quantity]}] of one or both joints")
         verb_parser.add_argument("targets", nargs="+", type=_target, metavar="JOINT=VALUE")
         if quantity == "position":
             verb_parser.set_defaults(duration=0.0)
@@ -490,7 +490,7 @@ def _parser() -> argparse.ArgumentParser:
                 type=argument.not_negative,
                 default=1.0,
                 metavar="S",
-                help="time to repeat them (default: 1)",
+                help="time for which they are repeated (default: 1)",
             )
     add_path_verbs(verbs, _target)
     return parser
@@ -518,13 +518,13 @@ def _perform(commander: Commander, args: argparse.Namespace) -> str:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Command line.
+    """Run the program.
 
     Returns
     -------
     int
-        0 when the command was accepted, 1 when it was refused or no answer came, 2 for a wrong usage, 130 after Ctrl-C
-        or SIGTERM.
+        0: the command was accepted; 1: it was refused, or there was no response; 2: wrong arguments; 130: Ctrl-C or
+        SIGTERM.
     """
     argv = list(sys.argv if args is None else ["servo-command", *args])
     parser = _parser()
@@ -532,12 +532,12 @@ def main(args: Sequence[str] | None = None) -> int:
     joints = [joint for joint, _ in getattr(arguments, "targets", [])]
     twice = next((joint for joint in joints if joints.count(joint) > 1), None)
     if twice is not None:
-        parser.error(f"{twice} is named twice")
+        parser.error(f"{twice} is given twice")
     commander: Commander | None = None
     interrupted = threading.Event()
     try:
-        # Ctrl-C during a motion has to stop it: the context must live on, and an exception from within a signal handler
-        # would not come out of the executor as one.
+        # After Ctrl-C the motion must still be stopped, so the context has to stay valid. An exception raised in a
+        # signal handler would not pass through the executor unchanged.
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: interrupted.set())

@@ -1,4 +1,4 @@
-"""Paths of ``servo-command``: ``move``, ``follow`` and ``sine``, from the plan to the end of the motion."""
+"""Path commands of ``servo-command``: ``move``, ``follow`` and ``sine``; planning and execution."""
 
 from __future__ import annotations
 
@@ -26,37 +26,37 @@ from servo_bridge.trajectory_limits import path_limits
 from servo_msgs_py import argument
 
 PATH_VERBS: Final = ("move", "follow", "sine")
-_SAMPLES: Final = 4000  # of a path, for its largest speed and acceleration
-_STEADY: Final = 0.3  # after the end, until the shaft has come to rest [s]
+_SAMPLES: Final = 4000  # of a path, to find its largest speed and acceleration
+_STEADY: Final = 0.3  # settling time after the end [s]
 
 
 class PathUser(Protocol):
-    """What a path needs of a user of the servo."""
+    """Interface of a client of the servo that follows paths."""
 
     def positions(self) -> dict[str, float]:
-        """Where the joints are [rad]."""
+        """Positions of the joints [rad], by name."""
 
     def joints(self) -> list[Joint]:
-        """The joints, in the order of the axes."""
+        """Joints in the order of the axes."""
 
     def motors(self) -> list[Motor]:
-        """The motors, in the order of the axes; empty if they are not known."""
+        """Motors in the order of the axes; empty if their data are not known."""
 
     def parameters(self) -> RawParameters:
         """Raw parameters of the board."""
 
     def send_path(self, message: JointTrajectory) -> None:
-        """Publish a trajectory, and return when the bridge follows it."""
+        """Publish a trajectory and wait until the bridge follows it."""
 
     def path_refusal(self) -> str:
-        """Why the board has refused a part of it since; empty if it has not."""
+        """Reason if the board has refused a part of the last trajectory; else empty."""
 
-    def turn(self, seconds: float) -> None:
-        """Let so much time pass [s]."""
+    def spin_for(self, seconds: float) -> None:
+        """Wait for a time [s]."""
 
 
 def add_path_verbs(verbs: argparse._SubParsersAction[argparse.ArgumentParser], target: Callable[[str], object]) -> None:
-    """Add the commands that follow a path."""
+    """Add the path commands to the parser."""
     mover = verbs.add_parser("move", help="move to positions [rad] in a given time, or as fast as the limits allow")
     mover.add_argument("targets", nargs="+", type=target, metavar="JOINT=VALUE")
     mover.add_argument("--time", type=argument.positive, metavar="S", help="default: the shortest within the limits")
@@ -64,17 +64,21 @@ def add_path_verbs(verbs: argparse._SubParsersAction[argparse.ArgumentParser], t
         "follow", help="follow a path from a .csv (time, joints, <joint>_velocity) or .json file"
     )
     follower.add_argument("file", metavar="FILE")
-    waver = verbs.add_parser("sine", help="follow a sine about where the joint is, faded in and out")
+    waver = verbs.add_parser("sine", help="follow a sine about the present position, with fade-in and fade-out")
     waver.add_argument("joint", metavar="JOINT")
     waver.add_argument("--amplitude", type=argument.positive, required=True, metavar="RAD")
     waver.add_argument("--frequency", type=argument.positive, required=True, metavar="HZ")
     waver.add_argument("--for", dest="duration", type=argument.positive, default=5.0, metavar="S", help="default: 5")
     for parser in (mover, follower, waver):
-        parser.add_argument("--dry-run", action="store_true", help="only print the demands of the path with the limits")
+        parser.add_argument(
+            "--dry-run",
+            action="store_true",
+            help="only print speed, acceleration and current of the path, with the limits",
+        )
 
 
 def path_message(path: Path) -> JointTrajectory:
-    """A path as a message; its first point is left out, for the joints are there."""
+    """Convert a path to a message, without its first point, where the joints are already."""
     times = path.times[1:]
     state = path.state(times)
     points = []
@@ -92,14 +96,14 @@ def path_message(path: Path) -> JointTrajectory:
 
 
 def run_path(user: PathUser, args: argparse.Namespace) -> str:
-    """Plan the path of a command line and follow it to its end; returns what to say.
+    """Plan and follow a path; returns the text to print.
 
     Raises
     ------
     KeyboardInterrupt
-        If the user has been interrupted; the joints have been stopped and hold.
+        If interrupted; the joints have been stopped and hold.
     TrajectoryError
-        If there is no such path, or it leaves the limits; nothing has moved then. Or if the board refuses a part of it.
+        If the path is invalid or exceeds the limits (nothing has moved then), or the board refuses a part of it.
     """
     positions = user.positions()
     joints, motors, raw = user.joints(), user.motors(), user.parameters()
@@ -116,19 +120,19 @@ def run_path(user: PathUser, args: argparse.Namespace) -> str:
         _wait(user, path.duration)
     except KeyboardInterrupt:
         user.send_path(JointTrajectory(joint_names=list(path.joints)))
-        user.turn(_STEADY)
-        print(f"stopped: {_places(user, path)}", file=sys.stderr)
+        user.spin_for(_STEADY)
+        print(f"stopped: {_positions(user, path)}", file=sys.stderr)
         raise
-    return f"done: {_places(user, path)}"
+    return f"done: {_positions(user, path)}"
 
 
-def _places(user: PathUser, path: Path) -> str:
+def _positions(user: PathUser, path: Path) -> str:
     reached = user.positions()
     return ", ".join(f"{joint} at {reached[joint]:.4f} rad" for joint in path.joints)
 
 
 def _currents(joints: Sequence[Joint], motors: Sequence[Motor], raw: RawParameters) -> dict[str, tuple[float, float]]:
-    """Current per torque of every joint [A/(N m)], 0 if it is not known; and the limit of the current [A]."""
+    """Current per torque of every joint [A/(N m)], 0 if not known, and the current limit [A]."""
     lsb = Catalogue.load()["param.i_q_limit"].lsb
     return {
         joint.name: (1.0 / (motors[axis].torque_constant * joint.gear_ratio) if motors else 0.0, limit * lsb)
@@ -156,7 +160,7 @@ def _check_joints(names: Sequence[str] | dict[str, float], positions: dict[str, 
 
 
 def _report(path: Path, limits: dict[str, Limits], currents: dict[str, tuple[float, float]]) -> str:
-    """What a path takes, against the limits; the current is that of the acceleration, without friction and load."""
+    """Speed, acceleration and current of a path, with limits; the current is for the acceleration only."""
     state = path.state(np.linspace(path.start_time, path.end_time, _SAMPLES))
     lines = [f"{path.duration:g} s"]
     for k, joint in enumerate(path.joints):
@@ -165,7 +169,7 @@ def _report(path: Path, limits: dict[str, Limits], currents: dict[str, tuple[flo
         current = f"{acceleration * limits[joint].inertia * per_torque:.3g}" if per_torque else "an unknown current"
         lines.append(
             f"  {joint}: to {path.end[k]:g} rad, at most {speed:.4g} of {limits[joint].velocity_max:.4g} rad/s, "
-            f"{acceleration:.4g} of {limits[joint].acceleration_max:.4g} rad/s^2, for it {current} of "
+            f"{acceleration:.4g} of {limits[joint].acceleration_max:.4g} rad/s^2, with {current} of "
             f"{current_max:.3g} A"
         )
     return "\n".join(lines)
@@ -174,9 +178,9 @@ def _report(path: Path, limits: dict[str, Limits], currents: dict[str, tuple[flo
 def _wait(user: PathUser, duration: float) -> None:
     begin = time.monotonic()
     while (passed := time.monotonic() - begin) < duration + _STEADY:
-        user.turn(min(0.1, duration + _STEADY - passed))
+        user.spin_for(min(0.1, duration + _STEADY - passed))
         if refusal := user.path_refusal():
-            raise TrajectoryError(f"{refusal}; the joints have stopped. Send it again")
+            raise TrajectoryError(f"{refusal}; the joints have stopped; send the path again")
         if sys.stderr.isatty():
             done = min(passed / duration, 1.0)
             print(f"\r{100.0 * done:3.0f} %", end="", file=sys.stderr, flush=True)

@@ -1,8 +1,8 @@
-"""``servo-demo``: moves both axes over ROS topics and measures how well they got there.
+"""``servo-demo``: moves both axes over ROS topics and measures accuracy and settling.
 
-A separate process that knows the servo by its topics and services alone. It enables the axes, runs point-to-point
-moves, simultaneous moves, a reversal, a stop and a path of both axes, shows what happens and ends with tables of
-figures. The axes are disabled at the end, whatever happened.
+A separate process that uses the topics and services of the servo only. It enables the axes, runs point-to-point moves,
+simultaneous moves, a reversal, a stop and a path of both axes, prints its progress and tables of figures. The axes are
+disabled at the end in any case.
 """
 
 from __future__ import annotations
@@ -36,31 +36,31 @@ from servo_bridge.trajectory.path import Path as Motion
 from servo_bridge.trajectory.shapes import lissajous
 
 TURN: Final = 2.0 * math.pi
-_HOLD: Final = 0.25  # how long an axis has to stay on its target before the next move [s]
-_APPLY_TIMEOUT: Final = 2.0  # from publishing a set-point to its effect [s]
-_REACHED: Final = 0.1 * TURN  # a stop this close to the target has not stopped the move [rad]
+_HOLD: Final = 0.25  # time within the tolerance of the target before the next move [s]
+_APPLY_TIMEOUT: Final = 2.0  # from the publication of a set-point to its effect [s]
+_REACHED: Final = 0.1 * TURN  # distance from the target within which a stop counts as without effect [rad]
 _AMPLITUDE: Final = 1.0  # of the path [turns]
-_FREQUENCIES: Final = (1.0, 1.5)  # of its axes [Hz]
+_FREQUENCIES: Final = (1.0, 1.5)  # of the axes [Hz]
 _PATH_TIME: Final = 4.0  # [s]
-_AHEAD: Final = 0.5  # from publishing the path to its start [s]
-_ATTEMPTS: Final = 3  # to have the path taken
+_AHEAD: Final = 0.5  # from the publication of the path to its start [s]
+_ATTEMPTS: Final = 3  # number of attempts to start the path
 _PATH_ERROR: Final = 0.02  # largest distance from the path [rad]
-_TWIN_TIMEOUT: Final = 3.0  # for the twin to catch up with a move [s]
+_TWIN_TIMEOUT: Final = 3.0  # for the residuals of a move [s]
 
 
 class Demo:
-    """The choreography.
+    """Sequence of the demonstration.
 
     Parameters
     ----------
     client : ServoClient
         The servo.
     tolerance : float
-        Half width of the band around a target that counts as arrived [rad].
+        Half width of the band around a target that counts as reached [rad].
     timeout : float
         Longest time for one move [s].
     say : callable
-        Shows a line of progress.
+        Prints a line of progress.
     """
 
     def __init__(self, client: ServoClient, tolerance: float, timeout: float, say: Callable[[str], None]) -> None:
@@ -80,32 +80,32 @@ class Demo:
         client = self._client
         self._say("waiting for the servo ...")
         if not client.wait_for(client.ready, timeout):
-            seen = f"; its state is: {client.state}" if client.state else ""
+            state = f"; state: {client.state}" if client.state else ""
             raise DemoError(
-                f"no servo telemetry within {timeout:g} s{seen}. Start the servo first: `make up`, or `servo_bridge "
-                "--ros-args -p port:=/dev/ttyUSB0` for a board; ROS_DOMAIN_ID has to be the same here and there"
+                f"no servo telemetry within {timeout:g} s{state}. Start the servo first: `make up`, or `servo_bridge "
+                "--ros-args -p port:=/dev/ttyUSB0` for a board; ROS_DOMAIN_ID must be the same for both"
             )
         if require_twin and not client.wait_for(lambda: client.residual_after(0), timeout):
             raise DemoError(
                 f"no residuals of a twin within {timeout:g} s. Start it with `servo_twin` and see its log, "
-                "or leave out --require-twin"
+                "or omit --require-twin"
             )
         if client.geared:
             raise DemoError(
-                f"{', '.join(client.geared)} has a gear, a direction or an offset, and the demonstration turns bare "
-                "shafts by several turns; run it with the default gear_ratio, direction and offset"
+                f"{', '.join(client.geared)} has a gear ratio, a direction or an offset; the demonstration needs bare "
+                "shafts by several turns; use the default gear_ratio, direction and offset"
             )
         self.twin = require_twin or client.wait_for(lambda: client.twin_present, 1.0)
         self._say(f"servo found: {client.state}; " + ("comparing with the twin" if self.twin else "no twin is running"))
 
     def enable(self) -> None:
-        """Switch both axes on and wait until they obey."""
-        self._say("enabling again ..." if self._base else "enabling: the rotors are being searched ...")
+        """Enable both axes and wait for RUN/SPIN."""
+        self._say("enabling again ..." if self._base else "enabling: rotor search ...")
         self._client.enable(True)
-        if not self._watch_states(lambda: all(self._spins(axis) for axis in self._axes), 15.0):
-            raise DemoError(f"the axes did not get to RUN/SPIN within 15 s; state: {self._client.state}")
+        if not self._watch_states(lambda: all(self._is_spinning(axis) for axis in self._axes), 15.0):
+            raise DemoError(f"the axes did not reach RUN/SPIN within 15 s; state: {self._client.state}")
         if not self._base:
-            # The nearest whole turn: near to where the shafts are, and easy to read in the table.
+            # Nearest whole turn: close to the shafts, and easy to read in the table.
             self._base = [round(self._position(axis) / TURN) * TURN for axis in self._axes]
 
     def run(self) -> None:
@@ -120,25 +120,25 @@ class Demo:
         self._path("Lissajous")
 
     def disable(self) -> None:
-        """Switch both axes off and wait until they are."""
+        """Disable both axes and wait until they are off."""
         self._client.enable(False)
         off = self._client.wait_for(lambda: "RUN" not in self._client.state, 10.0)
-        self._say(f"disabled: {self._client.state}" if off else f"still running down: {self._client.state}")
+        self._say(f"disabled: {self._client.state}" if off else f"not off yet: {self._client.state}")
 
     # ---- moves
     def _move(self, title: str, turns: Mapping[int, float], first: Mapping[int, float] | None = None) -> None:
-        """One move; with `first`, that is commanded before and reversed half way."""
+        """Run one move; with `first`, command `first` before and reverse half way."""
         self._announce(title, turns if first is None else first)
         if first is not None:
             self._start_and_wait_half_way(first)
             self._say("  half way: reversing")
         start_ns, tick = self._command(turns)
         targets = {axis: self._target(axis, turns[axis]) for axis in turns}
-        self._wait(lambda: all(self._rests(axis, targets[axis], tick) for axis in targets), title)
-        self._judge(title, tick, start_ns, targets)
+        self._wait(lambda: all(self._at_rest(axis, targets[axis], tick) for axis in targets), title)
+        self._measure(title, tick, start_ns, targets)
 
     def _stop(self, title: str, turns: Mapping[int, float]) -> None:
-        """A move that ``quick_stop`` ends half way; the axes have to hold where they came to rest."""
+        """Interrupt a move half way by ``quick_stop``; the axes must hold where they came to rest."""
         self._announce(title, turns)
         self._start_and_wait_half_way(turns)
         self._say("  half way: quick_stop")
@@ -150,10 +150,10 @@ class Demo:
         def hold_point(axis: int) -> float:
             return self._client.latest(f"{axis_name(axis)}.position_ref")
 
-        self._wait(lambda: all(self._rests(axis, hold_point(axis), tick) for axis in turns), title)
-        self._judge(title, tick, start_ns, {axis: hold_point(axis) for axis in turns})
+        self._wait(lambda: all(self._at_rest(axis, hold_point(axis), tick) for axis in turns), title)
+        self._measure(title, tick, start_ns, {axis: hold_point(axis) for axis in turns})
         if self.twin:
-            self._say("  (the twin stops where its own ramp ends; then it takes over where the board holds)")
+            self._say("  (the twin stops after its own ramp, then takes the position of the board)")
         for axis, value in turns.items():
             if abs(hold_point(axis) - self._target(axis, value)) < _REACHED:
                 raise DemoError(
@@ -161,15 +161,15 @@ class Demo:
                 )
 
     def _path(self, title: str) -> None:
-        """A path in time of both axes, commanded as planners do it."""
+        """Follow a timed path of both axes, commanded as by a planner."""
         client = self._client
         low, high = _FREQUENCIES
         self._say(f"{title}: {client.joints[0]} at {low:g} Hz, {client.joints[1]} at {high:g} Hz, {_PATH_TIME:g} s")
-        # Without a phase the figure encloses most; with others it may run back on itself.
+        # Phase 0 gives the largest area; with other phases the figure may retrace itself.
         path = lissajous(client.joints, self._base, [_AMPLITUDE * TURN] * 2, _FREQUENCIES, _PATH_TIME, phase=0.0)
         start_ns, tick = self._follow(path)
         end = tick + round((_AHEAD + _PATH_TIME) * 1e9 / PERIOD_NS)
-        self._wait(lambda: all(self._rests(axis, self._base[axis], end) for axis in self._axes), title, _PATH_TIME)
+        self._wait(lambda: all(self._at_rest(axis, self._base[axis], end) for axis in self._axes), title, _PATH_TIME)
         names = [f"{axis_name(axis)}.{name}" for name in ("position", "position_ref") for axis in self._axes]
         ticks, *columns = client.since(tick, ["tick", *names])
         position, reference = np.array_split(np.column_stack(columns), 2, axis=1)
@@ -182,26 +182,26 @@ class Demo:
         self.paths.append(PathRow(title, tuple(client.joints), figures, _PATH_ERROR, self._tolerance, residuals))
         for joint, distance in zip(client.joints, figures.error_max, strict=True):
             self._say(f"  {joint}: at most {distance / TURN * COUNTS_PER_TURN:.1f} counts from the path")
-        self._say(f"  both began {figures.ticks_apart} ticks apart")
+        self._say(f"  start of the axes: {figures.ticks_apart} ticks apart")
 
     def _follow(self, path: Motion) -> tuple[int, int]:
-        """Publish a path; returns its start in ROS time [ns] and the tick at which its first points took effect."""
+        """Publish a path; returns its start in ROS time [ns] and the tick of the effect of its first points."""
         for _ in range(_ATTEMPTS):
             known, start_ns = len(self._client.applied), self._client.now_ns() + round(_AHEAD * 1e9)
             self._client.follow(path, start_ns)
             try:
                 return start_ns, self._applied_since(known, "cmd.points")
             except DemoError as error:
-                # Points that a busy computer sends too late are refused as a whole, and nothing moves.
+                # Points that arrive too late (busy computer) are refused as a whole; nothing moves.
                 self._say(f"  {error}")
-        raise DemoError(f"the path was not taken in {_ATTEMPTS} attempts; see the log of servo_bridge")
+        raise DemoError(f"the path was not accepted in {_ATTEMPTS} attempts; see the log of servo_bridge")
 
     def _announce(self, title: str, turns: Mapping[int, float]) -> None:
         parts = (f"{self._client.joints[axis]} to {value:+g} turns" for axis, value in turns.items())
         self._say(f"{title}: {', '.join(parts)}")
 
     def _command(self, turns: Mapping[int, float]) -> tuple[int, int]:
-        """Publish targets; returns the ROS time before [ns] and the tick of their effect in the firmware."""
+        """Publish targets; returns the ROS time before [ns] and the tick of the effect in the firmware."""
         known = len(self._client.applied)
         start_ns = self._client.now_ns()
         self._client.command({axis: self._target(axis, value) for axis, value in turns.items()})
@@ -217,7 +217,7 @@ class Demo:
         )
 
     def _applied_since(self, known: int, variable: str) -> int:
-        """Tick at which the firmware took a write of `variable` that came after the first `known` ones."""
+        """Tick of the first write of `variable` after the first `known` applied commands."""
         client = self._client
 
         def found() -> bool:
@@ -227,16 +227,16 @@ class Demo:
             raise DemoError(f"no {variable} took effect within {_APPLY_TIMEOUT:g} s; see the log of servo_bridge")
         return next(a.tick for a in client.applied[known:] if a.variable == variable)
 
-    def _wait(self, condition: Callable[[], bool], what: str, planned: float = 0.0) -> None:
-        """Wait for the condition; a move that takes too long ends here and shows up in the table."""
+    def _wait(self, condition: Callable[[], bool], name: str, planned: float = 0.0) -> None:
+        """Wait for the condition; after a timeout the table shows the move as not reached."""
         done = self._client.wait_for(lambda: condition() or self._faulted(), planned + self._timeout)
         if self._faulted():
-            raise DemoError(f"{what}: {self._fault_text()}")
+            raise DemoError(f"{name}: {self._fault_text()}")
         if not done:
-            self._say(f"  {what}: not there after {self._timeout:g} s")
+            self._say(f"  {name}: not finished after {self._timeout:g} s")
 
-    def _judge(self, title: str, tick: int, start_ns: int, targets: Mapping[int, float]) -> None:
-        """Measure every axis of a move and show it."""
+    def _measure(self, title: str, tick: int, start_ns: int, targets: Mapping[int, float]) -> None:
+        """Measure and print the figures of every axis of a move."""
         client = self._client
         residuals = self._residuals(start_ns, client.now_ns())
         for axis, target in targets.items():
@@ -248,21 +248,21 @@ class Demo:
             settled = "did not settle" if figures.settling_time is None else f"settled in {figures.settling_time:.3f} s"
             error = figures.error / TURN * COUNTS_PER_TURN
             self._say(
-                f"  {client.joints[axis]}: {settled}, {figures.reached / TURN:+.4f} turns, {error:+.1f} counts off"
+                f"  {client.joints[axis]}: {settled}, {figures.reached / TURN:+.4f} turns, {error:+.1f} counts error"
             )
 
     def _residuals(self, start_ns: int, end_ns: int) -> list[Residual | None]:
-        """Per axis, how far board and twin were apart in a span of ROS time [ns]; None without data of a twin."""
+        """Position residual between board and twin per axis in a span of ROS time [ns]; None without data of a twin."""
         client = self._client
         self.twin = self.twin or client.twin_present
         if self.twin and not client.wait_for(lambda: client.residual_after(end_ns), _TWIN_TIMEOUT):
-            self._say(f"  the twin has sent nothing for {_TWIN_TIMEOUT:g} s")
+            self._say(f"  no data of the twin for {_TWIN_TIMEOUT:g} s")
         table = client.residuals(start_ns, end_ns)
         if not len(table):
             return [None for _ in self._axes]
         return [Residual(rms(one), float(np.max(np.abs(one))), len(one)) for one in table.T]
 
-    # ---- looking
+    # ---- recorded data
     @property
     def _axes(self) -> range:
         return range(len(self._client.joints))
@@ -273,11 +273,11 @@ class Demo:
     def _position(self, axis: int) -> float:
         return self._client.latest(f"{axis_name(axis)}.position")
 
-    def _spins(self, axis: int) -> bool:
+    def _is_spinning(self, axis: int) -> bool:
         return f"{self._client.joints[axis]}=RUN/SPIN" in self._client.state.split()
 
-    def _rests(self, axis: int, target: float, since_tick: int) -> bool:
-        """The axis has been on its target for the hold time."""
+    def _at_rest(self, axis: int, target: float, since_tick: int) -> bool:
+        """True if the axis has been within the tolerance of its target for the hold time."""
         hold = round(_HOLD * 1e9 / PERIOD_NS)
         first = max(since_tick, self._client.tick - hold)
         if self._client.tick - since_tick < hold:
@@ -286,7 +286,7 @@ class Demo:
         return bool(np.all(np.abs(position - target) <= self._tolerance))
 
     def _watch_states(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Wait for the condition and show every change of state; a fault ends it."""
+        """Wait for the condition and print every change of the state; a fault raises an error."""
         shown = [""]
 
         def look() -> bool:
@@ -318,19 +318,17 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures to this file")
     parser.add_argument("--servo", default="servo", metavar="NAMESPACE", help="namespace of the board's node")
     parser.add_argument("--twin", default="twin", metavar="NAMESPACE", help="namespace of the twin")
-    parser.add_argument("--require-twin", action="store_true", help="fail when no twin is running")
+    parser.add_argument("--require-twin", action="store_true", help="fail if no twin is running")
     parser.add_argument(
-        "--tolerance", type=float, default=2.0, metavar="COUNTS", help="band that counts as arrived (default: 2)"
+        "--tolerance", type=float, default=2.0, metavar="COUNTS", help="tolerance of a target (default: 2)"
     )
-    parser.add_argument(
-        "--timeout", type=float, default=10.0, metavar="S", help="longest time for a move (default: 10)"
-    )
+    parser.add_argument("--timeout", type=float, default=10.0, metavar="S", help="timeout of a move (default: 10)")
     parser.add_argument(
         "--wait", type=float, default=20.0, metavar="S", help="time to wait for the servo (default: 20)"
     )
     arguments = parser.parse_args(argv)
     if arguments.tolerance <= 0.0 or arguments.timeout <= 0.0 or arguments.wait < 0.0:
-        parser.error("tolerance and timeout have to be positive, wait must not be negative")
+        parser.error("tolerance and timeout must be positive, wait must not be negative")
     return arguments
 
 
@@ -339,7 +337,7 @@ def _say(line: str) -> None:
 
 
 def _perform(client: ServoClient, arguments: argparse.Namespace) -> int:
-    # A hundredth of a count more, so that a whole number of counts is inside however its angle was rounded.
+    # 0.01 counts more, so that whole counts are inside the band in spite of rounding.
     tolerance = (arguments.tolerance + 0.01) * TURN / COUNTS_PER_TURN
     demo = Demo(client, tolerance, arguments.timeout, _say)
     demo.connect(arguments.wait, require_twin=arguments.require_twin)
@@ -370,32 +368,33 @@ def _perform(client: ServoClient, arguments: argparse.Namespace) -> int:
         _say(_shortcoming(demo))
         return 1
     _say(
-        f"both axes got there, within {arguments.tolerance:g} counts, and followed the path within {_PATH_ERROR:g} rad"
+        f"both axes reached their targets within {arguments.tolerance:g} counts, "
+        f"and followed the path within {_PATH_ERROR:g} rad"
     )
     return 0
 
 
 def _shortcoming(demo: Demo) -> str:
     if not all(row.figures.arrived for row in demo.rows):
-        return "not every axis got there"
+        return "not every axis reached its target"
     if not all(row.followed(axis) for row in demo.paths for axis in range(len(row.axes))):
-        return f"not every axis followed the path within {_PATH_ERROR:g} rad, together with the other, to its end"
+        return f"not every axis followed the path within {_PATH_ERROR:g} rad, synchronously, to its end"
     return "the twin sent no data"
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Command line.
+    """Run the program.
 
     Returns
     -------
     int
-        0 when both axes got there, 1 when not, 2 when there is no servo, 130 after Ctrl-C.
+        0: both axes reached their targets; 1: not; 2: no servo; 130: Ctrl-C.
     """
     argv = list(sys.argv if args is None else ["servo-demo", *args])
     arguments = _arguments(remove_ros_args(argv)[1:])
     rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-    # SIGTERM disables the axes just as Ctrl-C does. An exception from within a signal handler would
-    # come out of the executor's C++ as something else, or not at all.
+    # SIGTERM disables the axes as Ctrl-C does. An exception raised in a signal handler would not pass through the C++
+    # executor unchanged.
     interrupted = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: interrupted.set())

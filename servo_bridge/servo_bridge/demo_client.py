@@ -1,4 +1,4 @@
-"""A user of the servo over ROS topics and services, as the demonstration needs it; independent of board and link."""
+"""Client of the servo for the demonstration, over ROS topics and services only."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from servo_bridge.command_paths import path_message
 from servo_bridge.trajectory.path import Path
 from servo_msgs_py import topics
 
-_ANSWER: Final = 5.0  # a service answers within [s]
-_STEP: Final = 0.02  # longest time between two looks at a condition [s]
+_ANSWER: Final = 5.0  # timeout of a service [s]
+_STEP: Final = 0.02  # longest period of the check of a condition [s]
 
 
 class DemoError(RuntimeError):
-    """The demonstration cannot go on; the text says why and what to do."""
+    """The demonstration cannot continue; the text has the reason and a remedy."""
 
 
 class ServoClient(Node):
-    """Commands and records one servo.
+    """Sends commands to one servo and records its data.
 
     Parameters
     ----------
     executor : Executor
-        Runs this node; only `wait_for` turns it.
+        Runs this node; spun by `wait_for` only.
     servo, twin : str
-        Namespaces of the board's node and of its twin.
+        Namespaces of the bridge and of its twin.
     """
 
     def __init__(self, executor: Executor, servo: str, twin: str, interrupted: threading.Event) -> None:
@@ -48,7 +48,7 @@ class ServoClient(Node):
         self._interrupted = interrupted
         self._servo = servo
         self.joints: list[str] = []
-        self.geared: list[str] | None = None  # joints that are no bare shafts
+        self.geared: list[str] | None = None  # joints with a gear ratio, direction or offset; None: not known
         self.state = ""
         self.columns: list[str] = []
         self.applied: list[AppliedCommand] = []
@@ -75,12 +75,12 @@ class ServoClient(Node):
 
     # ---- waiting
     def wait_for(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Turn the executor until the condition holds or the time is over [s]; returns whether it holds.
+        """Spin the executor until the condition holds or the timeout [s]; returns whether it holds.
 
         Raises
         ------
         KeyboardInterrupt
-            If `interrupted` has been set. It is cleared: the axes have to be disabled after that.
+            If `interrupted` is set. The event is cleared, so that the axes can be disabled.
         """
         deadline = time.monotonic() + timeout
         while not condition():
@@ -93,7 +93,7 @@ class ServoClient(Node):
         return True
 
     def ready(self) -> bool:
-        """Telemetry flows and the services and command topics are connected."""
+        """True if telemetry is received and services and command topics are connected."""
         return bool(
             self.joints
             and self._rows
@@ -108,22 +108,22 @@ class ServoClient(Node):
 
     @property
     def twin_present(self) -> bool:
-        """Whether a twin publishes residuals."""
+        """True if a twin publishes residuals."""
         return bool(self.count_publishers(self._residual_topic))
 
-    # ---- commanding
+    # ---- commands
     def enable(self, on: bool) -> None:
-        """Call ``enable``; raises `DemoError` with the reason when it is refused."""
+        """Call ``enable``; raises `DemoError` with the reason if it is refused."""
         self._call(self._enable, SetBool.Request(data=on), topics.ENABLE)
 
     def quick_stop(self) -> None:
-        """Call ``quick_stop``; raises `DemoError` with the reason when it is refused."""
+        """Call ``quick_stop``; raises `DemoError` with the reason if it is refused."""
         self._call(self._quick_stop, Trigger.Request(), topics.QUICK_STOP)
 
     def _call(self, client: Any, request: Any, name: str) -> None:
         future = client.call_async(request)
         if not self.wait_for(future.done, _ANSWER):
-            raise DemoError(f"the service {self._of(name)} does not answer; see the log of servo_bridge")
+            raise DemoError(f"the service {self._of(name)} does not respond; see the log of servo_bridge")
         response = future.result()
         if not response.success:
             raise DemoError(f"the service {self._of(name)} refused: {response.message}")
@@ -138,28 +138,28 @@ class ServoClient(Node):
         self._commands.publish(JointState(name=names, position=list(targets.values())))
 
     def follow(self, path: Path, start_ns: int) -> None:
-        """Publish a path that begins where the joints are, to be followed from a ROS time on [ns]."""
+        """Publish a path that begins at the present positions, to be started at a ROS time [ns]."""
         message = path_message(path)
         message.header.stamp = to_stamp(start_ns)
         self._paths.publish(message)
 
     def close(self) -> None:
-        """End the node."""
+        """Destroy the node."""
         self._runner.remove_node(self)
         Node.destroy_node(self)
 
     # ---- recordings
     @property
     def tick(self) -> int:
-        """Tick of the newest sample."""
+        """Tick of the last sample."""
         return int(self._rows[-1][self.columns.index("tick")])
 
     def latest(self, column: str) -> float:
-        """Newest value of a column [SI]."""
+        """Last value of a column [SI]."""
         return float(self._rows[-1][self.columns.index(column)])
 
     def since(self, tick: int, columns: Sequence[str]) -> list[NDArray[np.float64]]:
-        """Columns of all samples from `tick` on [SI], each of shape (samples,)."""
+        """Columns of all samples since `tick` [SI], each of shape (samples,)."""
         index = self.columns.index("tick")
         first = len(self._rows)
         while first and self._rows[first - 1][index] >= tick:
@@ -168,24 +168,24 @@ class ServoClient(Node):
         return [chosen[:, self.columns.index(name)] for name in columns]
 
     def stamp_ns(self, tick: int) -> int:
-        """ROS time of the first sample from `tick` on [ns]."""
+        """ROS time of the first sample since `tick` [ns]."""
         seconds, nanoseconds = self.since(tick, topics.STAMP_COLUMNS)
         return int(seconds[0]) * 1_000_000_000 + int(nanoseconds[0])
 
     def residuals(self, start_ns: int, end_ns: int) -> NDArray[np.float64]:
-        """Position residuals, samples by joints, stamped within a span of ROS time [ns]."""
+        """Position residuals, shape (samples, joints), within a span of ROS time [ns]."""
         chosen = [values for stamp, values in self._residuals if start_ns <= stamp <= end_ns]
         return np.array(chosen, dtype=np.float64).reshape(-1, len(self.joints))
 
     def residual_after(self, stamp_ns: int) -> bool:
-        """A residual of this time or later has come."""
+        """True if a residual of this time or later has been received."""
         return bool(self._residuals) and self._residuals[-1][0] >= stamp_ns
 
     def now_ns(self) -> int:
         """ROS time [ns]."""
         return int(self.get_clock().now().nanoseconds)
 
-    # ---- incoming
+    # ---- subscriptions
     def _on_names(self, message: JointState) -> None:
         if self.joints:
             return

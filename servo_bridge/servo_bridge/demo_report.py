@@ -1,4 +1,4 @@
-"""Figures of the demonstration as tables for people and as JSON. Pure."""
+"""Figures of the demonstration as text tables and as JSON. Pure."""
 
 from __future__ import annotations
 
@@ -50,24 +50,24 @@ class PathRow:
     path: str  # title
     axes: tuple[str, ...]  # joints of the path
     figures: PathFigures  # of the motion along it
-    error_max: float  # largest permitted distance from the path [rad]
-    tolerance: float  # largest permitted distance of the mean position after its end [rad]
+    error_max: float  # permitted distance from the path [rad]
+    tolerance: float  # permitted error of the mean position after the end [rad]
     residuals: tuple[Residual, ...]  # per joint; empty without a twin
 
     def followed(self, axis: int) -> bool:
-        """Whether an axis kept to the path, began it together with the others, and stayed at its end."""
+        """True if an axis followed the path, started synchronously, and stayed at the end."""
         f = self.figures
         near = f.error_max[axis] <= self.error_max and abs(f.end_error[axis]) <= self.tolerance
         return near and f.ticks_apart == 0
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Moves laid out in columns, with a line of units below the heading."""
+    """Table of moves, with a line of units below the heading."""
     return _laid_out([_COLUMNS, _UNITS, *(tuple(_cells(row)) for row in rows)])
 
 
 def path_table(rows: Sequence[PathRow]) -> str:
-    """Paths laid out in the same way, a line for each axis."""
+    """Table of paths, one line per axis."""
     lines = [tuple(_path_cells(row, axis)) for row in rows for axis in range(len(row.axes))]
     return _laid_out([_PATH_COLUMNS, _PATH_UNITS, *lines])
 
@@ -125,14 +125,14 @@ def _counts(angle: float | None) -> str:
 
 
 def passed(rows: Sequence[Row], paths: Sequence[PathRow], *, twin: bool) -> bool:
-    """True when there are rows, every axis got there and followed, and the twin, if any, sent data for every row."""
+    """True if every axis reached its targets and followed its paths, and the twin, if any, sent data for every row."""
     moved = bool(rows) and all(row.figures.arrived and (row.residual is not None or not twin) for row in rows)
     followed = all(all(map(row.followed, range(len(row.axes)))) and (bool(row.residuals) or not twin) for row in paths)
     return moved and bool(paths) and followed
 
 
 def report(rows: Sequence[Row], paths: Sequence[PathRow], *, tolerance_counts: float, twin: bool) -> dict[str, Any]:
-    """Everything as plain numbers, SI, ready for JSON."""
+    """All figures as numbers in SI units, for JSON."""
     return {
         "passed": passed(rows, paths, twin=twin),
         "twin": twin,

@@ -1,4 +1,4 @@
-"""The robot description of a bridge that does not run yet, from its parameter file.
+"""Print the robot description of a bridge from its parameter file; the bridge need not run.
 
 ``python -m servo_bridge.description --params my.yaml > servo.urdf``
 """
@@ -20,14 +20,14 @@ from servo_msgs_py import topics
 
 
 def description_from_file(params: str = "", namespace: str = "") -> str:
-    """Robot description as the bridge will publish it.
+    """Robot description that the bridge will publish.
 
     Parameters
     ----------
     params : str
         Parameter file of the bridge; empty: the defaults.
     namespace : str
-        Put before ``servo``, as in the launch files.
+        Namespace before ``servo``, as in the launch files.
 
     Returns
     -------
@@ -37,7 +37,7 @@ def description_from_file(params: str = "", namespace: str = "") -> str:
     Raises
     ------
     ParameterError
-        If the file cannot be read, or its values make no sense.
+        If the file cannot be read, or its values are invalid.
     """
     board = f"{'/' if namespace.strip('/') else ''}{namespace.strip('/')}/servo"
     values = {name: spec.default for name, spec in PARAMETERS.items()}
@@ -62,7 +62,7 @@ def description_from_file(params: str = "", namespace: str = "") -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Command line; exit status 2 when the parameter file makes no sense."""
+    """Run the program; exit status 2 if the parameter file is invalid."""
     parser = argparse.ArgumentParser(
         prog="servo_bridge.description", description="Print the robot description (URDF) of a bridge."
     )

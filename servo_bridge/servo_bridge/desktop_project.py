@@ -1,8 +1,8 @@
-"""A project for NXP's desktop tool: every variable of the board with its unit, scale and limits. Pure.
+"""Project file for the FreeMASTER desktop tool: every variable of the board with its unit, scale and limits. Pure.
 
-The tool (FreeMASTER 3) keeps its project in a ``.pmpx`` file: an XML archive of objects that name each other. What the
-objects hold was learned from projects that NXP publishes; the tool itself has not opened one of these files here.
-Addresses are names: the tool looks them up in the board's table of variables.
+The tool (FreeMASTER 3) stores its project in a ``.pmpx`` file: an XML archive of objects that refer to each other by
+name. The contents of the objects are derived from projects that NXP publishes; the generated files have not been tested
+with the tool itself. Addresses are symbol names: the tool finds them in the variable table of the board.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ _CURVES: Final = ("position", "speed", "speed_ref", "i_q", "i_q_ref", "i_d")
 
 
 class _Archive:
-    """Objects in the order in which they were added; the first is the document."""
+    """Objects in the order of their addition; the first is the document."""
 
     def __init__(self) -> None:
         self._objects: list[tuple[str, Sequence[Member]]] = []
 
     def reserve(self) -> str:
-        """Name of an object that is filled later."""
+        """Add an empty object that is filled later; returns its name."""
         self._objects.append(("", ()))
         return f"ObjId{len(self._objects) - 1:04}"
 
     def fill(self, name: str, kind: str, members: Sequence[Member] = ()) -> str:
-        """Say what a reserved object is."""
+        """Set type and members of a reserved object; returns its name."""
         self._objects[int(name.removeprefix("ObjId"))] = (kind, members)
         return name
 
@@ -53,7 +53,7 @@ class _Archive:
         return self.add("CObList", [(f"item{k}", "CObject_ptr", name) for k, name in enumerate(names)])
 
     def text(self) -> str:
-        """The file."""
+        """Contents of the file."""
         root = ET.Element("xmlarchive", schema="65535")
         ET.SubElement(ET.SubElement(root, "main"), "member", name="document", type="CPrjDoc").text = "ObjId0000"
         objects = ET.SubElement(root, "objects")
@@ -83,14 +83,14 @@ def _numbers(**values: int) -> list[Member]:
 
 
 def desktop_project(catalogue: Catalogue, baud: int = 115_200) -> str:
-    """Write the project.
+    """Return a project file.
 
     Parameters
     ----------
     catalogue : Catalogue
-        Variables; blocks of memory are left out.
+        Variables of the board; memory blocks are omitted.
     baud : int
-        Line speed that the tool proposes [bit/s].
+        Default line speed in the tool [bit/s].
 
     Returns
     -------
@@ -141,7 +141,7 @@ def desktop_project(catalogue: Catalogue, baud: int = 115_200) -> str:
     return archive.text()
 
 
-_FLASH: Final[Sequence[Member]] = (  # what the tool writes for a project without flash programming
+_FLASH: Final[Sequence[Member]] = (  # as written by the tool for a project without flash programming
     *_numbers(is_default=1),
     *_strings(csw_addr="fprgCSW"),
     *_numbers(csw_size=1),
@@ -175,7 +175,7 @@ def _enum(archive: _Archive, name: str, values: Mapping[str, int]) -> str:
 
 
 def _variable(archive: _Archive, variable: Variable, name: str) -> str:
-    """One number: value = lsb * raw, where that is not 1."""
+    """Add one number; value = lsb * raw."""
     scaled = variable.lsb != 1.0
     transformation = "NULL"
     if scaled:
@@ -226,7 +226,7 @@ def _variable(archive: _Archive, variable: Variable, name: str) -> str:
 
 # ---- tree -----------------------------------------------------------------------------------------------------------
 def _tree(archive: _Archive, variables: dict[str, str], title: str) -> str:
-    """A root that watches the board, and a block with a scope per axis."""
+    """Add a root with the variables of the board, and a block with a scope per axis."""
     root = archive.reserve()
     blocks = []
     for number in range(1, AXES + 1):
@@ -286,7 +286,7 @@ def _block(
 
 
 def _scope(archive: _Archive, parent: str, axis: str, curves: dict[str, str]) -> str:
-    """An oscilloscope with the curves of an axis, each with an axis of its own."""
+    """Add an oscilloscope with the curves of an axis, each with its own y axis."""
     infos = [
         archive.add(
             "CPrjItemRS_VarInfo",

@@ -1,9 +1,8 @@
-"""The way of a command write to the board and the proof that it took effect.
+"""Sends command writes one at a time and confirms each by `applied_count` and `applied_tick` in the telemetry.
 
-One command write is under way at a time. It counts as done when telemetry shows that the firmware has latched one
-more write; that sample's `applied_tick` is then exactly the tick of this write, so a twin can replay it. Urgent
-writes (enable, stop, clear) go before set-points. Pure; the link is handed in.
-Data go one way: the arbiter puts set-points into a `SetPointQueue`, and this takes them out.
+A write is confirmed when the telemetry shows one more applied write; the `applied_tick` of that sample is then the
+exact tick of this write, so a twin can replay it. Urgent writes (enable, stop, clear) precede set-points. The arbiter
+puts set-points into a `SetPointQueue`, the dispatcher removes them. Pure; the link is a parameter.
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ from servo_msgs_py.units import SLOW_PERIODS
 from servo_bridge.set_point_queue import CommandWrite, SetPointQueue
 
 _TIMEOUT = 40 * SLOW_PERIODS
-"""PWM periods (20 ms) after which an accepted write that no sample has shown is given up. The board latches within one
-slow tick; the rest is for a sample that was already on its way."""
+"""PWM periods (20 ms) after which an acknowledged write without effect is given up. The board applies writes within one
+slow tick; the remainder allows for a sample that was already being transmitted."""
 
 
 @dataclass
@@ -32,16 +31,16 @@ class _Item:
 
 
 class Dispatcher:
-    """Sends command writes and attributes ticks to them. Every method is called from one thread.
+    """Sends command writes and finds the ticks of their effect. All methods are called from one thread.
 
     Parameters
     ----------
     send : callable
-        Starts one write and returns at once; the owner reports its end through `acknowledged`.
+        Starts a write and returns at once; the owner reports the response through `acknowledged`.
     set_points : SetPointQueue
-        Taken from whenever no write is under way.
+        Source of set-points while no write is pending.
     on_trouble : callable
-        Gets a sentence for the log.
+        Receives messages for the log.
     """
 
     def __init__(
@@ -54,38 +53,38 @@ class Dispatcher:
         self._set_points = set_points
         self._on_trouble = on_trouble
         self._urgent: deque[_Item] = deque()
-        self._under_way: _Item | None = None
+        self._pending: _Item | None = None
         self._count: int | None = None
         self._open = False
 
     def open(self, carried_out: CommandWrite | None = None) -> None:
-        """Start sending: the link is up.
+        """Start sending after the link is up.
 
         Parameters
         ----------
         carried_out : CommandWrite, optional
-            What the link has had the board do before its first sample, which tells the tick.
+            Write that the link has executed before its first sample; that sample has the tick.
         """
         self._open = True
         self._count = None
-        self._under_way = None if carried_out is None else _Item(carried_out, acknowledged=True)
+        self._pending = None if carried_out is None else _Item(carried_out, acknowledged=True)
 
     def close(self, reason: str) -> None:
-        """Stop sending and throw away everything that waits; the futures of urgent writes fail with `reason`."""
+        """Stop sending and discard all pending writes; the futures of urgent writes fail with `reason`."""
         self._open = False
-        items = ([self._under_way] if self._under_way is not None else []) + list(self._urgent)
-        self._under_way = None
+        items = ([self._pending] if self._pending is not None else []) + list(self._urgent)
+        self._pending = None
         self._urgent.clear()
         for item in items:
             _fail(item, reason)
 
     def urgent(self, write: CommandWrite) -> Future[int]:
-        """Queue a write that goes before every set-point.
+        """Queue a write that precedes all set-points.
 
         Returns
         -------
         Future
-            The tick at which it took effect, or a `ConnectionError` that says why it did not.
+            The tick of its effect, or a `ConnectionError` with the reason.
         """
         item = _Item(write, Future())
         assert item.done is not None
@@ -97,9 +96,9 @@ class Dispatcher:
         return item.done
 
     def pump(self) -> None:
-        """Send the next write when the way is free."""
-        if not self._open or self._under_way is not None or self._count is None:
-            return  # without a first sample the effect of a write could not be told
+        """Send the next write if none is pending."""
+        if not self._open or self._pending is not None or self._count is None:
+            return  # without a first sample the effect of a write cannot be detected
         if self._urgent:
             item = self._urgent.popleft()
         else:
@@ -107,40 +106,40 @@ class Dispatcher:
             if write is None:
                 return
             item = _Item(write)
-        self._under_way = item
+        self._pending = item
         self._send(item.write)
 
     def acknowledged(self, write: CommandWrite, error: str | None) -> None:
-        """Take the board's answer to a write: None, or why it was refused."""
-        item = self._under_way
+        """Process the response of the board to a write; `error` None: accepted."""
+        item = self._pending
         if item is None or item.write is not write:
-            return  # thrown away meanwhile
+            return  # discarded in the meantime
         if error is None:
             item.acknowledged = True
             if item.done is None:
                 self._set_points.accepted(write)
             return
-        self._under_way = None
+        self._pending = None
         if item.done is None:
             self._set_points.failed(write)
-            self._on_trouble(f"the write of {write.variable} failed and its set-point is void: {error}")
+            self._on_trouble(f"the write of {write.variable} failed, its set-point is discarded: {error}")
         _fail(item, error)
         self.pump()
 
     def on_sample(self, tick: int, applied_tick: int, applied_count: int) -> AppliedCommand | None:
-        """Look in a sample for the effect of the write under way.
+        """Check a sample for the effect of the pending write.
 
         Parameters
         ----------
         tick : int
             Extended tick of the sample.
         applied_tick : int
-            uint32 tick of the last write that took effect.
+            uint32 tick of the last applied write.
         applied_count : int
-            uint16 number of writes that took effect.
+            uint16 number of applied writes.
         """
         before, self._count = self._count, applied_count
-        item = self._under_way
+        item = self._pending
         if item is None or not item.acknowledged:
             self.pump()
             return None
@@ -152,16 +151,16 @@ class Dispatcher:
         if item.first_tick is None:
             item.first_tick = tick
         elif tick - item.first_tick > _TIMEOUT:
-            self._on_trouble(f"the board took a write of {item.write.variable} but did not carry it out")
+            self._on_trouble(f"the write of {item.write.variable} was acknowledged but not applied within 20 ms")
             if item.done is None:
                 self._set_points.failed(item.write)
-            _fail(item, "the board took the command but did not carry it out")
-            self._under_way = None
+            _fail(item, "the command was acknowledged but not applied within 20 ms")
+            self._pending = None
             self.pump()
         return None
 
     def _finish(self, item: _Item, tick: int) -> None:
-        self._under_way = None
+        self._pending = None
         if item.done is not None:
             item.done.set_result(tick)
         self.pump()

@@ -1,4 +1,4 @@
-"""What a node has created since a moment, to be destroyed together."""
+"""Entities that a node creates after a moment, to be destroyed together."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from rclpy.node import Node
 
 
 class Entities:
-    """Publishers, subscriptions, services, clients, timers and waitables that a node creates from now on.
+    """Publishers, subscriptions, services, clients, timers and waitables that a node creates after this object.
 
     Parameters
     ----------
     node : Node
-        Their owner.
+        Owner of the entities.
     """
 
     def __init__(self, node: Node) -> None:
@@ -22,7 +22,7 @@ class Entities:
         self._before = frozenset(_all(node))
 
     def destroy(self) -> None:
-        """Destroy them; in the executor's thread, also out of a callback."""
+        """Destroy the entities; in the thread of the executor, also from a callback."""
         node = self._node
         for entities, destroy in (
             (node.publishers, node.destroy_publisher),
@@ -30,7 +30,10 @@ class Entities:
             (node.services, node.destroy_service),
             (node.clients, node.destroy_client),
             (node.timers, node.destroy_timer),
-            (node.waitables, lambda waitable: waitable.destroy()),  # such as actions; they leave the node by themselves
+            (
+                node.waitables,
+                lambda waitable: waitable.destroy(),
+            ),  # such as actions, which remove themselves from the node
         ):
             for entity in self._new(entities):
                 destroy(entity)

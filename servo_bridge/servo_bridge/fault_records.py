@@ -1,4 +1,4 @@
-"""Fetches from the board what led to a fault, and hands it on: a sentence for the log, the samples for a topic."""
+"""Reads the record of the first fault of an axis from the board, for the log and for a topic."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from servo_msgs_py.fault_record import FaultRecord, record_variable
 
 from servo_bridge.outcome import error_of
 
-SECOND_LOOK: Final = 4000
-"""PWM periods after which the name of the first fault is final: the firmware may find a cause behind a symptom."""
+SECOND_READ: Final = 4000
+"""PWM periods after which the first fault is final: the firmware may replace a symptom by its cause until then."""
 
 
 class FaultRecords:
-    """First faults of all axes, read when they come and once more when their names are final.
+    """Records of the first faults of all axes, read at the fault and again when the fault is final.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class FaultRecords:
     post : callable
         Runs a function in the thread of the node.
     changed : callable
-        Called with a record that is new or has another name than before.
+        Called with a record that is new or whose fault has changed.
     """
 
     def __init__(
@@ -45,14 +45,14 @@ class FaultRecords:
         self.records: list[FaultRecord | None] = [None] * AXES
 
     def on_snapshot(self, tick: int, faults: Sequence[int]) -> None:
-        """Look at the fault words of a sample."""
+        """Check the fault words of a sample."""
         for axis, word in enumerate(faults):
             due = self._again[axis]
             if word == 0:
                 self._again[axis] = None
                 self.records[axis] = None
             elif self._words[axis] == 0:
-                self._again[axis] = tick + SECOND_LOOK
+                self._again[axis] = tick + SECOND_READ
                 self._fetch(axis)
             elif due is not None and tick >= due:
                 self._again[axis] = None
@@ -60,7 +60,7 @@ class FaultRecords:
             self._words[axis] = word
 
     def link_lost(self) -> None:
-        """Nothing is known of the board any more."""
+        """Forget the records of the board."""
         self._words = [0] * AXES
         self._again = [None] * AXES
         self.records = [None] * AXES
@@ -71,10 +71,10 @@ class FaultRecords:
 
     def _take(self, axis: int, done: Future[Value]) -> None:
         if error_of(done) is not None or self._words[axis] == 0:
-            return  # a lost link, or cleared meanwhile; the fault itself is told anyway
+            return  # link lost, or fault cleared; the fault itself is reported elsewhere
         try:
             record = FaultRecord.of(axis, done.result(), self._catalogue)
-        except ValueError:  # of a firmware with other records; as above
+        except ValueError:  # firmware with other records; as above
             return
         before = self.records[axis]
         if record.fault is None:

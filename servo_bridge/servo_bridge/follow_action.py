@@ -1,4 +1,4 @@
-"""The action ``follow_joint_trajectory``: goals of control_msgs/FollowJointTrajectory."""
+"""The action ``follow_joint_trajectory`` (control_msgs/FollowJointTrajectory)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rclpy.node import Node
 from servo_msgs_py.convert import to_stamp
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from servo_bridge.setpoints import Rejected
+from servo_bridge.set_points import Rejected
 from servo_bridge.trajectory.errors import TrajectoryError
 from servo_bridge.trajectory.follower import Follower, Plan
 from servo_bridge.trajectory.goal import CANCELED, PREEMPTED, Goal, GoalDefaults, Step
@@ -33,7 +33,7 @@ _FEEDBACK_PERIODS: Final = 800  # 50 ms
 
 
 def action_interfaces() -> ModuleType | None:
-    """The package ``control_msgs.action``, None where it is not installed."""
+    """The module ``control_msgs.action``; None if it is not installed."""
     try:
         return importlib.import_module("control_msgs.action")
     except ImportError:
@@ -41,17 +41,17 @@ def action_interfaces() -> ModuleType | None:
 
 
 class _Server(ActionServer):
-    """An action server whose goals end when its owner says so.
+    """Action server whose owner ends the goals.
 
-    Of rclpy's own ways, a function that returns the result would block the executor, and a coroutine that waits for it
-    is resumed by the events executor again and again, which takes a whole core.
+    With rclpy alone, a function that returns the result blocks the executor, and the events executor polls a waiting
+    coroutine without pause, which occupies a core.
     """
 
     def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:
-        """Do nothing yet: the goal is executing from now on."""
+        """Do nothing: the goal is executing from now on."""
 
     def finish(self, goal_handle: Any, execute_callback: Callable[[Any], Any]) -> None:
-        """Have the executor end a goal and send the result that the callback returns."""
+        """End a goal and send the result that the callback returns, in the executor."""
         super().notify_execute(goal_handle, execute_callback)
 
 
@@ -61,14 +61,14 @@ class _Active:
 
     handle: Any
     goal: Goal
-    plan: Plan | None = None  # until it has begun, for `Follower.withdraw`
-    paths: Mapping[str, Path] = field(default_factory=dict)  # by joint, as the follower has them
-    path: Path | None = None  # the same of all its joints together
+    plan: Plan | None = None  # for `Follower.withdraw` before the path has begun
+    paths: Mapping[str, Path] = field(default_factory=dict)  # by joint, from the follower
+    path: Path | None = None  # merged path of all joints
     next_feedback: int = 0  # tick
 
 
 class FollowAction:
-    """Action server.
+    """Action server of the bridge.
 
     Parameters
     ----------
@@ -79,11 +79,11 @@ class FollowAction:
     joints : sequence of str
         Joint names in the order of the axes.
     trajectories : TrajectoryTopics
-        Checks a trajectory and has it followed.
+        Checks trajectories and starts them.
     follower : Follower
-        Knows the paths of the joints.
+        Has the paths of the joints.
     defaults : GoalDefaults
-        Tolerances.
+        Default tolerances.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class FollowAction:
 
     # ---- goals
     def _cancel(self, handle: Any) -> CancelResponse:
-        """Accept, unless the result is on its way."""
+        """Accept, unless the result is being sent."""
         known = any(active.handle == handle for active in self._active)
         return CancelResponse.ACCEPT if known else CancelResponse.REJECT
 
@@ -139,7 +139,7 @@ class FollowAction:
             active = self._begin(handle, joints)
         except Rejected as error:
             goal.refused(error)
-        except Exception as error:  # the executor would end the node
+        except Exception as error:  # an exception would end the executor
             self._node.get_logger().error(f"{_SOURCE}: {traceback.format_exc()}")
             goal.failed(f"{_SOURCE}: internal error: {error!r}")
         else:
@@ -148,12 +148,12 @@ class FollowAction:
         self._end(handle, goal)
 
     def _begin(self, handle: Any, joints: Sequence[str]) -> _Active:
-        """Have a goal followed.
+        """Start to follow a goal.
 
         Raises
         ------
         Rejected
-            If it is refused at once.
+            If the goal is refused.
         """
         request = handle.request
         goal = self._goal(request, joints)
@@ -183,15 +183,15 @@ class FollowAction:
             raise TrajectoryError(f"{_SOURCE}: multi_dof_trajectory is not supported; leave it empty")
         if len(request.component_path_tolerance) or len(request.component_goal_tolerance):
             raise TrajectoryError(f"{_SOURCE}: tolerances of components are not supported; leave them empty")
-        wanted = request.goal_time_tolerance
-        goal_time = goal_time_from(wanted.sec + wanted.nanosec * 1e-9, self._defaults.goal_time)
+        tolerance = request.goal_time_tolerance
+        goal_time = goal_time_from(tolerance.sec + tolerance.nanosec * 1e-9, self._defaults.goal_time)
         path = tolerances_from(request.path_tolerance, joints, self._defaults.path)
         goal = tolerances_from(request.goal_tolerance, joints, self._defaults.goal)
         return Goal(joints, path, goal, goal_time)
 
-    # ---- time
+    # ---- samples
     def on_sample(self, tick: int, stamp_ns: int, position: Sequence[float], velocity: Sequence[float]) -> None:
-        """Take a sample of the board.
+        """Check the goals with a sample of the board.
 
         Parameters
         ----------
@@ -200,7 +200,7 @@ class FollowAction:
         stamp_ns : int
             ROS time of the tick [ns].
         position, velocity : sequence of float
-            Of every joint [rad], [rad/s].
+            Of all joints [rad], [rad/s].
         """
         for active in list(self._active):
             axes = [self._joints.index(joint) for joint in active.goal.joints]
@@ -218,20 +218,20 @@ class FollowAction:
                 self._active.remove(active)
                 self._end(active.handle, active.goal)
                 if active.goal.outcome.phase is Phase.ABORTED:
-                    self._stop_rest(active)
+                    self._stop_remaining(active)
             elif moving and desired is not None and tick >= active.next_feedback:
                 active.next_feedback = tick + _FEEDBACK_PERIODS
                 active.handle.publish_feedback(self._feedback(active, stamp_ns, desired, actual))
 
     def link_lost(self, reason: str) -> None:
-        """End every goal: there are no samples any more."""
+        """End all goals, because there are no more samples."""
         active, self._active = self._active, []
         for each in active:
             each.goal.failed(reason)
             self._end(each.handle, each.goal)
 
     def _stop(self, goal: Goal) -> None:
-        """Have the joints of a cancelled goal stop and hold."""
+        """Stop the joints of a cancelled goal."""
         try:
             end = self._trajectories.stop(_SOURCE, goal.joints, CANCELED)
         except Rejected as error:
@@ -239,12 +239,12 @@ class FollowAction:
         else:
             goal.stopping(end)
 
-    def _stop_rest(self, active: _Active) -> None:
+    def _stop_remaining(self, active: _Active) -> None:
         """Stop the joints that still follow the path of an aborted goal."""
         paths = self._follower.paths()
         joints = [joint for joint, path in active.paths.items() if paths.get(joint) is path]
         if joints:
-            with contextlib.suppress(Rejected):  # the board has stopped them: the axes obey nothing
+            with contextlib.suppress(Rejected):  # the board has stopped them already
                 self._trajectories.stop(_SOURCE, joints, active.goal.outcome.text)
 
     def _feedback(self, active: _Active, stamp_ns: int, desired: State, actual: State) -> Any:
@@ -268,7 +268,7 @@ def _measured(position: Sequence[float], velocity: Sequence[float]) -> State:
 
 
 def _point(state: State) -> JointTrajectoryPoint:
-    """A state as a message; what is not known stays empty."""
+    """State as a message; unknown quantities are omitted."""
     values = {"positions": state.position, "velocities": state.velocity, "accelerations": state.acceleration}
     known = {name: column.tolist() for name, column in values.items() if not np.isnan(column).any()}
     return JointTrajectoryPoint(**known)

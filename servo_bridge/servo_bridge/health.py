@@ -1,4 +1,4 @@
-"""What goes into /diagnostics: the state of link, board, axes and commands, in words. Pure apart from the messages."""
+"""Statuses of /diagnostics: link, board, axes, commands, parameters, storage. Pure except for the messages."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ _WARN: Final[bytes] = DiagnosticStatus.WARN
 _ERROR: Final[bytes] = DiagnosticStatus.ERROR
 _TROUBLE: Final = ("timeouts", "crc_errors", "damaged", "refused")
 BOARD_COUNTERS: Final = ("late_loops", "receiver_overruns")
-"""Variables of the board that count what should never happen, modulo 65536."""
+"""Error counters of the board, modulo 65536."""
 
 WINDING: Final = ("winding_temperature", "winding_current")
-"""Variables of an axis that `Winding` is made of."""
+"""Variables of an axis for `Winding`."""
 
 
 @dataclass(frozen=True)
 class Winding:
-    """The board's estimate of a motor's winding."""
+    """Estimated winding temperature of a motor, and its effect."""
 
-    temperature: float  # estimated from the currents [deg C]
-    current: float  # present current limit; the full scale without a reduction [A]
+    temperature: float  # temperature [deg C]
+    current: float  # derated current limit; full scale if not derated [A]
 
 
 @dataclass
 class CommandFigures:
-    """Counts of the set-points since the start."""
+    """Numbers of set-points since the start."""
 
     accepted: int = 0
     rejected: int = 0
@@ -49,14 +49,14 @@ class CommandFigures:
 
 
 class Health:
-    """Builds the statuses; keeps the last counters so that new errors are seen.
+    """Builds the statuses; keeps the last counter values to detect new errors.
 
     Parameters
     ----------
     catalogue : Catalogue
         For the texts of faults and limits.
     node : str
-        Name of the node with its namespace, the first part of every status name.
+        Name of the node with its namespace, prefix of every status name.
     port : str
         Port of the board.
     joints : sequence of str
@@ -116,15 +116,15 @@ class Health:
     def board(
         self, info: BoardInfo | None, snapshot: Snapshot | None, counts: Mapping[str, int] | None = None
     ) -> DiagnosticStatus:
-        """Status of the board itself.
+        """Status of the board.
 
         Parameters
         ----------
         info : BoardInfo, optional
         snapshot : Snapshot, optional
-            The newest sample; None without a board.
+            Newest sample; None without a board.
         counts : mapping of str to int, optional
-            `BOARD_COUNTERS` as last read; None as long as they have not been.
+            Last values of `BOARD_COUNTERS`; None if not read yet.
         """
         if info is None or snapshot is None:
             self._last_counts = {}
@@ -158,20 +158,20 @@ class Health:
         winding: Winding | None = None,
         current_limit: float | None = None,
     ) -> DiagnosticStatus:
-        """Status of one axis, faults with cause and remedy; a warning while its winding holds it back.
+        """Status of one axis; faults with cause and remedy, a warning while the current limit is derated.
 
         Parameters
         ----------
         axis : int
             Index.
         snapshot : Snapshot, optional
-            The newest sample; None without a board.
+            Newest sample; None without a board.
         record : FaultRecord, optional
-            Of the first fault.
+            Record of the first fault.
         winding : Winding, optional
-            As last read; None as long as it has not been.
+            Last values; None if not read yet.
         current_limit : float, optional
-            The parameter of the axis [A].
+            Current limit of the axis [A].
         """
         name, prefix = self._joints[axis], axis_name(axis)
         if snapshot is None:
@@ -180,8 +180,8 @@ class Health:
         faults = flag_texts(self._catalogue, "faults", snapshot.faults[axis])
         word = snapshot.values.get(f"{prefix}.limits")
         limits = [] if word is None else flag_texts(self._catalogue, "limits", int(word))
-        left = 1.0 if winding is None or not current_limit else min(winding.current / current_limit, 1.0)
-        level = _ERROR if faults or status.faulted else _WARN if left < 1.0 else _OK
+        remaining = 1.0 if winding is None or not current_limit else min(winding.current / current_limit, 1.0)
+        level = _ERROR if faults or status.faulted else _WARN if remaining < 1.0 else _OK
         at_limit = f"; at limit: {'; '.join(limits)}" if limits else ""
         values: dict[str, object] = {"state": status.label}
         values |= {key: "; ".join(texts) or "none" for key, texts in (("faults", faults), ("limits", limits))}
@@ -196,8 +196,8 @@ class Health:
             values[f"{column} [{unit}]"] = _number(snapshot.values[f"{prefix}.{column}"])
         if winding is not None:
             values["winding [deg C]"] = _number(winding.temperature)
-            values["current limit left [%]"] = _number(100.0 * left)
-        derated = f"; hot winding: {100.0 * left:.0f} % of the current limit left" if left < 1.0 else ""
+            values["current limit left [%]"] = _number(100.0 * remaining)
+        derated = f"; hot winding: current limit derated to {100.0 * remaining:.0f} %" if remaining < 1.0 else ""
         return self._status(name, level, "; ".join(faults) or status.label + at_limit + derated, values)
 
     def commands(
@@ -243,15 +243,15 @@ class Health:
         return self._status("stream", level, message, values)
 
     def parameters(self, values: RawParameters | None, trouble: str) -> DiagnosticStatus:
-        """Status of the parameters of the board: their values, and whether they are those that the user requests."""
+        """Status of the parameters of the board, and whether they are as requested."""
         if values is None:
             return self._status("parameters", _WARN, trouble or "not read yet", {})
         known = si(values, self._catalogue)
         texts = {name: value_text(self._catalogue[name], value, self._catalogue) for name, value in known.items()}
-        return self._status("parameters", _WARN if trouble else _OK, trouble or "as wanted", dict(texts))
+        return self._status("parameters", _WARN if trouble else _OK, trouble or "as requested", dict(texts))
 
     def storage(self, storage: Storage | None) -> DiagnosticStatus:
-        """Status of what the data flash of the board keeps."""
+        """Status of the non-volatile storage of the board."""
         if storage is None:
             return self._status("storage", _OK, "not read yet", {})
         values = {"newest set": storage.sequence or "none", "values since the reset": _words(storage.source)}
@@ -263,9 +263,9 @@ class Health:
 
 
 def _identification(info: BoardInfo, catalogue: Catalogue) -> str:
-    """What a board tells of itself, and the table of variables that it shares with the bridge."""
-    told = (info.name, info.version, info.build, f"table {catalogue.hash:08X}")
-    return " ".join(text for text in told if text)
+    """Identification of a board, with the hash of the table of variables."""
+    parts = (info.name, info.version, info.build, f"table {catalogue.hash:08X}")
+    return " ".join(text for text in parts if text)
 
 
 def _number(value: float | None) -> str:

@@ -1,4 +1,4 @@
-"""Homing of the axes, what their positions are worth, and the position that a restarted board has had. Pure."""
+"""Homing of the axes, validity of the positions, and restoring them after a restart of the board. Pure."""
 
 from __future__ import annotations
 
@@ -12,57 +12,57 @@ from servo_msgs_py.joints import Joint
 from servo_msgs_py.units import SLOW_PERIODS, unwrap_u32
 
 from servo_bridge.arbiter import Arbiter
+from servo_bridge.deferred_service import Outcome
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.outcome import error_of
-from servo_bridge.services import Outcome
 from servo_bridge.set_point_queue import CommandWrite
-from servo_bridge.setpoints import NotReady
+from servo_bridge.set_points import NotReady
 from servo_bridge.telemetry import Snapshot
 
 METHODS: Final = ("here", "stop_positive", "stop_negative", "switch_positive", "switch_negative")
-"""How the position of a joint becomes known; the directions are those of the joint."""
+"""Methods to set the position of a joint; directions are those of the joint."""
 
-_TAKEN: Final = 4 * SLOW_PERIODS
-"""PWM periods after which a command that has taken effect shows in the telemetry."""
+_EFFECT: Final = 4 * SLOW_PERIODS
+"""PWM periods after which the effect of a command is in the telemetry."""
 
 _TIMEOUT: Final = 32_000
-"""PWM periods (2 s) after a restart within which a position is restored."""
+"""PWM periods (2 s) after a restart in which a position can be restored."""
 
 _RETRY: Final = 3_200
-"""PWM periods (0.2 s) between two attempts."""
+"""PWM periods (0.2 s) between two attempts to restore a position."""
 
-_LOOK: Final = 4_000
-"""PWM periods (0.25 s) between two looks at the states, which would take room in every sample."""
+_POLL: Final = 4_000
+"""PWM periods (0.25 s) between readings of the home states, which are not in the samples to keep these short."""
 
-_LOOK_CLOSELY: Final = 800
-"""The same (0.05 s) while something is waited for."""
+_POLL_FAST: Final = 800
+"""PWM periods (0.05 s) between readings during a homing or restoring."""
 
-_AT_REST: Final = 2.0
-"""Speed from which on a shaft will be elsewhere when its board has restarted [rad/s]."""
+_REST_SPEED_MAX: Final = 2.0
+"""Above this speed the position is not stored for a restart [rad/s]."""
 
 _COLUMNS: Final = tuple(f"{axis_name(axis)}.home_state" for axis in range(AXES))
 
 _REASONS: Final = {
-    "ABORTED": "another command, a stop or a fault has ended it",
-    "MOTION": "the axis has to hold its position, without a trajectory; wait for its rest, or enable it first",
-    "SENSORLESS": "without an encoder there is no position",
+    "ABORTED": "ended by another command, a stop or a fault",
+    "MOTION": "the axis must hold its position without a trajectory; wait for standstill, or enable it first",
+    "SENSORLESS": "an axis without an encoder has no position",
     "KNOWN": "the position is already known",
-    "NOT_FOUND": "neither stop nor switch within home.turns_max of the configuration",
-    "TIMEOUT": "neither stop nor switch in time",
-    "BLOCKED": "the shaft is blocked before it has reached the switch",
-    "STUCK": "the shaft does not move away from the stop or the switch",
-    "SPREAD": "the places that were found lie farther apart than home.spread of the configuration",
+    "NOT_FOUND": "no stop or switch found within home.turns_max of the configuration",
+    "TIMEOUT": "timeout: no stop or switch found",
+    "BLOCKED": "the shaft is blocked before the switch",
+    "STUCK": "the shaft does not leave the stop or the switch",
+    "SPREAD": "the spread of the positions found exceeds home.spread of the configuration",
 }
 
 
 def with_home_states(columns: Sequence[str]) -> list[str]:
-    """Columns of a sample that has been completed by `Homing.completed`."""
+    """Columns of a sample after `Homing.completed`."""
     return list(dict.fromkeys([*columns, *_COLUMNS]))
 
 
 @dataclass
 class _Job:
-    """A homing that is to be answered."""
+    """A homing in progress."""
 
     axis: int
     since: int  # tick
@@ -72,13 +72,13 @@ class _Job:
 
 @dataclass
 class _Memory:
-    """What is known of an axis for the time after a restart of its board."""
+    """Stored position of an axis, for a restart of its board."""
 
-    position: int | None = None  # [counts]; None as well while the shaft turns
-    wanted: bool = False  # the feature is on
-    until: int | None = None  # tick up to which it may be restored; None: nothing to restore
+    position: int | None = None  # [counts]; None while the shaft rotates
+    enabled: bool = False  # the feature is on
+    until: int | None = None  # last tick to restore it; None: nothing to restore
     next: int = 0  # tick of the next attempt
-    tried: int = 0  # tick from which on a look says whether the last one had an effect
+    tried: int = 0  # tick after which a reading shows the effect of the last attempt
 
 
 @dataclass
@@ -88,24 +88,24 @@ class _Axis:
 
 
 class Homing:
-    """All axes of one board; in the executor's thread.
+    """Homing of all axes of one board; called in the thread of the executor.
 
     Parameters
     ----------
     catalogue : Catalogue
-        For names and scales.
+        Names and scales.
     arbiter : Arbiter
-        Tells whether an axis obeys.
+        Checks whether an axis accepts set-points.
     dispatcher : Dispatcher
-        Carries the writes.
+        Sends the writes.
     read : callable
         Reads a variable of the board.
     post : callable
-        Runs a function in the executor's thread.
+        Runs a function in the thread of the executor.
     moved : callable
-        Called with the axis whose position may count from elsewhere.
+        Called with an axis whose position may have changed its reference.
     say, warn : callable
-        Get a sentence for the log.
+        Receive messages for the log.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class Homing:
     ) -> None:
         self.joints = list(joints)  # in the order of the axes
         self.positions = list(positions)  # of the references, in joint units [rad]
-        self.restores = restores  # whether a restarted board gets its previous positions back
+        self.restores = restores  # whether positions are restored after a restart of the board
         self._catalogue = catalogue
         self._states = catalogue.enums["home_state_t"]
         self._methods = catalogue.enums["home_method_t"]
@@ -134,27 +134,27 @@ class Homing:
         self._arbiter, self._dispatcher = arbiter, dispatcher
         self._read, self._post, self._say, self._warn = read, post, say, warn
         self._moved = moved
-        self._looking = False
-        self._next_look = 0
-        self._seen = -1  # tick at which the states were asked for
+        self._reading = False
+        self._next_poll = 0
+        self._polled = -1  # tick of the request of the last reading of the states
         self._axes = [_Axis() for _ in range(AXES)]
         self._epoch: int | None = None
         self._connected = False
         self._jobs: list[_Job] = []
 
-    # ---- what the board says
+    # ---- telemetry
     @property
     def known(self) -> list[bool]:
-        """Per axis, whether its position is known."""
+        """Per axis, whether the position is known."""
         return [self._connected and axis.state == self._states["KNOWN"] for axis in self._axes]
 
     @property
     def restoring(self) -> bool:
-        """Whether positions count from elsewhere for the moment."""
+        """Whether a position is being restored, so that positions have another reference for the moment."""
         return any(axis.memory.until is not None for axis in self._axes)
 
     def completed(self, snapshot: Snapshot) -> Snapshot:
-        """The sample with the states of all axes, as they were last seen."""
+        """Return the sample with the last known home states of all axes."""
         if self._epoch is not None and snapshot.epoch != self._epoch:
             for axis in self._axes:
                 axis.state = self._states["UNKNOWN"]
@@ -162,33 +162,33 @@ class Homing:
         return replace(snapshot, values={**snapshot.values, **states})
 
     def on_snapshot(self, snapshot: Snapshot, features: Sequence[int] | None) -> None:
-        """Take the newest completed sample, and the features of the axes, as far as they are known."""
+        """Process the newest completed sample; `features` of the axes, None if not known."""
         restarted = self._epoch is not None and snapshot.epoch != self._epoch
         if restarted:
-            self._seen, self._next_look = -1, 0
+            self._polled, self._next_poll = -1, 0
         self._epoch, self._connected = snapshot.epoch, True
         for number, axis in enumerate(self._axes):
             self._remember(number, axis, snapshot, restarted, features)
-        self._look(snapshot)
+        self._poll(snapshot)
         for job in self._jobs:
-            at_work = self._axes[job.axis].state == self._states["HOMING"]
-            if not job.reading and not at_work and self._seen >= job.since:
+            homing = self._axes[job.axis].state == self._states["HOMING"]
+            if not job.reading and not homing and self._polled >= job.since:
                 job.reading = True
-                self._ask_result(job)
+                self._read_result(job)
 
-    def _look(self, snapshot: Snapshot) -> None:
-        """Read the states now and then."""
-        if self._looking or snapshot.tick < self._next_look:
+    def _poll(self, snapshot: Snapshot) -> None:
+        """Read the home states periodically."""
+        if self._reading or snapshot.tick < self._next_poll:
             return
-        self._looking = True
-        self._next_look = snapshot.tick + (_LOOK_CLOSELY if self._jobs or self.restoring else _LOOK)
+        self._reading = True
+        self._next_poll = snapshot.tick + (_POLL_FAST if self._jobs or self.restoring else _POLL)
         futures = [self._read(name) for name in _COLUMNS]
 
         def take() -> None:
-            self._looking = False
+            self._reading = False
             if snapshot.epoch != self._epoch or any(error_of(future) is not None for future in futures):
                 return
-            self._seen = snapshot.tick
+            self._polled = snapshot.tick
             for number, future in enumerate(futures):
                 state = round(numbers(future.result())[0])
                 if state != self._axes[number].state:
@@ -198,9 +198,9 @@ class Homing:
         futures[-1].add_done_callback(lambda _: self._post(take))
 
     def link_lost(self, reason: str) -> None:
-        """Answer every call that waits."""
+        """End all homings."""
         self._connected = False
-        self._looking, self._next_look = False, 0
+        self._reading, self._next_poll = False, 0
         jobs, self._jobs = self._jobs, []
         for job in jobs:
             job.answer.set_result((False, f"the link was lost: {reason}"))
@@ -209,7 +209,7 @@ class Homing:
 
     # ---- services
     def home(self, axis: int, method: str) -> Future[Outcome]:
-        """Make the position of an axis known: one of `METHODS`. The answer comes at the end."""
+        """Home an axis or set its position by one of `METHODS`; the future is done at the end."""
         answer: Future[Outcome] = Future()
         joint = self.joints[axis]
         if not self._connected:
@@ -225,9 +225,11 @@ class Homing:
         low, high = self._catalogue["cmd.home_position"].raw_range
         if not low <= value <= high:
             position = self.positions[axis]
-            answer.set_result((False, f"home_positions of {joint.name} is {position:g} rad: too far for the board"))
+            answer.set_result(
+                (False, f"home_positions of {joint.name} is {position:g} rad: outside the range of the board")
+            )
             return answer
-        self._axes[axis].memory.until = None  # what is asked for now counts, not what was restored
+        self._axes[axis].memory.until = None  # the new homing replaces the restoring
         for job in [job for job in self._jobs if job.axis == axis]:
             self._jobs.remove(job)
             job.answer.set_result((False, f"{joint.name} is not homed: {_REASONS['ABORTED']}"))
@@ -236,11 +238,11 @@ class Homing:
 
     @staticmethod
     def _of_motor(joint: Joint, method: str) -> str:
-        """The method in the direction of the motor."""
+        """Method in the direction of the motor."""
         if joint.direction < 0:
             swapped = {"positive": "negative", "negative": "positive"}
-            kind, _, way = method.partition("_")
-            method = f"{kind}_{swapped[way]}" if way else method
+            kind, _, direction = method.partition("_")
+            method = f"{kind}_{swapped[direction]}" if direction else method
         return method.upper()
 
     # ---- details
@@ -250,8 +252,8 @@ class Homing:
             if error is not None:
                 answer.set_result((False, error))
             else:
-                self._jobs.append(_Job(axis, result.result() + _TAKEN, answer))
-                self._next_look = 0
+                self._jobs.append(_Job(axis, result.result() + _EFFECT, answer))
+                self._next_poll = 0
                 self._moved(axis)
 
         def placed(result: Future[int]) -> None:
@@ -264,13 +266,13 @@ class Homing:
 
         self._dispatcher.urgent(CommandWrite("cmd.home_position", axis, (value,))).add_done_callback(placed)
 
-    def _ask_result(self, job: _Job) -> None:
+    def _read_result(self, job: _Job) -> None:
         name = axis_name(job.axis)
         futures = [self._read(f"{name}.home_result"), self._read(f"{name}.home_spread")]
 
         def take() -> None:
             if job not in self._jobs:
-                return  # answered when the link was lost
+                return  # ended by the loss of the link
             self._jobs.remove(job)
             errors = [error for future in futures if (error := error_of(future)) is not None]
             if errors:
@@ -285,7 +287,7 @@ class Homing:
         label = self._catalogue.label("home_result_t", result)
         joint = self.joints[axis]
         if label == "DONE":
-            return True, f"{joint.name} is homed; its reference was found within {spread} counts"
+            return True, f"{joint.name} is homed; spread of the reference {spread} counts"
         return False, f"{joint.name} is not homed: {_REASONS.get(label, label)}"
 
     # ---- after a restart
@@ -295,22 +297,24 @@ class Homing:
         memory = axis.memory
         if axis.state in (self._states["KNOWN"], self._states["ASSUMED"]):
             if memory.until is not None:
-                self._say(f"{self.joints[number].name}: the position from before the restart is assumed")
+                self._say(
+                    f"{self.joints[number].name}: the position before the restart was restored (home_state ASSUMED)"
+                )
             memory.until = None
-            turns = abs(snapshot.values[f"{axis_name(number)}.speed"]) > _AT_REST
-            memory.position = None if turns else snapshot.axes[number].position
+            rotates = abs(snapshot.values[f"{axis_name(number)}.speed"]) > _REST_SPEED_MAX
+            memory.position = None if rotates else snapshot.axes[number].position
             if features is not None:
-                memory.wanted = bool(features[number] & self._feature)
+                memory.enabled = bool(features[number] & self._feature)
             return
-        if restarted and memory.position is not None and memory.wanted and self.restores:
-            memory.until, memory.next, memory.tried = snapshot.tick + _TIMEOUT, snapshot.tick, self._seen
+        if restarted and memory.position is not None and memory.enabled and self.restores:
+            memory.until, memory.next, memory.tried = snapshot.tick + _TIMEOUT, snapshot.tick, self._polled
         if memory.until is None:
-            memory.position = None  # lost, or about to be found anew
+            memory.position = None  # lost, or being homed
         elif snapshot.tick > memory.until or snapshot.axes[number].spinning:
             memory.until = memory.position = None
-            self._warn(f"{self.joints[number].name}: its position was not restored, as it does not rest; home it")
-        elif snapshot.tick >= memory.next and self._seen >= memory.tried:
-            memory.next, memory.tried = snapshot.tick + _RETRY, snapshot.tick + _TAKEN
+            self._warn(f"{self.joints[number].name}: position not restored: the shaft was not at rest; home it")
+        elif snapshot.tick >= memory.next and self._polled >= memory.tried:
+            memory.next, memory.tried = snapshot.tick + _RETRY, snapshot.tick + _EFFECT
             position = memory.position
             assert position is not None
             value = unwrap_u32((position + snapshot.axes[number].position) & 0xFFFF_FFFF, 0)

@@ -1,4 +1,4 @@
-"""From the thread of the link into the thread of the executor."""
+"""Passes function calls from the thread of the link to the thread of the executor."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from collections.abc import Callable
 
 
 class Inbox:
-    """Calls functions, in order, in the executor's thread.
+    """Calls functions in order in the thread of the executor.
 
-    Everything that is waiting is called in one go, so that a fast link does not wake the executor for every sample.
+    All waiting functions are called in one batch, so that a fast link does not wake the executor for every sample.
 
     Parameters
     ----------
     call_soon : callable
-        Makes the executor call a function in its own thread; may be called from any thread.
+        Schedules a function in the executor; may be called from any thread.
     """
 
     def __init__(self, call_soon: Callable[[Callable[[], None]], object]) -> None:
@@ -37,7 +37,7 @@ class Inbox:
         self._call_soon(self.drain)
 
     def drain(self) -> None:
-        """Call everything that is waiting; in the executor's thread."""
+        """Call all waiting functions; in the thread of the executor."""
         with self._lock:
             batch = list(self._waiting)
             self._waiting.clear()
@@ -46,7 +46,7 @@ class Inbox:
             function()
 
     def close(self) -> None:
-        """Take nothing more and discard what waits."""
+        """Refuse further functions and discard the waiting ones."""
         with self._lock:
             self._closed = True
             self._waiting.clear()

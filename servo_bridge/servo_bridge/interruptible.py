@@ -1,4 +1,4 @@
-"""A board to measure on, where Ctrl-C ends a wait, never an exchange, so that the way back has a line that works."""
+"""BoardAccess in which Ctrl-C interrupts waits only, so that the line is usable for restoring the board."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from servo_bridge.wire.session import Session
 
 @contextmanager
 def interruptible_access(session: Session) -> Iterator[SessionAccess]:
-    """Access to the board of a session; the first Ctrl-C raises `KeyboardInterrupt`, later ones wait for the end.
+    """Access to the board of a session; the first Ctrl-C raises `KeyboardInterrupt`, further ones are ignored.
 
     Parameters
     ----------
     session : Session
-        The board.
+        Session with the board.
 
     Raises
     ------
     KeyboardInterrupt
-        From a wait.
+        From a wait, after Ctrl-C.
     """
     presses = raised = 0
 
@@ -31,7 +31,7 @@ def interruptible_access(session: Session) -> Iterator[SessionAccess]:
         nonlocal presses
         presses += 1
         if raised:
-            print("servo-tool: the axis is being brought to rest, wait", file=sys.stderr, flush=True)
+            print("servo-tool: please wait, the axis is being stopped", file=sys.stderr, flush=True)
 
     def check() -> None:
         nonlocal raised

@@ -1,4 +1,4 @@
-"""The topic ``joint_commands``: single set-points of joints, and streams of positions with velocities."""
+"""The topic ``joint_commands``: single set-points and streams of positions with velocities."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from sensor_msgs.msg import JointState
 from servo_msgs_py.runtime.qos import command_qos
 
 from servo_bridge.arbiter import Arbiter
-from servo_bridge.setpoint_topics import SetPointTopics
-from servo_bridge.setpoints import NotReady, Rejected, Repeats, from_joint_command, requests_of
+from servo_bridge.set_point_topics import SetPointTopics
+from servo_bridge.set_points import NotReady, Rejected, RepeatedSetPoints, from_joint_command, requests_of
 from servo_bridge.trajectory.check import Limits
 from servo_bridge.trajectory.streamer import Streamer, require_within
 from servo_msgs_py import topics
@@ -29,19 +29,19 @@ class JointCommands:
     joints : sequence of str
         Joint names in the order of the axes.
     arbiter : Arbiter
-        Lets a set-point through or not.
+        Checks set-points.
     streamer : Streamer
-        Gets positions that come with a velocity or an effort.
+        Receives positions with a velocity or an effort.
     set_points : SetPointTopics
-        Counts what is accepted and rejected, and says why.
+        Counts accepted and rejected messages, and reports the reasons.
     interfaces : mapping of str to collection of str, optional
-        Arrays that a joint is in, where the sender leaves joints out of some.
+        Arrays with each joint, if the sender omits joints in some arrays.
     limits : callable
-        Limits of every joint in force; None while the board has not told them.
+        Present limits of every joint; None if the board has not reported them yet.
     offset_ns : callable
-        Time of the steady clock at which the board was at tick 0 [ns]; None before the first sample.
+        Steady clock at tick 0 of the board [ns]; None before the first sample.
     wall_ns : callable
-        ROS time at a time of the steady clock [ns].
+        Converts steady clock to ROS time [ns].
     """
 
     def __init__(
@@ -65,11 +65,11 @@ class JointCommands:
         self._limits = limits
         self._offset_ns = offset_ns
         self._wall_ns = wall_ns
-        self._repeats = Repeats()
+        self._repeats = RepeatedSetPoints()
         node.create_subscription(JointState, _SOURCE, self._on_command, command_qos())
 
     def advance(self) -> None:
-        """Hand on what is due of the streams."""
+        """Send the due points of the streams."""
         now = self._board_time(time.monotonic_ns())
         if now is not None:
             self._streamer.advance(now)
@@ -84,7 +84,7 @@ class JointCommands:
                 self._set_points.accept()
 
     def _request(self, message: JointState, now_ns: int) -> bool:
-        """Carry a message out; False if it leaves every joint alone."""
+        """Execute a message; returns False if it has no set-point."""
         arrays = {"position": message.position, "velocity": message.velocity, "effort": message.effort}
         points = from_joint_command(_SOURCE, self._joints, message.name, arrays, self._interfaces)
         if not points:
@@ -94,16 +94,16 @@ class JointCommands:
         except NotReady:
             self._repeats.refused(now_ns * 1e-9, points)
             raise
-        points = self._repeats.fresh(now_ns * 1e-9, points)
+        points = self._repeats.without_repeats(now_ns * 1e-9, points)
         if not points:
             raise Rejected(
-                f"{_SOURCE}: it repeats a set-point from before the axes were enabled; it has no effect until it "
-                "changes, or pauses for 1 s"
+                f"{_SOURCE}: repeats a set-point from before the axes were enabled; it is accepted when it changes, or"
+                " after a pause of 1 s"
             )
         streamed = {axis: point for axis, point in points.items() if point.streamed}
         limits, arrival = self._limits(), self._board_time(now_ns)
         if streamed and (limits is None or arrival is None):
-            raise Rejected(f"{_SOURCE}: the board has not reported its limits yet; try again in a second")
+            raise Rejected(f"{_SOURCE}: the board has not reported its limits yet; try again in 1 s")
         for axis, point in streamed.items():
             assert limits is not None
             require_within(_SOURCE, self._joints[axis], point, limits[axis])
@@ -121,7 +121,7 @@ class JointCommands:
         return None if offset is None else (now_ns - offset) * 1e-9
 
     def _stamp(self, message: JointState, arrival: float) -> float:
-        """Time at which the message was made [s], on the clock of its sender."""
+        """Time stamp of the message in the time of the board [s]; without a stamp, the arrival."""
         stamp = message.header.stamp
         stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
         offset = self._offset_ns()

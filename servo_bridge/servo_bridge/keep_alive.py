@@ -1,7 +1,7 @@
-"""Keep-alives: the board stops its axes when there is neither a command nor one of these. Pure.
+"""Keep-alives: without them and without commands the board stops its axes. Pure.
 
-A timer of the executor sends them. The thread of the link must not: with an executor that hangs the node can no longer
-stop an axis, so the board has to do it.
+Sent by a timer of the executor, not by the link thread: if the executor hangs, keep-alives must stop so that the board
+stops the axes.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from typing import Final, Protocol
 from servo_msgs_py.board_parameters import RawParameters
 from servo_msgs_py.catalogue import Catalogue
 
-from servo_bridge.wire.take_over import KEEP_ALIVE_PERIOD
+from servo_bridge.wire.stop_at_connection import KEEP_ALIVE_PERIOD
 
 _TIMEOUT: Final = "param.host_timeout"
-_PER_TIMEOUT: Final = 4  # keep-alives within the time after which the board misses its host
+_PER_TIMEOUT: Final = 4  # keep-alives per param.host_timeout
 
 
 class _RunCommand(Protocol):
@@ -23,12 +23,12 @@ class _RunCommand(Protocol):
 
 
 class KeepAlive:
-    """Keep-alives of one node.
+    """Sends the keep-alives of one node.
 
     Parameters
     ----------
     catalogue : Catalogue
-        For the code of the command and the scale of the time-out.
+        Code of the command and scale of the timeout.
     run_command : callable
         Starts an application command; see `Link.run_command`.
     """
@@ -40,12 +40,12 @@ class KeepAlive:
         self._last: Future[int] | None = None
 
     def send(self) -> None:
-        """Send one, unless the last one still waits. One without an answer is no error: the next one follows."""
+        """Send a keep-alive, unless the last one is pending. A lost keep-alive is ignored."""
         if self._last is None or self._last.done():
-            # Before everything else: a queue of parameters on a slow line takes longer than the board waits.
+            # Urgent: on a slow line a queue of parameters may take longer than the timeout of the board.
             self._last = self._run_command(self._code, urgent=True)
 
     def period(self, *parameters: RawParameters) -> float:
-        """Time between two [s] for a board with the shortest of these time-outs; some may not name it."""
+        """Period of keep-alives [s] for the shortest timeout of these parameters; entries may omit it."""
         timeouts = [raw[_TIMEOUT][0] * self._lsb for raw in parameters if _TIMEOUT in raw]
         return min([KEEP_ALIVE_PERIOD, *(timeout / _PER_TIMEOUT for timeout in timeouts)])

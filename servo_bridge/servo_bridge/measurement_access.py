@@ -1,4 +1,4 @@
-"""A board at a serial line to measure on: see `servo_msgs_py.measurement.access.BoardAccess`."""
+"""Access to a board on a serial line for measurements; see `servo_msgs_py.measurement.access.BoardAccess`."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from servo_bridge.bursts.request import Before, BurstRequest
 from servo_bridge.freemaster.errors import RecorderError, Status, StatusError
 from servo_bridge.tool_values import UnknownVariableError
 from servo_bridge.wire.session import Session, element_bytes
-from servo_bridge.wire.take_over import kept_alive
+from servo_bridge.wire.stop_at_connection import kept_alive
 
 _FAST, _SLOW = 0, 1
-_LEAD: Final = 0.2  # longer than it takes to notice that a recording is over, and to stop it [s]
-_ATTEND: Final = 0.08  # between two calls of who attends a recording [s]
-_PAUSE: Final = 0.02  # between two looks whether a keep-alive is due [s]
+_LEAD: Final = 0.2  # longer than the detection of the end of a recording, and its stop [s]
+_ATTEND: Final = 0.08  # period of calls of `meanwhile` during a recording [s]
+_PAUSE: Final = 0.02  # period of checks for a due keep-alive [s]
 
 
 class SessionAccess(BoardAccess):
@@ -40,7 +40,7 @@ class SessionAccess(BoardAccess):
     session : Session
         With a board of this contract.
     meanwhile : callable
-        Called again and again during a wait; sends a keep-alive if it is due.
+        Called periodically during a wait; sends a keep-alive if it is due.
     """
 
     def __init__(self, session: Session, meanwhile: Callable[[], None]) -> None:
@@ -48,7 +48,7 @@ class SessionAccess(BoardAccess):
         self._line = session.client.line
 
     def clock(self) -> float:
-        """Time of the line [s]."""
+        """Time of the clock of the line [s]."""
         return self._line.clock() * 1e-9
 
     @property
@@ -71,16 +71,16 @@ class SessionAccess(BoardAccess):
         return True
 
     def wait(self, seconds: float) -> None:
-        """Let time pass [s]; `meanwhile` is called again and again."""
+        """Wait [s]; `meanwhile` is called periodically."""
         end = self._line.clock() + round(seconds * 1e9)
-        while (left := end - self._line.clock()) > 0:
+        while (remaining := end - self._line.clock()) > 0:
             self._meanwhile()
-            self._line.rest(min(left * 1e-9, _PAUSE))
+            self._line.rest(min(remaining * 1e-9, _PAUSE))
 
     def capacity(self, names: Sequence[str]) -> int:
         memory = self._session.client.recorder(_FAST).limits().memory
         if memory is None:
-            raise MeasurementError("the board does not say how much memory its recorder has")
+            raise MeasurementError("the board does not report the memory size of its recorder")
         return memory // sum(element_of(self.catalogue, name)[0].element_size for name in names)
 
     def record(
@@ -95,7 +95,7 @@ class SessionAccess(BoardAccess):
         lead: float = 0.0,
         meanwhile: Callable[[bool], None] | None = None,
     ) -> Recording:
-        """Record with the recorder of the board; parameters as of `BoardAccess.record`."""
+        """Record with the recorder of the board; parameters as in `BoardAccess.record`."""
         condition = None if trigger is None else f"{trigger} >= 1"
         step = step_of(every, slow)
         request = BurstRequest(
@@ -128,7 +128,7 @@ class SessionAccess(BoardAccess):
         while recording.phase in (Phase.SET_UP, Phase.READY):
             recording.step(self._session)
             meanwhile(False)
-        # Nothing triggers before the memory was full once; without a trigger the last samples before the stop are kept.
+        # The trigger is effective after the memory was filled once; without a trigger the last samples are kept.
         filling = 0.0 if recording.request.trigger is None else seconds
         ready = self.clock() + max(filling + _LEAD - lead, 0.0)
         while self.clock() < ready:
@@ -139,7 +139,7 @@ class SessionAccess(BoardAccess):
         due, full, attended = self.clock() + TRIGGER_TIMEOUT + seconds, False, self.clock()
         while (burst := recording.step(self._session)) is None:
             if recording.phase is Phase.WAITING and self.clock() > due:
-                raise RecorderError(f"nothing started within {TRIGGER_TIMEOUT:g} s: the recording was not triggered")
+                raise RecorderError(f"no trigger within {TRIGGER_TIMEOUT:g} s: the signal has not started")
             self._meanwhile()
             if (recording.phase is Phase.READING) != full or self.clock() >= attended + _ATTEND:
                 full, attended = recording.phase is Phase.READING, self.clock()
@@ -150,14 +150,14 @@ class SessionAccess(BoardAccess):
 
 @contextmanager
 def measurement_access(session: Session, check: Callable[[], None] = lambda: None) -> Iterator[SessionAccess]:
-    """Access to the board of a session, which is kept from missing its host until the end of the block.
+    """Access to the board of a session; sends keep-alives until the end of the block.
 
     Parameters
     ----------
     session : Session
-        The board.
+        Session with the board.
     check : callable
-        Called again and again while the access waits; may raise to end a measurement.
+        Called periodically while the access waits; may raise to end a measurement.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What the services enable, quick_stop and clear_faults do. Pure; answers are futures of success and message."""
+"""The services enable, quick_stop and clear_faults. Pure; results are futures of success and message."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ Outcome = tuple[bool, str]
 """Success and message."""
 
 _RECHECK = 4 * SLOW_PERIODS
-"""PWM periods after which a fault whose cause is still there has come back."""
+"""PWM periods after which a fault with a persistent cause is set again."""
 
 _ENABLE_TIMEOUT = 40_000
-"""PWM periods (2.5 s) after which an enable is answered though the axes are still on their way."""
+"""PWM periods (2.5 s) after which an enable is answered although the axes are not ready."""
 
 
 class MotionServices:
-    """The three services; all of it in the executor's thread.
+    """The three services; called in the thread of the executor.
 
     Parameters
     ----------
     catalogue : Catalogue
-        For the texts of faults.
+        Texts of faults.
     joints : sequence of str
         Joint names in the order of the axes.
     arbiter : Arbiter
-        Its gate is opened by ``enable`` and shut by everything else.
+        Released by ``enable``, blocked by the other services.
     dispatcher : Dispatcher
-        Carries the writes.
+        Sends the writes.
     """
 
     def __init__(
@@ -54,26 +54,26 @@ class MotionServices:
         self._dispatcher = dispatcher
         self._on_event = on_event
         self._snapshot: Snapshot | None = None
-        self._reason = "the board has not been seen yet"
+        self._reason = "no board since the start"
         self._stops = 0
         self._rechecks: list[tuple[int, Future[Outcome]]] = []
         self._enabling: list[tuple[int, int, Future[Outcome]]] = []  # stops before, last tick, answer
 
     def on_snapshot(self, snapshot: Snapshot) -> None:
-        """Take the newest sample."""
+        """Process the newest sample."""
         if self._snapshot is None and any(axis.spinning for axis in snapshot.axes):
-            # The link has stopped it at first contact.
-            self._on_event("the board was still enabled: it has been stopped; call enable to go on")
+            # The link has sent a quick stop at the first contact.
+            self._on_event("the board was enabled at the connection and has been stopped; call enable to continue")
         self._snapshot = snapshot
         self._enabling = [entry for entry in self._enabling if not self._answer_enable(snapshot, *entry)]
         due = [entry for entry in self._rechecks if snapshot.tick >= entry[0]]
         for entry in due:
             self._rechecks.remove(entry)
             faults = self._faults(snapshot)
-            entry[1].set_result((not faults, f"still there: {faults}" if faults else "no faults"))
+            entry[1].set_result((not faults, f"not cleared, the cause persists: {faults}" if faults else "no faults"))
 
     def link_lost(self, reason: str) -> None:
-        """Answer every call that waits."""
+        """Answer all pending calls."""
         self._snapshot = None
         self._reason = reason
         waiting, self._rechecks = self._rechecks, []
@@ -83,13 +83,13 @@ class MotionServices:
 
     # ---- services
     def enable(self, on: bool) -> Future[Outcome]:
-        """Switch both axes on, and let set-points through again; or ramp down and switch off.
+        """Enable both axes and release set-points; or stop with a ramp and switch the outputs off.
 
-        The answer to an enable comes when a set-point would pass, at the latest after `_ENABLE_TIMEOUT`.
+        An enable is answered when set-points are accepted, at the latest after `_ENABLE_TIMEOUT`.
         """
         if not on:
             return self._stop(
-                "cmd.enable", 0, "disabled by the service enable", "ramping down and switching off; see state"
+                "cmd.enable", 0, "disabled by the service enable", "stopping, then switching the outputs off; see state"
             )
         if self._arbiter.inactive:
             return _answered(False, f"{self._arbiter.inactive}; then call enable again")
@@ -116,11 +116,11 @@ class MotionServices:
         return answer
 
     def _answer_enable(self, snapshot: Snapshot, stops: int, last_tick: int, answer: Future[Outcome]) -> bool:
-        """Answer an enable that took effect, unless the axes are still on their way."""
+        """Answer an enable, unless the axes are not ready yet; returns whether it was answered."""
         if stops != self._stops:
-            outcome = False, "a stop came in between; call enable again"
+            outcome = False, "interrupted by a stop; call enable again"
         elif self._arbiter.armed:
-            outcome = True, "both axes are on; set-points are let through"
+            outcome = True, "both axes are enabled; set-points are accepted"
         elif any(axis.faulted for axis in snapshot.axes):
             outcome = (
                 False,
@@ -132,23 +132,23 @@ class MotionServices:
             labels = ", ".join(
                 f"{joint} is in {axis.label}" for joint, axis in zip(self._joints, snapshot.axes, strict=True)
             )
-            outcome = True, f"switching on, not ready yet: {labels}; set-points are let through when armed is true"
+            outcome = True, f"enabling in progress: {labels}; set-points are accepted when armed is true"
         else:
             return False
         answer.set_result(outcome)
         return True
 
     def quick_stop(self, reason: str = "stopped by the service quick_stop") -> Future[Outcome]:
-        """Ramp down at the limit and hold; set-points stay refused, for this reason, until ``enable`` is called."""
+        """Stop with the largest deceleration and hold; set-points are refused for `reason` until ``enable``."""
         return self._stop(
             "cmd.quick_stop",
             1,
             reason,
-            "stopping at the limit, then holding; call enable with data: true to let set-points through again",
+            "stopping, then position hold; call enable with data: true to release set-points",
         )
 
     def clear_faults(self) -> Future[Outcome]:
-        """Clear the faults whose cause is gone; nothing is switched on by it."""
+        """Clear the faults whose cause is removed; the axes stay disabled."""
         snapshot = self._snapshot
         if snapshot is None:
             return _answered(False, self._not_connected())
@@ -166,7 +166,7 @@ class MotionServices:
 
     # ---- details
     def _stop(self, variable: str, value: int, reason: str, message: str) -> Future[Outcome]:
-        """Shut the gate at once, then write."""
+        """Block set-points at once, then write."""
         self._stops += 1
         self._arbiter.block(reason)
         if self._snapshot is None:
@@ -184,7 +184,7 @@ class MotionServices:
         return answer
 
     def _faults(self, snapshot: Snapshot) -> str:
-        """Faults of all axes as text, empty when there are none."""
+        """Text of the faults of all axes; empty without faults."""
         return "; ".join(
             f"{joint}: {text}"
             for joint, word in zip(self._joints, snapshot.faults, strict=True)
@@ -192,7 +192,7 @@ class MotionServices:
         )
 
     def _held(self, snapshot: Snapshot) -> str:
-        """What the inputs of axes say that have stayed in STOP, empty when there are none."""
+        """Text of the inputs that keep an axis in STOP; empty if there are none."""
         word = (int(snapshot.values.get(f"{axis_name(axis)}.limits", 0)) & self._input for axis in range(AXES))
         return "; ".join(
             f"{joint}: {text}"
@@ -202,16 +202,16 @@ class MotionServices:
         )
 
     def _not_connected(self) -> str:
-        return f"not connected: {self._reason}; outputs that were on go off when the board misses its host"
+        return f"not connected: {self._reason}; the board switches its outputs off after param.host_timeout"
 
 
 def _both(variable: str, value: int) -> CommandWrite:
-    """Write of the same number to every axis."""
+    """Write of the same number to all axes."""
     return CommandWrite(variable, 0, (value,) * AXES)
 
 
 def _answered(success: bool, message: str) -> Future[Outcome]:
-    """A future that is done."""
+    """Future with a result."""
     future: Future[Outcome] = Future()
     future.set_result((success, message))
     return future

@@ -1,4 +1,4 @@
-"""How well a move went: pure measurement on recorded telemetry."""
+"""Figures of a move from recorded telemetry. Pure."""
 
 from __future__ import annotations
 
@@ -17,15 +17,17 @@ class MoveFigures:
     commanded: float  # set-point at the end [rad]
     reached: float  # mean position at the end [rad]
     error: float  # `reached` minus `commanded` [rad]
-    settling_time: float | None  # from the set-point's effect until it stays in the tolerance [s]; None: never
-    overshoot: float  # largest excursion beyond the set-point in the direction of the move [rad]; never negative
+    settling_time: (
+        float | None
+    )  # from the effect of the set-point until the position stays in the tolerance [s]; None: never
+    overshoot: float  # largest overshoot in the direction of the move [rad]; not negative
     tracking_rms: float | None  # position minus shaped set-point over the move [rad]; None: no shaped set-point
-    tracking_max: float | None  # largest magnitude of the same [rad]; None: the shaped set-point was not recorded
-    arrived: bool  # the position stayed in the tolerance for the whole last part
+    tracking_max: float | None  # largest magnitude of that difference [rad]; None: no shaped set-point
+    arrived: bool  # the position stayed in the tolerance for the last `hold` seconds
 
 
 def settling_time(time: Series, error: Series, tolerance: float) -> float | None:
-    """First time after which the error stays inside the tolerance.
+    """First time after which the error stays within the tolerance.
 
     Parameters
     ----------
@@ -39,7 +41,7 @@ def settling_time(time: Series, error: Series, tolerance: float) -> float | None
     Returns
     -------
     float or None
-        None when the last sample is still outside.
+        None if the last sample is outside.
     """
     outside = np.flatnonzero(np.abs(error) > tolerance)
     if outside.size == 0:
@@ -49,7 +51,7 @@ def settling_time(time: Series, error: Series, tolerance: float) -> float | None
 
 
 def rms(values: Series) -> float:
-    """Root of the mean square, in the unit of `values`, shape (samples,)."""
+    """Root mean square, in the unit of `values`, shape (samples,)."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
@@ -62,7 +64,7 @@ def measure_move(
     reference: Series | None = None,
     hold: float = 0.1,
 ) -> MoveFigures:
-    """Judge a move from the samples after its set-point took effect.
+    """Compute the figures of a move from the samples after its set-point took effect.
 
     Parameters
     ----------
@@ -73,11 +75,11 @@ def measure_move(
     target : float
         Set-point [rad].
     tolerance : float
-        Half width of the band that counts as arrived [rad].
+        Half width of the band that counts as reached [rad].
     reference : array, optional
         Shaped set-point [rad].
     hold : float
-        Length of the last part over which the position is averaged and has to stay in the band [s].
+        Duration of the last part: averaged, and checked against the band [s].
 
     Raises
     ------
@@ -90,7 +92,7 @@ def measure_move(
     last = time >= time[-1] - hold
     reached = float(np.mean(position[last]))
     direction = np.sign(target - position[0])
-    # Without a distance to go any excursion is one too many.
+    # Without a distance every deviation counts as overshoot.
     beyond = float(np.max(error * direction)) if direction else float(np.max(np.abs(error)))
     lag = None if reference is None else position - reference
     return MoveFigures(

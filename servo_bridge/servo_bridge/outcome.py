@@ -1,4 +1,4 @@
-"""What has become of a job of the link. Pure."""
+"""Errors of futures. Pure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def error_of(job: Future[Any]) -> str | None:
-    """Why a job has no result, None when it has one; never waits."""
+    """Reason why a job has no result, None if it has one; does not wait."""
     if not job.done():
         return "it is not done yet"
     if job.cancelled():

@@ -1,6 +1,6 @@
-"""Parameters of a board in a file, TOML or JSON, and the difference between file and board. Pure.
+"""Board parameters in a TOML or JSON file, and their comparison with the board. Pure.
 
-Flags and enumeration values are written as names, ``"ANTI_WINDUP+DEAD_TIME"``; numbers are read as well.
+Flags and enumeration values are written as names, ``"ANTI_WINDUP+DEAD_TIME"``; numbers are accepted, too.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ else:
     import tomli as tomllib
 
 Entry = Number | str
-"""A number, or the name of one."""
+"""A number or the name of a value."""
 
 Parameters = Mapping[str, list[Entry]]
 
@@ -32,24 +32,24 @@ _TABLE: Final = "parameters"
 
 
 class ParameterFileError(ValueError):
-    """The file is not a file of parameters, or one of them does not fit the board."""
+    """Invalid parameter file, or a parameter that does not fit the board."""
 
 
 def checked(path: Path) -> Path:
-    """The path itself, if its name says which form the file has.
+    """Return the path if its suffix is known.
 
     Raises
     ------
     ParameterFileError
-        If it ends neither in ``.toml`` nor in ``.json``.
+        If it ends neither with ``.toml`` nor with ``.json``.
     """
     if path.suffix.lower() not in (".toml", ".json"):
-        raise ParameterFileError(f"{path}: the name has to end in .toml or .json")
+        raise ParameterFileError(f"{path}: the name must end with .toml or .json")
     return path
 
 
 def dump(path: Path, parameters: Parameters, units: Mapping[str, str], catalogue_hash: int | None) -> str:
-    """Text of a file; JSON when its name ends in ``.json``, else TOML."""
+    """Text of a parameter file; JSON if the name ends with ``.json``, else TOML."""
     plain = {name: values if len(values) > 1 else values[0] for name, values in parameters.items()}
     if path.suffix.lower() == ".json":
         return json.dumps({_HASH: catalogue_hash, _TABLE: plain}, indent=2) + "\n"
@@ -64,21 +64,21 @@ def dump(path: Path, parameters: Parameters, units: Mapping[str, str], catalogue
 
 
 def parse(path: Path, text: str, catalogue_hash: int | None) -> Parameters:
-    """Parameters of a file.
+    """Parse a parameter file.
 
     Parameters
     ----------
     path : Path
-        For messages, and for the form.
+        Used for messages and for the format.
     text : str
-        What is in the file.
+        Contents of the file.
     catalogue_hash : int or None
-        What the file has to say of it, if it says anything; None: whatever it says.
+        Expected hash, if the file has one; None: not checked.
 
     Raises
     ------
     ParameterFileError
-        If it is not one; the message says what is wrong.
+        If the file is invalid.
     """
     try:
         table: Any = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
@@ -86,29 +86,29 @@ def parse(path: Path, text: str, catalogue_hash: int | None) -> Parameters:
         raise ParameterFileError(f"{path}: {error}") from None
     parameters = table.get(_TABLE) if isinstance(table, dict) else None
     if not isinstance(parameters, dict) or not parameters:
-        raise ParameterFileError(f"{path}: there is no table [{_TABLE}]; `servo-tool save` writes such files")
+        raise ParameterFileError(f"{path}: no table [{_TABLE}]; create the file with `servo-tool save`")
     written = table.get(_HASH)
     if written is not None and catalogue_hash is not None and written != catalogue_hash:
         raise ParameterFileError(
-            f"{path} belongs to another version of the board: its {_HASH} is {written}, here it is {catalogue_hash}; "
-            f"check the file and take the line {_HASH} out"
+            f"{path} belongs to another version of the board: {_HASH} is {written}, expected {catalogue_hash}; "
+            f"check the file and remove the line {_HASH}"
         )
     result: dict[str, list[Entry]] = {}
     for name, value in parameters.items():
         values = value if isinstance(value, list) else [value]
         if not values or not all(isinstance(v, (int, float, str)) and not isinstance(v, bool) for v in values):
-            raise ParameterFileError(f"{path}: {name} is neither a number nor a name nor a list of them")
+            raise ParameterFileError(f"{path}: {name} is not a number, a name or a list of them")
         result[name] = values
     return result
 
 
 def to_bytes(variables: Mapping[str, BoardVariable], parameters: Parameters, catalogue: Catalogue) -> dict[str, bytes]:
-    """Bytes for the board of all parameters of a file.
+    """Convert all parameters of a file to bytes for the board.
 
     Raises
     ------
     ParameterFileError
-        If one does not exist, cannot be written or is out of limits.
+        If a parameter does not exist, is read-only or out of limits.
     """
     result: dict[str, bytes] = {}
     for name, values in parameters.items():
@@ -130,12 +130,12 @@ def _number(variable: BoardVariable, value: Entry, catalogue: Catalogue) -> Numb
         return value
     numbers = parse_values(variable, value, catalogue)
     if len(numbers) != 1:
-        raise ValueError(f"{variable.name}: {value!r} is not one name; make a list of several")
+        raise ValueError(f"{variable.name}: {value!r} is not one name; write a list for several values")
     return numbers[0]
 
 
 def _snap(variable: BoardVariable, value: Number) -> Number:
-    """Move a value onto a limit that it misses by less than one raw unit, as a limit itself does once rounded."""
+    """Move a value to a limit that it exceeds by less than one raw unit (rounding)."""
     contract = variable.contract
     if contract is None:
         return value
@@ -144,7 +144,7 @@ def _snap(variable: BoardVariable, value: Number) -> Number:
 
 
 def changes(
-    variables: Mapping[str, BoardVariable], wanted: Mapping[str, bytes], found: Mapping[str, bytes]
+    variables: Mapping[str, BoardVariable], target: Mapping[str, bytes], found: Mapping[str, bytes]
 ) -> list[str]:
-    """Names of parameters whose bytes differ, in the order of the board."""
-    return [name for name in variables if name in wanted and wanted[name] != found[name]]
+    """Names of the parameters whose bytes differ, in the order of the board."""
+    return [name for name in variables if name in target and target[name] != found[name]]

@@ -1,6 +1,6 @@
-"""Parameters of the bridge node: declared with descriptors, checked, and handed on as one typed object.
+"""Parameters of the bridge node: declaration with descriptors, checks, and the typed object `Settings`.
 
-Most say what the bridge is made of: they can change only while it is unconfigured.
+Most of them can be changed only while the node is unconfigured.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ __all__ = [
 _JOINT = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 _AT_START: Mapping[str, Spec] = {
-    "autostart": Spec(True, "whether the node configures and activates itself at the start; no axis is enabled by it"),
+    "autostart": Spec(True, "whether the node configures and activates itself at the start; the axes stay disabled"),
 }
 
 _SETTINGS: Mapping[str, Spec] = {
@@ -174,7 +174,7 @@ _SETTINGS: Mapping[str, Spec] = {
 }
 
 PARAMETERS: Mapping[str, Spec] = {**_AT_START, **_SETTINGS}
-"""Every parameter of the node. ``config/servo_bridge.yaml`` lists the same defaults."""
+"""All parameters of the node. ``config/servo_bridge.yaml`` lists the same defaults."""
 
 
 @dataclass(frozen=True)
@@ -207,21 +207,21 @@ class Settings:
 
 
 def settings_from(values: Mapping[str, Any], catalogue: Catalogue) -> Settings:
-    """Check values against each other and against the catalogue.
+    """Check the values for consistency and against the catalogue.
 
     Raises
     ------
     ParameterError
-        If one does not make sense.
+        If a value is invalid.
     """
     names = tuple(values["joints"])
     if len(names) != AXES or len(set(names)) != AXES or not all(map(_JOINT.fullmatch, names)):
         raise ParameterError(
-            f"parameter joints is {list(names)}; give {AXES} different names of letters, digits and underscores"
+            f"parameter joints is {list(names)}; write {AXES} different names of letters, digits and underscores"
         )
     if not values["port"]:
-        raise ParameterError("parameter port is empty; give a device path or a pyserial URL")
-    # One empty name stands for an empty list, which ROS parameter files cannot express with a type.
+        raise ParameterError("parameter port is empty; write a device path or a pyserial URL")
+    # One empty name represents an empty list: ROS parameter files have no typed empty list.
     extra = [name for name in values["telemetry"] if name]
     variables = tuple(name for name in values["variables"] if name)
     try:
@@ -258,7 +258,7 @@ def _interfaces(texts: Sequence[str], joints: Sequence[str]) -> Mapping[str, fro
     known = ("position", "velocity", "effort")
     if len(texts) != len(joints) or not {word for text in texts for word in text.split()} <= set(known):
         raise ParameterError(
-            f"parameter command_interfaces is {list(texts)}; give {len(joints)} texts, one per joint, of the words "
+            f"parameter command_interfaces is {list(texts)}; write {len(joints)} texts, one per joint, of the words "
             f"{', '.join(known)}"
         )
     if not any(texts):
@@ -275,14 +275,16 @@ def _preferred_source(topic: str, joints: Sequence[str]) -> str:
         *map(topics.joint_position_topic, joints),
     ]
     if topic and topic not in known:
-        raise ParameterError(f"parameter preferred_source is {topic!r}; give one of {', '.join(known)}, or nothing")
+        raise ParameterError(
+            f"parameter preferred_source is {topic!r}; write one of {', '.join(known)}, or an empty text"
+        )
     return topic
 
 
 def _home_positions(values: Mapping[str, Any]) -> tuple[float, ...]:
     numbers = _per_joint(values, "home_positions")
     if not all(map(math.isfinite, numbers)):
-        raise ParameterError(f"parameter home_positions is {list(numbers)}; give finite numbers")
+        raise ParameterError(f"parameter home_positions is {list(numbers)}; write finite numbers")
     return tuple(numbers)
 
 
@@ -319,7 +321,7 @@ def _limits(values: Mapping[str, Any]) -> list[JointLimits]:
     rows = {name: _per_joint(values, name) for name in ("position_min", "position_max", "velocity_max", "effort_max")}
     for name in ("velocity_max", "effort_max"):
         if min(rows[name]) < 0.0:
-            raise ParameterError(f"parameter {name} is {list(values[name])}; it is a magnitude and cannot be negative")
+            raise ParameterError(f"parameter {name} is {list(values[name])}; must not be negative")
     limits = [JointLimits(*map(_unlimited, row)) for row in zip(*rows.values(), strict=True)]
     for limit in limits:
         if limit.position_min > limit.position_max:
@@ -332,7 +334,7 @@ def _limits(values: Mapping[str, Any]) -> list[JointLimits]:
 def _per_joint(values: Mapping[str, Any], name: str) -> Sequence[Any]:
     numbers: Sequence[Any] = values[name]
     if len(numbers) != AXES or any(math.isnan(x) for x in numbers):
-        raise ParameterError(f"parameter {name} is {list(numbers)}; give {AXES} numbers, one per joint")
+        raise ParameterError(f"parameter {name} is {list(numbers)}; write {AXES} numbers, one per joint")
     return numbers
 
 
@@ -340,7 +342,7 @@ def _goal_defaults(values: Mapping[str, Any], names: Sequence[str]) -> GoalDefau
     rows = {name: _per_joint(values, name) for name in ("path_tolerance", "goal_tolerance")}
     for name, numbers in rows.items():
         if min(numbers) < 0.0:
-            raise ParameterError(f"parameter {name} is {list(numbers)}; it cannot be negative, and 0.0 is any distance")
+            raise ParameterError(f"parameter {name} is {list(numbers)}; must not be negative; 0.0: any distance")
     speed = values["stopped_velocity_tolerance"] or math.inf
     path = {joint: Tolerance(x or math.inf) for joint, x in zip(names, rows["path_tolerance"], strict=True)}
     goal = {joint: Tolerance(x or math.inf, speed) for joint, x in zip(names, rows["goal_tolerance"], strict=True)}
@@ -348,12 +350,12 @@ def _goal_defaults(values: Mapping[str, Any], names: Sequence[str]) -> GoalDefau
 
 
 def _unlimited(limit: float) -> float:
-    """Infinity, and what Python writes with an exponent, is a string to some tools through whose YAML a limit goes."""
+    """Infinity for limits from `NO_LIMIT`: some tools read infinity and Python exponents in YAML as strings."""
     return limit if abs(limit) < NO_LIMIT else math.copysign(math.inf, limit)
 
 
 def declare(node: Node) -> dict[str, Any]:
-    """Declare every parameter and return the values at the start.
+    """Declare all parameters; return their values at the start.
 
     Raises
     ------
@@ -369,31 +371,31 @@ def values_of(node: Node) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """An array as the list that it was declared as."""
+    """Convert an array to the declared list."""
     return value.tolist() if isinstance(value, array) else value
 
 
 class Configured(Protocol):
-    """What works with settings."""
+    """Object that uses the settings."""
 
     def refuse_settings(self, settings: Settings) -> str:
-        """Say why new settings cannot be taken now; nothing if they can."""
+        """Return a reason to refuse new settings; empty if they can be applied."""
 
     def settings_changed(self, settings: Settings) -> None:
-        """Take new settings."""
+        """Apply new settings."""
 
 
 def watch(node: Node, catalogue: Catalogue, configured: Callable[[], Configured | None]) -> None:
-    """Check changes at run time; a change that does not make sense is refused with its reason.
+    """Check changes at run time; an invalid change is refused with its reason.
 
     Parameters
     ----------
     node : Node
         Node whose parameters are declared.
     catalogue : Catalogue
-        For the checks.
+        Used for the checks.
     configured : callable
-        What gets the changes; None while the node is unconfigured.
+        Returns the object that uses the settings; None while the node is unconfigured.
     """
 
     def check(parameters: list[Parameter]) -> SetParametersResult:
@@ -406,14 +408,14 @@ def watch(node: Node, catalogue: Catalogue, configured: Callable[[], Configured 
         fixed = [name for name, spec in PARAMETERS.items() if spec.read_only and after[name] != before[name]]
         if fixed and target is not None:
             return (
-                f"parameter {fixed[0]} changes only while the node is unconfigured: ros2 lifecycle set "
+                f"parameter {fixed[0]} can be changed only while the node is unconfigured: ros2 lifecycle set "
                 f"/{full_name(node)} deactivate, then cleanup"
             )
         try:
             settings = settings_from(after, catalogue)
         except ParameterError as error:
-            # Several wrong ones are put right one by one; to configure tells what is still wrong.
-            return "" if target is None and not _makes_sense(before, catalogue) else str(error)
+            # Several invalid parameters are corrected one by one; configure reports the remaining ones.
+            return "" if target is None and not _is_valid(before, catalogue) else str(error)
         return "" if target is None else target.refuse_settings(settings)
 
     def apply(parameters: list[Parameter]) -> None:
@@ -425,7 +427,7 @@ def watch(node: Node, catalogue: Catalogue, configured: Callable[[], Configured 
     node.add_post_set_parameters_callback(apply)
 
 
-def _makes_sense(values: Mapping[str, Any], catalogue: Catalogue) -> bool:
+def _is_valid(values: Mapping[str, Any], catalogue: Catalogue) -> bool:
     try:
         settings_from(values, catalogue)
     except ParameterError:

@@ -1,4 +1,4 @@
-"""How well a path was followed: pure measurement on recorded telemetry."""
+"""Figures of a followed path from recorded telemetry. Pure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from servo_bridge.trajectory.path import Path
 
 Series = NDArray[np.float64]
 
-_STEPS: Final = 12  # of Newton's method; it converges from a quarter of a period away
+_STEPS: Final = 12  # of Newton's method; it converges from an error of up to a quarter of a period
 _PERIOD: Final = PERIOD_NS * 1e-9
 
 
@@ -23,26 +23,26 @@ class PathFigures:
     """Figures of all joints on one path."""
 
     duration: float  # of the path [s]
-    start: float  # of the path in the set-points of the board, in the time of the samples [s]
-    ticks_apart: int  # largest difference of the ticks at which the joints began [PWM periods]
-    error_rms: tuple[float, ...]  # measured position minus path, at the ticks of the samples, per joint [rad]
-    error_max: tuple[float, ...]  # largest magnitude of the same, per joint [rad]
-    end_error: tuple[float, ...]  # mean of the same over what was recorded after the end, per joint [rad]
+    start: float  # begin of the path in the set-points of the board, in the time of the samples [s]
+    ticks_apart: int  # largest difference between the start ticks of the joints [PWM periods]
+    error_rms: tuple[float, ...]  # RMS of measured position minus path, per joint [rad]
+    error_max: tuple[float, ...]  # largest magnitude of that error, per joint [rad]
+    end_error: tuple[float, ...]  # mean of that error after the end of the path, per joint [rad]
 
 
 def measure_path(time: Series, position: Series, reference: Series, path: Path, guess: float) -> PathFigures:
-    """Compare what joints did with the path that they were to follow.
+    """Compare recorded positions with the commanded path.
 
     Parameters
     ----------
     time : (samples,) array
-        Rising, the whole path and some of the rest after it [s].
+        Rising times of the whole path and some time after it [s].
     position, reference : (samples, joints) array
         Measured position and set-point of the board [rad].
     path : Path
-        Motion.
+        Commanded path.
     guess : float
-        When it began, to a quarter of the shortest period of the motion, in the time of the samples [s].
+        Begin of the motion, in the time of the samples, with an error below a quarter of its shortest period [s].
 
     Raises
     ------
@@ -51,11 +51,11 @@ def measure_path(time: Series, position: Series, reference: Series, path: Path, 
     """
     shape = len(time), len(path.joints)
     if position.shape != shape or reference.shape != shape:
-        raise ValueError(f"positions of shape {position.shape}, set-points of {reference.shape}; {shape} are needed")
+        raise ValueError(f"positions of shape {position.shape}, set-points of {reference.shape}; required {shape}")
     starts = [_start(time, reference[:, k], path.select([joint]), guess) for k, joint in enumerate(path.joints)]
     start = float(np.mean(starts))
     if not time[0] <= start < start + path.duration < time[-1]:
-        raise ValueError(f"samples from {time[0]:g} s to {time[-1]:g} s do not hold a path from {start:g} s on")
+        raise ValueError(f"samples from {time[0]:g} s to {time[-1]:g} s do not contain the path from {start:g} s")
     error = position - path.state(time - start + path.start_time).position
     on_path = (time >= start) & (time <= start + path.duration)
     return PathFigures(
@@ -69,9 +69,9 @@ def measure_path(time: Series, position: Series, reference: Series, path: Path, 
 
 
 def _start(time: Series, reference: Series, path: Path, guess: float) -> float:
-    """When a joint began its path: the delay for which its set-points fit best, by least squares.
+    """Begin of the path of a joint: least-squares fit of the delay of its set-points.
 
-    Set-points are whole counts; over some hundred samples the delay is known to a fraction of a PWM period.
+    Set-points are whole counts; some hundred samples give the delay to a fraction of a PWM period.
     """
     start = guess
     for _ in range(_STEPS):

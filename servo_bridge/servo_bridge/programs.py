@@ -1,4 +1,4 @@
-"""Entry points of the programs that need ROS; importing this does not import rclpy."""
+"""Entry points of the programs that need ROS; this module does not import rclpy."""
 
 from __future__ import annotations
 

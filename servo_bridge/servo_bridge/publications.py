@@ -1,4 +1,4 @@
-"""Everything that the bridge publishes of the board's telemetry."""
+"""Topics with the telemetry of the board."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Publications:
     names : sequence of str
         Columns of a snapshot.
     joint_states_rate : float
-        Highest rate of joint_states [Hz]; 0: every sample.
+        Largest rate of joint_states [Hz]; 0: every sample.
     snapshot_period : float
         Shortest time between two snapshot messages [s].
     """
@@ -82,7 +82,7 @@ class Publications:
     def sample(
         self, snapshot: Snapshot, stamp_ns: int, torque_constants: Sequence[float] | None, *, joint_states: bool = True
     ) -> None:
-        """Publish a sample, as far as the rates allow.
+        """Publish a sample, limited by the rates.
 
         Parameters
         ----------
@@ -91,16 +91,16 @@ class Publications:
         stamp_ns : int
             ROS time of its tick [ns].
         torque_constants : sequence of float, optional
-            Of the motors, per axis [N m/A]; efforts are left out until they are known.
+            Of the motors, per axis [N m/A]; None: not known, efforts are omitted.
         joint_states : bool
-            Whether the positions are those of the joints; else they are not published as such.
+            False: do not publish joint_states, because the positions have another reference.
         """
         if snapshot.epoch != self._epoch:
             self.flush()
             self._epoch = snapshot.epoch
             self._next_joint = self._next_snapshot = 0
         if joint_states and snapshot.tick >= self._next_joint:
-            # Stepping from the last due tick and not from this one keeps the mean rate.
+            # Step from the last due tick, not from this one, to keep the mean rate.
             self._next_joint = max(self._next_joint + self._joint_ticks, snapshot.tick)
             message = joint_state_from_values(self._joints, stamp_ns, snapshot.values, torque_constants)
             self._joint_states.publish(message)
@@ -110,17 +110,17 @@ class Publications:
             self.flush()
 
     def flush(self) -> None:
-        """Publish the samples that wait for their snapshot message."""
+        """Publish the collected samples in a snapshot message."""
         if self._rows:
             self._snapshot.publish(snapshot_message(self._columns, self._rows))
             self._rows.clear()
 
     def applied(self, command: AppliedCommand) -> None:
-        """Publish a write that took effect."""
+        """Publish an applied write."""
         self._applied.publish(applied_message(command))
 
     def fault_record(self, record: FaultRecord) -> None:
-        """Publish what led to the first fault of an axis."""
+        """Publish the record of the first fault of an axis."""
         message = snapshot_message(RECORD_COLUMNS, record.table.tolist())
         message.layout.dim[0].label = record.summary()
         self._fault_records[record.axis].publish(message)
@@ -134,20 +134,20 @@ class Publications:
         self._windings.publish(Float64MultiArray(data=list(temperatures)))
 
     def description(self, text: str) -> None:
-        """Publish the robot description where it has changed."""
+        """Publish the robot description if it has changed."""
         if text != self._last_description:
             self._last_description = text
             self._description.publish(String(data=text))
 
     def positions_known(self, known: Sequence[bool]) -> None:
-        """Publish which positions are known where that has changed."""
+        """Publish which positions are known, if that has changed."""
         for axis, (now, publisher) in enumerate(zip(known, self._known, strict=True)):
             if now != self._last_known[axis]:
                 self._last_known[axis] = now
                 publisher.publish(Bool(data=now))
 
     def state(self, text: str, *, armed: bool) -> None:
-        """Publish state and armed where they have changed."""
+        """Publish state and armed if they have changed."""
         if armed != self._last_armed:
             self._last_armed = armed
             self._armed.publish(Bool(data=armed))

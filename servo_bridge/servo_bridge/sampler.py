@@ -1,4 +1,4 @@
-"""Reads a few variables again and again from any FreeMASTER target: through the scope where it can, else one by one."""
+"""Reads a list of variables from any FreeMASTER target: with the scope if possible, else one by one."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from servo_bridge.wire.session import BoardVariable, Session
 
 @dataclass(frozen=True)
 class Reading:
-    """Values of all variables of a sampler and when they were read [monotonic ns]."""
+    """Values of all variables of a sampler, with their time [monotonic ns]."""
 
     time_ns: int
     values: tuple[Value, ...]
 
 
 class Sampler:
-    """A list of variables to be read together."""
+    """List of variables that are read together."""
 
     def __init__(self, session: Session, variables: Sequence[BoardVariable]) -> None:
         self._session = session
         self._variables = tuple(variables)
         self._request = self._set_up()
         self.simultaneous = self._request is not None or len(self._variables) == 1
-        """Whether the values of one reading are from the same moment."""
+        """Whether the values of one reading are simultaneous."""
 
     def _set_up(self) -> Request | None:
         if self._session.info.scopes == 0 or any(v.size not in SCOPE_SIZES for v in self._variables):
@@ -37,7 +37,7 @@ class Sampler:
         try:
             return self._session.client.set_scope([ScopeSlot(v.address, v.size) for v in self._variables])
         except (StatusError, CodecError):
-            return None  # a scope with fewer slots than asked for
+            return None  # the scope has too few slots
 
     def read(self) -> Reading:
         """Read all variables once."""

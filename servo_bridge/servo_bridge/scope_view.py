@@ -1,7 +1,7 @@
-"""What ``servo-tool scope`` shows: telemetry and bursts on one time line, in the viewer or in a file.
+"""Display of ``servo-tool scope``: telemetry and bursts on one timeline, in the rerun viewer or in a file.
 
-The names of time line and curves are those of the recordings of the twin. All calls of rerun are made by a thread of
-their own, because single ones take half a second.
+The names of timeline and curves are those of the recordings of the twin. All rerun functions are called in a separate
+thread, because some calls take half a second.
 """
 
 from __future__ import annotations
@@ -28,45 +28,45 @@ from servo_msgs_py.recording_names import BURST, PLOT, TIMELINE
 from servo_bridge.bursts.rerun_log import entity_of, import_rerun, send_curve
 from servo_bridge.tool_values import UsageError
 
-_WINDOW: Final = 15.0  # what the plots of the telemetry show of the past [s]
-_WAITING: Final = 20  # pieces that may wait for the thread before the caller waits
-_REACH: Final = 2.0  # longest wait for a viewer to answer [s]
+_WINDOW: Final = 15.0  # time span of the telemetry plots [s]
+_WAITING: Final = 20  # queued calls before the caller blocks
+_REACH: Final = 2.0  # timeout of the connection to a viewer [s]
 _LOOPBACK: Final = "127.0.0.1"
-_START: Final = 20.0  # longest wait for a viewer that is started [s]
+_START: Final = 20.0  # timeout of the start of a viewer [s]
 _POLL: Final = 0.2
-_FLUSH: Final = 5.0  # longest wait for the last bytes [s]
-_STALLED: Final = 10.0  # longest wait for a viewer that does not take data [s]
+_FLUSH: Final = 5.0  # timeout of the final flush [s]
+_STALLED: Final = 10.0  # timeout of a call of the viewer [s]
 
 
 class ViewLostError(RuntimeError):
-    """The viewer or the file has not taken everything."""
+    """The viewer or the file has not received all data."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A curve."""
+    """Curve of a recording."""
 
-    parts: tuple[str, ...]  # path of its entity
+    parts: tuple[str, ...]  # path of the entity
     title: str  # name with unit
-    unit: str  # curves of one unit share a plot
+    unit: str  # curves of the same unit share a plot
 
 
 class ScopeView:
-    """An open recording.
+    """Open recording.
 
     Parameters
     ----------
     telemetry, bursts : sequence of Curve
-        What comes.
+        Curves.
     save : Path, optional
         File to write.
     connect : str, optional
-        Address of a viewer that runs. With neither a viewer is started.
+        Address of a running viewer. Without `save` and `connect` a viewer is started.
 
     Raises
     ------
     UsageError
-        If rerun is not installed, the file cannot be written or no viewer can be reached.
+        If rerun is not installed, the file cannot be written, or no viewer can be reached.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class ScopeView:
             self._stream.flush(timeout_sec=_FLUSH)
         except (RuntimeError, ValueError) as trouble:
             if error is None:
-                raise ViewLostError(f"the last data did not get through: {str(trouble).splitlines()[0]}") from None
+                raise ViewLostError(f"the last data were not received: {str(trouble).splitlines()[0]}") from None
         finally:
             self._stream.disconnect()
         for work in self._waiting if error is None else ():
@@ -120,7 +120,7 @@ class ScopeView:
         self._submit(lambda: self._send(self._telemetry, times, values))
 
     def burst(self, times: NDArray[np.float64], values: NDArray[np.float64], text: str) -> None:
-        """Append a burst: times [s] (points,), values (points, curves); and a line of the log at its first point."""
+        """Append a burst: times [s] (points,), values (points, curves); `text` is logged at its first point."""
         gap = np.full((1, values.shape[1]), np.nan)
         end = times[-1:] + (times[-1] - times[-2] if len(times) > 1 else 0.0)
 
@@ -131,7 +131,7 @@ class ScopeView:
 
         self._submit(send)
 
-    # ---- thread of its own
+    # ---- writer thread
     def _titles(self) -> None:
         for curve in (*self._telemetry, *self._bursts):
             self._stream.log(entity_of(curve.parts), self._rr.SeriesLines(names=curve.title), static=True)
@@ -142,19 +142,19 @@ class ScopeView:
             send_curve(self._stream, entity_of(curve.parts), index, column)
 
     def _submit(self, work: Callable[[], None]) -> None:
-        """Have the thread do it; raises what went wrong before."""
+        """Call a function in the thread; raises the errors of earlier calls."""
         self._waiting.append(self._writer.submit(work))
         while self._waiting and (len(self._waiting) > _WAITING or self._waiting[0].done()):
             try:
                 self._waiting.popleft().result(_STALLED)
             except FutureTimeoutError:
-                raise ViewLostError(f"the viewer has not taken data for {_STALLED:g} s") from None
+                raise ViewLostError(f"the viewer has not received data for {_STALLED:g} s") from None
 
 
 def _check_file(path: Path) -> None:
-    """Find out before rerun does, which only logs it."""
+    """Raise if the file cannot be written; rerun would only log it."""
     if path.suffix.lower() != ".rrd":
-        raise UsageError(f"{path}: the name of a rerun recording has to end in .rrd")
+        raise UsageError(f"{path}: the name of a rerun recording must end with .rrd")
     try:
         with path.open("wb"):
             pass
@@ -163,28 +163,28 @@ def _check_file(path: Path) -> None:
 
 
 def _check_viewer(url: str) -> None:
-    """Find out whether a viewer listens; rerun would wait for one at the end."""
+    """Raise if no viewer listens; rerun would wait for it at the end."""
     try:
         parts = urlsplit(url)
         host, port = parts.hostname, parts.port
     except ValueError:
         host = port = None
     if host is None or port is None or parts.scheme not in ("rerun", "rerun+http", "rerun+https"):
-        raise UsageError(f"{url!r} is no address of a rerun viewer; give one such as rerun+http://127.0.0.1:9876/proxy")
+        raise UsageError(f"{url!r} is not an address of a rerun viewer; write e.g. rerun+http://127.0.0.1:9876/proxy")
     try:
         socket.create_connection((host, port), _REACH).close()
     except OSError as error:
-        raise UsageError(f"no rerun viewer answers at {url} ({error.strerror or error}); start it first") from None
+        raise UsageError(f"no rerun viewer at {url} ({error.strerror or error}); start it first") from None
 
 
 def _viewer_started() -> str:
-    """Start a viewer that listens on the loopback interface only and outlives this program; returns its address."""
-    spec = importlib.util.find_spec("rerun_cli")  # the program itself, wherever the package is installed
+    """Start a viewer that listens on the loopback interface only and survives this program; returns its address."""
+    spec = importlib.util.find_spec("rerun_cli")  # path of the program
     folders = [Path(place) for place in (spec.submodule_search_locations or ())] if spec else []
     program = next((str(path) for folder in folders if (path := folder / "rerun").is_file()), None)
     program = program or shutil.which("rerun")
     if program is None:
-        raise UsageError("there is no rerun program; install it with pip install 'rerun-sdk==0.41.*'")
+        raise UsageError("the program rerun is missing; install it with pip install 'rerun-sdk==0.41.*'")
     with socket.socket() as probe:
         probe.bind((_LOOPBACK, 0))
         port = probe.getsockname()[1]
@@ -198,8 +198,8 @@ def _viewer_started() -> str:
         time.sleep(_POLL)
         if viewer.poll() is not None:
             raise UsageError(
-                f"the rerun viewer ends with status {viewer.returncode}, as it does without a display; say "
-                "--save FILE.rrd or --connect URL instead"
+                f"the rerun viewer ended with status {viewer.returncode} (no display?); use --save FILE.rrd or"
+                " --connect URL instead"
             )
         if answers:
             return f"rerun+http://{_LOOPBACK}:{port}/proxy"
@@ -209,7 +209,7 @@ def _viewer_started() -> str:
 
 
 def _blueprint(telemetry: Sequence[Curve], bursts: Sequence[Curve]) -> Any:
-    """Telemetry, a plot per unit, beside the bursts in the same form and the log."""
+    """Telemetry with a plot per unit, next to the bursts and the log."""
     import rerun.blueprint as rrb
 
     relative = rrb.TimeRangeBoundary.cursor_relative

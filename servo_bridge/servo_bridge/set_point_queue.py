@@ -1,8 +1,8 @@
-"""Set-points between the arbiter, which puts them in, and the dispatcher, which writes them to the board.
+"""Queue of set-points between the arbiter and the dispatcher, which writes them to the board.
 
-Modes go first where they change, then one write for all axes that move together, then timed points of axes that follow
-a path. A newer set-point replaces one that is still waiting; the board itself ends a velocity or effort that is not
-written again. All numbers are raw firmware integers. Pure.
+Order: mode changes, then one write for all axes that move together, then timed points of axes that follow a path. A new
+set-point replaces a pending one. Velocity and effort set-points expire on the board if they are not renewed. All
+numbers are raw firmware integers. Pure.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import Final, Protocol
 from servo_msgs_py.catalogue import AXES
 from servo_msgs_py.timed_points import axes_of_points
 
-from servo_bridge.setpoints import Mode
+from servo_bridge.set_points import Mode
 from servo_bridge.trajectory.errors import POINTS_REFUSED
 
 TARGETS: Final = {Mode.POSITION: "cmd.position", Mode.SPEED: "cmd.speed", Mode.TORQUE: "cmd.i_q"}
-"""Variable that takes the set-point of a mode."""
+"""Variable of the set-point of a mode."""
 
 _POINTS = "cmd.points"
 _TAKE = "config.take"
@@ -26,12 +26,12 @@ _TAKE = "config.take"
 
 @dataclass(frozen=True)
 class CommandWrite:
-    """A write of neighbouring elements of one command variable, of timed points, or of blocks that are to be taken."""
+    """Write of neighbouring elements of a command variable, of timed points, or of ``config.take``."""
 
     variable: str  # name of the array variable
     first: int  # axis of the first element; 0 for points and blocks
-    raw: tuple[int, ...]  # firmware integers; only the written elements count as fresh; of points their words
-    members: tuple[int, ...] = ()  # of the blocks that ``config.take`` brings into force, one axis after the other
+    raw: tuple[int, ...]  # firmware integers of the written elements; for points: their words
+    members: tuple[int, ...] = ()  # of the blocks that ``config.take`` applies, by axis
 
     @property
     def mask(self) -> int:
@@ -43,7 +43,7 @@ class CommandWrite:
         return ((1 << len(self.raw)) - 1) << self.first
 
     def numbers(self) -> tuple[int, ...]:
-        """Raw number of every axis, 0 where nothing is written; the words of points; the members of blocks."""
+        """Raw numbers of all axes (0: not written); for points their words, for ``config.take`` the members."""
         if self.variable == _POINTS:
             return self.raw
         if self.variable == _TAKE:
@@ -55,14 +55,14 @@ class CommandWrite:
 
 @dataclass(frozen=True)
 class Target:
-    """A set-point of one axis."""
+    """Set-point of one axis."""
 
     mode: Mode  # meaning of the number
     raw: int  # value of the variable `TARGETS` of this mode
 
 
 class PathSource(Protocol):
-    """Where timed points come from."""
+    """Source of timed points."""
 
     @property
     def axes(self) -> Collection[int]: ...
@@ -71,17 +71,17 @@ class PathSource(Protocol):
 
 
 class SetPointQueue:
-    """What is to be written next, per axis."""
+    """Pending set-points and modes of all axes."""
 
     def __init__(self) -> None:
-        self._modes: list[Mode | None] = [None] * AXES  # that the board has taken; None: not known
+        self._modes: list[Mode | None] = [None] * AXES  # accepted by the board; None: not known
         self._targets: list[Target | None] = [None] * AXES
-        self._halted: set[int] = set()  # axes that have to be stopped
+        self._halted: set[int] = set()  # axes to be stopped
         self._paths: PathSource | None = None
 
-    # ---- what goes in
+    # ---- input
     def follow(self, paths: PathSource) -> None:
-        """Take timed points from here, for axes that no set-point moves."""
+        """Use this source of timed points, for axes without a set-point."""
         self._paths = paths
 
     @property
@@ -90,24 +90,24 @@ class SetPointQueue:
         return () if self._paths is None else self._paths.axes
 
     def put(self, axis: int, target: Target, reason: str) -> None:
-        """Make this the waiting set-point of an axis; `reason` ends a path that the axis follows."""
+        """Set the pending set-point of an axis; `reason` is reported for a path that it ends."""
         self._targets[axis] = target
-        self._leave_path(axis, reason)
+        self._end_path(axis, reason)
 
-    def make_way(self, axes: Iterable[int]) -> None:
-        """Throw away waiting set-points of axes that are to follow a path."""
+    def discard(self, axes: Iterable[int]) -> None:
+        """Discard the pending set-points of axes, which then follow a path."""
         for axis in axes:
             self._targets[axis] = None
 
     def drop(self, axis: int, reason: str) -> None:
-        """Throw away what waits for an axis, and end its path."""
+        """Discard the pending set-point of an axis, and end its path."""
         self._targets[axis] = None
-        self._leave_path(axis, reason)
+        self._end_path(axis, reason)
 
     def halt(self, axes: Iterable[int], reason: str) -> None:
-        """Have axes stop at the acceleration limit of the board and hold, whatever path or set-point they follow.
+        """Stop axes with the acceleration limit of the board and hold, whatever they follow.
 
-        A change of mode does that on the board: nothing has to be planned, and nothing can be refused.
+        A change of the mode has this effect on the board; it needs no planning and cannot be refused.
         """
         for axis in axes:
             self._modes[axis] = None
@@ -115,21 +115,21 @@ class SetPointQueue:
             self._halted.add(axis)
 
     def forget_modes(self) -> None:
-        """Write modes anew, whatever the board did meanwhile."""
+        """Forget the modes, so that they are written again."""
         self._modes = [None] * AXES
 
     def link_lost(self) -> None:
-        """Forget what the board was told."""
+        """Reset the known modes."""
         self.forget_modes()
         self._halted.clear()
 
-    # ---- what goes out
-    def obeys_points(self, axis: int) -> bool:
-        """Whether an axis has been told to follow timed points."""
+    # ---- output
+    def follows_points(self, axis: int) -> bool:
+        """True if an axis is in mode TRAJECTORY."""
         return self._modes[axis] is Mode.TRAJECTORY
 
     def next_write(self) -> CommandWrite | None:
-        """Fetch the next write: modes before set-points, both axes in one write where they share the variable."""
+        """Remove the next write: modes before set-points; both axes in one write if the variable is the same."""
         if self._halted:
             halted, self._halted = self._halted, set()
             return _joined("cmd.mode", dict.fromkeys(halted, Mode.POSITION.value))
@@ -144,19 +144,19 @@ class SetPointQueue:
             return None if words is None else CommandWrite(_POINTS, 0, words)
         mode = next(iter(waiting.values())).mode
         together = {axis: target.raw for axis, target in waiting.items() if target.mode is mode}
-        self.make_way(together)
+        self.discard(together)
         return _joined(TARGETS[mode], together)
 
     def accepted(self, write: CommandWrite) -> None:
-        """Note that the board took a write."""
+        """Record that the board accepted a write."""
         if write.variable == "cmd.mode":
             for k, raw in enumerate(write.raw):
                 self._modes[write.first + k] = Mode(raw)
 
     def failed(self, write: CommandWrite) -> None:
-        """Note that the board did not take a write: what waited for these axes is void, their mode unknown.
+        """Record that the board refused a write: discard the pending set-points of its axes and forget their modes.
 
-        Of a path the board may have points that it still follows: another mode makes it stop and hold.
+        The board may still follow queued points of a path; a change of the mode stops it.
         """
         for axis in range(AXES):
             if write.mask >> axis & 1:
@@ -166,12 +166,12 @@ class SetPointQueue:
                     self._modes[axis] = None
                     self.drop(axis, f"the board refused {write.variable}")
 
-    def _leave_path(self, axis: int, reason: str) -> None:
+    def _end_path(self, axis: int, reason: str) -> None:
         if self._paths is not None and axis in self._paths.axes:
             self._paths.cancel(axis, reason)
 
 
 def _joined(variable: str, elements: Mapping[int, int]) -> CommandWrite:
-    """One write of neighbouring elements; with two axes any set of elements is neighbouring."""
+    """Write of neighbouring elements; with two axes every set of elements is contiguous."""
     axes = sorted(elements)
     return CommandWrite(variable, axes[0], tuple(elements[axis] for axis in axes))

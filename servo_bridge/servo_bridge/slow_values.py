@@ -1,4 +1,4 @@
-"""Values of the board that are read beside the telemetry: motor data, counters and the state of the windings. Pure."""
+"""Values of the board that are not in the telemetry: motor data, error counters, winding temperatures. Pure."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ _MOTOR: Final = ("torque_constant", "acceleration_current")
 
 
 class SlowValues:
-    """Newest values; those of a lost link are forgotten.
+    """Last values; forgotten after the loss of the link.
 
     Parameters
     ----------
     read : callable
-        Starts to read a variable; reads end in order.
+        Starts to read a variable; reads finish in order.
     post : callable
         Runs a function in the thread of the node.
     motors_known : callable
-        Called when the motor data have been read.
+        Called after the motor data have been read.
     windings_known : callable
-        Called with the state of the windings, by axis, whenever it has been read.
+        Called with the winding temperatures, by axis, after each reading.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class SlowValues:
         self._read, self._post = read, post
         self._motors_known, self._windings_known = motors_known, windings_known
         self._counting = False
-        self._link = 0  # how many links there have been
+        self._link = 0  # number of the connection
         self.link_lost()
 
     def link_lost(self) -> None:
@@ -51,11 +51,11 @@ class SlowValues:
         self.counters_restarted()
 
     def counters_restarted(self) -> None:
-        """Forget the counters: the board has been reset."""
+        """Forget the counters after a reset of the board."""
         self.counters: dict[str, int] | None = None  # of `BOARD_COUNTERS`
 
     def read_motors(self) -> None:
-        """Start to read the motor data, when the link is up or the configuration has changed."""
+        """Start to read the motor data: after a connection or a change of the configuration."""
 
         def take(values: list[float]) -> None:
             self.motors = [Motor(k, k * current) for k, current in zip(values[::2], values[1::2], strict=True)]
@@ -64,7 +64,7 @@ class SlowValues:
         self._start([f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in _MOTOR], take)
 
     def read_counters(self) -> None:
-        """Start to read counters and windings, unless that is under way; in every sample they would take room."""
+        """Start to read counters and windings, unless a reading is in progress; they would lengthen every sample."""
 
         def take(values: list[float]) -> None:
             self.counters = {name: int(value) for name, value in zip(BOARD_COUNTERS, values, strict=False)}
@@ -84,7 +84,7 @@ class SlowValues:
     def _start(
         self, names: Sequence[str], take: Callable[[list[float]], None], ended: Callable[[], None] = lambda: None
     ) -> None:
-        """Read single numbers and hand them on, unless the link is lost meanwhile."""
+        """Read single numbers and pass them to `take`, unless the link is lost meanwhile."""
         futures, link = [self._read(name) for name in names], self._link
 
         def all_read() -> None:
@@ -92,5 +92,5 @@ class SlowValues:
             if link == self._link and all(error_of(future) is None for future in futures):
                 take([float(number) for future in futures for number in numbers(future.result())])
 
-        # The link works in order: when the last one is done, all are.
+        # The link works in order: the last future is the last to be done.
         futures[-1].add_done_callback(lambda _: self._post(all_read))

@@ -1,4 +1,4 @@
-"""Sentences for the log on what is new in a sample: faults, and set-points that expired. Pure."""
+"""Log messages about new faults and expired set-points in a sample. Pure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TIMEOUT: Final = "param.command_timeout"
 
 
 class SnapshotEvents:
-    """Compares samples.
+    """Compares consecutive samples.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class SnapshotEvents:
         self._expired = catalogue.flag("limits", "EXPIRED").mask
 
     def faults(self, before: Snapshot | None, now: Snapshot) -> list[str]:
-        """One sentence per new fault."""
+        """One message per new fault."""
         words = before.faults if before is not None else [0] * len(now.faults)
         return [
             f"{joint}: {text}"
@@ -40,7 +40,7 @@ class SnapshotEvents:
         ]
 
     def expired(self, before: Snapshot | None, now: Snapshot, parameters: RawParameters | None) -> list[str]:
-        """One sentence per axis whose set-point was not written again in time; the time is that of the parameters."""
+        """One message per axis whose set-point has expired; the timeout is from the parameters."""
         timeout = _TIMEOUT
         if parameters is not None:
             timeout = f"{parameters[_TIMEOUT][0] * self._catalogue[_TIMEOUT].lsb:g} s"

@@ -1,6 +1,6 @@
-"""The services ``save_to_board`` and ``restore_factory``, and what the data flash of the board has for /diagnostics.
+"""The services ``save_to_board`` and ``restore_factory``, and the state of the non-volatile storage for /diagnostics.
 
-Each look at the board is a job of the link of its own, so that set-points and telemetry go on in between.
+Each access is a separate job of the link, so that set-points and telemetry continue in between.
 """
 
 from __future__ import annotations
@@ -23,30 +23,30 @@ from servo_msgs_py.board_storage import (
 )
 from std_srvs.srv import Trigger
 
-from servo_bridge.services import DeferredService, Outcome
+from servo_bridge.deferred_service import DeferredService, Outcome
 from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.wire.session import Call
 from servo_msgs_py import topics
 
 _TIMEOUT: Final = 5.0
-"""Longest time for a request [s]; the flash takes half a second at most."""
+"""Timeout of a request [s]; the flash takes half a second at most."""
 
 T = TypeVar("T")
 
 
 class StorageService:
-    """Stores when it is asked to. In the thread of the node.
+    """Executes the storage services. All methods run in the thread of the node.
 
     Parameters
     ----------
     node : Node
         Owner of the services.
     call : Call
-        Way to the board.
+        Calls a function with the board, in the thread of the link.
     post : callable
         Runs a function in the thread of the node.
     say, warn : callable
-        Get a sentence for the log.
+        Receive messages for the log.
     """
 
     def __init__(
@@ -58,48 +58,48 @@ class StorageService:
         say: Callable[[str], None],
         warn: Callable[[str], None],
     ) -> None:
-        self.storage: Storage | None = None  # state of the data flash; None: not known
+        self.storage: Storage | None = None  # state of the storage; None: not known
         self._call, self._post = call, post
         self._say, self._warn = say, warn
         self._busy = False
         self._services = [
-            DeferredService(node, Trigger, topics.SAVE_TO_BOARD, lambda _: self._asked("SAVE")),
-            DeferredService(node, Trigger, topics.RESTORE_FACTORY, lambda _: self._asked("FACTORY")),
+            DeferredService(node, Trigger, topics.SAVE_TO_BOARD, lambda _: self._request("SAVE")),
+            DeferredService(node, Trigger, topics.RESTORE_FACTORY, lambda _: self._request("FACTORY")),
         ]
 
     def connected(self) -> None:
-        """The link is up, maybe to a board that was reset."""
-        self._job(lambda memory: read_storage(memory), self._seen, lambda _: None)
+        """Read the state after a connection; the board may have been reset."""
+        self._job(lambda memory: read_storage(memory), self._update, lambda _: None)
 
     def link_lost(self) -> None:
-        """Nothing is known any more."""
+        """Forget the state of the board."""
         self.storage = None
 
-    def _seen(self, storage: Storage) -> None:
+    def _update(self, storage: Storage) -> None:
         if storage.trouble and storage != self.storage:
             self._warn(f"data flash of the board: {storage.trouble}")
         self.storage = storage
 
-    def _asked(self, kind: Kind) -> Future[Outcome]:
+    def _request(self, kind: Kind) -> Future[Outcome]:
         answer: Future[Outcome] = Future()
         if self._busy:
-            answer.set_result((False, "a request is already in progress; call again after its answer"))
+            answer.set_result((False, "a request is already in progress; call again after its response"))
             return answer
         self._busy = True
         until = time.monotonic() + _TIMEOUT
         failed = partial(self._failed, kind, answer)
-        self._job(lambda memory: begin_request(memory, kind), partial(self._look, kind, answer, until), failed)
+        self._job(lambda memory: begin_request(memory, kind), partial(self._poll, kind, answer, until), failed)
         return answer
 
-    def _look(self, kind: Kind, answer: Future[Outcome], until: float, token: int) -> None:
+    def _poll(self, kind: Kind, answer: Future[Outcome], until: float, token: int) -> None:
         def seen(storage: Storage | None) -> None:
             if storage is not None:
-                self._seen(storage)
+                self._update(storage)
                 self._done(answer, (True, success_text(kind, storage)))
             elif time.monotonic() > until:
-                self._failed(kind, answer, StorageRefusedError("", f"the board is not done within {_TIMEOUT:g} s"))
+                self._failed(kind, answer, StorageRefusedError("", f"no result of the board within {_TIMEOUT:g} s"))
             else:
-                self._look(kind, answer, until, token)
+                self._poll(kind, answer, until, token)
 
         self._job(lambda memory: request_result(memory, token), seen, partial(self._failed, kind, answer))
 
@@ -119,7 +119,7 @@ class StorageService:
         then: Callable[[T], None],
         failed: Callable[[BaseException], None],
     ) -> None:
-        """Do something with the board in the thread of the link, and go on with its result in that of the node."""
+        """Call `work` in the thread of the link, and `then` with its result in the thread of the node."""
 
         def done(future: Future[T]) -> None:
             error = future.exception()

@@ -1,9 +1,9 @@
-"""The board on a serial port behind topics and services of a node, from its configuration to its clean-up.
+"""Connects a board on a serial port to topics and services of a node, from configure to cleanup.
 
-The way of a set-point: `setpoint_topics` -> `setpoints` (form) -> `arbiter` (may it pass?) -> `set_point_queue` ->
-`dispatcher` (one write at a time) -> `link` (serial port, own thread) -> firmware. The way back: `link` -> `inbox` (to
-the executor's thread) -> `telemetry` -> `publications`. Nothing here touches the port, and only the executor's thread
-touches the rest.
+Path of a set-point: `set_point_topics` -> `set_points` (form) -> `arbiter` (limits, states) -> `set_point_queue` ->
+`dispatcher` (one write at a time) -> `link` (serial port, own thread) -> firmware. Path of a sample: `link` -> `inbox`
+(to the thread of the executor) -> `telemetry` -> `publications`. This module does not access the port; all its code
+runs in the thread of the executor.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from servo_bridge.board_link import BoardLink, LinkFactory
 from servo_bridge.board_parameters import BoardParameters
 from servo_bridge.bursts.record_service import RecordService
 from servo_bridge.bursts.recording import piece_size
+from servo_bridge.deferred_service import DeferredService, Outcome
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.fault_records import FaultRecords
 from servo_bridge.follow_action import FollowAction, action_interfaces
@@ -47,9 +48,8 @@ from servo_bridge.motion_services import MotionServices
 from servo_bridge.outcome import error_of
 from servo_bridge.parameters import ParameterError, Settings
 from servo_bridge.publications import Publications
-from servo_bridge.services import DeferredService, Outcome
 from servo_bridge.set_point_queue import CommandWrite
-from servo_bridge.setpoint_topics import SetPointTopics
+from servo_bridge.set_point_topics import SetPointTopics
 from servo_bridge.slow_values import SlowValues
 from servo_bridge.snapshot_events import SnapshotEvents
 from servo_bridge.storage_service import StorageService
@@ -67,13 +67,15 @@ from servo_bridge.wire.board_clock import BoardClock, WallClock
 from servo_bridge.wire.link import FinalWrite, LinkConfig, LinkState, LinkStatus, Sample, WriteResult
 from servo_msgs_py import topics
 
-_TAKE_OVER: Final = CommandWrite("cmd.quick_stop", 0, (1,) * AXES)  # what the link does first, see wire.take_over
+_STOP_AT_CONNECTION: Final = CommandWrite(
+    "cmd.quick_stop", 0, (1,) * AXES
+)  # first write of the link, see wire.stop_at_connection
 _URGENT: Final = ("cmd.enable", "cmd.quick_stop", "cmd.clear_faults")
 _SWITCH_OFF: Final[Sequence[FinalWrite]] = (("cmd.enable", [0.0] * AXES),)
 
 
 class Supervisor:
-    """One board behind its topics and services; in the executor's thread. It begins inactive.
+    """One board with its topics and services; in the thread of the executor. Initially inactive.
 
     Parameters
     ----------
@@ -84,9 +86,9 @@ class Supervisor:
     settings : Settings
         Parameters of the node.
     call_soon : callable
-        Makes the executor call a function in its own thread; may be called from any thread.
+        Schedules a function in the executor; may be called from any thread.
     link_factory : LinkFactory
-        Makes the link to the board.
+        Creates the link to the board.
 
     Raises
     ------
@@ -190,7 +192,7 @@ class Supervisor:
             self._dispatcher,
             self._link.read,
             self._inbox.post,
-            moved=self._telemetry.recount,
+            moved=self._telemetry.restart_position,
             say=self._say,
             warn=self._warn,
         )
@@ -278,28 +280,28 @@ class Supervisor:
 
     # ---- lifecycle and parameters
     def activate(self) -> None:
-        """Let ``enable`` open the gate of set-points; nothing is enabled by this."""
+        """Permit ``enable`` to release set-points; the axes stay disabled."""
         self._arbiter.inactive = ""
 
     def deactivate(self) -> None:
-        """Shut the gate of set-points and stop the axes at the limit; telemetry goes on."""
+        """Block set-points and stop the axes; telemetry continues."""
         self._arbiter.inactive = self._inactive
 
-        def told(stop: Future[Outcome]) -> None:
+        def stopped(stop: Future[Outcome]) -> None:
             success, message = stop.result()
-            if not success and not self._ended:  # the end switches off
-                self._warn(f"no quick stop: {message}")
+            if not success and not self._ended:  # close() switches off
+                self._warn(f"quick stop failed: {message}")
 
-        self._motion.quick_stop("stopped because the bridge was deactivated").add_done_callback(told)
+        self._motion.quick_stop("stopped because the bridge was deactivated").add_done_callback(stopped)
         self._publish_state()
 
     def refuse_settings(self, settings: Settings) -> str:
-        """Say why new settings cannot be taken now; nothing if they can."""
+        """Return a reason to refuse new settings; empty if they can be applied."""
         problem = self._board_parameters.check(settings.board_parameters)
         return f"parameter board_parameters: {problem}" if problem else ""
 
     def settings_changed(self, settings: Settings) -> None:
-        """Take new settings."""
+        """Apply new settings."""
         if settings.board_parameters != self._settings.board_parameters:
             self._board_parameters.request(settings.board_parameters)
         self._settings = settings
@@ -314,26 +316,26 @@ class Supervisor:
 
     # ---- commands
     def _send(self, write: CommandWrite) -> None:
-        """Start a write; its end comes back through the inbox, in order with the samples."""
+        """Start a write; its result returns through the inbox, in order with the samples."""
 
         def done(future: Future[WriteResult]) -> None:
             self._inbox.post(partial(self._dispatcher.acknowledged, write, error_of(future)))
             if write.variable == "cmd.points" and error_of(future) is not None:
-                self._inbox.post(self._tell_refusal)
+                self._inbox.post(self._log_refusal)
 
-        # A stop must not wait for parameters on a slow line, nor parameters for a stream of set-points.
+        # A stop must not wait for parameters on a slow line; parameters must not wait for a stream of set-points.
         urgent = write.variable in _URGENT
         self._link.write_raw(write.variable, write.raw, first=write.first, urgent=urgent).add_done_callback(done)
 
-    def _tell_refusal(self) -> None:
-        """Log why the board has refused timed points."""
+    def _log_refusal(self) -> None:
+        """Log the reason of the board for the refusal of timed points."""
 
-        def told(future: Future[Value]) -> None:
+        def log(future: Future[Value]) -> None:
             if error_of(future) is None:
                 reason = self._catalogue.label("point_refusal_t", int(numbers(future.result())[0]))
                 self._inbox.post(partial(self._warn, f"the board has refused points of a trajectory: {reason}"))
 
-        self._link.read("point_refusal").add_done_callback(told)
+        self._link.read("point_refusal").add_done_callback(log)
 
     def _path_limits(self) -> list[Limits] | None:
         values = self._board_parameters.values
@@ -351,7 +353,7 @@ class Supervisor:
         return None if offset is None else self._wall.wall_ns(round(offset))
 
     def _times(self, ticks: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Extended ticks of uint32 ticks near that of the newest sample, and their ROS times [ns]."""
+        """Extended ticks of uint32 ticks close to the newest sample, and their ROS times [ns]."""
         snapshot, origin_ns = self._snapshot, self._origin_ns()
         assert snapshot is not None
         assert origin_ns is not None
@@ -359,19 +361,19 @@ class Supervisor:
         return extended, origin_ns + extended * PERIOD_NS
 
     def _pace_keep_alive(self) -> None:
-        # What is wanted may be in force on the board long before it has been read again.
+        # Requested parameters may be effective on the board before they are read back.
         known = applied(self._settings.board_parameters, {}), self._board_parameters.values or {}
         period = round(self._keep_alive.period(*known) * 1e9)
         if period != self._keep_alive_timer.timer_period_ns:
             self._keep_alive_timer.timer_period_ns = period
             self._keep_alive_timer.reset()
 
-    # ---- what comes from the link
+    # ---- callbacks of the link
     def _on_link(self, status: LinkStatus) -> None:
         self._status = status
         if status.state is LinkState.CONNECTED:
             self._log.info(str(status))
-            self._dispatcher.open(_TAKE_OVER)
+            self._dispatcher.open(_STOP_AT_CONNECTION)
             self._read_nominal_values()
             self._tuning.connected()
             self._storage.connected()
@@ -399,14 +401,14 @@ class Supervisor:
 
     def _on_sample(self, sample: Sample) -> None:
         if self._status.state is not LinkState.CONNECTED:
-            return  # was on its way when the link broke
+            return  # sent before the loss of the link
         snapshot = self._homing.completed(self._telemetry.snapshot(sample))
         if snapshot.epoch != self._epoch:
             self._epoch = snapshot.epoch
             self._board_clock.reset()
             self._slow.counters_restarted()
         if self._node.get_clock().ros_time_is_active:
-            self._wall.refresh()  # simulated time may have any speed
+            self._wall.refresh()  # the rate of simulated time may vary
         stamp = self._wall.stamp(self._board_clock.update(snapshot.tick, snapshot.response_ns))
         for text in self._events.faults(self._snapshot, snapshot):
             self._log.error(text)
@@ -414,7 +416,7 @@ class Supervisor:
             self._warn(text)
         self._fault_records.on_snapshot(snapshot.tick, snapshot.faults)
         self._snapshot = snapshot
-        self._arbiter.board_seen(snapshot.axes)
+        self._arbiter.update_axes(snapshot.axes)
         self._follower.on_sample(snapshot.tick, self._axis_reports(snapshot))
         self._joint_commands.advance()
         if self._action is not None:
@@ -431,7 +433,7 @@ class Supervisor:
         self._homing.on_snapshot(snapshot, None if parameters is None else parameters["param.features"])
         self._publications.positions_known(self._homing.known)
         if applied is not None:
-            # Before the sample that shows its effect, so that a twin that replays has it in time.
+            # Published before the sample with its effect, so that a twin receives it in time.
             self._publications.applied(applied)
             if applied.variable == "cmd.points":
                 self._streamer.arrived(periods_ahead(applied.raw, applied.tick) * PERIOD)
@@ -448,7 +450,7 @@ class Supervisor:
         return [
             AxisReport(
                 (status.position if status.position_ref is None else status.position_ref) * lsb,
-                follows=status.position_ref is not None and self._arbiter.queue.obeys_points(axis),
+                follows=status.position_ref is not None and self._arbiter.queue.follows_points(axis),
             )
             for axis, status in enumerate(snapshot.axes)
         ]
@@ -462,9 +464,9 @@ class Supervisor:
         self._publications.fault_record(record)
 
     def _read_nominal_values(self) -> None:
-        """Read what a configuration determines: motor data, and parameters whose default is another one."""
+        """Read values that depend on the configuration: motor data, and parameters with a new default."""
         if self._status.state is not LinkState.CONNECTED:
-            return  # read when it is back
+            return  # read after the reconnection
         self._slow.read_motors()
         self._board_parameters.connected()
 
@@ -478,13 +480,13 @@ class Supervisor:
         self._publications.windings([winding.temperature for winding in windings])
 
     def _current_limits(self) -> list[float | None]:
-        """Parameters of the axes [A]; None until they have been read."""
+        """Current limits of the axes [A]; None until they have been read."""
         values, name = self._board_parameters.values, "param.i_q_limit"
         if values is None:
             return [None] * AXES
         return [raw * self._catalogue[name].lsb for raw in values[name]]
 
-    # ---- what goes out regularly, or when it changes
+    # ---- publications
     def _publish_description(self) -> None:
         resolve = self._node.resolve_topic_name
         text = describe(
@@ -502,7 +504,7 @@ class Supervisor:
         if self._status.state is not LinkState.CONNECTED:
             text = f"DISCONNECTED {self._status}"
         elif snapshot is None:
-            return  # the first sample comes at once
+            return  # the first sample follows immediately
         else:
             text = " ".join(f"{joint}={axis.label}" for joint, axis in zip(self._joints, snapshot.axes, strict=True))
         self._publications.state(text, armed=self._arbiter.armed)
@@ -513,7 +515,7 @@ class Supervisor:
 
     def _every_second(self) -> None:
         if self._ended:
-            return  # the executor had it waiting
+            return  # the timer was already due at the end
         self._wall.refresh()
         health, snapshot = self._health, self._snapshot
         statuses = [
@@ -545,9 +547,9 @@ class Supervisor:
 
     # ---- end
     def close(self, reason: str) -> None:
-        """Switch both axes off, close the port and say so; takes a few seconds at most.
+        """Switch both axes off, close the port and publish the state; takes a few seconds at most.
 
-        Its topics, services and timers are left to the owner of the node.
+        Topics, services and timers are destroyed by the owner of the node.
         """
         self._ended = True
         connected = self._status.state is LinkState.CONNECTED
@@ -555,7 +557,9 @@ class Supervisor:
         self._tuning.close()
         switched_off = self._link.close(_SWITCH_OFF)
         if connected and not switched_off:
-            self._warn("the board did not confirm that it was switched off; it switches off after param.host_timeout")
+            self._warn(
+                "the board did not confirm the disable command; it switches the outputs off after param.host_timeout"
+            )
         self._snapshot = None
         self._arbiter.link_lost(reason)
         self._dispatcher.close(reason)

@@ -1,4 +1,4 @@
-"""One sample of the board as the rest of the bridge needs it: 64-bit positions and the state of every axis. Pure."""
+"""Samples of the board for the bridge: 64-bit positions and the state of every axis. Pure."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from servo_msgs_py.units import SLOW_PERIODS, unwrap_u32
 from servo_bridge.arbiter import AxisStatus
 from servo_bridge.wire.scope import Sample
 
-_OBEYS = ("RUN/SPIN", "RUN/STARTUP")
-"""States in which an axis takes set-points."""
+_READY_STATES = ("RUN/SPIN", "RUN/STARTUP")
+"""States in which an axis accepts set-points."""
 
 _PASSING = 2 * SLOW_PERIODS
-"""An axis that stays in RUN/READY for more than so many PWM periods waits there."""
+"""PWM periods after which an axis in RUN/READY waits for a set-point."""
 
 _COMMON = ("tick", "applied_tick", "applied_count")
 _PER_AXIS = ("position", "speed", "i_q", "state", "substate", "faults")
 
 
 def required_variables() -> list[str]:
-    """Variables that the bridge itself needs in every sample."""
+    """Variables that the bridge requires in every sample."""
     return [*_COMMON, *(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in _PER_AXIS)]
 
 
 def telemetry_variables(catalogue: Catalogue, extra: Sequence[str]) -> list[str]:
-    """All variables of a sample, those that the bridge needs first.
+    """All variables of a sample, the required ones first.
 
     Raises
     ------
     ValueError
-        If one is unknown or a block.
+        If a variable is unknown or a block.
     """
     names = list(dict.fromkeys([*required_variables(), *extra]))
     for name in names:
@@ -43,7 +43,7 @@ def telemetry_variables(catalogue: Catalogue, extra: Sequence[str]) -> list[str]
         except KeyError as error:
             raise ValueError(error.args[0]) from None
         if variable.size == 0:
-            raise ValueError(f"{name} is a block of bytes; name the variables inside it")
+            raise ValueError(f"{name} is a block of bytes; write the variables in it")
     return names
 
 
@@ -51,21 +51,21 @@ def telemetry_variables(catalogue: Catalogue, extra: Sequence[str]) -> list[str]
 class Snapshot:
     """One sample."""
 
-    tick: int  # PWM periods since reset, extended past 32 bits
-    epoch: int  # board resets seen before; ticks and positions of different epochs are unrelated
+    tick: int  # PWM periods since reset, extended beyond 32 bits
+    epoch: int  # number of board resets; ticks and positions of different epochs are not comparable
     response_ns: int  # monotonic host time at which the sample was complete [ns]
     values: Mapping[str, float]
-    """SI values by column, in the order of `Telemetry.columns`; tick and positions are extended past the 32 bits of the
-    board."""
-    applied_tick: int  # as the board sent it: uint32
-    applied_count: int  # as the board sent it: uint16
+    """SI values by column, in the order of `Telemetry.columns`; tick and positions are extended beyond the 32 bits of
+    the board."""
+    applied_tick: int  # uint32, as sent by the board
+    applied_count: int  # uint16, as sent by the board
     axes: tuple[AxisStatus, ...]  # state of every axis
     faults: tuple[int, ...]  # fault word of every axis
 
 
 @dataclass(frozen=True)
 class _AxisColumns:
-    """Where the variables of one axis lie in a sample."""
+    """Indices of the variables of one axis in a sample."""
 
     position: int
     position_ref: int | None
@@ -75,14 +75,14 @@ class _AxisColumns:
 
 
 class Telemetry:
-    """Turns samples into snapshots and follows the positions of all axes past the 32 bits of the board.
+    """Converts samples to snapshots and extends the positions beyond the 32 bits of the board.
 
     Parameters
     ----------
     catalogue : Catalogue
-        For the names of states.
+        Names of states.
     variables : sequence of Variable
-        What a sample carries, in order; at least `required_variables`.
+        Variables of a sample, in order; at least `required_variables`.
     """
 
     def __init__(self, catalogue: Catalogue, variables: Sequence[Variable]) -> None:
@@ -107,7 +107,7 @@ class Telemetry:
         self._epoch = 0
 
     def snapshot(self, sample: Sample) -> Snapshot:
-        """Make a snapshot of a sample."""
+        """Convert a sample."""
         if sample.epoch != self._epoch:
             self._counts = [None] * AXES
             self._ready_since = [None] * AXES
@@ -126,8 +126,8 @@ class Telemetry:
                 reference = unwrap_u32(raw[at.position_ref] & 0xFFFF_FFFF, counts)
                 row[at.position_ref] = reference * self._lsb
             label = self._label(raw[at.state], raw[at.substate])
-            obeys = label in _OBEYS or self._waits(axis, label, sample.tick)
-            axes.append(AxisStatus(label, obeys, label == "FAULT", counts, reference))
+            ready = label in _READY_STATES or self._waits_in_ready(axis, label, sample.tick)
+            axes.append(AxisStatus(label, ready, label == "FAULT", counts, reference))
         return Snapshot(
             sample.tick,
             sample.epoch,
@@ -139,14 +139,14 @@ class Telemetry:
             tuple(raw[at.faults] for at in self._axes),
         )
 
-    def recount(self, axis: int) -> None:
-        """The position of an axis counts from elsewhere from now on."""
+    def restart_position(self, axis: int) -> None:
+        """Restart the extension of the position of an axis, whose reference has changed."""
         self._counts[axis] = None
 
-    def _waits(self, axis: int, label: str, tick: int) -> bool:
-        """Whether an axis without an encoder waits for the speed set-point that starts it.
+    def _waits_in_ready(self, axis: int, label: str, tick: int) -> bool:
+        """True if a sensorless axis waits in RUN/READY for the speed set-point that starts it.
 
-        It does so in RUN/READY, through which an axis with an encoder passes within one slow tick.
+        An axis with an encoder leaves RUN/READY within one slow tick.
         """
         since = self._ready_since[axis]
         if label != "RUN/READY":

@@ -1,38 +1,38 @@
-"""Keeps a stream of wrong commands from flooding the log. Pure."""
+"""Limits the rate of log messages about refused commands. Pure."""
 
 from __future__ import annotations
 
 
 class Throttle:
-    """Token bucket per key.
+    """Token bucket for each key.
 
     Parameters
     ----------
     burst : int
-        Lines that may come at once.
+        Messages without limitation.
     rate : float
-        Lines per second after that [1/s].
+        Rate after that [1/s].
     """
 
     def __init__(self, burst: int, rate: float) -> None:
         self._burst = float(burst)
         self._rate = rate
-        self._buckets: dict[str, tuple[float, float, int]] = {}  # tokens, time, lines held back
+        self._buckets: dict[str, tuple[float, float, int]] = {}  # tokens, time, suppressed messages
 
     def admit(self, key: str, now: float) -> int | None:
-        """Ask for a line.
+        """Check whether a message may be logged.
 
         Parameters
         ----------
         key : str
-            What the line is about.
+            Subject of the message.
         now : float
             Steady time [s].
 
         Returns
         -------
         int or None
-            None: hold it back. Otherwise how many were held back since the last one that was let through.
+            None: suppress the message. Otherwise the number of suppressed messages since the last one.
         """
         tokens, last, held = self._buckets.get(key, (self._burst, now, 0))
         tokens = min(self._burst, tokens + (now - last) * self._rate)

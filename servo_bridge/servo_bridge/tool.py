@@ -1,6 +1,6 @@
-"""``servo-tool``: look into a board and change it from the command line. Needs no ROS.
+"""``servo-tool``: read and change a board from the command line. Needs no ROS.
 
-Exit status: 0 done, 1 the board refused or was not found (`diff`: or differs), 2 the command line does not make sense.
+Exit status: 0 done; 1 the board refused or was not found (`diff`: or differs); 2 wrong arguments.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ _PROJECT = "project"
 
 def _port(text: str) -> str:
     if not text.strip():
-        raise argparse.ArgumentTypeError("it is empty; give a device path or a pyserial URL")
+        raise argparse.ArgumentTypeError("empty; write a device path or a pyserial URL")
     return text
 
 
 def _password(text: str) -> str:
     if not text:
-        raise argparse.ArgumentTypeError("it is empty")
+        raise argparse.ArgumentTypeError("empty")
     return text
 
 
@@ -60,7 +60,7 @@ def _project_file(text: str) -> Path:
 
 
 def _ask_password() -> str | None:
-    """Ask at the terminal; None when there is none, or no answer."""
+    """Read the password from the terminal; None without a terminal or input."""
     if not sys.stdin.isatty():
         return None
     try:
@@ -85,13 +85,13 @@ def _parser() -> argparse.ArgumentParser:
         type=_password,
         default=argparse.SUPPRESS,
         metavar="TEXT",
-        help=f"password, for boards that require one (default: ${PASSWORD_VARIABLE}, or asked for)",
+        help=f"password, for boards that require one (default: ${PASSWORD_VARIABLE}, or input at the terminal)",
     )
     parser = argparse.ArgumentParser(
         prog="servo-tool",
-        description="Look into a servo board, or any FreeMASTER target (version 3 or 4), over its serial line. "
-        "Values of servo boards are SI.",
-        epilog="exit status: 0 done, 1 the board refused or was not found (diff: or differs), 2 wrong command line",
+        description="Read and change a servo board, or any FreeMASTER target (version 3 or 4), over its serial line. "
+        "Values of servo boards are in SI units.",
+        epilog="exit status: 0 done, 1 the board refused or was not found (diff: or differs), 2 wrong arguments",
         parents=[common],
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -101,7 +101,7 @@ def _parser() -> argparse.ArgumentParser:
         command.set_defaults(run=run)
         return command
 
-    add("info", tool_commands.info, "who is there")
+    add("info", tool_commands.info, "print the identification of the board")
     command = add("vars", tool_commands.list_variables, "list the variables of the board")
     command.add_argument("pattern", nargs="?", default="*", help="only names that match, such as 'axis1.*'")
     command = add("get", tool_commands.get, "read variables")
@@ -115,14 +115,14 @@ def _parser() -> argparse.ArgumentParser:
     )
     command.add_argument("--element", type=int, metavar="K", help="write only element K, counted from 0")
     _add_raw(command)
-    command = add("watch", tool_commands.watch, "print variables again and again until Ctrl-C")
+    command = add("watch", tool_commands.watch, "print variables periodically until Ctrl-C")
     command.add_argument("names", nargs="+", metavar="NAME")
     command.add_argument("--rate", type=argument.positive, default=5.0, help="lines per second (default: 5)")
     command.add_argument("--count", type=argument.count, help="end after this many lines")
     command = add(
         "record",
         tool_record.record,
-        "write variables to a file: as fast as the line carries them, or as a burst at the rate of the board's loops",
+        "write variables to a file: at the rate of the line, or as a burst at the rate of the control loops",
     )
     command.add_argument("names", nargs="+", metavar="NAME")
     command.add_argument(
@@ -131,35 +131,35 @@ def _parser() -> argparse.ArgumentParser:
         required=True,
         action="append",
         metavar="FILE",
-        help=".csv; of a burst also .png, .svg, .pdf, .npz or .rrd, and more than once",
+        help=".csv; for a burst also .png, .svg, .pdf, .npz or .rrd, and several files",
     )
     command.add_argument("--duration", type=argument.positive, help="seconds (default: until Ctrl-C)")
     command.add_argument("--rate", type=argument.positive, help="rows, or points of a burst, per second (default: all)")
     tool_record.add_options(command)
-    command = add("log", tool_commands.log, "print the text that the board writes to a pipe: events with their tick")
+    command = add("log", tool_commands.log, "print the event log of the board (a pipe), with ticks")
     command.add_argument("--pipe", type=argument.count, default=1, metavar="N", help="number of the pipe (default: 1)")
     command.add_argument("--follow", "-f", action="store_true", help="continue until Ctrl-C")
     command = add(
         "scope",
         tool_scope.scope,
-        "show telemetry and one burst of the board's recorder after the other, live in the rerun viewer",
+        "show telemetry and repeated bursts of the board's recorder live in the rerun viewer",
     )
     command.add_argument("names", nargs="+", metavar="NAME", help="variable of the bursts")
     tool_scope.add_options(command)
-    command = add("snapshot", tool_faults.snapshot, "print what led to the first fault of each axis")
+    command = add("snapshot", tool_faults.snapshot, "print the record of the first fault of each axis")
     command.add_argument("axis", nargs="?", choices=("1", "2"), help="only this axis (default: both)")
     command.add_argument("--json", action="store_true", help="print a JSON array, one object per axis with a fault")
     command.add_argument("--plot", metavar="FILE", help="draw the snapshot, as .png, .svg or .pdf")
     command = commands.add_parser(
         _PROJECT,
-        help="write a project for NXP's desktop tool: all variables with units, SI scales and limits; needs no board",
-        description="Write a project for NXP's desktop tool FreeMASTER 3. Needs no board.",
+        help="write a project for NXP's desktop tool: all variables with units, SI scales and limits; without a board",
+        description="Write a project for NXP's desktop tool FreeMASTER 3. No board is needed.",
         parents=[common],
     )
     command.add_argument("file", type=_project_file, metavar="FILE.pmpx")
     command = add("identify", tool_identify.identify, "identify the motor of an axis; the shaft moves")
     tool_identify.add_arguments(command)
-    command = add("tune", tool_tune.tune, "change gains and motor data of a board that runs, or read them back")
+    command = add("tune", tool_tune.tune, "change gains and motor data of a running board, or read them back")
     tool_tune.add_arguments(command)
     command = add("bode", tool_bode.bode, "measure the open loop of a controller on the running axis")
     command.description = tool_bode.ABOUT
@@ -168,10 +168,10 @@ def _parser() -> argparse.ArgumentParser:
         (
             "save",
             tool_commands.save,
-            "save the parameters of the board to a file, or both parameters and configuration in it",
+            "save the parameters of the board to a file, or parameters and configuration on the board",
         ),
         ("load", tool_commands.load, "write the parameters of a file to the board"),
-        ("diff", tool_commands.diff, "compare a file with the board; exit status 1 when they differ"),
+        ("diff", tool_commands.diff, "compare a file with the board; exit status 1 if they differ"),
     ):
         command = add(name, run, text)
         command.add_argument("file", metavar="FILE", help=".toml or .json", nargs="?" if name == "save" else None)
@@ -179,23 +179,27 @@ def _parser() -> argparse.ArgumentParser:
             command.add_argument(
                 "--to-board",
                 action="store_true",
-                help="keep parameters and configuration in the data flash of the board: a reset brings them back",
+                help="store parameters and configuration in the data flash of the board; restored at each reset",
             )
             command.add_argument(
                 "--match", default="param.*", metavar="PATTERN", help="variables to save (default: 'param.*')"
             )
-    add("factory", tool_storage.factory, "erase what save --to-board has kept: built-in values from the next reset on")
+    add(
+        "factory",
+        tool_storage.factory,
+        "erase the values stored by save --to-board; built-in values from the next reset",
+    )
     return parser
 
 
 def _add_raw(command: argparse.ArgumentParser) -> None:
     command.add_argument(
-        "--raw", action="store_true", help="numbers by the type that the board names, without the catalogue's scaling"
+        "--raw", action="store_true", help="raw numbers of the type reported by the board, without scaling"
     )
 
 
 def _shield_negative(arguments: Sequence[str]) -> list[str]:
-    """Keep argparse from taking ``-3,3`` for an option: it never does so with an argument that holds a space."""
+    """Keep argparse from taking ``-3,3`` for an option: arguments with a space are never options."""
     return [f" {a}" if _NEGATIVE.match(a) else a for a in arguments]
 
 
@@ -205,14 +209,14 @@ def _run(args: argparse.Namespace) -> int:
         baud = getattr(args, "baud", None) or argument.count(os.environ.get("SERVO_BAUD") or "115200")
     except argparse.ArgumentTypeError:
         raise UsageError(f"SERVO_BAUD is {os.environ['SERVO_BAUD']!r}, not a line speed") from None
-    if args.command == _PROJECT:  # the one command that needs no board
+    if args.command == _PROJECT:  # the only command without a board
         args.file.write_text(desktop_project(Catalogue.load(), baud), encoding="utf-8")
         return 0
     run: tool_commands.Runner = args.run
     connected = False
     try:
         with SerialPort(port, baud) as serial_port:
-            # Some boards start anew when their port is opened, so the first answer may take a second.
+            # Some boards reset when their port is opened; the first response may take a second.
             client = Client(Line(serial_port, baud=baud, retries=_STARTUP_RETRIES))
             given: str | None = getattr(args, "password", None) or password_of_environment()
             client.ask_password = _ask_password if given is None else lambda: given
@@ -220,7 +224,7 @@ def _run(args: argparse.Namespace) -> int:
             session = connect(client, catalogue)
             connected = True
             return run(tool_commands.Context(args, catalogue, session, port, baud, serial_port.low_latency))
-    except (OutOfRangeError, RecorderError) as error:  # nothing is wrong with the link
+    except (OutOfRangeError, RecorderError) as error:  # not an error of the link
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1
     except FreemasterError as error:
@@ -241,7 +245,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1
     except BrokenPipeError:
-        # The reader of our output has seen enough; keep Python from complaining when it flushes at exit.
+        # The reader of the output has closed it; prevent an error of Python's flush at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:

@@ -1,4 +1,4 @@
-"""``servo-tool bode``: the open loop of a controller, measured on the running axis, beside its prediction."""
+"""``servo-tool bode``: measure the open loop of a controller on the running axis; compare it with the prediction."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ _AXES: Final = [axis_name(axis) for axis in range(AXES)]
 
 ABOUT: Final = """\
 Measure the open loop of a controller on the running axis with a swept sine that the board adds to a set-point, and
-compare it with the prediction of the tuning code. The shaft moves: speed and position loop are measured while it turns
-to and fro at a constant speed (--speed 0: about where it is), a current loop while a current holds the rotor, for which
-the axis has to be disabled before. Ctrl-C ends the signal and stops the shaft."""
+compare it with the prediction of the tuning code. The shaft moves: the speed loop and the position loop are measured at
+a constant speed in alternating directions (--speed 0: about the present position); a current loop is measured while a
+current holds the rotor, and the axis must be disabled before. Ctrl-C ends the signal and stops the shaft."""
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     command.add_argument("axis", choices=_AXES)
-    command.add_argument("loop", choices=list(LOOPS), help="current is the loop of i_q, current_d that of i_d")
+    command.add_argument("loop", choices=list(LOOPS), help="current: loop of i_q; current_d: loop of i_d")
     command.add_argument(
         "--amplitude",
         type=argument.positive,
@@ -45,23 +45,25 @@ def add_arguments(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--from", dest="f_min", type=argument.positive, metavar="HZ", help="lowest frequency")
     command.add_argument("--to", dest="f_max", type=argument.positive, metavar="HZ", help="highest frequency")
-    command.add_argument("--speed", type=argument.finite, metavar="RAD/S", help="constant speed while measuring")
+    command.add_argument("--speed", type=argument.finite, metavar="RAD/S", help="constant speed during the measurement")
     command.add_argument(
         "--range",
         type=argument.positive,
         default=math.inf,
         metavar="RAD",
-        help="largest angle that the shaft may turn to each side",
+        help="largest angle of the shaft in each direction",
     )
     command.add_argument("--repeat", type=_count, default=4, metavar="N", help="sweeps per band (default: 4)")
     command.add_argument("--enable", action="store_true", help="enable the axis, and disable it afterwards")
-    command.add_argument("--out", type=Path, metavar="DIR", help="write curves and picture there, as .csv and .png")
+    command.add_argument(
+        "--out", type=Path, metavar="DIR", help="write curves (.csv) and a plot (.png) to this directory"
+    )
     command.add_argument("--rrd", type=Path, metavar="FILE", help="write a recording for the rerun viewer")
     command.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def bode(context: Context) -> int:
-    """Measure, write the files, print the figures; 1 when the data do not determine the crossover for certain."""
+    """Measure, write the files, print the figures; returns 1 if the crossover is not confirmed."""
     args = context.args
     request = BodeRequest(
         _AXES.index(args.axis), args.loop, args.amplitude, args.f_min, args.f_max, args.speed, args.range, args.repeat
@@ -77,7 +79,7 @@ def bode(context: Context) -> int:
             )
         print(json.dumps(as_dict(result), allow_nan=False) if args.json else text(result).rstrip("\n"))
         _write(result, args.out, args.rrd)
-    except (MeasurementError, ValueError) as error:  # the board or the catalogue refuses a number or a block
+    except (MeasurementError, ValueError) as error:  # a number or a block was refused
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1
     return 0 if result.confirmed else 1

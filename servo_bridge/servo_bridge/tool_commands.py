@@ -1,4 +1,4 @@
-"""The commands of ``servo-tool``, each a function from an open session to an exit status."""
+"""Commands of ``servo-tool``: functions of an open session that return an exit status."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue, Value, numbers
 from servo_msgs_py.units import PERIOD_NS
-from servo_msgs_py.value_text import words_of
+from servo_msgs_py.value_text import name_text
 
 from servo_bridge import parameter_file
 from servo_bridge.freemaster.client import LEVELS
@@ -31,12 +31,12 @@ from servo_msgs_py import board_parameters
 
 _TICK: Final = "tick"
 _LOG_POLL: Final = 0.05  # [s]
-_LOG_END: Final = 3  # the board fills its pipe when it has the time: so many empty answers are the end
+_LOG_END: Final = 3  # consecutive empty responses at the end; the board fills its pipe in the background
 
 
 @dataclass(frozen=True)
 class Context:
-    """What a command works with."""
+    """Arguments and session of a command."""
 
     args: argparse.Namespace
     catalogue: Catalogue
@@ -51,9 +51,9 @@ Selection = list[tuple[BoardVariable, "int | None"]]
 
 
 def info(context: Context) -> int:
-    """Print who is there."""
+    """Print the identification of the board."""
     board, session = context.session.info, context.session
-    contract = "agrees" if session.mismatch is None else str(session.mismatch)
+    contract = "matches" if session.mismatch is None else str(session.mismatch)
     password = f"to {LEVELS[board.password_level]}" if board.password_level else "none"
     rows = [
         ("port", f"{context.port} at {context.baud} baud"),
@@ -81,7 +81,7 @@ def info(context: Context) -> int:
 
 
 def _recorder_text(session: Session, index: int) -> str:
-    """Say what a recorder can do, as far as the board tells."""
+    """Text of the properties of a recorder, as far as reported."""
     try:
         limits = session.client.recorder(index).limits()
     except StatusError as error:
@@ -95,7 +95,7 @@ def _recorder_text(session: Session, index: int) -> str:
 
 
 def list_variables(context: Context) -> int:
-    """Print the table of variables."""
+    """Print the variables of the board."""
     rows = describe(_matching(context, context.args.pattern), context.catalogue)
     if not rows:
         print(f"servo-tool: no variable matches {context.args.pattern!r}", file=sys.stderr)
@@ -106,7 +106,7 @@ def list_variables(context: Context) -> int:
 
 
 def get(context: Context) -> int:
-    """Read variables once."""
+    """Print variables once."""
     names = opened(context.session.variables, context.args.names)
     selection = select(context, names)
     warn(context)
@@ -127,15 +127,15 @@ def set_variable(context: Context) -> int:
     _require_contract(context)
     if args.element is not None:
         if element is not None:
-            raise UsageError(f"{args.name} names an element already")
+            raise UsageError(f"{args.name} already has an element")
         if not 0 <= args.element < variable.count:
             raise UsageError(f"{variable.name} has elements 0 .. {variable.count - 1}")
         element = args.element
     values = parse_values(variable, args.value, context.catalogue)
-    wanted = variable.count if element is None else 1
-    if len(values) != wanted:
-        hint = "; give all of them with commas, or one with --element K" if wanted > 1 else ""
-        raise UsageError(f"{args.name}: {len(values)} value(s) given, {wanted} expected{hint}")
+    expected = variable.count if element is None else 1
+    if len(values) != expected:
+        hint = "; write all of them with commas, or one with --element K" if expected > 1 else ""
+        raise UsageError(f"{args.name}: {len(values)} value(s) given, {expected} expected{hint}")
     try:
         data = variable.encode(values, element or 0)[1]
     except ValueError as error:
@@ -150,7 +150,7 @@ def set_variable(context: Context) -> int:
 
 
 def watch(context: Context) -> int:
-    """Print variables again and again."""
+    """Print variables periodically."""
     names = opened(context.session.variables, context.args.names)
     selection = select(context, names)
     warn(context)
@@ -181,14 +181,14 @@ def record(context: Context) -> int:
     variables = [variable for variable, _ in selection]
     for variable in variables:
         if variable.is_block:
-            raise UsageError(f"{variable.name} is a block of bytes; name the variables inside it")
+            raise UsageError(f"{variable.name} is a block of bytes; write the variables in it")
     sampler = Sampler(context.session, [tick, *variables] if tick is not None else variables)
     extender = TickExtender()
     rows = 0
     first = last = None
     started = time.monotonic()
     if len(context.args.output) > 1:
-        raise UsageError("rows over the line go to one file")
+        raise UsageError("without burst options only one output file is possible")
     (output,) = context.args.output
     with Path(output).open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -201,7 +201,7 @@ def record(context: Context) -> int:
                 if tick is not None:
                     count = extender.update(int(numbers(values.pop(0))[0]), reading.time_ns).tick
                     if count == last:
-                        continue  # read faster than the board takes samples
+                        continue  # same sample as before
                     moment, head, last = count * PERIOD_NS, [count], count
                 first = moment if first is None else first
                 cells = [n for (_, k), v in zip(selection, values, strict=True) for n in numbers(_element(v, k))]
@@ -210,7 +210,7 @@ def record(context: Context) -> int:
         except KeyboardInterrupt:
             pass
     seconds = max(time.monotonic() - started, 1e-9)
-    note = "" if sampler.simultaneous else "; the scope of the board cannot carry them, so each was read alone"
+    note = "" if sampler.simultaneous else "; too many for the scope of the board, so each was read separately"
     print(f"{rows} rows in {seconds:.1f} s ({rows / seconds:.0f}/s) in {output}{note}")
     return 0
 
@@ -218,7 +218,9 @@ def record(context: Context) -> int:
 def save(context: Context) -> int:
     """Save parameters."""
     if context.args.to_board == bool(context.args.file):
-        raise UsageError("give a FILE to save the parameters in, or --to-board to keep all of it on the board")
+        raise UsageError(
+            "write a FILE for the parameters, or --to-board to store parameters and configuration on the board"
+        )
     if context.args.to_board:
         return save_to_board(context)
     variables = context.session.variables
@@ -238,36 +240,36 @@ def save(context: Context) -> int:
 
 
 def load(context: Context) -> int:
-    """Write the parameters of a file that differ from those of the board; all are checked before the first is sent."""
+    """Write the parameters of a file that differ from the board; all are checked before the first write."""
     _require_contract(context)
     session = context.session
-    wanted, found = _compare(context)
-    _refuse_contradictions(context, {name: (0, data) for name, data in wanted.items()})
-    names = parameter_file.changes(session.variables, wanted, found)
+    target, found = _compare(context)
+    _refuse_contradictions(context, {name: (0, data) for name, data in target.items()})
+    names = parameter_file.changes(session.variables, target, found)
     for name in names:
         variable = session.variables[name]
-        session.write_bytes(variable, wanted[name])
+        session.write_bytes(variable, target[name])
         now = session.client.read_memory(variable.address, variable.size)
         print(_change_text(context, variable, found[name], now))
-        if now != wanted[name]:
-            print(f"servo-tool: the board keeps another value of {name} than the file has", file=sys.stderr)
+        if now != target[name]:
+            print(f"servo-tool: the board has another value of {name} than the file", file=sys.stderr)
             return 1
-    print(f"{len(names)} of {len(wanted)} parameters changed")
+    print(f"{len(names)} of {len(target)} parameters changed")
     return 0
 
 
 def diff(context: Context) -> int:
     """Print the parameters that differ between board and file."""
-    wanted, found = _compare(context)
-    names = parameter_file.changes(context.session.variables, wanted, found)
+    target, found = _compare(context)
+    names = parameter_file.changes(context.session.variables, target, found)
     for name in names:
-        print(_change_text(context, context.session.variables[name], found[name], wanted[name]))
-    print(f"{len(names)} of {len(wanted)} parameters differ")
+        print(_change_text(context, context.session.variables[name], found[name], target[name]))
+    print(f"{len(names)} of {len(target)} parameters differ")
     return 1 if names else 0
 
 
 def log(context: Context) -> int:
-    """Print what the board writes to a pipe."""
+    """Print the text of a pipe of the board."""
     pipe = context.session.client.pipe(context.args.pipe)
     empty = 0
     try:
@@ -288,7 +290,7 @@ def _matching(context: Context, pattern: str) -> list[BoardVariable]:
 
 
 def select(context: Context, names: Sequence[str]) -> Selection:
-    """Find the named variables; with ``--raw`` the catalogue's meaning is left away."""
+    """Find the named variables; with ``--raw`` without scaling."""
     found = [lookup(context.session.variables, name) for name in names]
     if getattr(context.args, "raw", False):
         return [(replace(variable, contract=None), element) for variable, element in found]
@@ -296,13 +298,13 @@ def select(context: Context, names: Sequence[str]) -> Selection:
 
 
 def warn(context: Context) -> None:
-    """Say that numbers are raw because the board is not one of ours."""
+    """Print a warning if numbers are raw because the board does not have this contract."""
     if context.session.mismatch is not None:
         print(f"servo-tool: values are not scaled: {context.session.mismatch.reason}", file=sys.stderr)
 
 
 def _require_contract(context: Context) -> None:
-    """Refuse to write to a servo board of another version; a board without catalogue is written by its own types."""
+    """Refuse writes to a servo board of another version; other FreeMASTER targets are written by their own types."""
     mismatch = context.session.mismatch
     if isinstance(mismatch, BoardMismatchError) and not mismatch.stranger and not getattr(context.args, "raw", False):
         raise mismatch
@@ -319,7 +321,7 @@ def _heads(variable: BoardVariable, element: int | None, name: str) -> list[str]
 
 
 def _readings(sampler: Sampler, rate: float | None, duration: float | None) -> Iterator[Reading]:
-    """Readings at a rate, or as fast as they come."""
+    """Readings at a rate, or as fast as possible."""
     period = 0.0 if rate is None else 1.0 / rate
     start = due = time.monotonic()
     while duration is None or time.monotonic() - start < duration:
@@ -329,18 +331,18 @@ def _readings(sampler: Sampler, rate: float | None, duration: float | None) -> I
 
 
 def _compare(context: Context) -> tuple[dict[str, bytes], dict[str, bytes]]:
-    """Bytes that the file expects and bytes that the board has."""
+    """Bytes of the file and bytes of the board, by parameter."""
     path = parameter_file.checked(Path(context.args.file))
     variables, catalogue = context.session.variables, context.catalogue
     known = catalogue.hash if context.session.mismatch is None else None
     parameters = parameter_file.parse(path, path.read_text(encoding="utf-8"), known)
-    wanted = parameter_file.to_bytes(variables, parameters, catalogue)
+    target = parameter_file.to_bytes(variables, parameters, catalogue)
     client = context.session.client
-    return wanted, {name: client.read_memory(variables[name].address, variables[name].size) for name in wanted}
+    return target, {name: client.read_memory(variables[name].address, variables[name].size) for name in target}
 
 
 def _refuse_contradictions(context: Context, writes: Mapping[str, tuple[int, bytes]]) -> None:
-    """Refuse parameters that do not go together, with each other or with those that the board has.
+    """Refuse parameters that contradict each other or those of the board.
 
     Parameters
     ----------
@@ -352,7 +354,7 @@ def _refuse_contradictions(context: Context, writes: Mapping[str, tuple[int, byt
     Raises
     ------
     UsageError
-        With the reason.
+        If parameters contradict each other, with the reason.
     """
     session = context.session
     if session.mismatch is not None or not board_parameters.COMPARED.intersection(writes):
@@ -372,11 +374,11 @@ def _refuse_contradictions(context: Context, writes: Mapping[str, tuple[int, byt
 
 
 def _named(variable: BoardVariable, value: Value, catalogue: Catalogue) -> list[Number | str]:
-    """Numbers of a value, as names where they stand for something."""
+    """Numbers of a value, as names where they have one."""
     contract = variable.contract
     if contract is None:
         return list(numbers(value))
-    return [words_of(contract, number, catalogue) or number for number in numbers(value)]
+    return [name_text(contract, number, catalogue) or number for number in numbers(value)]
 
 
 def _change_text(context: Context, variable: BoardVariable, old: bytes, new: bytes) -> str:

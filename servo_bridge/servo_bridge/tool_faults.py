@@ -1,4 +1,4 @@
-"""``servo-tool snapshot``: what the board has recorded of the first fault of its axes."""
+"""``servo-tool snapshot``: record of the first fault of each axis."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _HEADS = ("time [ms]", "i_a [A]", "i_b [A]", "i_d [A]", "i_q [A]", "theta_e [rad
 
 
 def snapshot(context: Context) -> int:
-    """Print the first fault of each axis and the samples before it; exit status 1 without a fault."""
+    """Print the first fault of each axis and the samples before it; returns 1 without a fault."""
     session = context.session
     if session.mismatch is not None:
         print(f"servo-tool: {session.mismatch}", file=sys.stderr)

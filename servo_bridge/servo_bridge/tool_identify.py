@@ -1,4 +1,4 @@
-"""``servo-tool identify``: find out what motor a board drives; the axis moves by itself."""
+"""``servo-tool identify``: identify the motor of an axis; the shaft moves."""
 
 from __future__ import annotations
 
@@ -41,26 +41,28 @@ _INTERRUPTED: Final = 130
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     command.add_argument("--axis", type=int, choices=range(1, AXES + 1), default=1, help="default: %(default)s")
     command.add_argument("--voltage", type=float, required=True, help="voltage of the bus [V]")
-    command.add_argument("--current", type=float, required=True, help="current that the motor bears [A, peak]")
+    command.add_argument("--current", type=float, required=True, help="permitted motor current [A, peak]")
     defaults = {field.name: field.default for field in fields(Limits)}
     for name, text in (
         ("speed", "largest speed [rad/s]"),
-        ("turns", "turns to both sides within which the shaft stays"),
-        ("energy", "energy that the bus takes from a braking shaft [J]"),
+        ("turns", "largest rotation of the shaft in each direction [turns]"),
+        ("energy", "permitted braking energy returned to the bus [J]"),
     ):
         command.add_argument(f"--{name}-max", type=float, default=defaults[name], help=f"{text} (default: %(default)s)")
     command.add_argument(
-        "--r-on", type=float, default=0.0, help="resistance of a switch [ohm], which counts to the winding otherwise"
+        "--r-on", type=float, default=0.0, help="on resistance of a switch [ohm]; if omitted it is part of r_s"
     )
-    command.add_argument("--config", type=Path, metavar="FILE", help="servo.toml for the rest (default: the board's)")
+    command.add_argument(
+        "--config", type=Path, metavar="FILE", help="servo.toml with all other entries (default: from the board)"
+    )
     command.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="default: %(default)s")
 
 
 def identify(context: Context) -> int:
-    """Test the motor, keep the measurement, and have it evaluated."""
+    """Test the motor, save the measurement and evaluate it."""
     args = context.args
     try:
         limits = Limits(args.voltage, args.current, args.speed_max, args.turns_max, args.energy_max, args.r_on)
@@ -80,7 +82,7 @@ def identify(context: Context) -> int:
 
 
 def _measured(context: Context, limits: Limits) -> tuple[MeasurementLog, str, bool]:
-    """The measurement as far as it goes, why it does not go further, and whether that was Ctrl-C."""
+    """Return the measurement, the reason if it is incomplete, and whether it was ended by Ctrl-C."""
     base = _base(context)
     problem, interrupted = "", False
     with interruptible_access(context.session) as access:
@@ -103,7 +105,7 @@ def _measured(context: Context, limits: Limits) -> tuple[MeasurementLog, str, bo
 
 
 def _base(context: Context) -> dict[str, Any]:
-    """Parsed configuration that the rest is taken from."""
+    """Parsed configuration with all other entries."""
     if context.args.config is not None:
         given: dict[str, Any] = tomllib.loads(context.args.config.read_text(encoding="utf-8"))
         return given
@@ -125,7 +127,7 @@ def _twin_installed() -> bool:
 
 
 def _evaluated(args: argparse.Namespace, path: Path) -> int:
-    """Refinement and files are made by the twin, in a process of its own."""
+    """Refine the values and write the files by the twin, in a separate process."""
     command = [sys.executable, "-m", "servo_twin.cli", "identify", "--recording", str(path), "--out", str(args.out)]
     if args.config is not None:
         command += ["--config", str(args.config)]
@@ -133,7 +135,7 @@ def _evaluated(args: argparse.Namespace, path: Path) -> int:
 
 
 def _shown(log: MeasurementLog, problem: str) -> int:
-    """Closed-form estimates only."""
+    """Print the closed-form estimates only."""
     found = estimates_of(log)
     for name, unit in UNITS.items():
         if name in found.values:

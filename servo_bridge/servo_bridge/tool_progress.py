@@ -1,4 +1,4 @@
-"""A line at the terminal that shows how far a command is."""
+"""Progress line in the terminal."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from types import TracebackType
 from typing import Final, TextIO
 
 _WIDTH: Final = 30
-_PERIOD: Final = 0.1  # between two changes of the line [s]
+_PERIOD: Final = 0.1  # shortest period of updates [s]
 
 
 class ProgressLine:
-    """Shows a text, or a bar; nothing when the stream is no terminal. Wiped at the end of the ``with`` block.
+    """Shows a text or a bar if the stream is a terminal; cleared at the end of the ``with`` block.
 
     Parameters
     ----------
     stream : file, optional
-        Default: the standard error stream, so that the output of a command can be piped.
+        Default: standard error, so that the output of a command can be piped.
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
@@ -40,7 +40,7 @@ class ProgressLine:
             self._write(text)
 
     def bar(self, label: str, done: int, total: int) -> None:
-        """Show a bar of what is done of a total."""
+        """Show a progress bar."""
         if not self._shown or (done < total and time.monotonic() < self._due):
             return
         part = done / total if total else 1.0

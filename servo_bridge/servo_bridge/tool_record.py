@@ -1,4 +1,4 @@
-"""``servo-tool record`` with the recorder of the board: a burst at the rate of its loops, around a trigger."""
+"""``servo-tool record`` with the recorder of the board: a burst at the rate of the control loops, around a trigger."""
 
 from __future__ import annotations
 
@@ -26,31 +26,31 @@ if TYPE_CHECKING:
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
-    """Add the options of a burst to those of ``record``."""
+    """Add the burst options of ``record``."""
     burst_request.add_options(command)
     command.add_argument("--timeout", type=float, metavar="S", help="stop a burst without a trigger after this time")
 
 
 def record(context: Context) -> int:
-    """Record a burst when an option of one is given; else rows over the line."""
+    """Record a burst if a burst option is given; else rows over the line."""
     args = context.args
     options = (args.recorder, args.trigger, args.before, args.points, args.timeout)
     if all(option is None for option in options) and not args.level:
         return record_rows(context)
     if args.duration is not None:
-        raise UsageError("--duration is for rows over the line; say --points, or --timeout to stop without a trigger")
+        raise UsageError("--duration is not for bursts; use --points, or --timeout to stop without a trigger")
     writers = [(writer_for(path), path) for path in map(Path, args.output)]
     recording = Recording(BurstRequest.of(args), context.catalogue)
     warn(context)
     burst = run(recording, context.session, args.timeout)
     for write, path in writers:
         write(burst, path)
-    print(_summary(burst, args.output, recording, wanted=args.trigger is not None))
+    print(_summary(burst, args.output, recording, triggered=args.trigger is not None))
     return 0
 
 
 def run(recording: Recording, session: Session, timeout: float | None = None) -> Burst:
-    """Record a burst until its trigger, Ctrl-C or the time-out [s], with a line of progress."""
+    """Record a burst until its trigger, Ctrl-C or the timeout [s], with a progress line."""
     start = time.monotonic()
     with ProgressLine() as progress, interrupts(recording.stop):
         while (burst := recording.step(session)) is None:
@@ -67,7 +67,7 @@ def run(recording: Recording, session: Session, timeout: float | None = None) ->
 
 @contextmanager
 def interrupts(stop: Callable[[], None]) -> Iterator[None]:
-    """Have Ctrl-C call `stop`, and not end an exchange with the board."""
+    """Call `stop` at Ctrl-C instead of interrupting an exchange with the board."""
     before = signal.signal(signal.SIGINT, lambda *_: stop())
     try:
         yield
@@ -75,9 +75,9 @@ def interrupts(stop: Callable[[], None]) -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _summary(burst: Burst, files: list[str], recording: Recording, *, wanted: bool) -> str:
+def _summary(burst: Burst, files: list[str], recording: Recording, *, triggered: bool) -> str:
     span = ""
     if burst.timed and len(burst.times):
         span = f", {burst.times[0]:.6g} .. {burst.times[-1]:.6g} s"
-    note = "; stopped before the trigger" if wanted and not recording.triggered else ""
+    note = "; stopped before the trigger" if triggered and not recording.triggered else ""
     return f"{len(burst.times)} points{span} in {', '.join(files)}{note}"

@@ -1,4 +1,4 @@
-"""``servo-tool scope``: telemetry and one burst after the other, live in the rerun viewer or in a file."""
+"""``servo-tool scope``: telemetry and repeated bursts, live in the rerun viewer or in a file."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from servo_msgs_py.recording_names import burst_parts, telemetry_parts
 
 from servo_bridge.bursts import request as burst_request
 from servo_bridge.bursts.burst import Burst, Channel, channels_of
-from servo_bridge.bursts.placing import BoardTime, HostTime, Placing
 from servo_bridge.bursts.recording import Phase, Recording
 from servo_bridge.bursts.request import TICK, BurstRequest
+from servo_bridge.bursts.timeline import BoardTime, HostTime, Timeline
 from servo_bridge.freemaster.errors import FreemasterError
 from servo_bridge.sampler import Sampler
 from servo_bridge.scope_view import Curve, ScopeView, ViewLostError
@@ -34,31 +34,31 @@ if TYPE_CHECKING:
 
 _TELEMETRY: Final = (*(f"{axis_name(k)}.{name}" for k in range(AXES) for name in ("position", "speed", "i_q")), "u_dc")
 _SHOW: Final = 0.2
-"""Between two pieces of telemetry that are handed to the viewer [s]."""
+"""Shortest period of updates of the viewer [s]."""
 
 
 def add_options(command: argparse.ArgumentParser) -> None:
-    """Add the options to those of a burst."""
+    """Add the options of ``scope`` to those of a burst."""
     burst_request.add_options(command)
     command.add_argument("--rate", type=float, metavar="HZ", help="points of a burst per second (default: all)")
     command.add_argument(
         "--telemetry",
         nargs="+",
         metavar="NAME",
-        help="variables that are read all the time (default: position, speed and i_q of both axes and u_dc; of other "
-        "boards those of the burst)",
+        help="variables read continuously (default: position, speed and i_q of both axes and u_dc; for other "
+        "boards the variables of the burst)",
     )
     command.add_argument(
         "--count", type=argument.count, metavar="N", help="end after this number of bursts (default: at Ctrl-C)"
     )
     command.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a recording instead of opening a viewer")
     command.add_argument(
-        "--connect", metavar="URL", help="show it in a viewer that runs, such as rerun+http://127.0.0.1:9876/proxy"
+        "--connect", metavar="URL", help="use a running viewer, such as rerun+http://127.0.0.1:9876/proxy"
     )
 
 
 def scope(context: Context) -> int:
-    """Record again and again beside the telemetry, until Ctrl-C or the last burst."""
+    """Record telemetry and bursts until Ctrl-C or the last burst."""
     args, session = context.args, context.session
     request = BurstRequest.of(args)
     ours = session.mismatch is None
@@ -66,7 +66,7 @@ def scope(context: Context) -> int:
     telemetry = _Telemetry(session, names, ticks=ours)
     run = _Run(context, request.with_tick() if ours else request, telemetry)
     warn(context)
-    run.begin()  # what does not fit the board is refused before there is a viewer
+    run.begin()  # refusals of the board come before the viewer is opened
     curves = [_curve(telemetry_parts(channel.name), channel) for channel in telemetry.channels]
     bursts = [_curve(burst_parts(channel.name), channel) for channel in run.shown]
     try:
@@ -85,20 +85,20 @@ def _curve(parts: tuple[str, ...], channel: Channel) -> Curve:
 
 
 class _Telemetry:
-    """Reads rows of variables and gathers them."""
+    """Reads and collects rows of variables."""
 
     def __init__(self, session: Session, names: Sequence[str], *, ticks: bool) -> None:
         self._selection = [lookup(session.variables, name) for name in names]
         self.channels = channels_of([(name, *found) for name, found in zip(names, self._selection, strict=True)])
-        """Numbers of a row."""
+        """Columns of a row."""
         variables = [variable for variable, _ in self._selection]
         self._ticks = ticks
         self._sampler = Sampler(session, [session.variables[TICK], *variables] if ticks else variables)
         if ticks and not self._sampler.simultaneous:
             raise UsageError(
-                f"the board cannot read {len(names)} variables in one moment; name fewer of them with --telemetry"
+                f"the board cannot read {len(names)} variables simultaneously; select fewer with --telemetry"
             )
-        self.placing: Placing = BoardTime() if ticks else HostTime()  # time line of rows and bursts
+        self.timeline: Timeline = BoardTime() if ticks else HostTime()  # timeline of rows and bursts
         self.rows = 0  # read so far
         self._times: list[float] = []
         self._values: list[list[float]] = []
@@ -109,9 +109,9 @@ class _Telemetry:
         reading = self._sampler.read()
         values = list(reading.values)
         tick = int(numbers(values.pop(0))[0]) if self._ticks else None
-        moment = self.placing.row(reading.time_ns, tick)
+        moment = self.timeline.row(reading.time_ns, tick)
         if moment is None:
-            return  # read faster than the board takes samples
+            return  # same sample as before
         cells: list[float] = []
         for (_, element), value in zip(self._selection, values, strict=True):
             found = numbers(value)
@@ -121,7 +121,7 @@ class _Telemetry:
         self.rows += 1
 
     def show(self, view: ScopeView, *, all_of_it: bool = False) -> None:
-        """Hand over what was gathered, if it is time."""
+        """Pass the collected rows to the viewer if an update is due."""
         now = time.monotonic()
         if self._times and (all_of_it or now >= self._shown + _SHOW):
             view.telemetry(np.array(self._times), np.array(self._values, np.float64))
@@ -129,7 +129,7 @@ class _Telemetry:
 
 
 class _Run:
-    """One burst after the other."""
+    """Sequence of bursts."""
 
     def __init__(self, context: Context, request: BurstRequest, telemetry: _Telemetry) -> None:
         self._session, self._catalogue = context.session, context.catalogue
@@ -141,26 +141,26 @@ class _Run:
         self.bursts = 0  # recorded so far
 
     def begin(self) -> None:
-        """Set the recorder up; the errors of `Recording.step`."""
+        """Set up the recorder; raises the errors of `Recording.step`."""
         self._recording.step(self._session)
         if not self._recording.timed:
             self._recording.abandon()
             raise UsageError(
-                "the board does not say how fast its recorder samples, so its bursts have no place on a time line; use "
+                "the board does not report the sampling rate of its recorder, so bursts have no times; use "
                 "`servo-tool record`"
             )
 
     @property
     def shown(self) -> list[Channel]:
-        """Numbers of a burst that are shown."""
+        """Channels of a burst that are shown."""
         return [channel for channel in self._recording.channels if channel.name != TICK]
 
     def until_ended(self, view: ScopeView, count: int | None) -> None:
-        """Go on until Ctrl-C, or for so many bursts."""
+        """Continue until Ctrl-C, or for `count` bursts."""
         with ProgressLine() as progress, interrupts(self._end):
             try:
-                self._telemetry.read()  # time begins here
-                self._again()  # a viewer takes its time to open
+                self._telemetry.read()  # origin of the timeline
+                self._again()  # restart: the viewer may have taken long to open
                 due = time.monotonic()
                 while not self._ended:
                     self._telemetry.read()
@@ -179,7 +179,7 @@ class _Run:
         self._ended = True
 
     def _again(self) -> None:
-        """Begin the next burst."""
+        """Start the next burst."""
         self._recording.abandon()
         self._recording, self._stopped_ns = Recording(self._request, self._catalogue), None
         self.begin()
@@ -201,7 +201,7 @@ class _Run:
     def _show(self, view: ScopeView, burst: Burst) -> None:
         assert self._stopped_ns is not None
         self.bursts += 1
-        times = self._telemetry.placing.burst(burst, self._stopped_ns)
+        times = self._telemetry.timeline.burst(burst, self._stopped_ns)
         at = times[0] - burst.times[0]
         text = f"burst {self.bursts} at {at:.6f} s: {self._recording.text}"
         columns = [

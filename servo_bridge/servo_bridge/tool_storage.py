@@ -1,11 +1,11 @@
-"""``servo-tool save --to-board`` and ``servo-tool factory``: what the board keeps in its data flash."""
+"""``servo-tool save --to-board`` and ``servo-tool factory``: non-volatile storage of the board."""
 
 from __future__ import annotations
 
 import sys
 from typing import TYPE_CHECKING
 
-from servo_msgs_py.board_storage import Kind, StorageRefusedError, carry_out, read_storage, success_text
+from servo_msgs_py.board_storage import Kind, StorageRefusedError, execute_request, read_storage, success_text
 
 from servo_bridge.tuning.block_session import BlockSession
 
@@ -14,17 +14,17 @@ if TYPE_CHECKING:
 
 
 def save_to_board(context: Context) -> int:
-    """Keep parameters and configuration in the data flash."""
+    """Store parameters and configuration in the data flash."""
     return _carry_out(context, "SAVE")
 
 
 def factory(context: Context) -> int:
-    """Erase what the data flash keeps."""
+    """Erase the stored values in the data flash."""
     return _carry_out(context, "FACTORY")
 
 
 def storage_row(context: Context) -> tuple[str, str]:
-    """Row of ``servo-tool info``; empty for a board of another kind."""
+    """Row of ``servo-tool info``; empty for a board with another contract."""
     known = context.session.mismatch is None
     return "storage", read_storage(BlockSession(context.session)).text if known else ""
 
@@ -35,7 +35,7 @@ def _carry_out(context: Context, kind: Kind) -> int:
         return 1
     memory = BlockSession(context.session)
     try:
-        storage = carry_out(memory, kind, memory.wait)
+        storage = execute_request(memory, kind, memory.wait)
     except StorageRefusedError as error:
         print(f"servo-tool: {error}", file=sys.stderr)
         return 1

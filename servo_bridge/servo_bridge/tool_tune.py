@@ -1,4 +1,4 @@
-"""``servo-tool tune``: another configuration for the axes of a board that runs, and what it has now."""
+"""``servo-tool tune``: change the configuration of the axes of a running board, or read it back."""
 
 from __future__ import annotations
 
@@ -21,23 +21,25 @@ if TYPE_CHECKING:
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Arguments of the command."""
+    """Add the arguments of the command."""
     command.add_argument("file", nargs="?", metavar="FILE.toml", help="configuration, as firmware/config/servo.toml")
     command.add_argument("--axis", type=int, choices=range(1, AXES + 1), help="only this axis (default: both)")
-    way = command.add_mutually_exclusive_group()
-    way.add_argument("--dry-run", action="store_true", help="only show what would change")
-    way.add_argument("--diff", action="store_true", help="only compare; exit status 1 when file and board differ")
-    way.add_argument("--from-board", action="store_true", help="write what the board has as such a file")
+    mode = command.add_mutually_exclusive_group()
+    mode.add_argument("--dry-run", action="store_true", help="print the changes, send nothing")
+    mode.add_argument("--diff", action="store_true", help="compare only; exit status 1 if file and board differ")
+    mode.add_argument("--from-board", action="store_true", help="write the configuration of the board as such a file")
     command.add_argument(
         "-o", "--output", metavar="FILE.toml", help="file to write with --from-board (default: print it)"
     )
 
 
 def tune(context: Context) -> int:
-    """Compute a configuration, show what changes, and let the board take it."""
+    """Compute a configuration, print the changes, and apply them on the board."""
     args = context.args
     if args.from_board == bool(args.file) or (args.output and not args.from_board):
-        raise UsageError("give a FILE.toml to send or to compare, or --from-board (with -o FILE.toml) to read one back")
+        raise UsageError(
+            "write a FILE.toml to send or compare, or --from-board (with -o FILE.toml) to read the configuration"
+        )
     if context.session.mismatch is not None:
         print(f"servo-tool: {context.session.mismatch}", file=sys.stderr)
         return 1
@@ -76,7 +78,7 @@ def _to_board(context: Context, memory: BlockSession) -> int:
             print(f"{args.file}: warning: {warning}", file=sys.stderr)
     plan = Plan(read_blocks(memory, axes), {axis: blocks[axis] for axis in axes})
     if not plan.axes:
-        print(f"the board has the configuration of {args.file}; nothing changes")
+        print(f"the board already has the configuration of {args.file}; no change")
         return 0
     print("\n".join(plan.table()))
     if args.diff:
@@ -85,5 +87,5 @@ def _to_board(context: Context, memory: BlockSession) -> int:
         return 0
     plan.send(memory)
     taken = take_blocks(memory, plan.axes, memory.wait)
-    print(f"{plan.names} taken at tick {taken.tick}")
+    print(f"{plan.names} applied at tick {taken.tick}")
     return 0

@@ -1,4 +1,4 @@
-"""Numbers and names for people: what `servo-tool` prints and understands. Pure."""
+"""Text of numbers and names in `servo-tool`: output and parsing. Pure."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ _INDEXED = re.compile(r"(?P<name>.+)\[(?P<index>\d+)\]\Z")
 
 
 class UsageError(ValueError):
-    """The command line does not make sense."""
+    """Wrong arguments of the command line."""
 
 
 class UnknownVariableError(LookupError):
-    """The board has no such variable."""
+    """Unknown variable."""
 
 
 def lookup(variables: Mapping[str, BoardVariable], text: str) -> tuple[BoardVariable, int | None]:
-    """Find a variable, or an element of one as in ``cmd.position[1]``.
+    """Find a variable or an element, such as ``cmd.position[1]``.
 
     Returns
     -------
@@ -46,7 +46,7 @@ def lookup(variables: Mapping[str, BoardVariable], text: str) -> tuple[BoardVari
     Raises
     ------
     UnknownVariableError
-        With the closest names.
+        If it is unknown, with the closest names.
     """
     if text in variables:
         return variables[text], None
@@ -62,14 +62,14 @@ def lookup(variables: Mapping[str, BoardVariable], text: str) -> tuple[BoardVari
 
 
 def opened(variables: Mapping[str, BoardVariable], names: Iterable[str]) -> list[str]:
-    """Replace every structure by what is inside it; no name comes twice because of that.
+    """Replace structures by their members, without duplicates.
 
     Parameters
     ----------
     variables : mapping
         Variables of the board.
     names : iterable of str
-        Names as they were given; what is no structure is kept as it is.
+        Given names; names of other variables are kept.
     """
     result: dict[str, None] = {}
     for name in names:
@@ -83,12 +83,12 @@ def opened(variables: Mapping[str, BoardVariable], names: Iterable[str]) -> list
 
 
 def parse_values(variable: BoardVariable, text: str, catalogue: Catalogue) -> list[Number]:
-    """Read comma-separated numbers; names of enumeration values are understood, and flags joined by ``+``.
+    """Parse comma-separated numbers, names of enumeration values, and flags joined by ``+``.
 
     Raises
     ------
     UsageError
-        If one is no number.
+        If a value is not a number or a known name.
     """
     try:
         if variable.contract is not None:
@@ -100,7 +100,7 @@ def parse_values(variable: BoardVariable, text: str, catalogue: Catalogue) -> li
 
 
 def value_text(variable: BoardVariable, value: Value, catalogue: Catalogue) -> str:
-    """Value with unit, and in words where the number stands for something."""
+    """Text of a value with unit, and with names where numbers have one."""
     if variable.contract is not None:
         return value_text_of.value_text(variable.contract, value, catalogue)
     if isinstance(value, bytes):
@@ -111,7 +111,7 @@ def value_text(variable: BoardVariable, value: Value, catalogue: Catalogue) -> s
 
 
 def limits_text(contract: Variable | None) -> str:
-    """Limits of what may be written, empty when it may not be."""
+    """Text of the limits of writes; empty if read-only."""
     if contract is None or not contract.writable:
         return ""
     return f"{number_text(contract.minimum)} .. {number_text(contract.maximum)}"

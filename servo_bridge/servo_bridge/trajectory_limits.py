@@ -1,4 +1,4 @@
-"""Limits that a path has to keep, in joint units: those of the board and of the joints, the tighter ones. Pure."""
+"""Limits of a path in joint units: the tighter of the limits of the board and of the joints. Pure."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from servo_bridge.trajectory.check import Limits
 def path_limits(
     catalogue: Catalogue, raw: RawParameters, joints: Sequence[Joint], motors: Sequence[Motor]
 ) -> list[Limits]:
-    """Limits of every joint.
+    """Return the limits of every joint.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def path_limits(
     joints : sequence of Joint
         In the order of the axes.
     motors : sequence of Motor
-        In the order of the axes; empty if they are not known: then the torque has no limit.
+        In the order of the axes; empty if not known: then the torque is not limited.
     """
     confine = catalogue.flag("features", "POSITION_LIMITS").mask
     values = _si(catalogue, raw)

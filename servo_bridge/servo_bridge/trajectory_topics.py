@@ -1,4 +1,4 @@
-"""The topic that takes trajectories: form, limits, and a sentence for everything that is refused."""
+"""The topic of trajectories: checks, start and stop."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from servo_msgs_py.runtime.qos import command_qos
 from trajectory_msgs.msg import JointTrajectory
 
 from servo_bridge.arbiter import Arbiter
-from servo_bridge.setpoint_topics import SetPointTopics
-from servo_bridge.setpoints import NotReady, Rejected
+from servo_bridge.set_point_topics import SetPointTopics
+from servo_bridge.set_points import NotReady, Rejected
 from servo_bridge.trajectory.check import Limits
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.follower import Follower, Plan
@@ -19,7 +19,7 @@ from servo_bridge.trajectory.path import Path
 from servo_msgs_py import topics
 
 _STOP_DELAY = 0.1
-"""Until a stop takes effect on the board, and the shaft has followed it [s]."""
+"""Time until a stop takes effect on the board and the shaft has stopped [s]."""
 
 
 class TrajectoryTopics:
@@ -32,17 +32,17 @@ class TrajectoryTopics:
     joints : sequence of str
         Joint names in the order of the axes.
     arbiter : Arbiter
-        Lets a trajectory through or not.
+        Checks trajectories.
     follower : Follower
-        Brings it to the board.
+        Sends them to the board.
     set_points : SetPointTopics
-        Counts what is accepted and rejected, and says why.
+        Counts accepted and rejected trajectories, and reports the reasons.
     limits : callable
-        Limits of every joint in force; None while the board has not told them.
+        Present limits of every joint; None if the board has not reported them yet.
     origin_ns : callable
-        ROS time at which the board was at tick 0 [ns]; None before the first sample.
+        ROS time at tick 0 of the board [ns]; None before the first sample.
     say : callable
-        Gets a sentence for the log.
+        Receives messages for the log.
     """
 
     def __init__(
@@ -77,26 +77,26 @@ class TrajectoryTopics:
             self._set_points.reject(source, error)
 
     def stop(self, source: str, names: Sequence[str], reason: str = "") -> float:
-        """Have joints stop at the acceleration limit and hold.
+        """Stop joints with the acceleration limit and hold.
 
         Parameters
         ----------
         source : str
-            Topic or action that asks for it.
+            Topic or action of the request.
         names : sequence of str
-            Joints; none: all.
+            Joints; empty: all.
         reason : str
-            For paths that end by it; by default that an empty trajectory came.
+            Reported for the ended paths; default: an empty trajectory.
 
         Returns
         -------
         float
-            When they have stopped, at the latest [s of board time].
+            Latest time at which they have stopped [s of board time].
 
         Raises
         ------
         Rejected
-            If a joint does not exist, or the axes obey nothing.
+            If a joint does not exist, or the axes do not accept set-points.
         """
         for name in names:
             if name not in self._joints:
@@ -127,22 +127,22 @@ class TrajectoryTopics:
         abandoned: Callable[[str], None] | None = None,
         takes_over: str | None = None,
     ) -> Plan:
-        """Check a trajectory and have it followed.
+        """Check a trajectory and start to follow it.
 
         Parameters
         ----------
         source : str
-            Topic or action that it came from.
+            Topic or action of the trajectory.
         message : JointTrajectory
             The trajectory.
         refused : callable
-            Called when it turns out that it cannot begin.
+            Called with the reason if it cannot begin.
         begun : callable, optional
-            Called with the end of its path [s of board time] when it begins.
+            Called at the begin, with the end of the path [s of board time].
         abandoned : callable, optional
-            Called with the reason when it has begun, but is not followed to its end.
+            Called with the reason if it has begun but is not followed to its end.
         takes_over : str, optional
-            This reason for what it replaces; by default that a trajectory from this source took over.
+            Reported for the paths that it replaces; default: a trajectory on this source.
 
         Returns
         -------
@@ -152,33 +152,33 @@ class TrajectoryTopics:
         Raises
         ------
         Rejected
-            If it is refused at once; nothing has changed then.
+            If it is refused at once; then nothing is changed.
         """
         joints = [joint for joint in self._joints if joint in message.joint_names or not message.joint_names]
         axes = [self._joints.index(joint) for joint in joints]
         self._arbiter.check_ready(source, axes)
         limits, origin_ns = self._limits(), self._origin_ns()
         if limits is None or origin_ns is None:
-            raise TrajectoryError(f"{source}: the board has not reported its limits yet; try again in a second")
+            raise TrajectoryError(f"{source}: the board has not reported its limits yet; try again in 1 s")
         stamp = message.header.stamp
         stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
 
         def plan(running: Path, now: float) -> Path:
             return from_message(message, running, now, origin_ns, source=source)
 
-        def told(end: float) -> None:
+        def started(end: float) -> None:
             self._say(f"following a trajectory of {', '.join(joints)} until board time {end:.3f} s")
             if begun is not None:
                 begun(end)
 
-        # What is wrong with it by itself is said at once, and not when the axes are ready for it.
+        # Errors of the trajectory itself are reported at once, not when the axes are ready.
         running = self._follower.running()
         plan(running, running.start_time)
         self._arbiter.admit(source, axes)
         self._follower.request(
             joints,
             plan,
-            begun=told,
+            begun=started,
             refused=refused,
             start=(stamp_ns - origin_ns) * 1.0e-9 if stamp_ns else 0.0,
             abandoned=abandoned,

@@ -1,4 +1,4 @@
-"""One Float64 topic per variable, for users of a single number."""
+"""One Float64 topic per variable."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from servo_msgs_py import topics
 
 
 class VariableTopics:
-    """Publishes variables of the telemetry, and reads the others one at a time.
+    """Publishes variables of the telemetry, and reads the other ones one at a time.
 
-    The elements of an array have a topic each: ``var/cmd/position/<joint>``.
+    Elements of an array have one topic each: ``var/cmd/position/<joint>``.
 
     Parameters
     ----------
     node : Node
         Owner.
     joints : sequence of str
-        Joint names in the order of the axes; they stand in the names of the topics.
+        Joint names in the order of the axes; used in the names of the topics.
     variables : sequence of Variable
-        What to publish.
+        Variables to publish.
     sampled : sequence of str
         Columns of the telemetry.
     read : callable
         Starts to read a variable by name.
     post : callable
-        Calls a function in the executor's thread.
+        Calls a function in the thread of the executor.
     """
 
     def __init__(
@@ -54,24 +54,24 @@ class VariableTopics:
             for column, end in zip(columns([variable]), ends, strict=True):
                 topic = topics.variable_topic(variable.name + end, joints)
                 self._publishers[column] = node.create_publisher(Float64, topic, telemetry_qos())
-        self._outside = _endless([variable for variable in variables if columns([variable])[0] not in sampled])
-        self._under_way: Future[Value] | None = None
+        self._outside = _cycle([variable for variable in variables if columns([variable])[0] not in sampled])
+        self._pending: Future[Value] | None = None
 
     def publish(self, sample: Mapping[str, float]) -> None:
-        """Publish from a sample [SI] and start to read the next variable that is not in it."""
+        """Publish the values of a sample [SI], and start to read the next variable that is not in the sample."""
         self._publish(sample)
-        if self._under_way is None and (variable := next(self._outside, None)) is not None:
-            future = self._under_way = self._read(variable.name)
+        if self._pending is None and (variable := next(self._outside, None)) is not None:
+            future = self._pending = self._read(variable.name)
             future.add_done_callback(lambda done: self._post(lambda: self._arrived(variable, done)))
 
     def link_lost(self) -> None:
-        """Wait no longer for what is under way."""
-        self._under_way = None
+        """Discard the pending read."""
+        self._pending = None
 
     def _arrived(self, variable: Variable, done: Future[Value]) -> None:
-        if done is self._under_way:
-            self._under_way = None
-        if error_of(done) is None:  # a lost link shows up by itself
+        if done is self._pending:
+            self._pending = None
+        if error_of(done) is None:  # the loss of the link is reported elsewhere
             values = row([variable], {variable.name: done.result()})
             self._publish(dict(zip(columns([variable]), values, strict=True)))
 
@@ -81,7 +81,7 @@ class VariableTopics:
                 publisher.publish(Float64(data=float(values[column])))
 
 
-def _endless(variables: Sequence[Variable]) -> Iterator[Variable]:
-    """Variables in turn, for ever; nothing when there are none."""
+def _cycle(variables: Sequence[Variable]) -> Iterator[Variable]:
+    """Repeat the variables endlessly; empty if there are none."""
     while variables:
         yield from variables

@@ -10,8 +10,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from servo_bridge.arbiter import Arbiter, AxisStatus
 from servo_bridge.set_point_queue import CommandWrite
-from servo_bridge.setpoints import Mode, Rejected, SetPointRequest
-from servo_bridge.sources import Conflict, Source, Sources
+from servo_bridge.set_point_sources import Conflict, Source, Sources
+from servo_bridge.set_points import Mode, Rejected, SetPointRequest
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, JointLimits, joint_names
 from servo_msgs_py.timed_points import TimedPoint, encode_points
@@ -32,7 +32,7 @@ def arbiter(*axes: AxisStatus, limits: JointLimits | None = None) -> Arbiter:
     result = Arbiter(CATALOGUE, [Joint(name, limits=limits or JointLimits()) for name in JOINTS])
     result.set_torque_constants(KT)
     result.release()
-    result.board_seen(axes or (SPINNING, SPINNING))
+    result.update_axes(axes or (SPINNING, SPINNING))
     return result
 
 
@@ -198,7 +198,7 @@ def geared(limits: JointLimits | None = None) -> Arbiter:
     subject = Arbiter(CATALOGUE, [Joint("lift", 50.0, -1, 0.3, limits or JointLimits()), Joint("pan")])
     subject.set_torque_constants(KT)
     subject.release()
-    subject.board_seen((SPINNING, SPINNING))
+    subject.update_axes((SPINNING, SPINNING))
     return subject
 
 
@@ -220,17 +220,17 @@ def test_limits_of_a_reversed_joint_are_told_in_its_own_units() -> None:
     assert "position of lift is 2.5 rad, outside -1 .. 2 rad" in text
     board = CATALOGUE["cmd.speed"].maximum / 50.0
     text = refused(geared(), request({0: 1000.0}, Mode.SPEED))
-    assert f"outside {-board:g} .. {board:g} rad/s; the board takes no other" in text
+    assert f"outside {-board:g} .. {board:g} rad/s; this is the range of the board" in text
 
 
 def test_nothing_moves_before_the_board_is_seen() -> None:
     subject = Arbiter(CATALOGUE, DEFAULT_JOINTS)
-    assert "not connected (the board has not been seen yet)" in refused(subject, request({0: 1.0}))
+    assert "not connected (no board since the start)" in refused(subject, request({0: 1.0}))
 
 
 def test_nothing_moves_before_enable_even_if_the_board_spins() -> None:
     subject = Arbiter(CATALOGUE, DEFAULT_JOINTS)
-    subject.board_seen([SPINNING, SPINNING])
+    subject.update_axes([SPINNING, SPINNING])
     assert not subject.armed
     assert "call the service enable with data: true first" in refused(subject, request({0: 1.0}))
 
@@ -283,7 +283,7 @@ def test_the_largest_effort_of_the_board_passes() -> None:
 def test_effort_without_a_torque_constant() -> None:
     subject = Arbiter(CATALOGUE, DEFAULT_JOINTS)
     subject.release()
-    subject.board_seen([SPINNING, SPINNING])
+    subject.update_axes([SPINNING, SPINNING])
     assert "torque constant of axis2" in refused(subject, request({1: 0.01}, Mode.TORQUE))
 
 
@@ -312,7 +312,7 @@ def test_a_set_point_is_written_once() -> None:
     subject = arbiter()
     subject.submit(request({0: 5.0}, Mode.SPEED))
     drain(subject)
-    subject.board_seen([SPINNING, SPINNING])
+    subject.update_axes([SPINNING, SPINNING])
     assert subject.queue.next_write() is None
 
 
@@ -320,7 +320,7 @@ def test_a_set_point_is_written_once() -> None:
 def test_an_axis_that_leaves_spin_loses_what_waits_for_it() -> None:
     subject = arbiter()
     subject.submit(request({0: 5.0, 1: 5.0}, Mode.SPEED))
-    subject.board_seen([SPINNING, FAULTED])
+    subject.update_axes([SPINNING, FAULTED])
     assert drain(subject) == [CommandWrite("cmd.mode", 0, (1,)), CommandWrite("cmd.speed", 0, (drain_raw(5.0),))]
     assert subject.queue.next_write() is None
 
@@ -350,7 +350,7 @@ def test_link_loss_throws_away_and_does_not_rearm() -> None:
     assert subject.queue.next_write() is None
     assert not subject.armed
     assert "not connected (port gone)" in refused(subject, request({0: 1.0}))
-    subject.board_seen([SPINNING, SPINNING])
+    subject.update_axes([SPINNING, SPINNING])
     assert not subject.armed
     assert "the link to the board was lost; call the service enable" in refused(subject, request({0: 1.0}))
     assert subject.queue.next_write() is None
@@ -393,7 +393,7 @@ def watched() -> tuple[Arbiter, Sources, Clock]:
     subject = Arbiter(CATALOGUE, DEFAULT_JOINTS, sources)
     subject.set_torque_constants(KT)
     subject.release()
-    subject.board_seen((SPINNING, SPINNING))
+    subject.update_axes((SPINNING, SPINNING))
     return subject, sources, clock
 
 
@@ -473,8 +473,8 @@ def test_a_preferred_trajectory_is_not_interrupted_before_its_end() -> None:
 @pytest.mark.parametrize(
     ("limit", "value", "remedy"),
     [
-        (1.0, 0.5, "the board takes no other"),
-        (1.0, -2.0, "the board takes no other"),
+        (1.0, 0.5, "this is the range of the board"),
+        (1.0, -2.0, "this is the range of the board"),
         (0.1, 0.15, "change the limits in the parameters of the bridge"),
     ],
 )

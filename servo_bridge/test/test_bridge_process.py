@@ -26,7 +26,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from servo_bridge.node import main
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.runtime.qos import latched_qos
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool
@@ -74,7 +74,7 @@ class Bridge:
         environment = dict(os.environ, ROS_DOMAIN_ID=str(DOMAIN), PYTHONUNBUFFERED="1")
         with self.log_file.open("w") as output:
             self.process = subprocess.Popen(
-                bound_to_us([sys.executable, "-c", _NODE, *arguments]),
+                with_parent_death_signal([sys.executable, "-c", _NODE, *arguments]),
                 stdout=output,
                 stderr=output,
                 env=environment,

@@ -65,7 +65,7 @@ def test_what_the_bridge_refuses_is_said(rig: Rig, command: Command) -> None:
     rig.until(lambda: rig.parameters()["param.position_max"] == one)
     status, out, err = command("set", "param.position_min[0]=2")
     assert (status, out) == (1, "")
-    assert err.startswith("servo-command: set was refused: param.position_min[0] 1.99962 rad would be above")
+    assert err.startswith("servo-command: set was refused: param.position_min[0] 1.99962 rad exceeds")
 
 
 def test_state_names_faults_and_limits(rig: Rig, command: Command) -> None:
@@ -80,11 +80,11 @@ def test_state_names_faults_and_limits(rig: Rig, command: Command) -> None:
     assert lines[4].startswith("    at limit POSITION: a soft limit of the position holds the shaft back")
 
 
-def test_state_tells_what_a_hot_winding_leaves(rig: Rig, command: Command) -> None:
+def test_state_prints_derating_of_current_limit(rig: Rig, command: Command) -> None:
     rig.up(SPIN, SPIN)
     assert command("set", "param.i_q_limit=4,4")[0] == 0
     rig.link.values |= {"axis2.winding_temperature": 118, "axis2.winding_current": 3}
-    rig.until(lambda: "hot winding: 75 %" in rig.diagnosis("axis2").message)
+    rig.until(lambda: "derated to 75 %" in rig.diagnosis("axis2").message)
     status, out, _ = command("state")
     rig.link.values |= {"axis2.winding_current": 9}
     rig.until(lambda: rig.diagnosis("axis2").level == b"\x00")
@@ -111,7 +111,7 @@ def test_a_parameter_that_the_board_refuses_is_named(rig: Rig, command: Command)
     rig.link.stubborn = ""
     assert status == 1
     assert err.startswith("servo-command: set failed: param.over_speed is ")
-    assert "and not 310, 310 rad/s" in err
+    assert "requested 310, 310 rad/s" in err
 
 
 def test_without_a_board(rig: Rig, command: Command) -> None:
@@ -124,7 +124,7 @@ def test_without_a_board(rig: Rig, command: Command) -> None:
     status, _, err = command("get")
     assert (status, "the board is not connected" in err) == (1, True)
     status, out, _ = command("set", "param.host_timeout=0.5")
-    assert (status, out) == (0, "the board is not connected; it gets them when it is\n")
+    assert (status, out) == (0, "the board is not connected; the parameters are set after the connection\n")
     status, out, _ = command("state")
     assert (status, out.startswith("DISCONNECTED")) == (0, True)
 
@@ -132,11 +132,11 @@ def test_without_a_board(rig: Rig, command: Command) -> None:
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["position", "axis1=1", "axis1=2"], "axis1 is named twice"),
+        (["position", "axis1=1", "axis1=2"], "axis1 is given twice"),
         (["position", "axis1=nan"], "nan is not a finite number"),
         (["position", "axis1"], "write JOINT=VALUE"),
         (["set", "param.features[0]=FOO"], "'FOO' is not a number or one of the names none, ANTI_WINDUP"),
-        (["set", "cmd.enable[0]=1"], "cmd.enable is no parameter"),
+        (["set", "cmd.enable[0]=1"], "cmd.enable is not a parameter"),
         (["get", "param.i_q_limt"], "did you mean param.i_q_limit"),
     ],
 )

@@ -37,7 +37,7 @@ def report(motors: list[Motor], gear_ratio: float = 1.0, acceleration: float = 1
 
 @pytest.mark.parametrize("gear_ratio", [1.0, 3.0])
 def test_a_dry_run_tells_the_current_of_the_acceleration(gear_ratio: float) -> None:
-    said = re.search(r"rad/s, (\S+) of \S+ rad/s\^2, for it (\S+) of 4 A", report(MOTORS, gear_ratio))
+    said = re.search(r"rad/s, (\S+) of \S+ rad/s\^2, with (\S+) of 4 A", report(MOTORS, gear_ratio))
     assert said is not None
     acceleration, current = map(float, said.groups())
     assert current == pytest.approx(acceleration * gear_ratio * 8.0e-6 / 0.05, rel=0.01)
@@ -45,7 +45,7 @@ def test_a_dry_run_tells_the_current_of_the_acceleration(gear_ratio: float) -> N
 
 
 def test_a_motor_that_is_not_known_has_no_current() -> None:
-    assert "for it an unknown current of 4 A" in report([])
+    assert "with an unknown current of 4 A" in report([])
 
 
 def test_a_path_that_needs_more_torque_than_the_current_gives_is_refused() -> None:

@@ -210,7 +210,7 @@ def test_a_path_that_the_board_refuses_is_sent_again() -> None:
     assert sum("no cmd.points took effect" in line for line in said) == 2
     client = FakeClient()
     client.refusals = 3
-    with pytest.raises(DemoError, match="not taken in 3 attempts"):
+    with pytest.raises(DemoError, match="not accepted in 3 attempts"):
         run(client)
 
 

@@ -140,7 +140,7 @@ def test_a_write_that_never_takes_effect_is_given_up() -> None:
         assert rig.dispatcher.on_sample(tick, 0, 0) is None
     assert rig.queue.void == [position(1)]
     assert rig.sent[1:] == [position(2)]
-    assert "did not carry it out" in rig.trouble[0]
+    assert "not applied within 20 ms" in rig.trouble[0]
 
 
 def test_closing_throws_everything_away_and_a_late_answer_does_nothing() -> None:

@@ -74,7 +74,7 @@ def test_a_board_that_vanishes_in_the_middle_of_a_record(
     reading = connected.link.read("axis1.fault_record")
     assert reached.wait(TIMEOUT)
     fake_port.unplug()
-    with pytest.raises(TransportError, match="is gone"):
+    with pytest.raises(TransportError, match="is lost"):
         reading.result(TIMEOUT)
     connected.wait_state(LinkState.DISCONNECTED)
     fake_port.mangle = lambda answer: answer
@@ -140,7 +140,7 @@ def test_snapshot_of_a_board_that_vanishes_in_the_middle(
     assert status == [1]
     printed = capsys.readouterr()
     assert printed.out == ""
-    assert "is gone" in printed.err
+    assert "is lost" in printed.err
 
 
 # ---- the topic ------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from concurrent.futures import Future
 import numpy as np
 import pytest
 from recorded_fault import NONE, SIZE, recorded
-from servo_bridge.fault_records import SECOND_LOOK, FaultRecords
+from servo_bridge.fault_records import SECOND_READ, FaultRecords
 from servo_bridge.freemaster.errors import AnswerTimeoutError
 from servo_bridge.outcome import error_of
 from servo_bridge.wire.link_queue import LinkDownError
@@ -88,7 +88,7 @@ def test_a_second_fault_leaves_the_first_one_alone(desk: Desk) -> None:
     desk.snapshot(16, PHASE_LOST, 0)
     desk.answer(recorded("PHASE_LOST", 11))
     assert desk.snapshot(24, PHASE_LOST | OVER_VOLTAGE, 0) == []
-    assert desk.snapshot(16 + SECOND_LOOK, PHASE_LOST | OVER_VOLTAGE, 0) == ["axis1.fault_record"]
+    assert desk.snapshot(16 + SECOND_READ, PHASE_LOST | OVER_VOLTAGE, 0) == ["axis1.fault_record"]
     desk.answer(recorded("PHASE_LOST", 11))
     assert desk.names() == ["PHASE_LOST"]
 
@@ -96,11 +96,11 @@ def test_a_second_fault_leaves_the_first_one_alone(desk: Desk) -> None:
 def test_a_cause_that_is_found_behind_a_symptom_is_told(desk: Desk) -> None:
     desk.snapshot(16, OVER_CURRENT, 0)
     desk.answer(recorded("OVER_CURRENT", 11))
-    assert desk.snapshot(8 + SECOND_LOOK, OVER_CURRENT, 0) == []
-    assert desk.snapshot(16 + SECOND_LOOK, OVER_CURRENT, 0) == ["axis1.fault_record"]
+    assert desk.snapshot(8 + SECOND_READ, OVER_CURRENT, 0) == []
+    assert desk.snapshot(16 + SECOND_READ, OVER_CURRENT, 0) == ["axis1.fault_record"]
     desk.answer(recorded("CURRENT_SENSE", 11))
     assert desk.names() == ["OVER_CURRENT", "CURRENT_SENSE"]
-    assert desk.snapshot(16 + 3 * SECOND_LOOK, OVER_CURRENT, 0) == []
+    assert desk.snapshot(16 + 3 * SECOND_READ, OVER_CURRENT, 0) == []
 
 
 def test_a_fault_after_clearing_is_a_first_one(desk: Desk) -> None:

@@ -57,7 +57,7 @@ def test_byte_order_and_password_level_are_read() -> None:
 
 
 def test_another_device_is_recognised() -> None:
-    with pytest.raises(WrongProtocolError, match=r"not in FreeMASTER \(first bytes b'Hello"):
+    with pytest.raises(WrongProtocolError, match=r"the response is not FreeMASTER \(first bytes b'Hello"):
         client_on(FakeTransport(lambda _: b"Hello world\r\n")).identify()
 
 
@@ -153,7 +153,7 @@ def test_a_small_buffer_takes_the_scope_in_pieces() -> None:
 
 def test_a_scope_that_does_not_fit() -> None:
     client = connected(FakeTarget(mtu=32, safety=False))
-    with pytest.raises(CodecError, match="do not fit one answer"):
+    with pytest.raises(CodecError, match="do not fit one response"):
         client.set_scope([ScopeSlot(0x1000, 8)] * 5)
     client = connected(FakeTarget(safety=False))
     with pytest.raises(StatusError, match="bad size"):

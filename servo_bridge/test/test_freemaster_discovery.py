@@ -158,7 +158,7 @@ def test_variables_without_a_known_type() -> None:
     assert found["strange"].type.name == "no_such_t"
     assert found["odd"].decode(b"abc") == b"abc"
     assert found["bad fraction"].count == 1
-    with pytest.raises(ValueError, match="can only be read"):
+    with pytest.raises(ValueError, match="is read-only"):
         found["strange"].encode([1])
 
 
@@ -186,7 +186,7 @@ def test_a_table_of_impossible_size() -> None:
     target = FakeTarget()
     target._table_places = [(0x1000, 1 << 30)]
     client = client_on(FakeTransport(target.feed))
-    with pytest.raises(DiscoveryError, match="cannot be"):
+    with pytest.raises(DiscoveryError, match="not plausible"):
         discover(client, client.identify())
 
 
@@ -264,7 +264,7 @@ def test_any_table_is_survived(entries: list[Entry]) -> None:
     [
         (ValueType(TypeKind.UNSIGNED, 1, "u8"), 256, "does not fit"),
         (ValueType(TypeKind.UNSIGNED, 1, "u8"), -1, "does not fit"),
-        (ValueType(TypeKind.SIGNED, 2, "i16"), 1.5, "not whole"),
+        (ValueType(TypeKind.SIGNED, 2, "i16"), 1.5, "not an integer"),
         (ValueType(TypeKind.SIGNED, 2, "q0.15", 15), 1.0, "does not fit"),
         (ValueType(TypeKind.FLOAT, 4, "float"), 1e300, "does not fit"),
         (ValueType(TypeKind.FLOAT, 4, "float"), float("nan"), "not a finite"),

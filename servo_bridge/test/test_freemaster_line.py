@@ -41,7 +41,7 @@ def test_one_exchange_with_its_times() -> None:
 def test_silence_ends_after_the_time_on_the_line_and_the_margin(baud: int) -> None:
     transport = answers()
     start = transport.now
-    with pytest.raises(AnswerTimeoutError, match="no answer within"):
+    with pytest.raises(AnswerTimeoutError, match="no response within"):
         line_on(transport, baud=baud, latency=0.1, retries=0).exchange(READ)
     expected = len(READ.frame) * 10e9 / baud + 0.1e9
     assert transport.now - start == pytest.approx(expected, abs=1e5)
@@ -58,7 +58,7 @@ def test_a_long_answer_at_a_slow_rate_has_its_time() -> None:
 def test_an_answer_that_breaks_off_is_given_up() -> None:
     transport = answers(GOOD[:3])
     start = transport.now
-    with pytest.raises(DamagedAnswerError, match="no intact answer") as caught:
+    with pytest.raises(DamagedAnswerError, match="no intact response") as caught:
         line_on(transport, retries=0).exchange(READ)
     assert caught.value.received == GOOD[:3]
     assert transport.now - start < 300 * MS

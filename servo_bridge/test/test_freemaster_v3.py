@@ -12,11 +12,11 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from servo_bridge.freemaster import commands_v3
 from servo_bridge.freemaster.client import Client
-from servo_bridge.freemaster.codec import V3, Answer, AnswerParser
 from servo_bridge.freemaster.commands import Request, ScopeSlot
 from servo_bridge.freemaster.commands_v3 import MemoryForm
 from servo_bridge.freemaster.discovery import discover
 from servo_bridge.freemaster.errors import CodecError, FreemasterError, StatusError
+from servo_bridge.freemaster.frames import V3, Answer, AnswerParser
 from servo_bridge.freemaster.recorder import Compare, Setup, Trigger
 from servo_bridge.freemaster.recorder_v3 import set_up
 

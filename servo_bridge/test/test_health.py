@@ -52,7 +52,7 @@ def test_a_hot_winding_is_a_warning_with_what_it_leaves() -> None:
     about = {value.key: value.value for value in cool.values}
     assert (about["winding [deg C]"], about["current limit left [%]"]) == ("80", "100")
     hot = axis_status(Winding(115.0, 3.0), 4.0)
-    assert (hot.level, hot.message) == (DiagnosticStatus.WARN, "RUN/SPIN; hot winding: 75 % of the current limit left")
+    assert (hot.level, hot.message) == (DiagnosticStatus.WARN, "RUN/SPIN; hot winding: current limit derated to 75 %")
     assert axis_status(Winding(115.0, 3.0), 2.5).level == DiagnosticStatus.OK, "the host allows less"
     mask = Catalogue.load().flag("faults", "MOTOR_TEMPERATURE").mask
     assert axis_status(Winding(145.0, 2.0), 4.0, mask).level == DiagnosticStatus.ERROR

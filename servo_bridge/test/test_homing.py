@@ -73,7 +73,7 @@ class Rig:
         speeds = {f"axis{k}.speed": self.speed for k in (1, 2)}
         snapshot = Snapshot(self.tick, self.epoch, 0, speeds, self.tick, self.applied, axes, (0, 0))
         snapshot = self.homing.completed(snapshot)
-        self.arbiter.board_seen(axes)
+        self.arbiter.update_axes(axes)
         self.dispatcher.on_sample(snapshot.tick, snapshot.applied_tick, snapshot.applied_count)
         self.homing.on_snapshot(snapshot, self.features)
 
@@ -97,7 +97,8 @@ def test_methods_are_those_of_the_board() -> None:
 
 
 @pytest.mark.parametrize(
-    ("result", "success", "text"), [("DONE", True, "within 3 counts"), ("NOT_FOUND", False, "turns_max")]
+    ("result", "success", "text"),
+    [("DONE", True, "spread of the reference 3 counts"), ("NOT_FOUND", False, "turns_max")],
 )
 def test_answer_comes_at_the_end(result: str, success: bool, text: str) -> None:
     rig = Rig()
@@ -197,7 +198,7 @@ def test_a_second_call_ends_the_first() -> None:
     for _ in range(3):
         rig.sample()
     second = rig.homing.home(0, "here")
-    assert first.result() == (False, "arm is not homed: another command, a stop or a fault has ended it")
+    assert first.result() == (False, "arm is not homed: ended by another command, a stop or a fault")
     assert not second.done()
 
 

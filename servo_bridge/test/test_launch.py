@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 from bridge_rig import DOMAIN
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 
 pytestmark = pytest.mark.realtime
 
@@ -47,7 +47,9 @@ class Launch:
             environment["PATH"] = os.pathsep.join([str(prefix / "bin"), os.environ["PATH"]])
         command = [sys.executable, "-c", ROS2, "launch", str(FOLDER / file), "viewer:=false", *arguments]
         with self.log_file.open("w") as output:
-            self.process = subprocess.Popen(bound_to_us(command), stdout=output, stderr=output, env=environment)
+            self.process = subprocess.Popen(
+                with_parent_death_signal(command), stdout=output, stderr=output, env=environment
+            )
 
     def log(self) -> str:
         return self.log_file.read_text()

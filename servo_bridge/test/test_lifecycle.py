@@ -76,7 +76,7 @@ def test_every_transition_from_unconfigured_to_finalized() -> None:
 
         rig.link.written.clear()
         assert change(rig, "activate") == (True, ACTIVE)
-        assert "outputs have not been enabled over this bridge" in rejected(rig)
+        assert "the outputs have not been enabled by this bridge" in rejected(rig)
         assert rig.link.written == []
         assert not rig.armed()
         assert rig.enable(True)[0]
@@ -141,7 +141,7 @@ def test_what_is_not_possible_is_answered_and_the_node_lives_on() -> None:
             assert change(rig, label, identifier) == (False, UNCONFIGURED)
         rig.until(lambda: len(rig.logs()) >= 4)
         assert rig.logs() == [
-            f"no transition {asked} from state unconfigured; there are configure, shutdown"
+            f"no transition {asked} from state unconfigured; possible: configure, shutdown"
             for asked in ("activate", Transition.TRANSITION_DEACTIVATE, "fly", 200)
         ]
         assert change(rig, "configure")[0]
@@ -158,7 +158,7 @@ def test_a_clean_up_takes_everything_back_and_other_parameters_count_then(monkey
         taken, reason = rig.set_parameter("port", "/dev/other")
         assert not taken
         assert reason == (
-            "parameter port changes only while the node is unconfigured: ros2 lifecycle set /servo/servo_bridge "
+            "parameter port can be changed only while the node is unconfigured: ros2 lifecycle set /servo/servo_bridge "
             "deactivate, then cleanup"
         )
         assert rig.set_parameter("port", "/dev/ttyUSB0")[0], "it is that already"
@@ -221,7 +221,7 @@ def test_a_lost_link_does_not_change_the_state_of_the_lifecycle() -> None:
         rig.until(lambda: not rig.armed())
         assert state(rig) == ACTIVE
         assert change(rig, "deactivate") == (True, INACTIVE)
-        rig.until(lambda: rig.warnings("no quick stop: not connected: pulled"))
+        rig.until(lambda: rig.warnings("quick stop failed: not connected: pulled"))
         rig.up(SPIN, SPIN)
         assert not rig.enable(True)[0]
         assert change(rig, "activate") == (True, ACTIVE)

@@ -35,7 +35,7 @@ class Rig:
         self.count += applied
         axes = axes or (SPINNING, SPINNING)
         snapshot = Snapshot(self.tick, 0, 0, self.values, self.tick, self.count, axes, faults)
-        self.arbiter.board_seen(axes)
+        self.arbiter.update_axes(axes)
         self.dispatcher.on_sample(snapshot.tick, snapshot.applied_tick, snapshot.applied_count)
         self.services.on_snapshot(snapshot)
 
@@ -57,7 +57,7 @@ def test_enable_opens_the_gate_when_it_took_effect_and_not_before() -> None:
     assert not answer.done()
     assert not rig.arbiter.armed
     rig.sample(applied=True)
-    assert answer.result(0) == (True, "both axes are on; set-points are let through")
+    assert answer.result(0) == (True, "both axes are enabled; set-points are accepted")
     assert rig.arbiter.armed
 
 
@@ -70,7 +70,7 @@ def test_enable_answers_when_a_set_point_would_pass() -> None:
         rig.sample(SPINNING, AxisStatus("RUN/STARTUP", spinning=False))
     assert not answer.done()
     rig.sample()
-    assert answer.result(0) == (True, "both axes are on; set-points are let through")
+    assert answer.result(0) == (True, "both axes are enabled; set-points are accepted")
 
 
 def test_enable_does_not_wait_for_ever() -> None:
@@ -82,7 +82,7 @@ def test_enable_does_not_wait_for_ever() -> None:
     rig.sample(SPINNING, STOPPED)
     success, text = answer.result(0)
     assert success
-    assert "not ready yet: axis1 is in RUN/SPIN, axis2 is in STOP; set-points are let through when armed is" in text
+    assert "enabling in progress: axis1 is in RUN/SPIN, axis2 is in STOP; set-points are accepted when armed is" in text
 
 
 def test_enable_says_what_the_inputs_hold_back() -> None:
@@ -116,7 +116,7 @@ def test_enable_answers_at_once_when_nothing_comes_of_it(end: str) -> None:
         rig.services.link_lost("gone")
     success, text = answer.result(0)
     assert not success
-    assert {"fault": "then call clear_faults", "stop": "a stop came in between", "link": "gone"}[end] in text
+    assert {"fault": "then call clear_faults", "stop": "interrupted by a stop", "link": "gone"}[end] in text
 
 
 @pytest.mark.parametrize("stop", ["disable", "quick_stop"])
@@ -162,7 +162,7 @@ def test_clear_faults_looks_again_after_the_effect() -> None:
     rig.sample(faults=(0, 2))
     success, text = answer.result(0)
     assert not success
-    assert text.startswith("still there: axis2: UNDER_VOLTAGE")
+    assert text.startswith("not cleared, the cause persists: axis2: UNDER_VOLTAGE")
     assert not rig.arbiter.armed
 
 
@@ -201,7 +201,7 @@ def test_axes_that_spin_when_the_link_comes_up_are_reported_once(axes: tuple[Axi
     """The link has stopped them before it has identified the board."""
     rig = Rig().connected(*axes)
     rig.sample(*axes)
-    assert rig.events == ["the board was still enabled: it has been stopped; call enable to go on"]
+    assert rig.events == ["the board was enabled at the connection and has been stopped; call enable to continue"]
     rig.dispatcher.close("pulled")
     rig.services.link_lost("pulled")
     rig.connected(*axes)

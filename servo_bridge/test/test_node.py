@@ -224,7 +224,7 @@ def test_a_set_point_that_expires_is_told_once_with_the_time_of_the_board(rig: R
     assert "EXPIRED" in rig.diagnosis("axis2").message
 
 
-WRONG = [  # what its form can be: test_setpoints.py
+WRONG = [  # what its form can be: test_set_points.py
     (JointState(name=["elbow"], position=[1.0]), "joint 'elbow' does not exist; the joints are axis1, axis2"),
     (JointState(name=["axis1"], effort=[1.0], velocity=[1.0]), "a velocity and an effort, but no position"),
     (JointState(name=["axis1"], position=[1e9]), "outside -1.68663e+06 .. 1.68663e+06 rad"),
@@ -239,7 +239,7 @@ def test_every_wrong_joint_command_is_named_and_moves_nothing(rig: Rig) -> None:
         seen = len(rig.rejections())
         rig.joint_commands.publish(message)
         rig.until_rejected(seen)
-        assert "rejected, nothing moves because of it: joint_commands: " in rig.rejections()[-1]
+        assert "rejected, no motion: joint_commands: " in rig.rejections()[-1]
         assert sentence in rig.rejections()[-1]
     rig.settle()
     assert rig.link.written == []
@@ -260,7 +260,7 @@ def test_set_points_before_enable_are_refused(rig: Rig) -> None:
     rig.up(SPIN, SPIN)
     rig.position.publish(Float64(data=1.0))
     rig.until(rig.rejections)
-    assert "axis2/position: outputs have not been enabled" in rig.rejections()[0]
+    assert "axis2/position: the outputs have not been enabled" in rig.rejections()[0]
     rig.settle()
     assert rig.link.written == []
 
@@ -284,7 +284,7 @@ def test_enable_writes_and_answers_when_it_took_effect(rig: Rig) -> None:
     rig.up()
     success, text = rig.enable(True)
     assert success
-    assert "axis1 is in STOP, axis2 is in STOP; set-points are let through when armed is true" in text
+    assert "axis1 is in STOP, axis2 is in STOP; set-points are accepted when armed is true" in text
     assert rig.link.written == [("cmd.enable", 0, (1, 1))]
     success, _ = rig.enable(False)
     assert success
@@ -328,7 +328,7 @@ def test_clear_faults_tells_what_is_still_there(rig: Rig) -> None:
     rig.up(FAULT, STOP)
     success, text = rig.clear_faults()
     assert not success
-    assert "still there: axis1: UNDER_VOLTAGE" in text
+    assert "not cleared, the cause persists: axis1: UNDER_VOLTAGE" in text
     rig.link.values["axis1.faults"] = 0
     assert rig.clear_faults() == (True, "no faults")
     assert rig.link.written == [("cmd.clear_faults", 0, (1, 1))] * 2
@@ -415,7 +415,7 @@ def test_a_hot_winding_is_a_warning_and_its_temperature_a_topic(rig: Rig) -> Non
         rig.link.values |= {f"{axis}.winding_temperature": celsius, f"{axis}.winding_current": current}  # type: ignore[dict-item]
     rig.up()
     rig.until(lambda: rig.diagnosis("axis1").level == b"\x01")
-    assert "hot winding: 75 % of the current limit left" in rig.diagnosis("axis1").message
+    assert "hot winding: current limit derated to 75 %" in rig.diagnosis("axis1").message
     assert rig.diagnosis("axis2").level == b"\x00"
     rig.until(lambda: bool(found))
     assert found[-1] == [115.0, 80.0]
@@ -461,13 +461,13 @@ def test_a_board_reset_starts_time_and_positions_anew(rig: Rig) -> None:
 @pytest.mark.parametrize(
     ("parameters", "sentence"),
     [
-        ({"joints": ["one"]}, "give 2 different names"),
-        ({"joints": ["a", "a"]}, "give 2 different names"),
-        ({"joints": ["a b", "c"]}, "give 2 different names"),
+        ({"joints": ["one"]}, "write 2 different names"),
+        ({"joints": ["a", "a"]}, "write 2 different names"),
+        ({"joints": ["a b", "c"]}, "write 2 different names"),
         ({"variables": ["axis1.posision"]}, "parameter variables: no variable 'axis1.posision'; did you mean"),
         ({"telemetry": ["snapshot"]}, "parameter telemetry: snapshot is a block"),
         ({"position_min": [2.0, 0.0], "position_max": [1.0, 1.0]}, "position_min 2 is above position_max 1"),
-        ({"velocity_max": [-1.0, 1.0]}, "cannot be negative"),
+        ({"velocity_max": [-1.0, 1.0]}, "must not be negative"),
         ({"effort_max": [1.0]}, "one per joint"),
         ({"baud": "fast"}, "parameter baud"),
         ({"baud": 3}, "parameter baud"),
@@ -580,7 +580,7 @@ def value(name: str, raw: int) -> float:
 def test_the_parameters_of_the_board_are_told_at_every_connection(rig: Rig) -> None:
     rig.up()
     rig.until(lambda: rig.parameters() == rig.link.parameters)
-    assert rig.diagnosis("parameters").message == "as wanted"
+    assert rig.diagnosis("parameters").message == "as requested"
     rig.link.lose()
     rig.link.parameters["param.features"] = [7, 8]
     rig.up()
@@ -612,12 +612,12 @@ def test_wanted_parameters_are_written_at_the_connection_and_when_they_change() 
     [
         (["param.features[0]=ANTI_WINDUP+FOO"], "'FOO' is not a number or one of the names none, ANTI_WINDUP"),
         (["param.i_q_limit[0]=1", "param.i_q_limit[1]=9"], "param.i_q_limit: 9 is outside 0.1 .. 4 A"),
-        (["cmd.enable[0]=1"], "cmd.enable is no parameter"),
+        (["cmd.enable[0]=1"], "cmd.enable is not a parameter"),
         (
             ["param.position_min[1]=2"],
-            "param.position_min[1] 1.99962 rad would be above param.position_max[1] 1.0006 rad",
+            "param.position_min[1] 1.99962 rad exceeds param.position_max[1] 1.0006 rad",
         ),
-        (["param.position_min=2,2", "param.position_max=1,3"], "would be above"),
+        (["param.position_min=2,2", "param.position_max=1,3"], " exceeds "),
     ],
 )
 def test_parameters_that_do_not_fit_are_refused_with_the_reason(rig: Rig, texts: list[str], reason: str) -> None:
@@ -636,13 +636,13 @@ def test_wanted_parameters_that_the_board_cannot_have_are_trouble() -> None:
     with Rig(board_parameters=["param.position_min[0]=2"]) as rig:
         rig.link.parameters["param.position_max"] = [0, 0]
         rig.up()
-        rig.until(lambda: any("nothing could move" in text for text in rig.logs()))
+        rig.until(lambda: any("no motion would be possible" in text for text in rig.logs()))
         assert rig.parameters() == rig.link.parameters
         status = rig.diagnosis("parameters")
-        assert (status.level, "nothing could move" in status.message) == (b"\x01", True)
+        assert (status.level, "no motion would be possible" in status.message) == (b"\x01", True)
         rig.link.stubborn = "param.features"
         assert rig.set_parameter("board_parameters", ["param.features[0]=FRICTION"])[0]
-        rig.until(lambda: any("the board keeps another value" in text for text in rig.logs()))
+        rig.until(lambda: any("the board has another value" in text for text in rig.logs()))
 
 
 def test_parameters_that_make_no_sense_keep_the_bridge_from_starting() -> None:
@@ -676,7 +676,10 @@ def test_two_sources_are_named_in_log_and_diagnostics_and_one_can_have_precedenc
 
         for _ in range(5):
             fight()
-        said = "axis2 is commanded by turns: position on axis2/position (/servo/user), and velocity on joint_commands ("
+        said = (
+            "axis2 is commanded alternately by position on axis2/position (/servo/user) and velocity on "
+            "joint_commands ("
+        )
         rig.until(lambda: rig.warnings(said))
         assert "/teleop" in rig.warnings(said)[0]
         fight()

@@ -82,8 +82,8 @@ def test_joints_have_gears_and_limits_in_their_units() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
-        ("gear_ratio", [1.0], "parameter gear_ratio is [1.0]; give 2 numbers, one per joint"),
-        ("gear_ratio", [1.0, 0.0], "parameter gear_ratio of axis2 is 0; give turns of the motor"),
+        ("gear_ratio", [1.0], "parameter gear_ratio is [1.0]; write 2 numbers, one per joint"),
+        ("gear_ratio", [1.0, 0.0], "parameter gear_ratio of axis2 is 0; give motor revolutions"),
         ("direction", [0, 1], "parameter direction of axis1 is 0; give 1, or -1"),
         ("offset", [float("nan"), 0.0], "parameter offset is [nan, 0.0]"),
         ("offset", [0.0, 1e7], "parameter offset of axis2 is 1e+07 rad"),
@@ -98,5 +98,5 @@ def test_wrong_gears_are_named(name: str, value: Any, said: str) -> None:
 def test_the_preferred_source_is_a_topic_that_takes_set_points() -> None:
     named = settings_from(DEFAULTS | {"preferred_source": "arm/position", "joints": ["arm", "hand"]}, CATALOGUE)
     assert named.preferred_source == "arm/position"
-    with pytest.raises(ParameterError, match=r"preferred_source is 'joint_states'; give one of joint_commands, "):
+    with pytest.raises(ParameterError, match=r"preferred_source is 'joint_states'; write one of joint_commands, "):
         settings_from(DEFAULTS | {"preferred_source": "joint_states"}, CATALOGUE)

@@ -46,7 +46,7 @@ def test_a_late_shaft_is_a_following_error_of_its_speed(guess: float) -> None:
 
 
 def test_samples_that_do_not_hold_the_path_are_named() -> None:
-    with pytest.raises(ValueError, match="do not hold a path from"):
+    with pytest.raises(ValueError, match="do not contain the path from"):
         measure_path(TIME[:700], places(0.04, 0.04)[:700], places(0.04, 0.04)[:700], PATH, 0.0)
     with pytest.raises(ValueError, match="shape"):
         measure_path(TIME, places(0.04, 0.04)[:, :1], places(0.04, 0.04), PATH, 0.0)

@@ -107,10 +107,10 @@ def test_what_is_recorded_is_said_before_the_recorder_starts_and_taken_back(
 
 def test_a_burst_whose_trigger_does_not_come_is_ended_by_the_service(rig: Rig) -> None:
     assert rig.set_parameter("recording", "axis1.i_q --trigger 'axis1.i_q > 3' --points 50")[0]
-    assert record(rig, False) == (False, "nothing is being recorded; call record with data: true first")
+    assert record(rig, False) == (False, "no recording in progress; call record with data: true first")
     assert record(rig, True)[0]
     again = record(rig, True)
-    assert again == (False, "waiting for the trigger; end it first: call record with data: false")
+    assert again == (False, "waiting for the trigger; call record with data: false to end it first")
     assert record(rig, False)[0]
     rig.until(lambda: rig.messages[topics.RECORDING])
     assert rig.messages[topics.RECORDING][0].layout.dim[0].label.endswith("> 3, stopped before the trigger")

@@ -72,9 +72,9 @@ def test_what_waits_is_read_even_after_the_deadline(pty: Pty) -> None:
 def test_a_port_that_vanishes(pty: Pty) -> None:
     with SerialPort(pty.path, 115_200) as port:
         pty.hang_up()
-        with pytest.raises(TransportError, match=r"the port /dev/pts/\d+ is gone"):
+        with pytest.raises(TransportError, match=r"the port /dev/pts/\d+ is lost"):
             port.read(soon())
-        with pytest.raises(TransportError, match="is gone"):
+        with pytest.raises(TransportError, match="is lost"):
             port.write(b"x")
 
 
@@ -97,7 +97,7 @@ def test_a_port_that_vanishes_while_it_is_read(pty: Pty) -> None:
 
 def test_a_port_that_takes_no_bytes(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(serial_port, "_WRITE_LIMIT_NS", 50_000_000)
-    with SerialPort(pty.path, 115_200) as port, pytest.raises(TransportError, match="takes no more bytes"):
+    with SerialPort(pty.path, 115_200) as port, pytest.raises(TransportError, match="accepts no more bytes"):
         port.write(bytes(1 << 20))
 
 
@@ -138,7 +138,7 @@ def test_a_link_that_is_older_than_its_terminal_is_not_followed(pty: Pty, tmp_pa
         pass
     age(link)
     for path in (link, outer):
-        with pytest.raises(PortError, match=f"{link} is older than the terminal behind it") as caught:
+        with pytest.raises(PortError, match=f"{link} is older than its terminal") as caught:
             SerialPort(str(path), 115_200)
         assert caught.value.missing
         assert pty.path in caught.value.remedy
@@ -163,7 +163,7 @@ def test_two_programs_at_one_port(pty: Pty) -> None:
 
 
 def test_no_such_port(tmp_path: Path) -> None:
-    with pytest.raises(PortError, match="there is no port") as caught:
+    with pytest.raises(PortError, match="does not exist") as caught:
         SerialPort(str(tmp_path / "ttyUSB9"), 115_200)
     assert caught.value.missing
     assert caught.value.remedy
@@ -184,13 +184,18 @@ USER = 4321
     ("mode", "owner", "group", "remedy"),
     [
         (0o660, 0, 20, r"mode 0660, owner root, group dialout; join its group .*usermod -aG dialout \$USER"),
-        (0o600, 0, 20, r"mode 0600, owner root, group dialout, and the mode keeps its group out: sudo chmod g\+rw "),
+        (
+            0o600,
+            0,
+            20,
+            r"mode 0600, owner root, group dialout, and the mode denies access to the group: sudo chmod g\+rw ",
+        ),
         (0o660, 0, 0, r"mode 0660, owner root, group root: sudo chgrp dialout "),
         (
             0o060,
             USER,
             20,
-            r"mode 0060, owner \S+, group dialout, and the mode keeps its owner out: chmod u",
+            r"mode 0060, owner \S+, group dialout, and the mode denies access to the owner: chmod u",
         ),
     ],
 )
@@ -208,7 +213,7 @@ def test_a_port_without_permission_is_named_with_its_remedy(
     names = {0: "root", 20: "dialout"}
     with monkeypatch.context() as made_up:
         made_up.setattr(serial, "serial_for_url", refuse)
-        made_up.setattr(serial_port, "_refuse_left_over_link", lambda _: None)
+        made_up.setattr(serial_port, "_refuse_stale_link", lambda _: None)
         made_up.setattr(os, "stat", look)
         made_up.setattr(os, "geteuid", lambda: USER)
         made_up.setattr(grp, "getgrgid", lambda number: SimpleNamespace(gr_name=names[number]))
@@ -237,7 +242,7 @@ def test_a_url_opens_a_network_port() -> None:
                 assert peer.recv(10) == b"ping"
                 peer.sendall(b"pong")
                 assert port.read(soon()) == b"pong"
-            with pytest.raises(TransportError, match="is gone"):
+            with pytest.raises(TransportError, match="is lost"):
                 port.read(soon())
     with pytest.raises(PortError, match="something listens"):
         SerialPort(url, 115_200)

@@ -18,7 +18,7 @@ from fake_port import FakePort, NoiseDevice
 from fake_servo import CATALOGUE, FakeServo
 from fake_target import CONST, ENUM, NONE, RO, RW, STRUCT, FakeEntry, FakeTarget
 from fake_target_v3 import FakeTargetV3
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 
 from servo_bridge import tool
 
@@ -67,7 +67,7 @@ def test_info_shows_the_board_and_its_contract(
     assert run("info") == 0
     out = capsys.readouterr().out
     assert "servo test target" in out
-    assert "agrees" in out
+    assert "matches" in out
     assert "axis1.state" in out
     assert "FAULT" in out
 
@@ -198,7 +198,7 @@ def test_set_flags_by_name(fake_port: FakePort, run: Run, fake_board: FakeServo)
         (["cmd.speed", "1,2", "--element", "0"], "2 value(s) given, 1 expected"),
         (["cmd.speed", "1", "--element", "2"], "elements 0 .. 1"),
         (["cmd.speed", "1", "--element", "-1"], "elements 0 .. 1"),
-        (["cmd.speed[0]", "1", "--element", "0"], "names an element already"),
+        (["cmd.speed[0]", "1", "--element", "0"], "already has an element"),
         (["cmd.speed", "fast,slow"], "'fast' is not a number"),
         (["cmd.mode", "warp,0"], "POSITION, SPEED, TORQUE"),
         (["cmd.mode", "SPEED+TORQUE,0"], "is not a number"),
@@ -206,9 +206,9 @@ def test_set_flags_by_name(fake_port: FakePort, run: Run, fake_board: FakeServo)
         (["param.features[0]", "1.5"], "param.features: 1.5 is not a whole number"),
         (["cmd.enable[0]", "0.6"], "cmd.enable: 0.6 is not a whole number"),
         (["cmd.mode", "0.4,1"], "cmd.mode: 0.4 is not a whole number"),
-        (["--raw", "cmd.enable[0]", "0.6"], "is not whole"),
-        (["param.position_min[1]", "1001"], "would be above param.position_max[1]"),
-        (["param.position_max", "-1001,0"], "would be above param.position_max[0]"),
+        (["--raw", "cmd.enable[0]", "0.6"], "is not an integer"),
+        (["param.position_min[1]", "1001"], "exceeds param.position_max[1]"),
+        (["param.position_max", "-1001,0"], "exceeds param.position_max[0]"),
         (["axis1.speed", "1"], "can only be read"),
     ],
 )
@@ -235,7 +235,7 @@ def test_a_value_that_the_board_refuses_is_named_with_its_range(
         (["--raw", "param.i_q_limit[0]", "-0.5"], "param.i_q_limit[0]: -4.125 is outside 0.1 .. 4 A"),
         (
             ["cmd.position[1]", "2e6"],
-            "cmd.position[1]: 2e+06 rad is more than 1.68663e+06 rad away from the shaft; go there in steps",
+            "cmd.position[1]: 2e+06 rad is more than 1.68663e+06 rad away from the shaft; move in steps",
         ),
     ):
         assert run("set", *arguments) == 1
@@ -316,10 +316,13 @@ def test_a_saved_limit_can_be_loaded_again(
         ("[parameters]\n'param.speed_limit' = ['fast', 1]", "'fast' is not a number"),
         ("[parameters]\n'param.features' = ['WARP', 0]", "'WARP' is not a number or one of the names none"),
         ("[parameters]\n'param.features' = [1.5, 0]", "1.5 is not a whole number"),
-        ("[parameters]\n'param.position_min' = [5.0, 1.0]\n'param.position_max' = [4.0, 1.0]", "nothing could move"),
-        ("[parameters]\n'param.position_min' = [5000.0, 1.0]", "nothing could move"),
+        (
+            "[parameters]\n'param.position_min' = [5.0, 1.0]\n'param.position_max' = [4.0, 1.0]",
+            "no motion would be possible",
+        ),
+        ("[parameters]\n'param.position_min' = [5000.0, 1.0]", "no motion would be possible"),
         ("catalogue_hash = 1\n[parameters]\n'param.features' = [1, 0]", "another version of the board"),
-        ("[parameters]\n'param.speed_limit' = true", "neither a number"),
+        ("[parameters]\n'param.speed_limit' = true", "is not a number, a name"),
         ("[parameters]\n'param.speed_limit' = [1.0]", "1 values in the file, 2 on the board"),
         ("[parameters]\n'param.unknown' = 1", "no parameter param.unknown"),
         ("[parameters]\n'param.speed_limit' = [1.0, 1e9]", "outside"),
@@ -360,7 +363,7 @@ def test_a_file_of_another_kind(
     fake_port: FakePort, run: Run, tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(command, str(tmp_path / "x.txt")) == 2
-    assert "end in .toml or .json" in capsys.readouterr().err
+    assert "end with .toml or .json" in capsys.readouterr().err
     assert not (tmp_path / "x.txt").exists()
 
 
@@ -495,7 +498,10 @@ def test_a_password_opens_its_level(locked: FakeTarget, run: Run, capsys: pytest
     assert run("--password", "look", "get", "x") == 0
     locked.reset()
     assert run("set", "x", "7", "--password", "look") == 1
-    assert "password needed; put one that opens this level" in capsys.readouterr().err
+    assert (
+        "password needed; set the environment variable SERVO_PASSWORD to a password of this level"
+        in capsys.readouterr().err
+    )
     assert run("set", "x", "7", "--password", "move") == 0
     assert locked.peek(0x1000, 2) == b"\x07\x00"
     assert run("info", "--password", "look") == 0
@@ -543,7 +549,7 @@ def test_recording_what_no_scope_can_carry(
 ) -> None:
     file = tmp_path / "x.csv"
     assert run("record", "gain", "table", "-o", str(file), "--duration", "0.1", "--rate", "100") == 0
-    assert "each was read alone" in capsys.readouterr().out
+    assert "each was read separately" in capsys.readouterr().out
     assert file.read_text().splitlines()[0] == "time [s],gain,table[0],table[1],table[2]"
 
 
@@ -566,20 +572,20 @@ def test_a_servo_board_of_another_version_is_not_written(
 def test_a_missing_port_is_named_in_one_line(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("info", "--port", "/dev/ttyNOPE") == 1
     err = capsys.readouterr().err
-    assert "there is no port /dev/ttyNOPE" in err
+    assert "the port /dev/ttyNOPE does not exist" in err
     assert err.count("\n") == 1
 
 
 def test_a_device_of_another_protocol_is_named(tmp_path: Path, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     with FakePort(tmp_path / "ttyFAKE", NoiseDevice()):
         assert run("info") == 1
-    assert "not in FreeMASTER" in capsys.readouterr().err
+    assert "not FreeMASTER" in capsys.readouterr().err
 
 
 def test_a_silent_board(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     fake_port.silent = True
     assert run("info", "--baud", "57600") == 1
-    assert "nothing answers at 57600 baud" in capsys.readouterr().err
+    assert "no response at 57600 baud" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -590,7 +596,7 @@ def test_a_silent_board(fake_port: FakePort, run: Run, capsys: pytest.CaptureFix
         (["get"], "NAME"),
         (["info", "--baud", "abc"], "'abc' is not a finite number"),
         (["info", "--baud", "9600.5"], "9600.5 is not a whole number"),
-        (["info", "--port", ""], "it is empty"),
+        (["info", "--port", ""], "empty; write a device"),
         (["watch", "x", "--rate", "-1"], "-1 is not above 0"),
         (["watch", "x", "--count", "-1"], "-1 is not above 0"),
     ],
@@ -616,7 +622,7 @@ def test_baud_from_the_environment(fake_port: FakePort, run: Run, monkeypatch: p
 def process(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     """The tool as a process of its own, which does not outlive the test."""
     tool_process = subprocess.Popen(
-        bound_to_us([sys.executable, "-m", "servo_bridge.tool", *arguments]),
+        with_parent_death_signal([sys.executable, "-m", "servo_bridge.tool", *arguments]),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

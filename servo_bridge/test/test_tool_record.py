@@ -118,19 +118,19 @@ def test_a_recording_for_rerun(servo: FakeServo, run: Run, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("arguments", "status", "text"),
     [
-        (["axis1.i_q", "--trigger", "axis1.i_q > 10"], 2, "outside of what axis1.i_q can be: -8.25"),
+        (["axis1.i_q", "--trigger", "axis1.i_q > 10"], 2, "outside the range of axis1.i_q: -8.25"),
         (["axis1.i_q", "--trigger", "axis1.iq > 1"], 1, "did you mean axis1.i_q"),
-        (["axis1.i_q", "--trigger", "axis1.i_q is 1"], 2, "is no trigger"),
+        (["axis1.i_q", "--trigger", "axis1.i_q is 1"], 2, "is not a trigger"),
         (["axis1.iq", "--fast"], 1, "did you mean axis1.i_q"),
         (["axis1.i_q", "--points", "5000"], 1, "976 points fit"),
         (["--fast", *MANY], 1, "record fewer"),
         (["axis1.i_q", "--slow"], 1, "no recorder 1; recorders: 0 .. 0"),
         (["axis1.i_q", "--fast", "--rate", "5000"], 2, "5333.33 or 4000 Hz, not 5000 Hz"),
-        (["axis1.i_q", "--fast", "--duration", "1"], 2, "--duration is for rows"),
-        (["axis1.i_q", "--level"], 2, "give one with --trigger"),
+        (["axis1.i_q", "--fast", "--duration", "1"], 2, "--duration is not for bursts"),
+        (["axis1.i_q", "--level"], 2, "add --trigger"),
         (["axis1.i_q", "--before", "200", "--points", "100", "--trigger", "axis1.i_q > 1"], 1, "not less than all 100"),
         (["snapshot", "--fast"], 2, "block of bytes"),
-        (["axis1.i_q", "--fast", "-o", "x.txt"], 2, "has to end in one of .csv, .npz"),
+        (["axis1.i_q", "--fast", "-o", "x.txt"], 2, "must end with one of .csv, .npz"),
     ],
 )
 def test_what_cannot_be_recorded_is_said(

@@ -72,12 +72,12 @@ def test_a_board_of_others_is_shown_by_the_clock_of_the_host(
         (["axis1.iq"], 1, "did you mean axis1.i_q"),
         (["axis1.i_q", "--telemetry", "axis1.sped"], 1, "did you mean axis1.speed"),
         (["axis1.i_q", "--telemetry", "snapshot"], 2, "block of bytes"),
-        (["axis1.i_q", "--level"], 2, "give one with --trigger"),
+        (["axis1.i_q", "--level"], 2, "add --trigger"),
         (["axis1.i_q", "--rate", "5000"], 2, "5333.33 or 4000 Hz"),
-        (["axis1.i_q", "--save", "x.csv"], 2, "has to end in .rrd"),
+        (["axis1.i_q", "--save", "x.csv"], 2, "must end with .rrd"),
         (["axis1.i_q", "--save", "/nowhere/x.rrd"], 2, "cannot be written: No such file"),
-        (["axis1.i_q", "--connect", "127.0.0.1:9"], 2, "is no address of a rerun viewer"),
-        (["axis1.i_q", "--connect", "rerun+http://127.0.0.1:9/proxy"], 2, "no rerun viewer answers"),
+        (["axis1.i_q", "--connect", "127.0.0.1:9"], 2, "is not an address of a rerun viewer"),
+        (["axis1.i_q", "--connect", "rerun+http://127.0.0.1:9/proxy"], 2, "no rerun viewer at"),
     ],
 )
 def test_what_cannot_be_shown_is_said(

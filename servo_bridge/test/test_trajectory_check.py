@@ -81,13 +81,13 @@ def test_the_first_violation_of_all_joints_is_told() -> None:
     limits = [Limits(velocity_max=0.5), Limits(velocity_max=1.0)]
     with pytest.raises(
         TrajectoryError,
-        match=r"^velocity of axis2 goes above its limit 1 rad/s at 0\.\d+ s and reaches 1\.\d+ rad/s; give the motion",
+        match=r"^velocity of axis2 is above its limit 1 rad/s at 0\.\d+ s with a peak of 1\.\d+ rad/s; use more time",
     ):
         require(path, limits)
     require(path, [Limits(), Limits()])
     low = first_violation(path, [Limits(), Limits(velocity_max=1.0, position_min=0.5, position_max=3.0)])
     assert low is not None
-    assert str(low).startswith("position of axis2 goes below its limit 0.5 rad at 0 s and reaches 0 rad; move the")
+    assert str(low).startswith("position of axis2 is below its limit 0.5 rad at 0 s with a peak of 0 rad; move the")
 
 
 def test_friction_at_a_turn_and_a_shaft_at_rest() -> None:

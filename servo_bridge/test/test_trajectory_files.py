@@ -44,13 +44,13 @@ def test_a_json_file_gives_waypoints(tmp_path: File) -> None:
     [
         ("", "line 1: the file is empty; begin with a header"),
         ("time,elbow\n", "line 1: column 'elbow' is unknown; columns are time, axis1, axis2, axis1_velocity"),
-        ("time,axis1,axis1\n", "line 1: column axis1 is given twice; remove one"),
+        ("time,axis1,axis1\n", "line 1: column axis1 occurs twice; remove one"),
         ("axis1,axis2\n", "line 1: no column time, or no joint; begin with time,axis1,axis2"),
         ("time,axis1,axis2,axis2_velocity\n", "line 1: axis1 has only one of position and velocity"),
-        ("time,axis1\n", "line 1: there is no line after the header"),
+        ("time,axis1\n", "line 1: no line after the header"),
         ("time,axis1\n0,1\n\n1,2,3\n", "line 4: 3 values for 2 columns"),
-        ("time,axis1\n0,1\n1,fast\n", "line 3: axis1 is 'fast'; give a finite number"),
-        ("time,axis1\n0,1\n1,nan\n", "line 3: axis1 is 'nan'; give a finite number"),
+        ("time,axis1\n0,1\n1,fast\n", "line 3: axis1 is 'fast'; write a finite number"),
+        ("time,axis1\n0,1\n1,nan\n", "line 3: axis1 is 'nan'; write a finite number"),
         ("time,axis1\n0,1\n0,2\n", "line 3: time 0 s is not after 0 s; order the lines by time"),
     ],
 )
@@ -73,11 +73,11 @@ def test_a_wrong_csv_file_is_refused(tmp_path: File, text: str, sentence: str) -
         ),
         (
             '{"joint_names": ["axis1"], "points": [{"time_from_start": 0, "positions": ["a"]}]}',
-            r'positions of point #0 is \["a"\]; give a list of numbers',
+            r'positions of point #0 is \["a"\]; write a list of numbers',
         ),
         (
             '{"joint_names": ["axis1"], "points": [{"time_from_start": "1 s", "positions": [0]}]}',
-            'time_from_start of point #0 is "1 s"; give seconds',
+            'time_from_start of point #0 is "1 s"; write seconds',
         ),
         (
             '{"joint_names": ["axis1"], "points": [{"time_from_start": 1, "positions": [0, 1]}]}',
@@ -91,10 +91,10 @@ def test_a_wrong_json_file_is_refused(tmp_path: File, text: str, sentence: str) 
 
 
 def test_files_that_cannot_be_read(tmp_path: File) -> None:
-    with pytest.raises(TrajectoryError, match=r"path\.txt: unknown kind of file; give one"):
+    with pytest.raises(TrajectoryError, match=r"path\.txt: unknown format; use a file"):
         read(tmp_path, "path.txt", "")
     with pytest.raises(TrajectoryError, match=r"none\.csv: cannot be read \(No such file or directory\)"):
         read_waypoints(tmp_path / "none.csv", JOINTS)
     (tmp_path / "bytes.csv").write_bytes(b"time,axis1\n\xff\n")
-    with pytest.raises(TrajectoryError, match=r"bytes\.csv: is no text in UTF-8"):
+    with pytest.raises(TrajectoryError, match=r"bytes\.csv: is not UTF-8 text"):
         read_waypoints(tmp_path / "bytes.csv", JOINTS)

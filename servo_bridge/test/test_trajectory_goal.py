@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from servo_bridge.setpoints import NotReady
+from servo_bridge.set_points import NotReady
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.goal import PREEMPTED, Goal, Step
 from servo_bridge.trajectory.path import State

@@ -109,8 +109,8 @@ STEP = point(1.0, 0.0, 0.0)
     ("trajectory", "code", "sentence"),
     [
         (message(STEP, names=("axis1", "elbow")), -2, "joint 'elbow' does not exist; the joints are axis1, axis2"),
-        (message(STEP, names=("axis1", "axis1")), -2, "joint axis1 is named twice"),
-        (message(STEP, names=()), -2, "no joint is named"),
+        (message(STEP, names=("axis1", "axis1")), -2, "joint axis1 occurs twice"),
+        (message(STEP, names=()), -2, "there are no joint names"),
         (message(point(1.0, 0.0)), -1, r"joint_names size \(2\) and positions \(1\) at point #0"),
         (message(point(1.0)), -1, "point #0 has no positions"),
         (message(STEP, point(2.0, 0.0, 0.0, velocities=[0.0])), -1, r"velocities \(1\) at point #1"),
@@ -120,7 +120,7 @@ STEP = point(1.0, 0.0, 0.0)
         (message(point(1.0, 0, 0, velocities=[0.0, 0.5])), -1, "velocity of axis2 at the last point, #0, is 0.5 rad/s"),
         (message(point(1.0, 0, 0, accelerations=[0.0, 0.5])), -1, "point #0 has accelerations but no velocities"),
         (message(STEP, at=8.0), -3, r"the trajectory ended 1 s ago; send it earlier, or with stamp 0"),
-        (message(point(0.0, 0.0, 2.0), STEP), -1, "axis1 is at 1 rad and point #0 wants 0 rad at once"),
+        (message(point(0.0, 0.0, 2.0), STEP), -1, "axis1 is at 1 rad, but point #0 at the start time is at 0 rad"),
     ],
 )
 def test_a_bad_trajectory_is_refused_with_its_reason(trajectory: Any, code: int, sentence: str) -> None:

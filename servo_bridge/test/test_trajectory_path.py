@@ -137,14 +137,14 @@ def test_a_waypoint_at_the_start_gives_way_to_the_state() -> None:
     ("arguments", "sentence"),
     [
         ((JOINTS, [], []), "there are no waypoints"),
-        (((), [0.0], [[]]), "no joint is named"),
-        ((("axis1", "axis1"), [0.0], [[0, 0]]), "joint axis1 is named twice; name each joint once"),
+        (((), [0.0], [[]]), "there are no joint names"),
+        ((("axis1", "axis1"), [0.0], [[0, 0]]), "joint axis1 occurs twice; write each joint once"),
         ((JOINTS, [0, np.nan], [[0, 0], [1, 1]]), "time of point #1 is nan"),
         ((JOINTS, [0, 1, 1], [[0, 0]] * 3), "time between points 1 and 2 is not strictly increasing"),
         ((JOINTS, [0, 1], [[0, 0], [1, 1, 1]]), r"joint_names size \(2\) and positions \(3\) at point #1"),
         ((JOINTS, [0, 1], [[0, 0]]), "there are 1 rows of positions for 2 points"),
         ((JOINTS, [0, 1], [[0, 0], None]), "point #1 has no positions"),
-        ((JOINTS, [0, 1], [[0, 0], [1, np.nan]]), "positions of axis2 at point #1 is nan; give a finite number"),
+        ((JOINTS, [0, 1], [[0, 0], [1, np.nan]]), "positions of axis2 at point #1 is nan; write a finite number"),
         ((JOINTS, [0, 1], [[0, 0], [1, 1]], [[0, 0], [np.inf, 0]]), "velocities of axis1 at point #1 is inf"),
         ((JOINTS, [0, 1], [[0, 0], [1, 1]], None, [None, [0, 0]]), "point #1 has accelerations but no velocities"),
     ],
@@ -157,10 +157,14 @@ def test_wrong_waypoints_are_refused(arguments: Any, sentence: str) -> None:
 @pytest.mark.parametrize(
     ("times", "state", "sentence"),
     [
-        ([0.0, 1.0], State.at_rest([0.02, 0.0]), "axis1 is at 0.02 rad and point #0 wants 0 rad at once"),
+        ([0.0, 1.0], State.at_rest([0.02, 0.0]), "axis1 is at 0.02 rad, but point #0 at the start time is at 0 rad"),
         ([-0.5, 1.0], State.at_rest([0.0, 0.0]), "point #0 is 0.5 s before the start"),
-        ([1.0], None, "a single waypoint needs a state to start from"),
-        ([0.0], State(*np.array([[0.0, 0.0], [0.0, 1.0], [0.0, 0.0], [0.0, 0.0]])), "the joints move and point #0"),
+        ([1.0], None, "a single waypoint needs a start state"),
+        (
+            [0.0],
+            State(*np.array([[0.0, 0.0], [0.0, 1.0], [0.0, 0.0], [0.0, 0.0]])),
+            "the joints move, and the only point",
+        ),
     ],
 )
 def test_what_does_not_fit_the_start(times: list[float], state: State | None, sentence: str) -> None:

@@ -51,10 +51,10 @@ def test_a_move_as_fast_as_the_limits_allow(limit: Limits) -> None:
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ({"duration": 0.0}, "duration is 0 s; give a finite number above 0"),
+        ({"duration": 0.0}, "duration is 0 s; write a finite number above 0"),
         ({"duration": float("nan")}, "duration is nan s"),
-        ({}, "no duration is given"),
-        ({"limits": [Limits(), Limits(velocity_max=1.0)]}, "no duration is given"),
+        ({}, "there is no duration"),
+        ({"limits": [Limits(), Limits(velocity_max=1.0)]}, "there is no duration"),
         ({"limits": [Limits(torque_max=1.0, inertia=0.1, coulomb=2.0)] * 2}, "no duration is long enough: torque of"),
     ],
 )

@@ -206,7 +206,7 @@ def test_a_velocity_limit() -> None:
     ("arguments", "sentence"),
     [
         (([1.0],), "1 positions for 2 joints"),
-        (([1.0, math.inf],), "positions of axis2 is inf; give a finite number, or NaN for none"),
+        (([1.0, math.inf],), "positions of axis2 is inf; send a finite number, or NaN for none"),
         (([1.0, 1.0], [1.0]), "1 velocities for 2 joints"),
         (([1.0, 1.0], None, [0.0, -math.inf]), "efforts of axis2 is -inf"),
     ],
@@ -259,7 +259,7 @@ def test_the_delay_changes_slowly() -> None:
     clock = PlayoutClock(LEAD, 0.2)
     stamps = []
     for k in range(400):
-        clock.heard(0.01 * k, 5.0 + 0.01 * k + (0.1 if k % 2 and k > 50 else 0.0))
+        clock.add_message(0.01 * k, 5.0 + 0.01 * k + (0.1 if k % 2 and k > 50 else 0.0))
         stamp, rate = clock.due(5.0 + 0.01 * k, 0.01)
         stamps.append(stamp)
         if k:

@@ -107,7 +107,7 @@ def test_breakpoints_closer_than_the_board_can_take() -> None:
     assert np.diff(points.periods).min() >= 16
     assert deviation(smooth, 0, points) < 1e-6
     sharp = path_through(Waypoints.of(["axis1"], fine, np.where(np.arange(len(fine)) % 2, 0.01, 0.0)[:, None]))
-    with pytest.raises(TrajectoryError, match=r"axis1 turns too sharply at 0\.\d+ s: .*; give the motion more time"):
+    with pytest.raises(TrajectoryError, match=r"axis1 changes too sharply at 0\.\d+ s: .*; use more time"):
         timed_points(sharp)
     with pytest.raises(TrajectoryError, match="shorter than 1 ms"):
         timed_points(Path.hold(["axis1"], [0.0], 0.0, 0.0005))

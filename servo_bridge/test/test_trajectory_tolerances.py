@@ -38,9 +38,9 @@ def test_zero_is_the_default_and_minus_one_none() -> None:
 @pytest.mark.parametrize(
     ("tolerance", "code", "sentence"),
     [
-        (requested("axis1", -0.5), -1, r"tolerance of position of axis1 is -0\.5; give 0 for the default, -1 for none"),
+        (requested("axis1", -0.5), -1, r"tolerance of position of axis1 is -0\.5; send 0 for the default, -1 for none"),
         (requested("axis1", 0.0, math.nan), -1, "tolerance of velocity of axis1 is nan"),
-        (requested("elbow"), -2, "tolerance of 'elbow', which the trajectory does not move"),
+        (requested("elbow"), -2, "tolerance of 'elbow', which is not in the trajectory"),
     ],
 )
 def test_illegal_tolerances_are_refused(tolerance: SimpleNamespace, code: int, sentence: str) -> None:
@@ -71,8 +71,8 @@ def test_a_goal_is_waited_for_and_given_up() -> None:
     outcome = monitor.update(2.51, ZERO, off(0.2))
     assert (outcome.phase, outcome.code) == (Phase.ABORTED, ErrorCode.GOAL_TOLERANCE_VIOLATED)
     assert outcome.text == (
-        "Aborted due to goal_time_tolerance exceeding by 0.010000 seconds: position of axis2 is 0.2 rad off, its "
-        "tolerance is 0.1 rad"
+        "Aborted due to goal_time_tolerance exceeding by 0.010000 seconds: position of axis2 deviates by 0.2 rad, "
+        "tolerance 0.1 rad"
     )
     late = GoalMonitor(PATH, GOAL, 2.0, 0.5)
     assert late.update(2.4, ZERO, off(0.0, 0.02)).phase is Phase.RUNNING
@@ -87,9 +87,9 @@ def test_no_time_to_wait_is_not_for_ever() -> None:
     ("actual", "violated"),
     [
         (off(0.5, axis=0), ""),
-        (off(0.6, axis=0), "position of axis1 is 0.6 rad off, its tolerance is 0.5 rad"),
+        (off(0.6, axis=0), "position of axis1 deviates by 0.6 rad, tolerance 0.5 rad"),
         (off(9.0, axis=1), ""),
-        (off(0.0, -2.1, axis=1), "velocity of axis2 is 2.1 rad/s off, its tolerance is 2 rad/s"),
+        (off(0.0, -2.1, axis=1), "velocity of axis2 deviates by 2.1 rad/s, tolerance 2 rad/s"),
         (off(math.nan, axis=0), ""),
     ],
 )

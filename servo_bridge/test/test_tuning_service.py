@@ -43,13 +43,13 @@ def tune(rig: Rig, send: bool) -> tuple[bool, str]:
 def test_what_cannot_be_sent_is_answered(rig: Rig) -> None:
     success, message = tune(rig, True)
     assert not success
-    assert "parameter tuning names no file" in message
+    assert "parameter tuning is empty" in message
     assert rig.set_parameter("tuning", str(CONFIG))[0]
     assert tune(rig, True) == (False, "no link")
     rig.link.session = connect(client_on(FakeTransport(FakeServo().feed)), Catalogue.load())
     success, message = tune(rig, True)
     assert not success
-    assert "the board has another layout of the block" in message
+    assert "the layout of the block on the board is different" in message
     assert not any(name.startswith("config") for name, *_ in rig.link.written)
 
 

@@ -1,1 +1,1 @@
-"""The contract between firmware, bridge and twin: variables, units, topic names and conversions."""
+"""Interface of firmware, bridge and twin: variables, units, topic names and conversions."""

@@ -18,7 +18,7 @@ def finite(text: str) -> float:
 
 
 def not_negative(text: str) -> float:
-    """A finite number from 0."""
+    """A finite number of at least 0."""
     if (value := finite(text)) < 0.0:
         raise ArgumentTypeError(f"{text} is below 0")
     return value
@@ -32,7 +32,7 @@ def positive(text: str) -> float:
 
 
 def count(text: str) -> int:
-    """A whole number from 1."""
+    """A whole number of at least 1."""
     if not (value := positive(text)).is_integer():
         raise ArgumentTypeError(f"{text} is not a whole number")
     return int(value)

@@ -1,7 +1,7 @@
 """The configuration block of an axis (``axis_config.toml``): its members, and the block as integers and bytes. Pure.
 
-A block is a mapping from the C path of a member, such as ``current_loop.d.kp``, to its raw number. Board and host count
-members in the order of the table, and sum up a block as `checksum` does.
+A block is a mapping from the C path of a member, such as ``current_loop.d.kp``, to its raw number. Board and host
+number the members in the order of the table and compute the checksum of a block as `checksum` does.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _TYPES: Final[Mapping[str, tuple[int, bool]]] = {
 
 
 class AxisConfigError(ValueError):
-    """A table or a block that is not well formed; the message names the member."""
+    """A malformed table or block; the message contains the member."""
 
 
 @dataclass(frozen=True)
@@ -40,24 +40,24 @@ class Member:
 
     path: str  # C path below ``axis_config_t``
     size: int  # bytes in the memory of the board and in the checksum
-    signed: bool  # whether it may be negative in memory
+    signed: bool  # whether its memory type is signed
     minimum: int  # smallest raw number that the board accepts
     maximum: int  # largest raw number that the board accepts
-    bits: bool  # whether the range is a set of bits: `maximum` has all that may be set
-    live: bool  # whether it may change while the axis is in motion
+    bits: bool  # whether it is a set of flags; `maximum` has all permitted bits set
+    live: bool  # whether it may be changed during motion
     lsb: float  # SI value of one raw unit
     unit: str  # SI unit; empty for pure numbers
 
     def accepts(self, raw: int) -> bool:
-        """Whether the board takes this number."""
+        """Whether the number is in the range that the board accepts."""
         return self.minimum <= raw <= self.maximum and not (self.bits and raw & ~self.maximum)
 
     def value(self, raw: int) -> float | int:
-        """SI value of a raw number; whole numbers stay whole where one raw unit is 1."""
+        """SI value of a raw number; an integer if one raw unit is 1."""
         return raw if self.lsb == 1.0 else raw * self.lsb
 
     def text(self, raw: int) -> str:
-        """Value and unit in words."""
+        """Value and unit as text."""
         if self.bits:
             return f"{raw:#x}"
         return f"{self.value(raw):.6g} {self.unit}".rstrip()
@@ -68,23 +68,23 @@ class AxisConfigTable:
     """All members of a block."""
 
     members: Mapping[str, Member]  # by path, in the order of the table
-    layout: int  # CRC-32 of everything that changes what a block means
+    layout: int  # CRC-32 of all properties that determine the meaning of a block
 
     @classmethod
     @lru_cache(maxsize=1)
     def load(cls) -> AxisConfigTable:
-        """The packaged table, with the ranges of the packaged contract."""
+        """The packaged table, with the ranges of the packaged table of variables."""
         source = Path(__file__).with_name("axis_config.toml")
         return cls.parse(tomllib.loads(source.read_text(encoding="utf-8")), Catalogue.load())
 
     @classmethod
     def parse(cls, table: Mapping[str, Any], catalogue: Catalogue) -> AxisConfigTable:
-        """Build the table of what TOML has found.
+        """Build the table from the parsed TOML file.
 
         Raises
         ------
         AxisConfigError
-            If it is not well formed.
+            If it is malformed.
         """
         members = {
             path: _member(path, {**table["formats"].get(entry.get("format", ""), {}), **entry}, catalogue)
@@ -100,24 +100,24 @@ class AxisConfigTable:
         return len(self.members)
 
     def check(self, block: Mapping[str, int]) -> None:
-        """Make sure that a board would take the block.
+        """Check that the board accepts the block.
 
         Raises
         ------
         AxisConfigError
-            Naming the first member that is missing, unknown or out of range.
+            If a member is missing, unknown or out of range; the message contains the first one.
         """
         for path in block:
             if path not in self.members:
-                raise AxisConfigError(f"{path} is no member of a configuration block")
+                raise AxisConfigError(f"{path} is not a member of a configuration block")
         for path, member in self.members.items():
             if path not in block:
                 raise AxisConfigError(f"{path} is missing")
             raw = block[path]
             if not member.accepts(raw):
                 low, high = (f"{member.value(bound):g}" for bound in (member.minimum, member.maximum))
-                wanted = f"bits of {member.maximum:#x}" if member.bits else f"{low} .. {high} {member.unit}".rstrip()
-                raise AxisConfigError(f"{path} = {member.text(raw)}: the board takes {wanted}")
+                allowed = f"bits of {member.maximum:#x}" if member.bits else f"{low} .. {high} {member.unit}".rstrip()
+                raise AxisConfigError(f"{path} = {member.text(raw)}: allowed: {allowed}")
 
     def words(self, block: Mapping[str, int]) -> list[int]:
         """Raw numbers in the order of the table.
@@ -131,12 +131,12 @@ class AxisConfigTable:
         return [block[path] for path in self.members]
 
     def block(self, words: Sequence[int]) -> dict[str, int]:
-        """The block of raw numbers in the order of the table, signed or modulo 2^32.
+        """The block from raw numbers in the order of the table, signed or modulo 2^32.
 
         Raises
         ------
         AxisConfigError
-            If there are too many or too few, or one is out of range.
+            If the number of members is wrong, or one is out of range.
         """
         if len(words) != len(self):
             raise AxisConfigError(f"{len(words)} members, {len(self)} expected")
@@ -148,7 +148,7 @@ class AxisConfigTable:
         return result
 
     def encode(self, block: Mapping[str, int]) -> bytes:
-        """Little-endian bytes, member by member, without gaps.
+        """Little-endian bytes of all members, without padding.
 
         Raises
         ------
@@ -159,12 +159,12 @@ class AxisConfigTable:
         return b"".join(block[m.path].to_bytes(m.size, "little", signed=m.signed) for m in self.members.values())
 
     def decode(self, data: bytes) -> dict[str, int]:
-        """The block that `encode` has made bytes of.
+        """The block from the bytes of `encode`.
 
         Raises
         ------
         AxisConfigError
-            If the number of bytes is wrong, or a member out of range.
+            If the number of bytes is wrong, or a member is out of range.
         """
         size = sum(member.size for member in self.members.values())
         if len(data) != size:
@@ -189,7 +189,7 @@ class AxisConfigTable:
         return zlib.crc32(head + self.encode(block))
 
     def changes(self, old: Mapping[str, int], new: Mapping[str, int]) -> list[Member]:
-        """Members in which two blocks differ."""
+        """Members with different values in two blocks."""
         return [member for path, member in self.members.items() if old[path] != new[path]]
 
 
@@ -200,7 +200,7 @@ def _member(path: str, entry: Mapping[str, Any], catalogue: Catalogue) -> Member
     if unknown := set(entry) - known:
         raise AxisConfigError(f"{path}: unknown key {', '.join(sorted(unknown))}")
     if entry.get("type") not in _TYPES:
-        raise AxisConfigError(f"{path}: no type, or no format with one")
+        raise AxisConfigError(f"{path}: no type, and no format that contains one")
     size, signed = _TYPES[entry["type"]]
     low, high = entry.get("minimum", 0), entry.get("maximum", 0)
     if "parameter" in entry:
@@ -219,7 +219,7 @@ def _member(path: str, entry: Mapping[str, Any], catalogue: Catalogue) -> Member
 
 
 def _scale(path: str, text: str, catalogue: Catalogue) -> tuple[float, str]:
-    """Factor and unit of a scale, or of one over another."""
+    """Factor and unit of a scale, or of the quotient of two."""
     names = [name for name in text.split("/") if name]
     for name in names:
         if name not in catalogue.scales:

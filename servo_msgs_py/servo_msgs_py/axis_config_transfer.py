@@ -1,7 +1,8 @@
-"""How configuration blocks come to a board and from it, over any way to its variables. Pure.
+"""Transfer of configuration blocks to and from a board, by any access to its variables. Pure.
 
-A block goes in parts through ``config.window``, each checked by the board. ``config.header`` with the checksum of the
-whole makes it ready, and ``config.take`` takes the ready blocks of one axis or of both with the same slow tick.
+A block is sent in parts through ``config.window``; the board checks each part. ``config.header`` with the checksum of
+the whole block marks it as complete, and ``config.take`` applies the complete blocks of one axis or both in one slow
+tick.
 """
 
 from __future__ import annotations
@@ -16,24 +17,24 @@ _HEAD: Final = 3  # words of the window before the members
 
 _TEXTS: Final[Mapping[str, str]] = {
     "FORM": "malformed request; if another program also writes to the board, stop it and send again",
-    "AXIS": "the board has no such axis",
-    "MEMBER": "the board has no such member: host and board are of different versions",
-    "RANGE": "is outside what the board takes",
-    "LAYOUT": "the board has another layout of the block: flash the firmware of this release",
-    "LENGTH": "the board has another number of members: flash the firmware of this release",
-    "CHECKSUM": "the board has got other numbers than were sent; send them again",
-    "UNCHECKED": "no complete block has been received since the last one was taken; send it again",
-    "MOTION": "may only change while the axis is at rest with its outputs off: disable it and wait for standstill",
-    "BUSY": "the board has not yet taken the previous blocks; try again",
+    "AXIS": "this axis does not exist on the board",
+    "MEMBER": "this member does not exist on the board: host and board have different versions",
+    "RANGE": "is outside the range that the board accepts",
+    "LAYOUT": "the layout of the block on the board is different: flash the firmware of this release",
+    "LENGTH": "the number of members on the board is different: flash the firmware of this release",
+    "CHECKSUM": "the checksum of the received block is wrong; send it again",
+    "UNCHECKED": "no complete block has been received since the last one was applied; send it again",
+    "MOTION": "can only be changed at standstill with the outputs off: disable the axis and wait for standstill",
+    "BUSY": "the board has not yet applied the previous blocks; try again",
 }
 
 
 class BlockRefusedError(ValueError):
-    """The board has not taken a block or a part of one."""
+    """The board has refused a block or a part of one."""
 
     def __init__(self, reason: str, message: str) -> None:
         super().__init__(message)
-        self.reason = reason  # name of the reason in the contract
+        self.reason = reason  # name of the reason in the table of variables
 
 
 class BlockMemory(Protocol):
@@ -43,27 +44,27 @@ class BlockMemory(Protocol):
         """All elements of a variable."""
 
     def write_words(self, name: str, words: Sequence[int]) -> bool:
-        """The first elements of a variable, in one write; False if the board finds them out of range."""
+        """Write the first elements of a variable in one request; False if the board refuses the values."""
 
 
-class Taken(NamedTuple):
-    """When blocks have taken effect."""
+class AppliedBlocks(NamedTuple):
+    """Time at which blocks took effect, and their checksums."""
 
-    tick: int  # PWM periods since reset, of the first slow tick with the new blocks
-    checksums: tuple[int, ...]  # of the blocks in force now, by axis
+    tick: int  # first slow tick with the new blocks, PWM periods since reset
+    checksums: tuple[int, ...]  # of the active blocks, by axis
 
 
-def _together() -> int:
+def _members_per_window() -> int:
     return Catalogue.load()["config.window"].count - _HEAD
 
 
 def read_block(memory: BlockMemory, axis: int) -> dict[str, int]:
-    """The block in force.
+    """The active block.
 
     Raises
     ------
     BlockRefusedError
-        If the board does not show it, or something else than its checksum says.
+        If the board does not return it, or its checksum is wrong.
     """
     table = AxisConfigTable.load()
     _compare_layout(memory, table)
@@ -76,24 +77,22 @@ def read_block(memory: BlockMemory, axis: int) -> dict[str, int]:
         words += window[_HEAD : _HEAD + len(table) - len(words)]
     block = table.block(words)
     if table.checksum(axis, block) != memory.read_words("config.checksum")[axis]:
-        raise BlockRefusedError(
-            "CHECKSUM", f"the block of {axis_name(axis)} has changed while it was read; read it again"
-        )
+        raise BlockRefusedError("CHECKSUM", f"the block of {axis_name(axis)} changed during reading; read it again")
     return block
 
 
 def send_block(memory: BlockMemory, axis: int, block: Mapping[str, int]) -> None:
-    """Write a block and its header; nothing takes effect yet.
+    """Write a block and its header, without applying it.
 
     Raises
     ------
     AxisConfigError
-        If the board could not take it.
+        If a member is out of range.
     BlockRefusedError
         If the board refuses.
     """
     table = AxisConfigTable.load()
-    words, step = table.words(block), _together()
+    words, step = table.words(block), _members_per_window()
     checksum = table.checksum(axis, block)
     _compare_layout(memory, table)
     for first in range(0, len(words), step):
@@ -102,8 +101,8 @@ def send_block(memory: BlockMemory, axis: int, block: Mapping[str, int]) -> None
     _write(memory, "config.header", [axis, _signed(table.layout), len(table), _signed(checksum)])
 
 
-def take_blocks(memory: BlockMemory, axes: Sequence[int], wait: Callable[[], bool]) -> Taken:
-    """Let blocks that were sent take effect, all with the same slow tick or none.
+def take_blocks(memory: BlockMemory, axes: Sequence[int], wait: Callable[[], bool]) -> AppliedBlocks:
+    """Apply complete blocks, all in the same slow tick or none.
 
     Parameters
     ----------
@@ -112,12 +111,12 @@ def take_blocks(memory: BlockMemory, axes: Sequence[int], wait: Callable[[], boo
     axes : sequence of int
         Indices of the axes.
     wait : callable
-        Lets a slow tick pass; False when the board has had its time.
+        Waits for a slow tick; False at the timeout.
 
     Raises
     ------
     BlockRefusedError
-        If it refuses.
+        If the board refuses.
     """
     before = memory.read_words("config.answers")
     _write(memory, "config.take", [sum(1 << axis for axis in axes)])
@@ -127,8 +126,8 @@ def take_blocks(memory: BlockMemory, axes: Sequence[int], wait: Callable[[], boo
     return take_result(memory)
 
 
-def take_result(memory: BlockMemory) -> Taken:
-    """What has become of the last ``config.take`` when the board has dealt with it.
+def take_result(memory: BlockMemory) -> AppliedBlocks:
+    """Result of the last ``config.take``, after the board has processed it.
 
     Raises
     ------
@@ -137,7 +136,7 @@ def take_result(memory: BlockMemory) -> Taken:
     """
     _raise_refusal(memory, "the blocks")
     checksums = memory.read_words("config.checksum")
-    return Taken(memory.read_words("config.taken_tick")[0], tuple(checksums[:AXES]))
+    return AppliedBlocks(memory.read_words("config.taken_tick")[0], tuple(checksums[:AXES]))
 
 
 def _compare_layout(memory: BlockMemory, table: AxisConfigTable) -> None:
@@ -151,7 +150,7 @@ def _write(memory: BlockMemory, name: str, words: Sequence[int]) -> None:
         raise BlockRefusedError("FORM", _TEXTS["FORM"])
 
 
-def _raise_refusal(memory: BlockMemory, what: str) -> None:
+def _raise_refusal(memory: BlockMemory, item: str) -> None:
     number = memory.read_words("config.refusal")[0]
     if number == 0:
         return
@@ -160,9 +159,9 @@ def _raise_refusal(memory: BlockMemory, what: str) -> None:
     members = list(AxisConfigTable.load().members)
     if reason in ("RANGE", "MOTION"):
         number = memory.read_words("config.refused_member")[0]
-        what = members[number] if number < len(members) else f"member {number}"
-        raise BlockRefusedError(reason, f"{what} {_TEXTS[reason]}")
-    raise BlockRefusedError(reason, f"{what}: {_TEXTS.get(reason, reason)}")
+        item = members[number] if number < len(members) else f"member {number}"
+        raise BlockRefusedError(reason, f"{item} {_TEXTS[reason]}")
+    raise BlockRefusedError(reason, f"{item}: {_TEXTS.get(reason, reason)}")
 
 
 def _signed(word: int) -> int:

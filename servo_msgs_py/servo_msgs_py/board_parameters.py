@@ -1,7 +1,7 @@
-"""Parameters of a board: how they are written as ``NAME=VALUE``, and what does not go together. Pure.
+"""Parameters of a board: syntax ``NAME=VALUE``, and consistency. Pure.
 
-Everything here computes with the raw integers of the firmware, so that a parameter that was read compares equal to one
-that was written.
+All computations use the raw integers of the firmware, so that a parameter that was read compares equal to one that was
+written.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ from servo_msgs_py.catalogue import Catalogue, Value, Variable
 from servo_msgs_py.value_text import parse_values
 
 PREFIX: Final = "param."
-"""What the names of all parameters begin with."""
+"""Prefix of the names of all parameters."""
 
 RawParameters = Mapping[str, Sequence[int]]
 """Raw integers, one per element, by name of the variable."""
 
-_ORDERED: Final = (("param.position_min", "param.position_max"),)  # the first may not be above the second
+_ORDERED: Final = (("param.position_min", "param.position_max"),)  # the first must not exceed the second
 
 COMPARED: Final = frozenset(name for pair in _ORDERED for name in pair)
-"""Parameters that `contradiction` looks at."""
+"""Parameters that `contradiction` checks."""
 
 _TARGET: Final = re.compile(r"(?P<name>[^\[\]]+)(\[(?P<element>\d+)\])?")
 
 
 @dataclass(frozen=True)
 class Assignment:
-    """One parameter, or one element of it, and what it shall be."""
+    """New value of one parameter or of one element of it."""
 
     variable: Variable  # the parameter
     element: int | None  # index of the element; None for all
     raw: tuple[int, ...]  # firmware integers, one per assigned element
-    text: str  # as it was written
+    text: str  # as entered
 
     def replaces(self, other: Assignment) -> bool:
-        """Whether nothing is left of `other` once this one is carried out."""
+        """Whether this assignment overwrites `other` completely."""
         return self.variable.name == other.variable.name and self.element in (None, other.element)
 
 
@@ -49,9 +49,9 @@ def parameters(catalogue: Catalogue) -> list[Variable]:
 
 
 def layout(catalogue: Catalogue) -> int:
-    """CRC-32 of all that says what the numbers of a stored set of parameters mean.
+    """CRC-32 of all properties that determine the meaning of a stored set of parameters.
 
-    Also of the bits that they may have: a set from before a fault was known would switch it off.
+    Includes the known bits of flag words: a set stored by an older version would switch a newly added fault off.
     """
     lines = [f"{v.name} {v.type} {v.count} {v.lsb!r}" for v in parameters(catalogue)]
     for name in sorted({v.enum for v in parameters(catalogue) if v.enum}):
@@ -62,12 +62,12 @@ def layout(catalogue: Catalogue) -> int:
 
 
 def find(text: str, catalogue: Catalogue) -> tuple[Variable, int | None]:
-    """Parameter that ``param.features`` or ``param.features[0]`` names, and the element, None for all.
+    """Parameter and index of the element in ``param.features`` or ``param.features[0]``; index None for all.
 
     Raises
     ------
     ValueError
-        If there is none.
+        If it does not exist.
     """
     match = _TARGET.fullmatch(text)
     try:
@@ -75,7 +75,7 @@ def find(text: str, catalogue: Catalogue) -> tuple[Variable, int | None]:
     except KeyError as error:
         raise ValueError(str(error.args[0])) from None
     if not variable.name.startswith(PREFIX):
-        raise ValueError(f"{variable.name} is no parameter; their names begin with {PREFIX}")
+        raise ValueError(f"{variable.name} is not a parameter; names of parameters begin with {PREFIX}")
     element = None if match is None or match["element"] is None else int(match["element"])
     if element is not None and element >= variable.count:
         raise ValueError(f"{variable.name} has elements 0 .. {variable.count - 1}, not {element}")
@@ -88,7 +88,7 @@ def parse(text: str, catalogue: Catalogue) -> Assignment:
     Raises
     ------
     ValueError
-        If there is no such parameter or the value does not fit it; the text says why.
+        If the parameter does not exist or the value is invalid; the text contains the reason.
     """
     target, separator, value = (part.strip() for part in text.partition("="))
     if not (target and separator and value):
@@ -98,15 +98,15 @@ def parse(text: str, catalogue: Catalogue) -> Assignment:
         values = parse_values(variable, value, catalogue)
     except ValueError as error:
         raise ValueError(f"{target}: {error}") from None
-    wanted = variable.count if element is None else 1
-    if len(values) != wanted:
-        hint = "; give all of them with commas, or name one element" if wanted > 1 else ""
-        raise ValueError(f"{target}: {len(values)} value(s) given, {wanted} expected{hint}")
+    expected = variable.count if element is None else 1
+    if len(values) != expected:
+        hint = "; give all values separated by commas, or the index of one element" if expected > 1 else ""
+        raise ValueError(f"{target}: {len(values)} value(s) given, {expected} expected{hint}")
     return Assignment(variable, element, tuple(variable.to_raw(v) for v in values), f"{target}={value}")
 
 
 def merged(before: Iterable[Assignment], later: Iterable[Assignment]) -> list[Assignment]:
-    """Both in order, without those that a later one replaces."""
+    """Both in order, without assignments that a later one overwrites."""
     result: list[Assignment] = []
     for assignment in (*before, *later):
         result = [kept for kept in result if not assignment.replaces(kept)] + [assignment]
@@ -114,7 +114,7 @@ def merged(before: Iterable[Assignment], later: Iterable[Assignment]) -> list[As
 
 
 def applied(assignments: Iterable[Assignment], present: RawParameters) -> dict[str, list[int]]:
-    """Parameters after some assignments; one of which only single elements are known or assigned stays away."""
+    """Parameters after some assignments; those without a known value of every element are omitted."""
     result = {name: list(raw) for name, raw in present.items()}
     for assignment in assignments:
         name = assignment.variable.name
@@ -126,14 +126,14 @@ def applied(assignments: Iterable[Assignment], present: RawParameters) -> dict[s
 
 
 def contradiction(values: RawParameters, catalogue: Catalogue) -> str:
-    """What does not go together in a set of parameters, empty if everything does."""
+    """Contradiction in a set of parameters; empty if there is none."""
     for low_name, high_name in _ORDERED:
         low, high = catalogue[low_name], catalogue[high_name]
         for k, (minimum, maximum) in enumerate(zip(values.get(low_name, ()), values.get(high_name, ()), strict=False)):
             if minimum > maximum:
                 return (
-                    f"{low_name}[{k}] {low.scale(minimum):.6g} {low.unit} would be above {high_name}[{k}] "
-                    f"{high.scale(maximum):.6g} {high.unit}: nothing could move"
+                    f"{low_name}[{k}] {low.scale(minimum):.6g} {low.unit} exceeds {high_name}[{k}] "
+                    f"{high.scale(maximum):.6g} {high.unit}: no motion would be possible"
                 )
     return ""
 

@@ -1,7 +1,7 @@
-"""Keep parameters and configuration of a board in its data flash, over any way to its variables. Pure.
+"""Storage of parameters and configuration in the data flash of a board, by any access to its variables. Pure.
 
-A request carries a token. One that is repeated because its answer got lost has the same token, and the board carries it
-out once.
+Each request has a token. The board executes repeated requests with the same token only once, so that a request can be
+repeated when its response was lost.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ _COPIES: Final = "AB"
 
 _REFUSALS: Final[Mapping[str, str]] = {
     "FORM": "malformed request; if another program also writes to the board, stop it and try again",
-    "ABSENT": "the board has no data flash; keep the values in files: servo-tool save, servo-tool tune --from-board",
-    "BUSY": "the board is still busy with the previous request; try again",
-    "MOTION": "only at rest with the outputs off: disable both axes and wait until they stand, then ask again; what "
-    "was stored before is still there",
-    "CHANGED": "parameters or configuration were changed meanwhile; the stored values are unchanged: try again",
+    "ABSENT": "the board has no data flash; store the values in files: servo-tool save, servo-tool tune --from-board",
+    "BUSY": "the board is still executing the previous request; try again",
+    "MOTION": "an axis is moving or enabled. Disable both axes, wait for standstill and try again. The stored values "
+    "are unchanged",
+    "CHANGED": "parameters or configuration changed during the request; the stored values are unchanged: try again",
     "FLASH": "verification of the data flash failed; the previously stored values are unchanged. If it happens "
     "again, the flash is worn out",
 }
@@ -31,13 +31,13 @@ _REFUSALS: Final[Mapping[str, str]] = {
 _COPY_TEXTS: Final[Mapping[str, str]] = {
     "EMPTY": "empty",
     "INTACT": "intact",
-    "DAMAGED": "damaged (a save that was cut off, or worn flash)",
-    "OTHER_LAYOUT": "of another version of the firmware",
-    "OUT_OF_RANGE": "with a value that the board does not take",
+    "DAMAGED": "damaged (interrupted save, or worn flash)",
+    "OTHER_LAYOUT": "written by another version of the firmware",
+    "OUT_OF_RANGE": "with a value out of range",
     "ABSENT": "absent",
 }
 
-_FINE: Final = ("EMPTY", "INTACT", "ABSENT")
+_WITHOUT_FAULT: Final = ("EMPTY", "INTACT", "ABSENT")
 
 
 class StorageRefusedError(ValueError):
@@ -45,28 +45,32 @@ class StorageRefusedError(ValueError):
 
     def __init__(self, reason: str, message: str) -> None:
         super().__init__(message)
-        self.reason = reason  # name in the contract; empty: not stated by the board
+        self.reason = reason  # name in the table of variables; empty: not reported by the board
 
 
 class Storage(NamedTuple):
-    """What the data flash of a board has."""
+    """State of the data flash of a board."""
 
-    sequence: int  # number of the newest set; 0: there is none
+    sequence: int  # number of the newest set; 0: none stored
     source: str  # origin of the values at the last reset: ``BUILT_IN``, ``COPY_A`` or ``COPY_B``
-    copies: tuple[str, ...]  # validity of both copies, by their names in the contract
+    copies: tuple[str, ...]  # states of both copies, by their names in the table of variables
 
     @property
     def trouble(self) -> str:
-        """What is wrong with a copy, and what to do; empty if nothing is."""
-        wrong = [f"copy {_COPIES[k]} is {_COPY_TEXTS[copy]}" for k, copy in enumerate(self.copies) if copy not in _FINE]
-        if not wrong:
+        """Faults of the copies with remedy; empty if there is none."""
+        faults = [
+            f"copy {_COPIES[k]} is {_COPY_TEXTS[copy]}"
+            for k, copy in enumerate(self.copies)
+            if copy not in _WITHOUT_FAULT
+        ]
+        if not faults:
             return ""
         used = "the built-in values are" if self.source == "BUILT_IN" else f"copy {self.source[-1]} is"
-        return f"{'; '.join(wrong)}: {used} used; save again to replace it"
+        return f"{'; '.join(faults)}: {used} in use; save again to replace it"
 
     @property
     def text(self) -> str:
-        """One line for people."""
+        """State in one line."""
         if self.copies[0] == "ABSENT":
             return "no data flash"
         origin = "built-in values" if self.source == "BUILT_IN" else f"values of copy {self.source[-1]}"
@@ -75,7 +79,7 @@ class Storage(NamedTuple):
 
 
 def read_storage(memory: BlockMemory) -> Storage:
-    """What the data flash of a board has."""
+    """Read the state of both copies."""
     catalogue = Catalogue.load()
     (sequence,), (source,) = memory.read_words("storage.sequence"), memory.read_words("storage.source")
     copies = memory.read_words("storage.copy")
@@ -87,7 +91,7 @@ def read_storage(memory: BlockMemory) -> Storage:
 
 
 def begin_request(memory: BlockMemory, kind: Kind) -> int:
-    """Have a board begin a request.
+    """Send a request to the board.
 
     Returns
     -------
@@ -107,40 +111,40 @@ def begin_request(memory: BlockMemory, kind: Kind) -> int:
 
 
 def request_result(memory: BlockMemory, token: int) -> Storage | None:
-    """What the board has after a request; None while that is under way.
+    """State of the data flash after a request; None during its execution.
 
     Raises
     ------
     StorageRefusedError
-        If it had no effect.
+        If the request had no effect.
     """
     if memory.read_words("storage.state") != [Catalogue.load().enums["storage_state_t"]["IDLE"]]:
         return None
     if memory.read_words("storage.answered") != [token]:
         raise StorageRefusedError(
-            "", "the board has lost the request, probably by a reset; check its state and try again"
+            "", "the board has lost the request, possibly by a reset; check the state of the storage and try again"
         )
     if memory.read_words("storage.refusal") != [0]:
         raise _refused(memory)
     return read_storage(memory)
 
 
-def carry_out(memory: BlockMemory, kind: Kind, wait: Callable[[], bool]) -> Storage:
-    """Begin a request and wait for its end.
+def execute_request(memory: BlockMemory, kind: Kind, wait: Callable[[], bool]) -> Storage:
+    """Send a request and wait for its end.
 
     Parameters
     ----------
     memory : BlockMemory
         The board.
     kind : {"SAVE", "FACTORY"}
-        Keep what is in force, or erase what is kept.
+        Store the active values, or erase the stored ones.
     wait : callable
-        Lets time pass; False when the board has had enough of it.
+        Waits a short time; False at the timeout.
 
     Raises
     ------
     StorageRefusedError
-        If it had no effect, or the board does not end it.
+        If the request had no effect, or did not end before the timeout.
     """
     token = begin_request(memory, kind)
     while (result := request_result(memory, token)) is None:
@@ -150,10 +154,10 @@ def carry_out(memory: BlockMemory, kind: Kind, wait: Callable[[], bool]) -> Stor
 
 
 def success_text(kind: Kind, storage: Storage) -> str:
-    """What a request has done, for people."""
+    """Result of a request as text."""
     if kind == "SAVE":
-        return f"stored as set {storage.sequence}: a reset brings these parameters and this configuration back"
-    return "both copies are erased; the built-in values come into force at the next reset"
+        return f"stored as set {storage.sequence}; restored at each reset"
+    return "both copies erased; the built-in values are used from the next reset on"
 
 
 def _refused(memory: BlockMemory) -> StorageRefusedError:

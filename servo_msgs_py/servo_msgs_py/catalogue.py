@@ -22,16 +22,16 @@ AXES: Final = 2
 """Axes of one board."""
 
 Value = float | int | list[float] | list[int] | bytes
-"""A decoded variable: a number, one number per axis, or the bytes of a block."""
+"""A decoded variable: a number, a list with one number per axis, or the bytes of a block."""
 
 
 class CatalogueError(ValueError):
-    """The table of variables is not well formed; the message says where and why."""
+    """The table of variables is malformed; the message contains position and cause."""
 
 
 @dataclass(frozen=True)
 class _RawType:
-    """How a type of the table lies in the memory of the board (little endian)."""
+    """Memory format of a type of the table (little endian)."""
 
     size: int
     signed: bool
@@ -47,7 +47,7 @@ class _RawType:
         return (1 << (8 * self.size - (1 if self.signed else 0))) - 1
 
     def pack(self, raw: int) -> bytes:
-        """One element as the board stores it; an `OverflowError` if it does not fit."""
+        """One element in memory format; an `OverflowError` if it does not fit."""
         return raw.to_bytes(self.size, "little", signed=self.signed)
 
 
@@ -77,13 +77,13 @@ class Scale:
 
 @dataclass(frozen=True)
 class Flag:
-    """One bit of a flag word, in words for people."""
+    """One bit of a flag word, with cause and remedy."""
 
     name: str
     bit: int
     cause: str
     remedy: str
-    always: bool = False  # a fault that cannot be switched off
+    always: bool = False  # a fault that cannot be disabled
 
     @property
     def mask(self) -> int:
@@ -95,20 +95,20 @@ class Variable:
     """One firmware variable."""
 
     name: str  # name on the wire and, with dots as slashes, of its topic
-    path: str  # C path below ``servo_t`` in the memory that host and board share; empty: the variable is only in a loop
+    path: str  # C path below ``servo_t`` in the memory shared by host and board; empty: local variable of a loop
     type: str  # type word of the table: ``frac16``, ``int32``, ``enum`` ...
     count: int  # elements; more than one for arrays with one element per axis
     lsb: float  # SI value of one raw unit
     unit: str  # SI unit; empty for pure numbers
     full_scale: float | None  # SI value of 1.0; fractional types only
     access: str  # ``ro`` or ``rw``
-    minimum: float  # smallest value that may be written, SI
-    maximum: float  # largest value that may be written, SI
+    minimum: float  # smallest permitted value, SI
+    maximum: float  # largest permitted value, SI
     description: str
     enum: str | None = None  # name of the enumeration
     flags: str | None = None  # name of the flag set
-    source: str | None = None  # C path below ``servo_t`` to where a loop keeps what the variable shows
-    part: int = 0  # first byte of the source that belongs to the variable
+    source: str | None = None  # C path below ``servo_t`` to the value in the loop
+    part: int = 0  # offset of the variable in the source [bytes]
 
     @property
     def raw_type(self) -> _RawType:
@@ -121,7 +121,7 @@ class Variable:
 
     @property
     def size(self) -> int:
-        """Bytes of the whole variable; 0 for blocks, whose size only the board knows."""
+        """Bytes of the whole variable; 0 for blocks, whose size is read from the board."""
         return 0 if self.type == "block" else self.element_size * self.count
 
     @property
@@ -130,12 +130,12 @@ class Variable:
 
     @property
     def whole(self) -> bool:
-        """Whether only whole numbers mean something: enumerations, flags, switches, counts."""
+        """Whether only whole numbers are valid: enumerations, flags, switches, counts."""
         return self.lsb == 1.0 and not self.raw_type.fractional
 
     @property
     def raw_range(self) -> tuple[int, int]:
-        """Raw numbers of the limits; the board refuses what lies outside."""
+        """Limits as raw numbers; the board refuses numbers outside."""
         return self.to_raw(self.minimum), self.to_raw(self.maximum)
 
     def decode_raw(self, data: bytes) -> list[int]:
@@ -144,14 +144,14 @@ class Variable:
         Raises
         ------
         ValueError
-            If the number of bytes is not that of the variable.
+            If the number of bytes does not match the variable.
         """
         if self.type != "block" and len(data) != self.size:
             raise ValueError(f"{self.name}: {len(data)} bytes read, {self.size} expected")
         return self.elements(data)
 
     def elements(self, data: bytes) -> list[int]:
-        """Integers from the bytes of some neighbouring elements."""
+        """Integers from the bytes of consecutive elements."""
         step, signed = self.element_size, self.raw_type.signed
         return [int.from_bytes(data[k : k + step], "little", signed=signed) for k in range(0, len(data), step)]
 
@@ -171,7 +171,7 @@ class Variable:
         return b"".join(self.raw_type.pack(int(value)) for value in raw)
 
     def scale(self, raw: int) -> float | int:
-        """SI value of one raw number; whole numbers stay whole where one raw unit is 1."""
+        """SI value of one raw number; an integer if one raw unit is 1."""
         return raw if self.lsb == 1.0 else raw * self.lsb
 
     def to_raw(self, value: float) -> int:
@@ -180,7 +180,7 @@ class Variable:
         Raises
         ------
         ValueError
-            If the value is not finite, not whole where it has to be, or outside the limits of the variable.
+            If the value is not finite, not whole for an integer variable, or outside the limits of the variable.
         """
         if not math.isfinite(value):
             raise ValueError(f"{self.name}: {value!r} is not a finite number")
@@ -191,7 +191,7 @@ class Variable:
         return to_raw(value, self.lsb, self.raw_type.low, self.raw_type.high)
 
     def outside_text(self, value: float, element: int | None = None) -> str:
-        """What to say of a value, or of one for one element, that is outside the limits."""
+        """Error text for a value outside the limits, optionally with the index of its element."""
         name = self.name if element is None or self.count == 1 else f"{self.name}[{element}]"
         unit = f" {self.unit}" if self.unit else ""
         return f"{name}: {value:g} is outside {self.minimum:g} .. {self.maximum:g}{unit}"
@@ -217,7 +217,7 @@ class Variable:
 
     def _check_count(self, count: int) -> None:
         if self.type == "block":
-            raise ValueError(f"{self.name}: a block can only be read")
+            raise ValueError(f"{self.name}: a block is read-only")
         if count != self.count:
             raise ValueError(f"{self.name}: {count} values given, {self.count} expected")
 
@@ -243,7 +243,7 @@ class Catalogue:
     scales: Mapping[str, Scale]
     hash: int
     structs: Mapping[str, tuple[Variable, ...]] = field(default_factory=dict)
-    """Members of the blocks that hold no variables, in the order of the memory; name and path are the C name."""
+    """Members of blocks without variables, in memory order; name and path are the C name."""
 
     @classmethod
     def load(cls, path: Path | None = None) -> Catalogue:
@@ -257,7 +257,7 @@ class Catalogue:
         Raises
         ------
         CatalogueError
-            If the table is not well formed.
+            If the table is malformed.
         OSError
             If the file cannot be read.
         """
@@ -294,7 +294,7 @@ class Catalogue:
         return cls(variables, enums, flags, bits, scales, _hash(variables, enums, flags, structs), structs)
 
     def __getitem__(self, name: str) -> Variable:
-        """Variable by name; a `KeyError` names the closest ones."""
+        """Variable by name; the text of the `KeyError` contains the closest names."""
         try:
             return self.variables[name]
         except KeyError:
@@ -305,7 +305,7 @@ class Catalogue:
             raise KeyError(f"no variable {name!r}{hint}") from None
 
     def label(self, enum: str, raw: int) -> str:
-        """Name of an enumeration value, or the number itself when it has none."""
+        """Name of an enumeration value, or the number if it has no name."""
         return next((name for name, value in self.enums[enum].items() if value == raw), str(raw))
 
     def active(self, flags: str, raw: int) -> list[Flag]:
@@ -317,13 +317,13 @@ class Catalogue:
         return next(flag for flag in self.flags[word] if flag.name == name)
 
     def snapshot_variables(self) -> list[Variable]:
-        """Variables that lie in the telemetry block, in the order of the table."""
+        """Variables in the telemetry block, in the order of the table."""
         return [v for v in self.variables.values() if v.path.startswith("snapshot.")]
 
 
 @lru_cache(maxsize=1)
 def _packaged() -> Catalogue:
-    """Catalogue of the packaged table; parsing takes milliseconds, and every virtual board needs it."""
+    """Catalogue of the packaged table, cached: parsing takes milliseconds."""
     return _read(Path(__file__).with_name("variables.toml"))
 
 
@@ -339,7 +339,7 @@ def _read(source: Path) -> Catalogue:
 
 
 def _expand(table: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Entries of the table in order, each ``axis_variable`` once per axis."""
+    """Entries of the table in order; each ``axis_variable`` once per axis."""
     entries = [dict(entry) for entry in table.get("variable", [])]
     for axis in range(AXES):
         for entry in table.get("axis_variable", []):
@@ -373,7 +373,7 @@ def _variable(
     if type_ not in _RAW_TYPES:
         raise CatalogueError(f"{name}: unknown type {type_!r}; known are {', '.join(_RAW_TYPES)}")
     if "source" in entry and (type_ == "block" or "count" in entry):
-        raise CatalogueError(f"{name}: a source is for one number")
+        raise CatalogueError(f"{name}: only a single number can have a source")
     raw = _RAW_TYPES[type_]
     if "scale" in entry and entry["scale"] not in scales:
         raise CatalogueError(f"{name}: unknown scale {entry['scale']!r}")
@@ -384,9 +384,11 @@ def _variable(
     assert lsb is not None
     for kind, known in (("enum", enums), ("flags", flags)):
         if type_.startswith(kind) != (kind in entry) or (kind in entry and entry[kind] not in known):
-            raise CatalogueError(f"{name}: type {kind!r} needs a key {kind!r} that names one of the table's {kind}")
+            raise CatalogueError(
+                f"{name}: type {kind!r} needs a key {kind!r} with the name of one of the table's {kind}"
+            )
     if "flags" in entry and any(flag.mask > raw.high for flag in flags[entry["flags"]]):
-        raise CatalogueError(f"{name}: {type_} has no room for every bit of {entry['flags']!r}")
+        raise CatalogueError(f"{name}: {type_} is too small for all bits of {entry['flags']!r}")
     access = str(entry.get("access", "ro"))
     if access not in ("ro", "rw"):
         raise CatalogueError(f"{name}: access is {access!r}, not 'ro' or 'rw'")
@@ -396,7 +398,7 @@ def _variable(
     if "flags" in entry and access == "rw":
         high = sum(flag.mask for flag in flags[entry["flags"]])
     if access == "rw" and "path" not in entry:
-        raise CatalogueError(f"{name}: only what has a path can be written")
+        raise CatalogueError(f"{name}: only a variable with a path can be writable")
     minimum, maximum = float(entry.get("minimum", low)), float(entry.get("maximum", high))
     if not low - lsb <= minimum <= maximum <= high + lsb:
         raise CatalogueError(f"{name}: limits {minimum:g} .. {maximum:g} do not fit {low:g} .. {high:g}")
@@ -413,7 +415,7 @@ def _hash(
     flags: Mapping[str, tuple[Flag, ...]],
     structs: Mapping[str, tuple[Variable, ...]],
 ) -> int:
-    """CRC-32 of everything that changes what a number on the wire means; texts for people do not count."""
+    """CRC-32 of all properties that determine the meaning of transferred numbers, without descriptions."""
     lines = [
         f"{v.name} {v.type} {v.count} {v.lsb!r} {v.unit} {v.access} {v.enum} {v.flags}" for v in variables.values()
     ]

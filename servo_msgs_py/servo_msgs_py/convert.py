@@ -1,7 +1,7 @@
-"""Variables of the firmware to ROS messages and back.
+"""Conversion between variables of the firmware and ROS messages.
 
-Pure functions: they need the message classes, but no node and no rclpy. Everything is SI except the raw integers of
-`AppliedCommand`, which are exact so that a twin can replay them bit for bit.
+Pure functions: they need the message classes, but no node and no rclpy. All values are SI except the raw integers of
+`AppliedCommand`, which are exact for bit-exact replay in a twin.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def joint_state(
     velocity: Sequence[float] = (),
     effort: Sequence[float] = (),
 ) -> JointState:
-    """Joint states; an array is empty or exactly as long as `joints`.
+    """Joint states; each array is empty or as long as `joints`.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def joint_state(
         if len(values) not in (0, len(joints)):
             raise ValueError(f"{field}: {len(values)} values for {len(joints)} joints")
         if not all(map(math.isfinite, values)):
-            raise ValueError(f"{field}: {list(values)} holds a number that is not finite")
+            raise ValueError(f"{field}: {list(values)} contains a number that is not finite")
         setattr(message, field, array("d", values))
     return message
 
@@ -88,9 +88,9 @@ def joint_state_from_values(
     stamp_ns : int
         Time of the sample since the epoch [ns].
     values : mapping
-        Variable name to SI value; needs ``axisN.position``, ``axisN.speed`` and ``axisN.i_q``.
+        Variable name to SI value; must contain ``axisN.position``, ``axisN.speed`` and ``axisN.i_q``.
     torque_constants : sequence of float, optional
-        Of the motors, per axis [N m/A]; without them `effort` stays empty.
+        Of the motors, by axis [N m/A]; if omitted, `effort` is empty.
     """
     axes = [(joint, axis_name(axis)) for axis, joint in enumerate(joints)]
     effort: list[float] = []
@@ -116,7 +116,7 @@ def _number(value: Value) -> float:
 
 # ---- tables of telemetry
 def columns(variables: Iterable[Variable]) -> list[str]:
-    """Column names of a telemetry table; the elements of an array get an index: ``cmd.position[0]``."""
+    """Column names of a telemetry table; an array has one column per element: ``cmd.position[0]``."""
     return [
         variable.name if variable.count == 1 else f"{variable.name}[{k}]"
         for variable in variables
@@ -137,12 +137,12 @@ def row(variables: Iterable[Variable], values: Mapping[str, Value]) -> list[floa
 
 
 def snapshot_message(names: Sequence[str], rows: Sequence[Sequence[float]]) -> Float64MultiArray:
-    """Table of telemetry, row-major, one row per sample.
+    """Message with a table of telemetry, row-major, one row per sample.
 
     Parameters
     ----------
     names : sequence of str
-        Column names; they travel in ``layout.dim[1].label``, separated by commas.
+        Column names, transferred in ``layout.dim[1].label``, separated by commas.
     rows : sequence of sequence of float
         SI values.
     """
@@ -166,12 +166,14 @@ def snapshot_table(message: Float64MultiArray) -> tuple[list[str], NDArray[np.fl
     Raises
     ------
     ValueError
-        If the layout and the data do not fit.
+        If layout and data do not match.
     """
     dimensions = message.layout.dim
     names = dimensions[1].label.split(",") if len(dimensions) == 2 else []
     if len(dimensions) != 2 or len(names) != dimensions[1].size:
-        raise ValueError("not a telemetry table: two dimensions wanted, the second one labelled with all columns")
+        raise ValueError(
+            "not a telemetry table: two dimensions expected, the second with all column names as its label"
+        )
     shape = dimensions[0].size, dimensions[1].size
     data = np.asarray(message.data, dtype=np.float64)
     if data.size != shape[0] * shape[1]:
@@ -192,12 +194,12 @@ def parameters_from_message(message: Float64MultiArray, catalogue: Catalogue) ->
     Raises
     ------
     ValueError
-        If it is not one row of all the parameters of the catalogue.
+        If it does not have exactly one row with all parameters of the catalogue.
     """
     variables = parameters(catalogue)
     names, table = snapshot_table(message)
     if names != columns(variables) or len(table) != 1:
-        raise ValueError(f"{PARAMETERS}: the names are not those of this version; use the same version everywhere")
+        raise ValueError(f"{PARAMETERS}: the names belong to another version; use the same version everywhere")
     numbers = iter(table[0].tolist())
     result: dict[str, list[int]] = {}
     for variable in variables:
@@ -209,18 +211,18 @@ def parameters_from_message(message: Float64MultiArray, catalogue: Catalogue) ->
 # ---- commands that took effect
 @dataclass(frozen=True)
 class AppliedCommand:
-    """A write to a command variable that took effect in the firmware."""
+    """A write to a command variable that was applied in the firmware."""
 
     variable: str  # one of `COMMAND_VARIABLES`
-    tick: int  # PWM periods since reset at which it took effect, extended past 32 bits as the tick of the telemetry is
+    tick: int  # PWM periods since reset at which it was applied, extended past 32 bits like the tick of the telemetry
     raw: tuple[int, ...]
-    """Firmware integers per axis, 0 for an axis that was not written; of ``cmd.points`` the words that were written, of
-    ``config.take`` the members of the blocks of the axes of `mask`."""
+    """Firmware integers by axis, 0 for an axis that was not written; for ``cmd.points`` the written words, for
+    ``config.take`` the members of the blocks of the axes in `mask`."""
     mask: int  # bit per written axis; bit 0 is axis 1
 
 
 def applied_message(applied: AppliedCommand) -> Float64MultiArray:
-    """Message of `COMMANDS_APPLIED`; every integer below 2^53 is exact in it."""
+    """Message of `COMMANDS_APPLIED`; integers below 2^53 are exact."""
     numbers = [COMMAND_VARIABLES.index(applied.variable), applied.tick, applied.mask, *applied.raw]
     width = len(numbers)
     message = Float64MultiArray(data=array("d", numbers))
@@ -234,23 +236,23 @@ def applied_from_message(message: Float64MultiArray) -> AppliedCommand:
     Raises
     ------
     ValueError
-        If it has another form.
+        If the format is wrong.
     """
     if len(message.data) < len(COMMAND_COLUMNS) or not all(float(x).is_integer() for x in message.data):
         raise ValueError(
-            f"commands_applied: {len(COMMAND_COLUMNS)} or more whole numbers wanted, got {list(message.data)}"
+            f"commands_applied: {len(COMMAND_COLUMNS)} or more whole numbers expected, received {list(message.data)}"
         )
     index, tick, mask, *raw = (int(x) for x in message.data)
     if not (0 <= index < len(COMMAND_VARIABLES) and 0 < mask < 1 << AXES):
         raise ValueError(f"commands_applied: variable {index} or mask {mask} does not exist")
     name = COMMAND_VARIABLES[index]
-    if not _whole(name, len(raw), mask):
+    if not _valid_length(name, len(raw), mask):
         raise ValueError(f"commands_applied: {len(raw)} numbers of {name}")
     return AppliedCommand(name, tick, tuple(raw), mask)
 
 
-def _whole(name: str, count: int, mask: int) -> bool:
-    """Whether a variable may have so many raw numbers."""
+def _valid_length(name: str, count: int, mask: int) -> bool:
+    """Whether a variable can have `count` raw numbers."""
     if name == "cmd.points":
         return count % POINT_WORDS == 0
     return count == (bin(mask).count("1") * len(AxisConfigTable.load()) if name == "config.take" else AXES)
@@ -258,13 +260,13 @@ def _whole(name: str, count: int, mask: int) -> bool:
 
 # ---- states and diagnostics in words
 def state_label(catalogue: Catalogue, state: int, substate: int) -> str:
-    """State of an axis in one word: ``STOP``, ``FAULT`` or, while the outputs may be on, ``RUN/SPIN``."""
+    """State of an axis as text: ``STOP``, ``FAULT`` or, with enabled outputs, ``RUN/SPIN``."""
     name = catalogue.label("state_t", state)
     return f"{name}/{catalogue.label('substate_t', substate)}" if name == "RUN" else name
 
 
 def flag_texts(catalogue: Catalogue, flags: str, raw: int) -> list[str]:
-    """Set flags of a flag word as sentences with cause and, where there is one, remedy."""
+    """Names, causes and remedies, if any, of the set flags of a flag word."""
     return [
         f"{flag.name}: {flag.cause}" + (f" ({flag.remedy})" if flag.remedy else "")
         for flag in catalogue.active(flags, raw)

@@ -1,4 +1,4 @@
-"""What led to the first fault of an axis: the record that the firmware keeps (``axisN.fault_record``). Pure."""
+"""Record of the samples before the first fault of an axis, stored by the firmware (``axisN.fault_record``). Pure."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 _STRUCTURE: Final = "fault_record_t"
 _TICK: Final = PERIOD_NS * SLOW_PERIODS * 1e-9
-_WATCH_PERIOD: Final = SLOW_PERIODS // 2
-"""PWM period after a slow tick in which the firmware takes its samples (``firmware/app/servo.c``)."""
+_MONITOR_PERIOD: Final = SLOW_PERIODS // 2
+"""PWM period after a slow tick in which the firmware runs the monitors and samples (``firmware/app/servo.c``)."""
 
 COLUMNS: Final = ("time", "i_a", "i_b", "i_d", "i_q", "theta_e", "u_dc", "speed")
-"""Columns of `FaultRecord.table`: time before the fault [s], phase currents and currents in the frame of the rotor [A],
-electrical angle [rad], bus [V], mechanical speed [rad/s]."""
+"""Columns of `FaultRecord.table`: time relative to the fault [s], phase currents, currents in rotor coordinates [A],
+electrical angle [rad], bus voltage [V], mechanical speed [rad/s]."""
 
 
 def record_variable(axis: int) -> str:
@@ -30,22 +30,22 @@ def record_variable(axis: int) -> str:
 
 @dataclass(frozen=True)
 class FaultRecord:
-    """The first fault of an axis and the 32 ms before it, one sample in each slow tick."""
+    """First fault of an axis and the samples of the preceding 32 ms, one per slow tick."""
 
     axis: int  # index of the axis
-    fault: Flag | None  # the fault that came first; None without one
+    fault: Flag | None  # the first fault; None if there is none
     tick: int  # PWM periods since reset
-    place: str  # state that the fault ended, such as ``RUN/SPIN``
-    table: NDArray[np.float64]  # samples by `COLUMNS`, oldest first; the last one is of the period of the fault
+    place: str  # state at the fault, such as ``RUN/SPIN``
+    table: NDArray[np.float64]  # samples by `COLUMNS`, oldest first; the last one was taken in the period of the fault
 
     @classmethod
     def of(cls, axis: int, data: Value, catalogue: Catalogue) -> FaultRecord:
-        """Read the bytes of a record.
+        """Decode the bytes of a record.
 
         Raises
         ------
         ValueError
-            If they are none.
+            If it is not a record of this version.
         """
         members = catalogue.structs[_STRUCTURE]
         if not isinstance(data, bytes) or len(data) != sum(member.size for member in members):
@@ -68,7 +68,7 @@ class FaultRecord:
         return self.tick * PERIOD_NS * 1e-9
 
     def summary(self) -> str:
-        """One sentence for people."""
+        """Fault, state, time, speed, current and bus voltage as text."""
         if self.fault is None:
             return "no fault"
         text = f"first fault {self.fault.name} in {self.place}, {self.seconds:.4f} s after reset"
@@ -79,7 +79,7 @@ class FaultRecord:
         return f"{text}: {last['speed']:.1f} rad/s, {current:.2f} A, {last['u_dc']:.1f} V"
 
     def plain(self) -> dict[str, Any]:
-        """The same as numbers and texts, for JSON."""
+        """Numbers and texts for JSON."""
         fault = self.fault
         return {
             "axis": axis_name(self.axis),
@@ -97,15 +97,15 @@ class FaultRecord:
 def _table(
     tick: int, axis: int, following: int, size: int, rings: Mapping[str, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    room = len(rings["i_d"])
-    size = min(size, room)
-    order = (following - size + np.arange(size)) % room
+    capacity = len(rings["i_d"])
+    size = min(size, capacity)
+    order = (following - size + np.arange(size)) % capacity
     samples = {name: ring[order] for name, ring in rings.items()}
-    # The last sample is of the fault's own period. In the period of the samples axis 1 is sampled behind its fast loop,
-    # so that there is no other one, and axis 2 half a period before.
-    periods = (tick - _WATCH_PERIOD) % SLOW_PERIODS or (SLOW_PERIODS if axis == 0 else 0.5)
-    since_watch = periods * PERIOD_NS * 1e-9
-    time = -since_watch - _TICK * np.arange(size - 2, -2, -1.0)
+    # The last sample was taken in the period of the fault. If that is the monitor period, then axis 1 was sampled after
+    # its fast loop and has no other sample in it, and axis 2 has one half a period before.
+    periods = (tick - _MONITOR_PERIOD) % SLOW_PERIODS or (SLOW_PERIODS if axis == 0 else 0.5)
+    since_monitor = periods * PERIOD_NS * 1e-9
+    time = -since_monitor - _TICK * np.arange(size - 2, -2, -1.0)
     time[-1:] = 0.0
     d, q, theta = samples["i_d"], samples["i_q"], samples["theta_e"]
     alpha, beta = d * np.cos(theta) - q * np.sin(theta), d * np.sin(theta) + q * np.cos(theta)

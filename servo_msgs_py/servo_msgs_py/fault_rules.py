@@ -1,10 +1,11 @@
-"""The firmware's priority table of faults, read from ``diagnosis/fault_rules.c``, as a document."""
+"""Priority table of faults in the firmware (``diagnosis/fault_rules.c``) as a document."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 from servo_msgs_py.catalogue import Catalogue, CatalogueError
@@ -12,24 +13,26 @@ from servo_msgs_py.catalogue import Catalogue, CatalogueError
 _RULE: Final = re.compile(r"\[FINDING_(\w+)\] = \{FAULT_(\w+), ([\w| ]+), (?:FAULT_(\w+)|0)\}, /\* (.+) \*/")
 _CAUSE: Final = re.compile(r"\{(\w+), FAULT_(\w+)\}, /\* (.+) \*/")
 _REVISION: Final = re.compile(r"\{FAULT_(\w+), (\d+), ([\w| ]+), ([\w| ]+)\}, /\* (.+) \*/")
-_PARTS: Final = {"SILENCE": "PHASE"}
+_RAISED: Final = re.compile(r"(?<!== FOUND\()\bFINDING_([A-Z_]+)")
+_COMMENT: Final = re.compile(r"/\*.*?\*/", re.DOTALL)
+_PARTS: Final = {"NO_PHASE_CURRENT": "PHASE"}
 _PERIODS_PER_MS: Final = 16
 
 
 @dataclass(frozen=True)
 class Rule:
-    """What a finding is called."""
+    """Assignment of a fault to a finding of a monitor."""
 
     finding: str
     fault: str
-    instead: tuple[str, ...]  # suspicions that explain it
-    otherwise: str  # name where `fault` is not enabled; empty if nothing stops the axis then
+    instead: tuple[str, ...]  # suspected causes that replace `fault`
+    otherwise: str  # fault if `fault` is not enabled; empty if the finding does not stop the axis then
     text: str
 
 
 @dataclass(frozen=True)
 class Suspicion:
-    """What may be the cause of something else, and its name."""
+    """A suspected cause and the fault that is reported for it."""
 
     name: str
     fault: str
@@ -38,7 +41,7 @@ class Suspicion:
 
 @dataclass(frozen=True)
 class Revision:
-    """A cause that is found after its consequence, within so many PWM periods."""
+    """A cause that is detected up to `within` PWM periods after its consequence."""
 
     fault: str
     within: int
@@ -49,7 +52,7 @@ class Revision:
 
 @dataclass(frozen=True)
 class FaultRules:
-    """The tables of ``fault_rules.c``, each in its order."""
+    """The tables of ``fault_rules.c``, in their order."""
 
     rules: tuple[Rule, ...]
     suspicions: tuple[Suspicion, ...]
@@ -62,7 +65,7 @@ class FaultRules:
         Raises
         ------
         CatalogueError
-            If a row of a table is laid out in another way than the others.
+            If the format of a row is not recognised.
         """
         defined = re.search(r"#define CURRENT_DERIVED_FAULTS\s(.*?)\n\n", source, re.DOTALL)
         derived = tuple(re.findall(r"FAULT_(\w+)", defined.group(1))) if defined else ()
@@ -84,7 +87,7 @@ class FaultRules:
 
 
 def _rows(source: str, table: str, row: re.Pattern[str]) -> list[tuple[str, ...]]:
-    """Groups of every row of a table."""
+    """Match groups of each row of a table."""
     found = re.search(rf" {table}\[\w*\] = \{{\n(.*?)\n\}};", source, re.DOTALL)
     if found is None:
         raise CatalogueError(f"fault_rules.c has no table {table}")
@@ -101,35 +104,59 @@ def _names(names: Iterable[str]) -> str:
     return ", ".join(f"`{name}`" for name in names)
 
 
-def fault_list(catalogue: Catalogue, rules: FaultRules) -> str:
-    """Every fault, what names it, and what explains it better, as Markdown.
+def raised_in(firmware: Path) -> dict[str, list[str]]:
+    """Sources in which each finding is raised, relative to the folder of the firmware."""
+    sources: dict[str, list[str]] = {}
+    for folder in ("diagnosis", "drive", "app"):
+        for path in sorted((firmware / folder).glob("*.[ch]")):
+            if path.name not in {"evidence.h", "fault_rules.c"}:
+                code = _COMMENT.sub("", path.read_text(encoding="utf-8"))
+                for finding in sorted(set(_RAISED.findall(code))):
+                    sources.setdefault(finding, []).append(f"{folder}/{path.name}")
+    return sources
+
+
+def fault_list(catalogue: Catalogue, rules: FaultRules, sources: Mapping[str, list[str]]) -> str:
+    """List of the faults: priority table, suspicions, causes and remedies, as Markdown.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+    rules : FaultRules
+    sources : Mapping
+        Sources in which each finding is raised (`raised_in`).
 
     Raises
     ------
     CatalogueError
-        If the firmware names a fault that is not in the catalogue, or no finding leads to one that is.
+        If the firmware contains a fault that is not in the catalogue, a fault has no finding, or a finding is never
+        raised.
     """
     known = {fault.name: fault for fault in catalogue.flags["faults"]}
     if set(known) != {rule.fault for rule in rules.rules}:
         raise CatalogueError(f"faults without a finding, or unknown: {set(known) ^ {r.fault for r in rules.rules}}")
+    if missing := {rule.finding for rule in rules.rules} - set(sources):
+        raise CatalogueError(f"findings that no source raises: {', '.join(sorted(missing))}")
     causes = {suspicion.name: suspicion.fault for suspicion in rules.suspicions}
     lines = [
         "# Faults",
         "",
         "Generated by `make generate` from `firmware/diagnosis/fault_rules.c` and `servo_msgs_py/variables.toml`.",
         "",
-        "A monitor confirms a *finding*. The first fault is that of the first confirmed row of this table. If another",
-        "monitor suspects a cause that explains the finding, that cause is reported instead. Faults not in",
-        "`param.faults_enabled` are skipped; a finding that must stop the axis is reported as in the last column.",
+        "The sources in the last column raise a *finding*. The first fault is that of the first row that is raised. If",
+        "a monitor suspects a cause that explains the finding, that cause is reported instead. Faults not in",
+        "`param.faults_enabled` are skipped; a finding that must stop the axis is then reported as in the column",
+        "'if not enabled'.",
         "",
-        "| priority | finding | condition | fault | instead, if suspected | if not enabled |",
-        "|---:|---|---|---|---|---|",
+        "| priority | finding | condition | fault | instead, if suspected | if not enabled | raised in |",
+        "|---:|---|---|---|---|---|---|",
     ]
     for number, rule in enumerate(rules.rules, 1):
         instead = _names(fault for name, fault in causes.items() if name in rule.instead)
         finding = rule.finding.lower().replace("_", " ")
         otherwise = _names(filter(None, [rule.otherwise]))
-        lines.append(f"| {number} | {finding} | {rule.text} | `{rule.fault}` | {instead} | {otherwise} |")
+        raised = ", ".join(f"[{Path(path).name}](../{path})" for path in sources[rule.finding])
+        lines.append(f"| {number} | {finding} | {rule.text} | `{rule.fault}` | {instead} | {otherwise} | {raised} |")
     lines += ["", "## Suspicions", "", "In order of priority.", "", "| suspected fault | when |", "|---|---|"]
     lines += [f"| `{suspicion.fault}` | {suspicion.text} |" for suspicion in rules.suspicions]
     lines += ["", "## Causes detected later", "", "They replace the first fault.", ""]

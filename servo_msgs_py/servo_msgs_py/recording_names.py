@@ -1,30 +1,30 @@
-"""Names in rerun recordings: of the time line and of the curves. For everything that writes, lays out or reads one."""
+"""Names of the time line and the curves in rerun recordings."""
 
 from __future__ import annotations
 
 from typing import Final
 
 TIMELINE: Final = "board_time"
-"""Seconds of board ticks since the recording began."""
+"""Time on the clock of the board since the start of the recording [s]."""
 
 PLOT: Final = "plot"
 BURST: Final = "burst"
-"""Roots of the curves of the telemetry and of the bursts."""
+"""Roots of the curves of telemetry and bursts."""
 
 BOARD: Final = "board"
 SET_POINT: Final = "set_point"
-"""Last parts of a path: what was measured on the board, and what was asked of it."""
+"""Last parts of a path: measured values of the board, and set-points."""
 
 _REFERENCE: Final = "_ref"
 
 
 def telemetry_parts(variable: str) -> tuple[str, ...]:
-    """Where a variable of the telemetry lies: ``plot/axis1/i_q/board``; its reference ``plot/axis1/i_q/set_point``."""
+    """Path of a telemetry variable: ``plot/axis1/i_q/board``; of its reference: ``plot/axis1/i_q/set_point``."""
     if variable.endswith(_REFERENCE):
         return (PLOT, *variable.removesuffix(_REFERENCE).split("."), SET_POINT)
     return (PLOT, *variable.split("."), BOARD)
 
 
 def burst_parts(variable: str, source: str = BOARD) -> tuple[str, ...]:
-    """Where a variable of the bursts lies: ``burst/axis1/i_q/board``."""
+    """Path of a variable of a burst: ``burst/axis1/i_q/board``."""
     return (BURST, *variable.split("."), source)

@@ -9,8 +9,8 @@ from typing import Final
 from servo_msgs_py.catalogue import AXES, Catalogue
 
 POINT_WORDS: Final = 4
-POINTS_TOGETHER: Final = 8
-"""Points that one write can hold."""
+POINTS_PER_WRITE: Final = 8
+"""Maximum number of points in one write."""
 
 _PART_BITS: Final = 12
 _AXIS_BIT: Final = 28
@@ -20,34 +20,34 @@ _WRAP: Final = 1 << 32
 
 @dataclass(frozen=True)
 class TimedPoint:
-    """Where an axis is to be at a tick."""
+    """Position, velocity and feed-forward current of an axis at a tick."""
 
     axis: int  # index of the axis
     tick: int  # PWM periods since the reset of the board, modulo 2^32
-    position: float  # [rad], as far from 0 as it may be: the board takes it modulo 2^32 counts
+    position: float  # [rad], unlimited: the board uses it modulo 2^32 counts
     velocity: float  # [rad/s]
-    current: float = 0.0  # i_q that is fed forward, besides what acceleration and friction need [A]
-    replaces: bool = False  # what waits in the queue from this tick on is dropped before
+    current: float = 0.0  # feed-forward i_q in addition to the one for acceleration and friction [A]
+    replaces: bool = False  # first remove the queued points from this tick on
 
-    def moved(self, ticks: int) -> TimedPoint:
-        """The same point so many PWM periods later."""
+    def shifted(self, ticks: int) -> TimedPoint:
+        """The same point, a number of PWM periods later."""
         return replace(self, tick=(self.tick + ticks) % _WRAP)
 
 
 def encode_points(catalogue: Catalogue, points: Sequence[TimedPoint]) -> list[int]:
-    """Words of some points, in their order: `POINT_WORDS` each.
+    """Words of points in the same order: `POINT_WORDS` each.
 
     Raises
     ------
     ValueError
-        If there are too many of them, or a speed or current is outside of the board's numbers.
+        If there are none or too many of them, or a velocity or current is outside the range of the board.
     """
-    if not 0 < len(points) <= POINTS_TOGETHER:
-        raise ValueError(f"{len(points)} points in one write; it holds 1 to {POINTS_TOGETHER}")
+    if not 0 < len(points) <= POINTS_PER_WRITE:
+        raise ValueError(f"{len(points)} points in one write; 1 to {POINTS_PER_WRITE} are possible")
     words: list[int] = []
     for point in points:
         if not 0 <= point.axis < AXES:
-            raise ValueError(f"there is no axis {point.axis}")
+            raise ValueError(f"axis {point.axis} does not exist")
         whole, part = divmod(
             round(point.position / catalogue["axis1.position"].lsb * (1 << _PART_BITS)), 1 << _PART_BITS
         )
@@ -59,15 +59,15 @@ def encode_points(catalogue: Catalogue, points: Sequence[TimedPoint]) -> list[in
 
 
 def decode_points(catalogue: Catalogue, words: Sequence[int]) -> list[TimedPoint]:
-    """Points of some words; positions within 2^31 counts of 0.
+    """Points from words; positions within 2^31 counts of 0.
 
     Raises
     ------
     ValueError
-        If they are not whole points.
+        If the number of words is not a positive multiple of `POINT_WORDS`.
     """
     if not words or len(words) % POINT_WORDS:
-        raise ValueError(f"{len(words)} words are not whole points of {POINT_WORDS}")
+        raise ValueError(f"{len(words)} words are not complete points of {POINT_WORDS} words")
     lsb, speed, current = (catalogue[f"axis1.{name}"].lsb for name in ("position", "speed", "i_q"))
     points: list[TimedPoint] = []
     for k in range(0, len(words), POINT_WORDS):
@@ -88,7 +88,7 @@ def decode_points(catalogue: Catalogue, words: Sequence[int]) -> list[TimedPoint
 
 
 def axes_of_points(words: Sequence[int]) -> int:
-    """Bit per axis that has a point in some words; bit 0 is axis 1."""
+    """Bit mask of the axes with points; bit 0 is axis 1."""
     mask = 0
     for last in words[POINT_WORDS - 1 :: POINT_WORDS]:
         mask |= 1 << (last >> _AXIS_BIT & 1)
@@ -96,23 +96,23 @@ def axes_of_points(words: Sequence[int]) -> int:
 
 
 def periods_ahead(words: Sequence[int], tick: int) -> int:
-    """How many PWM periods after a tick the first of encoded points is due; below 0 if it was before."""
+    """Time from a tick to the first of encoded points [PWM periods]; negative if the point is earlier."""
     return _signed(words[0] - tick)
 
 
 def shifted_points(words: Sequence[int], ticks: int, counts: Sequence[int], axes: int) -> list[int]:
-    """Words of the same points for another board: later, elsewhere, and only those of some axes.
+    """Words of the points of selected axes for another board, shifted in time and position.
 
     Parameters
     ----------
     words : sequence of int
-        Of whole points.
+        Of complete points.
     ticks : int
-        PWM periods that are added to the ticks.
+        PWM periods added to the ticks.
     counts : sequence of int
-        Per axis, counts that are added to the positions.
+        Counts added to the positions, by axis.
     axes : int
-        Bit per axis whose points are wanted.
+        Bit mask of the selected axes.
     """
     shifted: list[int] = []
     for k in range(0, len(words), POINT_WORDS):

@@ -1,7 +1,7 @@
 """Fractional formats of the firmware and SI units.
 
 The controller computes in Q1.15 and Q1.31 fractions of a full scale (DRM 4.1, 4.2); everything else computes in SI.
-These functions are the only place where one becomes the other.
+These functions are the only place of the conversion.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import math
 from typing import Final
 
 COUNTS_PER_TURN: Final = 4000
-"""Counts per mechanical turn of a 1000-line encoder (DRM 2.4.1)."""
+"""Counts per mechanical revolution of a 1000-line encoder (DRM 2.4.1)."""
 
 PERIOD_NS: Final = 62_500
 """Length of one PWM period, 16 kHz [ns]."""
@@ -20,7 +20,7 @@ SLOW_PERIODS: Final = 8
 
 
 def frac_lsb(full_scale: float, bits: int) -> float:
-    """Value of one least significant bit of a signed fraction.
+    """SI value of one least significant bit of a signed fraction.
 
     Parameters
     ----------
@@ -42,13 +42,13 @@ def to_raw(value: float, lsb: float, low: int, high: int) -> int:
     lsb : float
         SI value of one raw unit.
     low, high : int
-        Smallest and largest number that the raw type can hold.
+        Range of the raw type.
 
     Raises
     ------
     ValueError
-        If `value` is not finite or lies more than one raw unit outside the range. One unit of grace lets the full
-        scale itself, which a signed fraction misses by one bit, become the largest number.
+        If `value` is not finite or is more than one raw unit outside the range. The tolerance of one unit is needed for
+        the full scale, which exceeds the largest signed fraction by one unit.
     """
     if not math.isfinite(value):
         raise ValueError(f"{value!r} is not a finite number")
@@ -59,7 +59,7 @@ def to_raw(value: float, lsb: float, low: int, high: int) -> int:
 
 
 def rpm(speed: float) -> float:
-    """Speed [rad/s] in turns per minute."""
+    """Speed [rad/s] in revolutions per minute."""
     return speed * (30.0 / math.pi)
 
 
@@ -71,6 +71,6 @@ def unwrap_u32(raw: int, previous: int) -> int:
     raw : int
         New reading, 0 .. 2^32 - 1.
     previous : int
-        Last extended value; the new one lies within +-2^31 of it.
+        Last extended value; the new one is within +-2^31 of it.
     """
     return previous + ((raw - previous + 0x8000_0000) & 0xFFFF_FFFF) - 0x8000_0000

@@ -1,4 +1,4 @@
-"""Values of variables as people write and read them: numbers, names of values, flags joined by ``+``. Pure."""
+"""Text format of the values of variables: numbers, names of values, flags joined by ``+``. Pure."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Final
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
 
 NO_FLAG: Final = "none"
-"""How a flag word without a flag is written."""
+"""Text of a flag word without a set flag."""
 
 
 def labels_of(variable: Variable, catalogue: Catalogue) -> Mapping[str, int]:
-    """Names that stand for numbers of a variable: of enumeration values or of flags; empty for plain numbers."""
+    """Names of enumeration values or flags of a variable with their numbers; empty for numeric variables."""
     if variable.enum is not None:
         return catalogue.enums[variable.enum]
     if variable.flags is not None:
@@ -21,12 +21,12 @@ def labels_of(variable: Variable, catalogue: Catalogue) -> Mapping[str, int]:
 
 
 def parse_number(word: str, labels: Mapping[str, int], *, joined: bool = False) -> int | float:
-    """Read a number, or a name of it in any case.
+    """Read a number or its name, in upper or lower case.
 
     Parameters
     ----------
     word : str
-        What was written.
+        Text of the number or name.
     labels : mapping
         Names and their numbers.
     joined : bool
@@ -35,7 +35,7 @@ def parse_number(word: str, labels: Mapping[str, int], *, joined: bool = False) 
     Raises
     ------
     ValueError
-        If it is neither; the text names the part that is not known, and what is.
+        If it is neither; the text contains the invalid part and the valid names.
     """
     for convert in (lambda w: int(w, 0), float):
         try:
@@ -61,8 +61,8 @@ def parse_values(variable: Variable, text: str, catalogue: Catalogue) -> list[in
     return [parse_number(word.strip(), labels, joined=joined) for word in text.split(",")]
 
 
-def words_of(variable: Variable, number: float, catalogue: Catalogue) -> str:
-    """What a number stands for, as `parse_number` reads it; empty for plain numbers and for numbers without a name."""
+def name_text(variable: Variable, number: float, catalogue: Catalogue) -> str:
+    """Name of a number in the syntax of `parse_number`; empty for numeric variables and numbers without a name."""
     if variable.flags is not None:
         known = [flag.name for flag in catalogue.active(variable.flags, int(number))]
         return "+".join(known) or (NO_FLAG if not number else "")
@@ -72,15 +72,15 @@ def words_of(variable: Variable, number: float, catalogue: Catalogue) -> str:
 
 
 def number_text(number: float) -> str:
-    """Shortest text of nine significant digits; every raw number of 24 bits and more stays distinguishable."""
+    """Shortest text with nine significant digits, sufficient to distinguish raw numbers of 24 bits or more."""
     return str(number) if isinstance(number, int) else f"{number:.9g}"
 
 
 def value_text(variable: Variable, value: Value, catalogue: Catalogue) -> str:
-    """Value with unit, and in words where numbers stand for something."""
+    """Value with unit and, for enumerations and flags, with names."""
     if isinstance(value, bytes):
         return value.hex(" ")
     numbers: Sequence[float] = value if isinstance(value, list) else [value]
-    words = [words_of(variable, number, catalogue) for number in numbers]
+    names = [name_text(variable, number, catalogue) for number in numbers]
     unit = f" {variable.unit}" if variable.unit else ""
-    return ", ".join(map(number_text, numbers)) + unit + (f" ({', '.join(words)})" if any(words) else "")
+    return ", ".join(map(number_text, numbers)) + unit + (f" ({', '.join(names)})" if any(names) else "")

@@ -1,7 +1,7 @@
-"""The table of variables that the firmware shows its clients (TSA): its rows and the pool of their texts.
+"""Table of variables in the firmware that its clients can read (TSA): its rows and the pool of their texts.
 
-The code generator writes both to C. A client that meets a firmware of the same catalogue knows the texts of the rows by
-their places in the pool and need not read them.
+The code generator writes both to C. If the firmware has the same catalogue as the client, the client derives the texts
+of the rows from their addresses in the pool instead of reading them.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ _SNAPSHOT: Final = "snapshot_t"
 class Row:
     """One row of the table."""
 
-    name: bytes  # text of its name
-    type: bytes  # text of its type
-    owner: str = ""  # structure of which it is a member; empty for all others
-    value: int | None = None  # number of a constant
-    variable: Variable | None = None  # the variable; None for the parts of types
+    name: bytes  # text of the name
+    type: bytes  # text of the type
+    owner: str = ""  # structure that contains this member; empty for other rows
+    value: int | None = None  # value of a constant
+    variable: Variable | None = None  # the variable; None for rows that describe types
 
     @property
     def is_structure(self) -> bool:
-        """Whether it begins a structure."""
+        """Whether the row begins a structure."""
         return self.type == _STRUCT
 
 
 @dataclass
 class TextPool:
-    """Zero-terminated texts one after the other, each only once."""
+    """Unique zero-terminated texts in sequence."""
 
-    offsets: dict[bytes, int] = field(default_factory=dict)  # place of each text from the beginning of the pool [bytes]
+    offsets: dict[bytes, int] = field(default_factory=dict)  # offset of each text in the pool [bytes]
     size: int = 0  # bytes of all texts
 
     def offset(self, text: bytes) -> int:
-        """Place of a text, which is appended if it is new."""
+        """Offset of a text, which is appended if it is new."""
         if text not in self.offsets:
             self.offsets[text] = self.size
             self.size += len(text) + 1
@@ -48,7 +48,7 @@ class TextPool:
 
 
 def block_type(variable: Variable) -> str:
-    """C type of a block: that of its name."""
+    """C type of a block, derived from its name."""
     return variable.name.rsplit(".", 1)[-1] + "_t"
 
 
@@ -73,9 +73,9 @@ def table_rows(catalogue: Catalogue) -> Iterator[Row]:
 
 
 def _structures(catalogue: Catalogue) -> dict[str, list[Row]]:
-    """C types of the blocks and of what is inside them, with their members; what is unused stays unnamed.
+    """C types of the blocks and of the structures in them, with their members except unused ones.
 
-    Those of the snapshot are the paths of its variables: ``snapshot.tick``, ``snapshot.axis[0].speed``.
+    For the snapshot they are derived from the paths of its variables: ``snapshot.tick``, ``snapshot.axis[0].speed``.
     """
     blocks = {block_type(v) for v in catalogue.variables.values() if v.type == "block"}
     found: dict[str, list[Row]] = {name: [] for name in (_SNAPSHOT, f"axis_{_SNAPSHOT}") if _SNAPSHOT in blocks}
@@ -92,23 +92,23 @@ def _structures(catalogue: Catalogue) -> dict[str, list[Row]]:
     return {name: list(dict.fromkeys(members)) for name, members in found.items()}
 
 
-def texts_of(catalogue: Catalogue, places: Sequence[tuple[int, int]]) -> dict[int, bytes]:
-    """Texts of a table whose rows lie where those of the catalogue do.
+def texts_by_address(catalogue: Catalogue, addresses: Sequence[tuple[int, int]]) -> dict[int, bytes]:
+    """Texts of a table with the same layout as the one of the catalogue.
 
     Parameters
     ----------
-    places : sequence of (int, int)
+    addresses : sequence of (int, int)
         Addresses of name and type of each row.
 
     Returns
     -------
     dict
-        Text by address; empty if the rows are others. Texts of the same lengths in the same order would pass, hence the
-        hash of the catalogue has to be compared too.
+        Text by address; empty if the layout differs. Different texts of equal lengths are not detected, so the hash of
+        the catalogue has to be compared too.
     """
     pool = TextPool()
     offsets = [(pool.offset(row.name), pool.offset(row.type)) for row in table_rows(catalogue)]
-    base = places[0][0] if places else 0
-    if [(name - base, kind - base) for name, kind in places] != offsets:
+    base = addresses[0][0] if addresses else 0
+    if [(name - base, kind - base) for name, kind in addresses] != offsets:
         return {}
     return {base + offset: text for text, offset in pool.offsets.items()}

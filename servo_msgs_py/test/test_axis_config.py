@@ -44,7 +44,7 @@ def test_what_a_board_does_not_take_is_named(block: dict[str, int], member: Memb
     del missing[member.path]
     with pytest.raises(AxisConfigError, match="missing"):
         TABLE.encode(missing)
-    with pytest.raises(AxisConfigError, match="no member"):
+    with pytest.raises(AxisConfigError, match="not a member"):
         TABLE.check({**block, "nothing": 1})
 
 

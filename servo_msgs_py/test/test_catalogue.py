@@ -140,7 +140,7 @@ def test_a_block_is_bytes_and_cannot_be_written() -> None:
     block = CATALOGUE["snapshot"]
     assert block.size == 0
     assert block.decode(b"\x01\x02") == b"\x01\x02"
-    with pytest.raises(ValueError, match="only be read"):
+    with pytest.raises(ValueError, match="read-only"):
         block.encode([1.0])
 
 
@@ -202,9 +202,9 @@ def test_a_scale_changes_the_hash() -> None:
         ({"access": "write"}, "access is 'write'"),
         ({"colour": "red"}, "unknown key colour"),
         ({"path": None}, "path or source missing"),
-        ({"source": "b", "count": 2}, "a source is for one number"),
-        ({"source": "b", "type": "block", "scale": None}, "a source is for one number"),
-        ({"source": "b", "path": None, "access": "rw"}, "only what has a path can be written"),
+        ({"source": "b", "count": 2}, "only a single number can have a source"),
+        ({"source": "b", "type": "block", "scale": None}, "only a single number can have a source"),
+        ({"source": "b", "path": None, "access": "rw"}, "only a variable with a path can be writable"),
         ({"description": None}, "description missing"),
         ({"type": "enum", "scale": None}, "needs a key 'enum'"),
         ({"type": "enum", "scale": None, "enum": "nothing_t"}, "needs a key 'enum'"),

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from servo_msgs_py.catalogue import Catalogue, CatalogueError
-from servo_msgs_py.fault_rules import FaultRules, fault_list
+from servo_msgs_py.fault_rules import FaultRules, fault_list, raised_in
 
 from servo_msgs_py import codegen
 
@@ -27,10 +27,13 @@ def test_committed_files_are_up_to_date() -> None:
 def test_generation_writes_then_agrees_then_sees_a_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for folder in ("firmware/config", "firmware/app", "firmware/doc", "firmware/diagnosis", "servo_msgs_py"):
         (tmp_path / folder).mkdir(parents=True)
-    (tmp_path / "firmware" / "diagnosis" / "fault_rules.c").write_text(ISOLATE.read_text("utf-8"), encoding="utf-8")
+    source = ISOLATE.read_text("utf-8")
+    raises = "".join(f"raise(FINDING_{rule.finding});\n" for rule in FaultRules.parse(source).rules)
+    for name, text in (("fault_rules.c", source), ("monitor.c", raises)):
+        (tmp_path / "firmware" / "diagnosis" / name).write_text(text, encoding="utf-8")
     arguments = ["--firmware", str(tmp_path / "firmware")]
     assert codegen.main([*arguments, "--check"]) == 1
-    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["fault_rules.c"]
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["fault_rules.c", "monitor.c"]
     assert codegen.main(arguments) == 0
     assert codegen.main([*arguments, "--check"]) == 0
     header = tmp_path / "firmware" / "config" / "contract_gen.h"
@@ -44,13 +47,14 @@ def test_generation_writes_then_agrees_then_sees_a_change(tmp_path: Path, capsys
 def test_list_of_faults_follows_the_priority_table_of_the_firmware() -> None:
     source = ISOLATE.read_text(encoding="utf-8")
     rules = FaultRules.parse(source)
-    text = fault_list(CATALOGUE, rules)
+    sources = raised_in(FIRMWARE)
+    text = fault_list(CATALOGUE, rules, sources)
     assert len(rules.rules) == source.count("    [FINDING_")
     assert {rule.fault for rule in rules.rules} == {fault.name for fault in CATALOGUE.flags["faults"]}
-    other = source.replace("{FAULT_STALLED, 0, 0}", "{FAULT_STALLED, SENSOR, 0}").replace(
+    other = source.replace("{FAULT_STALLED, 0, 0}", "{FAULT_STALLED, CURRENT_SENSE, 0}").replace(
         "CURRENT_SENSE, 2048", "CURRENT_SENSE, 1600"
     )
-    changed = fault_list(CATALOGUE, FaultRules.parse(other))
+    changed = fault_list(CATALOGUE, FaultRules.parse(other), sources)
     lines = [line for line in changed.splitlines() if line not in text.splitlines()]
     assert [("`CURRENT_SENSE`" in line, "`STALLED`" in line, "| 100 ms |" in line) for line in lines] == [
         (True, True, False),
@@ -63,19 +67,19 @@ def test_list_of_faults_follows_the_priority_table_of_the_firmware() -> None:
     ("row", "instead", "message"),
     [
         (
-            "[FINDING_HOT] = {FAULT_OVER_TEMPERATURE, 0, 0},",
-            "[FINDING_HOT] = {FAULT_OVER_TEMPERATURE},",
+            "[FINDING_HEAT_SINK_HOT] = {FAULT_OVER_TEMPERATURE, 0, 0},",
+            "[FINDING_HEAT_SINK_HOT] = {FAULT_OVER_TEMPERATURE},",
             "cannot be read",
         ),
         ("{FAULT_OVER_TEMPERATURE, 0, 0}", "{FAULT_STALLED, 0, 0}", "OVER_TEMPERATURE"),
         (" fault_causes[", " fault_reasons[", "no table fault_causes"),
     ],
 )
-def test_a_table_of_faults_that_cannot_be_told_is_refused(row: str, instead: str, message: str) -> None:
+def test_a_table_of_faults_that_cannot_be_read_is_refused(row: str, instead: str, message: str) -> None:
     source = ISOLATE.read_text(encoding="utf-8")
     assert row in source
     with pytest.raises(CatalogueError, match=message):
-        fault_list(CATALOGUE, FaultRules.parse(source.replace(row, instead)))
+        fault_list(CATALOGUE, FaultRules.parse(source.replace(row, instead)), raised_in(FIRMWARE))
 
 
 def test_list_for_people_names_every_variable_with_its_unit() -> None:
@@ -126,8 +130,8 @@ def test_table_has_the_range_of_every_writable_variable() -> None:
             {"maximum": 2.0**32 - 1},
             "param.faults_enabled: limit 4294967295 does not fit int32_t",
         ),
-        ("param.features", {"maximum": 4000.0}, "param.features: 0 .. 4000 are not all words of some bits"),
-        ("cmd.mode", {"maximum": 1.0}, "cmd.mode: the values of control_mode_t are not those from 0 to 1"),
+        ("param.features", {"maximum": 4000.0}, "param.features: 0 .. 4000 is not the complete range of a flag word"),
+        ("cmd.mode", {"maximum": 1.0}, "cmd.mode: the values of control_mode_t are not all integers from 0 to 1"),
     ],
 )
 def test_what_one_range_cannot_say_is_refused(name: str, changes: dict[str, object], text: str) -> None:
@@ -175,3 +179,14 @@ def test_string_offsets_point_at_the_strings() -> None:
             offsets = [int(x) for x in line.strip(" {").split(",")[:2]]
             assert blob[offsets[0] :].split(b"\0")[0].decode() == name
             assert blob[offsets[1] :].split(b"\0")[0] != b""
+
+
+@pytest.mark.skipif(not FIRMWARE.is_dir(), reason="no firmware beside this package")
+def test_list_of_faults_names_the_sources_that_raise_a_finding_and_refuses_a_finding_that_none_raises() -> None:
+    sources = raised_in(FIRMWARE)
+    assert sources["OVER_CURRENT_TRIP"] == ["diagnosis/bus_monitor.c"]
+    assert sources["SHAFT_BLOCKED"] == ["diagnosis/shaft_monitor.h", "diagnosis/stall_test.c"]  # run_states.c compares
+    assert sources["LOOPS_LATE"] == ["app/servo.c"]
+    del sources["LOOPS_LATE"]
+    with pytest.raises(CatalogueError, match="LOOPS_LATE"):
+        fault_list(CATALOGUE, FaultRules.parse(ISOLATE.read_text(encoding="utf-8")), sources)

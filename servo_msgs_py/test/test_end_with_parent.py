@@ -8,19 +8,19 @@ import sys
 from pathlib import Path
 
 import pytest
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 
 pytestmark = pytest.mark.realtime
 
 
 def test_a_program_that_is_not_there_is_named() -> None:
-    with pytest.raises(FileNotFoundError, match="/no/such/program is no program"):
-        bound_to_us(["/no/such/program"])
+    with pytest.raises(FileNotFoundError, match="/no/such/program is not an executable program"):
+        with_parent_death_signal(["/no/such/program"])
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the kernel ends the child on Linux only")
 def test_a_child_whose_parent_died_before_it_could_ask_does_not_begin() -> None:
-    command = bound_to_us([sys.executable, "-c", "print('begun')"])
+    command = with_parent_death_signal([sys.executable, "-c", "print('begun')"])
     position = command.index(str(os.getpid()))
     orphan = [*command[:position], str(os.getpid() + 1), *command[position + 1 :]]
     for line, status, text in ((command, 0, "begun\n"), (orphan, 143, "")):
@@ -30,7 +30,7 @@ def test_a_child_whose_parent_died_before_it_could_ask_does_not_begin() -> None:
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_the_program_ignores_no_signal_for_it() -> None:
-    lines = [["grep", "SigIgn", "/proc/self/status"], bound_to_us(["grep", "SigIgn", "/proc/self/status"])]
+    lines = [["grep", "SigIgn", "/proc/self/status"], with_parent_death_signal(["grep", "SigIgn", "/proc/self/status"])]
     alone, bound = (subprocess.run(line, capture_output=True, text=True, timeout=20.0, check=True) for line in lines)
     assert bound.stdout == alone.stdout
 
@@ -39,5 +39,7 @@ def test_a_program_that_the_system_cannot_run_is_said(tmp_path: Path) -> None:
     broken = tmp_path / "script"
     broken.write_text("#!/no/such/interpreter\n")
     broken.chmod(0o755)
-    done = subprocess.run(bound_to_us([str(broken)]), capture_output=True, text=True, timeout=20.0, check=False)
+    done = subprocess.run(
+        with_parent_death_signal([str(broken)]), capture_output=True, text=True, timeout=20.0, check=False
+    )
     assert (done.returncode, done.stderr) == (1, f"{broken} cannot be started: No such file or directory\n")

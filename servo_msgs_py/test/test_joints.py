@@ -120,7 +120,10 @@ def test_the_hardware_of_ros2_control_has_a_state_for_every_command() -> None:
     [
         ("<robot", "is not XML"),
         ("<robot name='arm'/>", "0 transmissions"),
-        (described(LIFT, Joint("pan")).replace('<joint name="pan" type', '<joint name="tilt" type'), "no such joint"),
+        (
+            described(LIFT, Joint("pan")).replace('<joint name="pan" type', '<joint name="tilt" type'),
+            "which does not exist",
+        ),
         (described(LIFT, Joint("pan")).replace("-50.0", "fifty"), "'fifty' as mechanical_reduction of lift"),
     ],
 )

@@ -7,7 +7,7 @@ import re
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
-from servo_msgs_py.timed_points import POINT_WORDS, POINTS_TOGETHER
+from servo_msgs_py.timed_points import POINT_WORDS, POINTS_PER_WRITE
 
 from servo_msgs_py import topics
 
@@ -34,7 +34,7 @@ def test_command_variables_exist_can_be_written_and_hold_one_element_per_axis() 
     catalogue = Catalogue.load()
     for name in topics.COMMAND_VARIABLES:
         variable = catalogue[name]
-        count = {"cmd.points": POINT_WORDS * POINTS_TOGETHER, "config.take": 1}.get(name, 2)
+        count = {"cmd.points": POINT_WORDS * POINTS_PER_WRITE, "config.take": 1}.get(name, 2)
         assert (variable.writable, variable.count) == (True, count), name
     # The bridge commands no test signals: they are for measurements, which have the board to themselves.
     commands = {name for name in catalogue.variables if name.startswith("cmd.") and not name.startswith("cmd.test_")}

@@ -1,7 +1,7 @@
-/* board.h - one virtual board: the firmware, a chip and a plant. The only C interface that Python sees.
+/* board.h - one virtual board: firmware, chip and plant. The complete C interface for Python.
  *
- * Simulated time moves by board_advance and by nothing else: the same configuration and the same calls give the same
- * results, bit for bit. No file-scope state: any number of boards may live in one process, one thread per board.
+ * Only board_advance and the functions based on it advance the simulated time; equal configuration and calls give
+ * bit-identical results. No file-scope state: one process can contain many boards, with one thread per board.
  */
 #ifndef SERVO_TWIN_BOARD_H
 #define SERVO_TWIN_BOARD_H
@@ -29,28 +29,28 @@ typedef struct {
     double load_inertia; /* second mass on an elastic shaft; `inertia` is then that of the rotor [kg m^2] */
     double shaft_stiffness; /* [N m/rad] */
     double shaft_damping; /* [N m s] */
-    double backlash; /* of the shaft, full width [rad] */
+    double backlash; /* backlash of the shaft, full width [rad] */
     double load_friction; /* Coulomb friction of the second mass [N m] */
     double cogging_torque; /* amplitude [N m] */
     double cogging_periods; /* per turn [1] */
     double cogging_phase; /* [rad] */
     double i_saturation_d, i_saturation_q; /* current scale of the saturation of L_d, L_q [A] */
     double winding_warms; /* switch [1]; 1: r_s follows the winding's temperature at the ideal level too */
-    double magnet_coefficient; /* of the magnet's flux, relative to that at ambient temperature [1/K] */
+    double magnet_coefficient; /* temperature coefficient of the flux linkage, relative to ambient temperature [1/K] */
     double magnet_time; /* time constant of the magnet's temperature behind the winding's [s] */
     double disc_eccentricity; /* amplitude of the encoder's error, once per turn [rad] */
     double disc_phase; /* phase of that error [rad] */
     double load_torque; /* external, against positive motion; constant sign, unlike friction [N m] */
     double stop_min, stop_max; /* angles of the end stops [rad] (mechanical) */
     double stop_stiffness; /* [N m/rad]; 0: no end stops */
-    double stop_damping; /* of the end stops [N m s] */
+    double stop_damping; /* damping of the end stops [N m s] */
     double encoder_lines; /* lines per turn [1]; counts are four times as many */
     double theta_start; /* mechanical rotor angle at time zero [rad] */
     double i_full_scale; /* ADC range is -i_full_scale .. +i_full_scale [A] */
     double i_offset[3]; /* offset of each current amplifier [A] */
     double i_noise; /* standard deviation of a current sample [A] */
     double i_break; /* hardware over-current threshold [A] */
-    double dead_time; /* of the averaged plant [s] */
+    double dead_time; /* dead time of the averaged plant [s] */
     double v_drop; /* forward drop of switch and diode [V] */
     double r_on; /* on resistance [ohm] */
     /* switching plant only */
@@ -65,24 +65,24 @@ typedef struct {
     double home_from, home_to; /* the home switch is closed between these mechanical angles [rad] */
     double limit_min, limit_max; /* the limit switches open at these mechanical angles [rad] */
     double enable_closed; /* switch [1]; 1: the enable circuit is closed, 0: open */
-    double brake_torque; /* of the holding brake; 0: no brake [N m] */
+    double brake_torque; /* torque of the holding brake; 0: no brake [N m] */
     double brake_open_time, brake_close_time; /* delay behind its coil [s] */
 } plant_axis_t;
 
 typedef struct {
     double u_source; /* open-circuit supply voltage [V] */
     double r_source; /* source resistance [ohm]; the source takes no energy back */
-    double capacitance; /* of the bus [F] */
+    double capacitance; /* bus capacitance [F] */
     double u_full_scale; /* ADC full scale of the bus divider [V] */
     double u_noise; /* standard deviation of a bus sample [V] */
     double r_brake; /* brake resistor [ohm]; 0: none */
-    double brake_capacity, brake_resistance; /* of the brake resistor, to the ambient air [J/K], [K/W] */
+    double brake_capacity, brake_resistance; /* brake resistor, to the ambient air [J/K], [K/W] */
 } plant_bus_t;
 
-/* How fast the core of the DSC is (servo_twin/core.toml); register level only. */
+/* Speed of the core of the DSC (servo_twin/core.toml); register level only. */
 typedef struct {
     double cycles_per_instruction; /* relative to a Cortex-M3 [1] */
-    uint32_t entry_cycles; /* of an interrupt: vector, registers saved and restored */
+    uint32_t entry_cycles; /* overhead of an interrupt: vector, registers saved and restored [cycles] */
 } board_core_t;
 
 typedef struct {
@@ -92,7 +92,7 @@ typedef struct {
     double ambient; /* temperature of the air [deg C] */
     double baud; /* serial line [bit/s], 10 bits per byte */
     board_core_t core;
-    uint64_t seed; /* of every random number */
+    uint64_t seed; /* seed of all random numbers */
     const uint8_t *flash; /* image of the data flash, board_flash_size() bytes; NULL: erased */
 } board_config_t;
 
@@ -112,43 +112,44 @@ typedef struct {
      * over the last full window at register level (a PWM period; windows follow each other from power-on). */
     double u_a, u_b, u_c; /* [V] */
     double brake_holds; /* state [1]; 1: the holding brake is closed (and holds its torque), 0: open */
-    double theta_load, omega_load; /* of the second mass, or the rotor's [rad], [rad/s] */
-    double torque_shaft; /* between them, mean of the present step [N m] */
+    double theta_load, omega_load; /* second mass, otherwise rotor [rad], [rad/s] */
+    double torque_shaft; /* torque between rotor and second mass, mean of the present step [N m] */
     double t_magnet; /* temperature of the magnet [deg C] */
-    double r_s, psi_m; /* at these temperatures [ohm], [V s] */
+    double r_s, psi_m; /* values at these temperatures [ohm], [V s] */
     double l_d, l_q; /* differential inductances at these currents [H] */
 } board_truth_t;
 
-board_t *board_new(const board_config_t *config); /* NULL when memory is short */
+board_t *board_new(const board_config_t *config); /* NULL: out of memory */
 void board_free(board_t *board);
 
 /* Run up to and including simulated time `until_ns`; a time in the past does nothing. */
 void board_advance(board_t *board, uint64_t until_ns);
 uint64_t board_time_ns(const board_t *board);
 
-/* Why the board has stopped for good, NULL while it has not: software did to the chip what is not modelled. */
+/* Reason for which the board has stopped permanently, otherwise NULL: the software used a function that is not modelled. */
 const char *board_error(const board_t *board);
 
-/* As board_advance, and write down what a logic analyser on the chip would show; stops early when `room` is full.
- * Returns the number of entries; none on a board without registers. */
+/* board_advance with a log of the signals of the chip, as of a logic analyser; stops early when `room` is full. Returns the
+ * number of entries; 0 on a board without registers. */
 size_t board_trace(board_t *board, uint64_t until_ns, trace_entry_t *log, size_t room);
 
-/* Registers, by the hand of a debugger; a read takes no part in clearing sequences of its own accord, but it is a read.
- * The value, or 0; -1 if there is no such register, which stops the board. */
+/* Register access as by a debugger: a read has the side effects of a read, but does not complete a two-step flag-clear
+ * sequence. Returns the value, or 0; -1: unknown register, which stops the board. */
 int32_t board_peek(board_t *board, uint32_t address);
 int board_poke(board_t *board, uint32_t address, uint16_t value);
 
-/* As board_advance, and store the snapshot block after each slow tick into `log` (rows of board_snapshot_size() bytes).
- * Stops early when `max_rows` are full. Returns the number of rows stored. */
+/* board_advance with the snapshot block of each slow tick stored in `log` (rows of board_snapshot_size() bytes). Stops early
+ * when `max_rows` are full. Returns the number of rows. */
 size_t board_record(board_t *board, uint64_t until_ns, uint8_t *log, size_t max_rows);
 size_t board_snapshot_size(void);
 
-/* The serial line: bytes take their time at the configured baud rate. */
-size_t board_serial_in(board_t *board, const uint8_t *data, size_t size); /* to the board; returns how many it took */
-size_t board_serial_out(board_t *board, uint8_t *data, size_t room); /* from the board; what has left the wire so far */
-uint64_t board_serial_next_ns(const board_t *board); /* when the next byte moves on the wire; UINT64_MAX when idle */
+/* Serial line with the transmission time of the configured baud rate. */
+size_t board_serial_in(board_t *board, const uint8_t *data,
+                       size_t size); /* to the board; returns the number of accepted bytes */
+size_t board_serial_out(board_t *board, uint8_t *data, size_t room); /* from the board: completely transmitted bytes */
+uint64_t board_serial_next_ns(const board_t *board); /* time of the next byte on the line; UINT64_MAX: idle */
 
-/* Firmware variables past the serial line, by the same checks as FreeMASTER READMEM and WRITEMEM. 0 or a FreeMASTER
+/* Access to firmware variables without the serial line, with the checks of FreeMASTER READMEM and WRITEMEM. 0 or a FreeMASTER
  * status code. */
 uint8_t board_read(board_t *board, uint32_t address, uint8_t *data, uint16_t size);
 uint8_t board_write(board_t *board, uint32_t address, const uint8_t *data, uint16_t size);
@@ -212,48 +213,47 @@ typedef struct {
 void board_inject_fault(board_t *board, const board_fault_t *fault);
 void board_clear_fault(board_t *board, const board_fault_t *fault);
 
-/* What the chip has counted since reset. */
+/* Counters of the chip since reset. */
 typedef struct {
     uint32_t serial_overruns; /* received bytes that the software did not fetch in time */
     uint32_t serial_lost; /* sent bytes that the host did not fetch in time */
     uint32_t breaks; /* times an over-current latch has tripped */
-    uint32_t watchdog_services;
+    uint32_t watchdog_services; /* services of the watchdog */
 } board_stats_t;
 
 void board_stats(const board_t *board, board_stats_t *stats);
 
-/* The data flash, which keeps what is in it without power. An image has the words, low byte first, then how many times each
- * sector was erased. */
+/* Data flash (non-volatile). An image contains the words, low byte first, then the number of erases of each sector. */
 size_t board_flash_size(void);
 void board_flash_image(board_t *board, uint8_t *image);
 
 typedef struct {
-    uint32_t commands; /* begun since power-on */
-    int busy; /* one is under way */
+    uint32_t commands; /* commands begun since power-on */
+    int busy; /* a command is in progress */
     int dead; /* power has failed */
 } board_flash_state_t;
 
 void board_flash_state(board_t *board, board_flash_state_t *state);
 
-/* Power fails during the command `number` from now on (1: the next one) when `part` (0..1) of its time has passed, or now.
- * The image is then what another board finds at power-on; nothing that this board does afterwards changes it. */
+/* Power failure during a later command (`number` 1: the next one) after the fraction `part` (0..1) of its duration, or now. The
+ * image is then frozen: it is the content that another board finds at power-on. */
 void board_flash_cut(board_t *board, uint32_t number, double part);
 void board_flash_cut_now(board_t *board);
 
-/* Have one of the firmware's recorders (0: every PWM period, 1: every slow tick) sample variables in every call of its loop, from
- * the next one on, without a trigger. `samples` is lent until board_sample_end: room for so many points, which have the variables
- * in their order, without gaps; when it is full it begins anew. 0 or a FreeMASTER status code; then nothing is sampled. */
+/* Sample variables with a recorder of the firmware (0: every PWM period, 1: every slow tick), without a trigger, from the next
+ * call of its loop on. `samples` is used until board_sample_end as a ring buffer of `points` points; a point contains the
+ * variables in their order, without gaps. 0 or a FreeMASTER status code, then nothing is sampled. */
 typedef struct {
-    uint32_t address;
+    uint32_t address; /* address of the variable */
     uint8_t size; /* 1, 2, 4, 8 [bytes] */
 } board_cell_t;
 
 uint8_t board_sample(board_t *board, int recorder, const board_cell_t *cell, uint16_t cells, uint32_t *samples,
                      uint32_t points);
-uint32_t board_sampled(board_t *board, uint32_t *next); /* points that are there, and which one is written next */
+uint32_t board_sampled(board_t *board, uint32_t *next); /* number of valid points, index of the next point */
 void board_sample_end(board_t *board);
 
-/* Where board_read finds the table of variables, in the layout of FreeMASTER's TSA (flags 13h). */
+/* Address and size of the table of variables for board_read, in the format of FreeMASTER TSA (flags 13h). */
 void board_table(uint32_t *address, uint32_t *size);
 /* CFFI-END */
 

@@ -11,10 +11,10 @@
 /* The servo, after its boot. */
 servo_t *board_servo(board_t *board);
 
-/* As board_advance, but no further than the next slow tick: returns true if it has stopped there. */
+/* board_advance, at most to the next slow tick. True if it has stopped there. */
 bool board_run_to_tick(board_t *board, uint64_t until_ns);
 
-/* Faults: a wire by its board_pin_t, the core for some seconds, and those of the plant. */
+/* Injected faults: cut wire (board_pin_t), stalled core [s], faults of the plant. */
 void board_cut_wire(board_t *board, int axis, int pin, bool cut);
 void board_stall_core(board_t *board, double seconds);
 void board_set_plant_fault(board_t *board, const board_fault_t *fault, bool cleared);

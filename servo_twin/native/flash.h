@@ -1,9 +1,9 @@
-/* flash.h - the data flash of the board: what is in it, how long its commands take, and what is left when power fails.
+/* flash.h - data flash of the board: contents, duration of commands, effect of a power failure.
  *
- * An erase makes ones of a sector, a program command clears bits of a word of 32 bits. When power fails under way, each bit
- * that was to change has changed with a probability that is the part of the time that had passed (from a generator with a
- * seed). Times are those of a sibling chip (MK60 data sheet: 14 ms and 65 us typically, 114 ms and 145 us at most): none are
- * published for this one.
+ * An erase sets all bits of a sector to 1, a program command clears bits of a 32-bit word. At a power failure during a command
+ * each bit to be changed has changed with a probability equal to the elapsed fraction of the duration (random generator with
+ * a seed). Durations are those of a related chip (MK60 data sheet: 14 ms and 65 us typical, 114 ms and 145 us maximum); none
+ * are published for this chip.
  */
 #ifndef SERVO_TWIN_FLASH_H
 #define SERVO_TWIN_FLASH_H
@@ -20,43 +20,43 @@
 
 #define FLASH_ERASED UINT32_C(0xFFFFFFFF)
 
-/* What stays without power, as bytes in a file: words and erase counts, low byte first. */
+/* Image of the non-volatile contents: words and erase counts, low byte first. */
 #define FLASH_IMAGE_BYTES (4u * (FLASH_WORDS + FLASH_SECTORS))
 
 typedef enum { FLASH_NOTHING, FLASH_ERASE, FLASH_PROGRAM } flash_command_t;
 
 typedef struct {
     uint32_t word[FLASH_WORDS];
-    uint32_t erases[FLASH_SECTORS]; /* of each sector since it was made */
-    flash_command_t command; /* under way */
-    uint32_t at;             /* its sector or word */
-    uint32_t value;
-    uint64_t begin_ns, end_ns; /* of the command under way [ns] */
-    bool failed;       /* the last command has not left what it should */
-    uint32_t commands; /* begun since power-on */
-    uint64_t random;
-    uint32_t cut_command; /* power fails during this one; 0: it does not .. */
-    double cut_part;      /* .. when so much of its time has passed */
-    bool dead;            /* power has failed */
+    uint32_t erases[FLASH_SECTORS]; /* number of erases of each sector since manufacture */
+    flash_command_t command; /* command in progress */
+    uint32_t at; /* sector or word of the command */
+    uint32_t value; /* word to be programmed */
+    uint64_t begin_ns, end_ns; /* begin and end of the command in progress [ns] */
+    bool failed; /* the contents after the last command are wrong */
+    uint32_t commands; /* commands begun since power-on */
+    uint64_t random; /* state of the random generator */
+    uint32_t cut_command; /* number of the command with the power failure; 0: none */
+    double cut_part; /* elapsed fraction of its duration at the power failure [1] */
+    bool dead; /* power has failed */
 } flash_t;
 
-/* At power-on; `image` is NULL for an erased one. */
+/* Initialise at power-on; `image` NULL: erased. */
 void flash_init(flash_t *flash, const uint8_t *image, uint64_t seed);
 
 void flash_image(const flash_t *flash, uint8_t *image);
 
-/* Begin a command while none is under way. */
+/* Begin a command; none must be in progress. */
 void flash_erase(flash_t *flash, uint32_t sector, uint64_t now_ns);
 void flash_program(flash_t *flash, uint32_t word, uint32_t value, uint64_t now_ns);
 
-/* Bring it along to the present: is a command under way? */
+/* Update to the present time. True if a command is in progress. */
 bool flash_busy(flash_t *flash, uint64_t now_ns);
 
-/* A reset ends a command where it is. */
+/* Abort a command by a reset. */
 void flash_break_off(flash_t *flash, uint64_t now_ns);
 
-/* Power fails during the command `number` from now on (1: the next one), when `part` (0..1) of its time has passed. From
- * then on nothing changes any more and a command never ends: all that the software does afterwards is of no consequence. */
+/* Power failure during a later command (`number` 1: the next one) after the fraction `part` (0..1) of its duration. After the
+ * power failure the contents are frozen and a pending command never completes. */
 void flash_cut(flash_t *flash, uint32_t number, double part);
 
 #endif

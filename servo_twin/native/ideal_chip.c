@@ -179,7 +179,7 @@ static void grid(hal_t *chip)
         plant_update_holding_brakes(plant, seconds(chip));
         for (int i = 0; i < HAL_AXES; i++) {
             if (check_current(chip, i) && awake(chip)) {
-                servo_break_isr(chip->servo, (uint16_t)i);
+                servo_over_current_isr(chip->servo, (uint16_t)i);
             }
         }
     }
@@ -251,9 +251,9 @@ void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on)
     follow_enable(hal, axis);
 }
 
-bool hal_break_active(hal_t *hal, uint16_t axis) { return hal->axis[axis].broken; }
+bool hal_over_current_active(hal_t *hal, uint16_t axis) { return hal->axis[axis].broken; }
 
-void hal_break_clear(hal_t *hal, uint16_t axis)
+void hal_over_current_clear(hal_t *hal, uint16_t axis)
 {
     hal->axis[axis].broken = false;
     if (!check_current(hal, axis)) {

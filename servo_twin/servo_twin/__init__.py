@@ -1,7 +1,7 @@
-"""The world around the chip: virtual board, digital twin, viewer and experiments."""
+"""Virtual board, digital twin, viewer and experiments."""
 
 from pkgutil import extend_path
 
-# A source folder that nothing has been compiled into comes before the installed package where it is the current
-# directory, as in `colcon test`. The compiled modules are then taken from the installed package.
+# In `colcon test` the current directory is a source folder without compiled modules, and it precedes the installed
+# package. The compiled modules are then taken from the installed package.
 __path__ = extend_path(__path__, __name__)

@@ -1,8 +1,8 @@
-"""Build script of the virtual board's two levels: firmware, chip and plant in one extension module each.
+"""Build script of both levels of the virtual board: an extension module of firmware, chip and plant for each level.
 
-``servo_twin._native`` has the ideal chip and the averaged plant, ``servo_twin._registers`` the MC56F84789 with its
-registers, the firmware's own drivers for it and the plant at switching level. Both have the interface of ``board.h``.
-``setup.py`` names them in ``cffi_modules``; then setuptools compiles them for pip and colcon alike.
+``servo_twin._native`` has the ideal chip and the averaged plant, ``servo_twin._registers`` the registers of the
+MC56F84789, the drivers of the firmware and the switching plant. Both have the interface of ``board.h``. ``setup.py``
+lists them in ``cffi_modules``, so that setuptools compiles them for pip and colcon.
 """
 
 from __future__ import annotations
@@ -17,25 +17,24 @@ from pathlib import Path
 from cffi import FFI
 
 PACKAGE = Path(__file__).resolve().parents[1]
-"""Folder of ``setup.py``, wherever the build was started from."""
+"""Folder of ``setup.py``, independent of the working directory."""
 
 NATIVE = PACKAGE / "native"
 FIRMWARE = PACKAGE.parent / "firmware"
 FIRMWARE_FOLDERS = ("math", "control", "sensing", "diagnosis", "drive", "app", "comm", "config")
 PORT = FIRMWARE / "port" / "mc56f84789"
 
-# Without contraction of a * b + c every processor computes the same bits; pairs of doubles in vectors only cost time in
-# code where each number waits for the one before. errno and the flags of floating point: no number
-# changes by that either.
+# -ffp-contract=off: identical results on every processor. -fno-math-errno and -fno-trapping-math do not change results.
+# -fno-tree-vectorize (below): vectors of two doubles are slower in this code, a chain of dependent operations.
 _FLOATS = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
-# With gcc -O3 is more code and 5 % slower.
+# -O3 of gcc is 5 % slower.
 OPTIONS = ("-std=c99", "-O2", *_FLOATS, "-fno-tree-vectorize", "-fvisibility=hidden", "-flto=auto")
 
-# For the machine at hand, from the Makefile: its processor, the use of a profile.
+# Options of the Makefile for this machine: processor, profile.
 _EXTRA = os.environ.get("SERVO_TWIN_FLAGS", "").split()
 
-# The headers of Python come in as system headers (-isystem), which makes them exempt. How vectors of numbers are passed
-# makes no difference, as all functions of them are inlined: gcc has a note on it that a pragma does not stop.
+# -isystem exempts the headers of Python from warnings. -Wno-psabi: vectors are passed to inlined functions only; the
+# note of gcc about them cannot be disabled by a pragma.
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Werror", "-Wno-psabi")
 
 _PREAMBLE = """
@@ -49,7 +48,7 @@ _PREAMBLE = """
 
 
 def declarations(header: str) -> str:
-    """Declarations for `cffi.FFI.cdef` out of the text of a header.
+    """Extract the declarations for `cffi.FFI.cdef` from the text of a header.
 
     Raises
     ------
@@ -63,29 +62,29 @@ def declarations(header: str) -> str:
 
 
 def firmware_sources(firmware: Path = FIRMWARE) -> list[Path]:
-    """C files of the firmware that run on every target.
+    """C files of the firmware for all targets.
 
     Raises
     ------
     FileNotFoundError
-        If there is no firmware beside the package.
+        If there is no firmware next to the package.
     """
     sources = sorted(path for folder in FIRMWARE_FOLDERS for path in (firmware / folder).glob("*.c"))
     if not (firmware / "app" / "servo.c").is_file():
         raise FileNotFoundError(
-            f"servo_twin compiles the firmware, but {firmware} does not hold it (app/servo.c is missing). "
+            f"servo_twin compiles the firmware, but {firmware}/app/servo.c does not exist. "
             "Build from a checkout of the whole repository; there is no source distribution of this package alone."
         )
     return sources
 
 
 def _relative(paths: Iterable[Path]) -> list[str]:
-    """Paths as setuptools wants them: relative to the working directory."""
+    """Paths relative to the working directory, for setuptools."""
     return [os.path.relpath(path) for path in paths]
 
 
 def _absolute(paths: Iterable[Path]) -> list[str]:
-    """Paths for a compiler that is started from another folder."""
+    """Absolute paths, for a compiler with another working directory."""
     return [str(path.resolve()) for path in paths]
 
 
@@ -96,7 +95,7 @@ def make_ffi(
     sources: Iterable[Path] | None = None,
     paths: Callable[[Iterable[Path]], list[str]] = _relative,
 ) -> FFI:
-    """Description of one extension module for the compiler; `sources` in the place of the firmware's."""
+    """Build description of one extension module; `sources` replaces the sources of the firmware."""
     headers = sorted([*NATIVE.rglob("*.h"), *FIRMWARE.rglob("*.h")])
     builder = FFI()
     for header in (NATIVE / "chip" / "trace.h", NATIVE / "board.h"):
@@ -128,7 +127,7 @@ _ON_HOST = ["-DCHIP_ON_HOST"]
 
 
 def charged_sources() -> list[Path]:
-    """Firmware and port as the virtual core runs them: with what they take of its time."""
+    """Sources of firmware and port with execution times for the virtual core."""
     if str(PACKAGE) not in sys.path:  # setuptools runs this file as a script
         sys.path.insert(0, str(PACKAGE))
     from servo_twin._core_time import write_charged
@@ -139,7 +138,7 @@ def charged_sources() -> list[Path]:
 
 
 def board_ffi(module: str, level: str, config: Path) -> FFI:
-    """A module with another ``servo_config_gen.c``, for `cffi.FFI.compile` in a folder of its own."""
+    """Build description with another ``servo_config_gen.c``, for `cffi.FFI.compile` in a separate folder."""
     native, options, sources = (
         (_IDEAL, [], firmware_sources()) if level == "ideal" else (_REGISTERS, _ON_HOST, charged_sources())
     )

@@ -1,10 +1,9 @@
-"""C sources that say how long they take: a charge in front of each statement, for the virtual core.
+"""Instruments C sources with their execution time, for the virtual core.
 
-The compiler's preprocessor and pycparser read a file; each statement gets a call ``core_spend(n)`` in front, and so
-does each operand that runs conditionally (``native/chip/core_time.h``). The price list below is about instructions of a
-Cortex-M3; what a compiler makes of a file differs from it by a factor, which has been calibrated against counted
-instructions (``core_weights.toml``). So the time of the virtual core depends on the source alone, and on no compiler or
-option of the host.
+A file is read by the preprocessor of the compiler and by pycparser; a call ``core_spend(n)`` is inserted before each
+statement and each conditionally executed operand (``native/chip/core_time.h``). The cost table below is in instructions
+of a Cortex-M3; a factor per file, calibrated with counted instructions (``core_weights.toml``), accounts for the code
+of a real compiler. The time of the virtual core therefore depends on the source alone, not on the compiler of the host.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ WEIGHTS: Final = Path(__file__).with_name("core_weights.toml")
 
 _VERSION: Final = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
-# What stands in the place of the host's system headers: the parser knows nothing of a compiler's extensions.
+# Replacement of the system headers of the host: the parser does not support compiler extensions.
 _HEADERS: Final = {
     "stdint.h": """\
 typedef signed char int8_t; typedef unsigned char uint8_t; typedef short int16_t; typedef unsigned short uint16_t;
@@ -76,28 +75,28 @@ void *memset(void *, int, size_t); int memcmp(const void *, const void *, size_t
 """,
 }
 
-# ---- price list: instructions of a Cortex-M3 -------------------------------------------------------------------------
+# ---- cost table: instructions of a Cortex-M3 -------------------------------------------------------------------------
 
 _ACCESS = 1.0  # a load or a store
-_CALL = 4.0  # a function that is not inlined: branch, registers saved and restored, return
+_CALL = 4.0  # function that is not inlined: branch, saving and restoring of registers, return
 _ARGUMENT = 1.0
 _BRANCH = 1.0
-_LONG: Final = {"*": 4.0, "/": 60.0, "%": 60.0, "<<": 3.0, ">>": 3.0}  # of 64 bits; everything else takes two
-_SHORT: Final = {"/": 2.0, "%": 3.0}  # of 32 bits; everything else takes one
-_CHEAP: Final = 1.5  # an operand that runs conditionally and takes no more is charged to the statement
-_CHIP: Final = {"chip_read": 2.0, "chip_write": 2.0}  # on silicon an access and its address
+_LONG: Final = {"*": 4.0, "/": 60.0, "%": 60.0, "<<": 3.0, ">>": 3.0}  # 64-bit operations; others take 2
+_SHORT: Final = {"/": 2.0, "%": 3.0}  # 32-bit operations; others take 1
+_CHEAP: Final = 1.5  # a conditional operand up to this cost is included in the statement
+_CHIP: Final = {"chip_read": 2.0, "chip_write": 2.0}  # access and address calculation on silicon
 _INSTRUCTIONS: Final = {"asr16": 1.0, "asr32": 1.0, "asr64": 3.0, "sat16": 1.0, "sat16_asr": 1.0, "sat32": 3.0}
-"""Functions that a machine has instructions for, or nearly so (math/saturate.h, math/frac.h)."""
+"""Functions that compile to one or a few instructions (math/saturate.h, math/frac.h)."""
 
 
 class _Names(c_ast.NodeVisitor):
-    """Names that decide prices."""
+    """Names that determine costs."""
 
     def __init__(self) -> None:
-        self.long_types: set[str] = {"int64_t", "uint64_t"}  # types of 64 bits
-        self.long: set[str] = set()  # variables, members and functions of these types, whatever their scope
+        self.long_types: set[str] = {"int64_t", "uint64_t"}  # 64-bit types
+        self.long: set[str] = set()  # variables, members and functions of 64-bit types, in any scope
         self.inline: set[str] = set()  # functions that the compiler inlines
-        self.prices: dict[str, float] = {**_CHIP, **_INSTRUCTIONS}  # by function, whole price where it is called
+        self.prices: dict[str, float] = {**_CHIP, **_INSTRUCTIONS}  # total cost per call, by function
 
     def is_long(self, declared: Any) -> bool:
         return isinstance(declared.type, c_ast.IdentifierType) and bool(self.long_types & set(declared.type.names))
@@ -122,13 +121,13 @@ class _Names(c_ast.NodeVisitor):
 
 
 class _Charger:
-    """Prices of expressions, and calls put in front of what they are for.
+    """Calculates costs of expressions and inserts the calls of ``core_spend``.
 
     Parameters
     ----------
     names : _Names
     charge : callable
-        A charge, for a number of instructions.
+        Node of a call of ``core_spend`` for a number of instructions.
     """
 
     def __init__(self, names: _Names, charge: Callable[[float], Any]) -> None:
@@ -139,7 +138,7 @@ class _Charger:
     # -- expressions --
 
     def _long(self, node: Any) -> bool:
-        """Whether an expression has 64 bits."""
+        """True if an expression has 64 bits."""
         if isinstance(node, c_ast.Cast):
             return isinstance(node.to_type.type, c_ast.TypeDecl) and self._names.is_long(node.to_type.type)
         if isinstance(node, c_ast.BinaryOp):
@@ -165,17 +164,17 @@ class _Charger:
         return False
 
     def _guard(self, node: Any) -> tuple[float, Any]:
-        """An operand that runs conditionally: its price and what it becomes."""
+        """Cost and replacement of a conditional operand."""
         price = self.price(node)
         if self._flat or (price <= _CHEAP and not self._calls(node)):
             return 0.5 * price, node
         return 0.0, c_ast.ExprList([self._charge(price), node])
 
-    def _place(self, node: Any) -> float:
-        """Price of the address of a place in memory, or of what is read on the way to it."""
+    def _address(self, node: Any) -> float:
+        """Cost of calculating the address of an lvalue, including the loads for it."""
         while isinstance(node, (c_ast.StructRef, c_ast.ArrayRef)):
             if isinstance(node, c_ast.ArrayRef):
-                return self.price(node.subscript) + self._place(node.name)
+                return self.price(node.subscript) + self._address(node.name)
             if node.type == "->":
                 return self.price(node.name)
             node = node.name
@@ -184,16 +183,16 @@ class _Charger:
         return 0.0 if isinstance(node, c_ast.ID) else self.price(node)
 
     def price(self, node: Any) -> float:
-        """Instructions of an expression; its conditional operands get their own charges."""
+        """Instructions of an expression; conditional operands get separate calls."""
         if node is None or isinstance(node, (c_ast.Constant, c_ast.ID)):
             return 0.0
         if isinstance(node, (c_ast.StructRef, c_ast.ArrayRef)):
-            return _ACCESS * (2.0 if self._long(node) else 1.0) + self._place(node)
+            return _ACCESS * (2.0 if self._long(node) else 1.0) + self._address(node)
         if isinstance(node, c_ast.Cast):
             return self.price(node.expr)
         if isinstance(node, c_ast.UnaryOp):
             if node.op == "&":
-                return self._place(node.expr)
+                return self._address(node.expr)
             if node.op == "sizeof":
                 return 0.0
             if node.op == "*":
@@ -234,7 +233,7 @@ class _Charger:
         return both + _SHORT.get(node.op, 1.0)
 
     def _assignment(self, node: Any) -> float:
-        store = (_ACCESS + self._place(node.lvalue)) if _in_memory(node.lvalue) else 0.5
+        store = (_ACCESS + self._address(node.lvalue)) if _in_memory(node.lvalue) else 0.5
         if node.op == "=":
             return store + self.price(node.rvalue)
         operation = c_ast.BinaryOp(node.op[:-1], node.lvalue, node.rvalue)
@@ -253,7 +252,7 @@ class _Charger:
         return price + self.price(node.name) + _CALL + _ARGUMENT * len(arguments)
 
     def _calls(self, node: Any) -> bool:
-        """Whether there is a call whose price is not known here."""
+        """True if there is a call of a function with unknown cost."""
         if isinstance(node, c_ast.FuncCall) and not (
             isinstance(node.name, c_ast.ID) and node.name.name in self._names.prices
         ):
@@ -263,7 +262,7 @@ class _Charger:
     # -- statements --
 
     def whole(self, function: Any) -> float | None:
-        """Price of a small inline function, of two branches the mean; None if it loops or calls others."""
+        """Cost of a small inline function, with the mean of two branches; None if it has loops or other calls."""
         if _loops(function.body) or self._calls(function.body):
             return None
         self._flat = True
@@ -281,7 +280,7 @@ class _Charger:
         return self._statement(node)
 
     def body(self, node: Any) -> Any:
-        """A statement as a compound one, with charges."""
+        """Statement as a compound statement with calls of ``core_spend``."""
         items = node.block_items if isinstance(node, c_ast.Compound) else [node]
         return c_ast.Compound(self._items(items or []))
 
@@ -295,7 +294,7 @@ class _Charger:
         return result
 
     def _statement(self, node: Any) -> float:
-        """Price of a statement up to its first branch; what is below gets its own charges."""
+        """Cost of a statement up to its first branch; nested statements get separate calls."""
         if isinstance(node, c_ast.Decl):
             if node.init is None or "static" in node.storage:
                 return 0.0
@@ -326,11 +325,11 @@ class _Charger:
         first = 0.0
         if isinstance(node, c_ast.For) and node.init is not None:
             first = self._statement(node.init) if isinstance(node.init, c_ast.DeclList) else self.price(node.init)
-        turn = self.price(node.cond) + _BRANCH
+        iteration = self.price(node.cond) + _BRANCH
         if isinstance(node, c_ast.For):
-            turn += self.price(node.next)
+            iteration += self.price(node.next)
         node.stmt = self.body(node.stmt)
-        node.stmt.block_items.insert(0, self._charge(turn))
+        node.stmt.block_items.insert(0, self._charge(iteration))
         return first + (0.0 if isinstance(node, c_ast.DoWhile) else _BRANCH)
 
     def _cases(self, node: Any) -> None:
@@ -349,7 +348,7 @@ def _in_memory(node: Any) -> bool:
 
 
 def _wide(node: Any) -> bool:
-    """Whether a factor has more than the 32 bits that it was widened from."""
+    """True if a factor is not just a widened 32-bit value."""
     return not isinstance(node, (c_ast.Cast, c_ast.ID, c_ast.StructRef, c_ast.Constant))
 
 
@@ -357,21 +356,21 @@ def _wide(node: Any) -> bool:
 
 
 def charged(text: str, name: str, charge: Callable[[float], str]) -> str:
-    """Put charges into a preprocessed C file.
+    """Insert calls of ``core_spend`` into a preprocessed C file.
 
     Parameters
     ----------
     text : str
-        What the preprocessor made of it, with the headers above.
+        Output of the preprocessor, with the headers above.
     name : str
-        For errors.
+        File name in error messages.
     charge : callable
-        Text of the expression that takes time, for a price in instructions.
+        Text of the inserted call for a cost in instructions.
 
     Raises
     ------
     pycparser.plyparser.ParseError
-        If it is not C99.
+        If the file is not C99.
     """
     tree = c_parser.CParser().parse(text, name)
     names = _Names()
@@ -393,7 +392,7 @@ _COMPILER: Final = ("cc", "-std=c99", "-E", "-P", "-U__GNUC__", "-nostdinc")
 
 
 def load_weights(path: Path = WEIGHTS) -> dict[str, float]:
-    """Factor of each file of the firmware, by folder and stem as in ``control/pi``, and `COMMON` of all others."""
+    """Factor of each file, by folder and stem as in ``control/pi``; `COMMON` for all others."""
     with path.open("rb") as file:
         table = tomllib.load(file)
     return {COMMON: float(table[COMMON]), **{name: float(value) for name, value in table["weights"].items()}}
@@ -405,12 +404,12 @@ def weight_of(weights: Mapping[str, float], name: str) -> float:
 
 
 def preprocessed(source: Path, include: Iterable[Path], options: Iterable[str] = ()) -> str:
-    """A C file without directives.
+    """Preprocessed C file without directives.
 
     Raises
     ------
     RuntimeError
-        If the preprocessor refuses it.
+        If the preprocessor reports an error.
     """
     with tempfile.TemporaryDirectory() as folder:
         for name, text in _HEADERS.items():
@@ -427,18 +426,18 @@ def _spend(factor: float) -> Callable[[float], str]:
 
 
 def write_charged(sources: Iterable[Path], firmware: Path, options: Sequence[str], folder: Path) -> list[Path]:
-    """Write files of the firmware with charges; those that have not changed stay as they are.
+    """Write instrumented files of the firmware; unchanged files are not rewritten.
 
     Parameters
     ----------
     sources : iterable of Path
         C files below `firmware`.
     firmware : Path
-        Where their includes are.
+        Include folder.
     options : sequence of str
-        Of the preprocessor.
+        Options of the preprocessor.
     folder : Path
-        Where they are written, below the same folders.
+        Output folder; subfolders as in `firmware`.
 
     Returns
     -------
@@ -458,7 +457,7 @@ def write_charged(sources: Iterable[Path], firmware: Path, options: Sequence[str
             continue
         body = charged(text, str(source), _spend(factor))
         output.parent.mkdir(parents=True, exist_ok=True)
-        # As in a system header (3): what the generator writes is not for the warnings.
+        # Flag 3 (system header) disables warnings in the generated code.
         complete = output.with_suffix(f".{os.getpid()}")  # another process may be writing the same
         complete.write_text(f'{head}\n#include "chip/core_time.h"\n# 1 "{source}" 3\n{body}', encoding="utf-8")
         complete.replace(output)

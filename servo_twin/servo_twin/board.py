@@ -1,11 +1,12 @@
-"""One virtual board: the firmware, a chip and a plant, as a Python object.
+"""Virtual board: firmware, chip and plant.
 
-There are two levels. ``registers``: the firmware's drivers run on the MC56F84789's registers, and the plant sees every
-edge of the gate signals. ``ideal``: no registers, no time for conversions and software, an averaged plant; quicker.
+There are two levels. ``registers``: the drivers of the firmware run on a model of the registers of the MC56F84789, and
+the plant is simulated with every edge of the gate signals. ``ideal``: no registers, no conversion or computing times,
+an averaged plant; faster.
 
-Simulated time moves by `Board.advance`, `Board.run` and `Board.record` and by nothing else; the same calls on the same
-configuration give the same results, bit for bit. Any number of boards may live in one process, each used by one thread
-at a time; the long calls let other threads run.
+Only `Board.advance`, `Board.run`, `Board.record` and `Board.trace` advance the simulated time. The same calls with the
+same configuration give identical results. A process can have several boards, each used by one thread at a time; the
+long calls release the GIL.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ __all__ = [
 
 
 class Firmware(NamedTuple):
-    """Firmware, chip and plant as cffi has compiled them."""
+    """Firmware, chip and plant, compiled by cffi."""
 
     ffi: Any
     lib: Any
@@ -64,37 +65,37 @@ _IDLE: Final = (1 << 64) - 1
 
 
 class SimulationError(RuntimeError):
-    """The board did not do what the run needs; the text says what it did."""
+    """The simulation failed; the message contains the reason."""
 
 
 class ChipError(BoardError, SimulationError):
-    """Software did to the chip what is not modelled, or what silicon would not survive; the board stands still."""
+    """The software used a function that is not modelled or would damage the chip; the board has stopped."""
 
 
 TRACE_ENTRY: Final = np.dtype([("clock", "<u8"), ("kind", "<u2"), ("a", "<u2"), ("b", "<u4")])
-"""Layout of an entry of a trace (``trace_entry_t`` in chip/trace.h, which says what kinds there are)."""
+"""Layout of an entry of a trace (``trace_entry_t`` in chip/trace.h, with the list of kinds)."""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """State of the plant that no sensor sees exactly.
+    """True state of the plant.
 
-    Instants, unless it says mean: at the level ``registers`` of `Board.time_ns` (in steps of 10 ns), at the level
-    ``ideal`` of the end of the last half cycle of the PWM (31.25 us) up to then. Temperatures move once in 1 ms.
+    Instantaneous values, except where noted: at level ``registers`` at `Board.time_ns` (steps of 10 ns), at level
+    ``ideal`` at the end of the last half PWM cycle (31.25 us). Temperatures are updated every 1 ms.
     """
 
     theta_m: float  # mechanical angle, not wrapped [rad]
     omega_m: float  # mechanical speed [rad/s]
     i_d: float
-    """Stator current of the d axis [A]; with the ripple of the PWM at the level ``registers``, without it at the level
-    ``ideal``, whose plant is averaged over half cycles."""
-    i_q: float  # stator current of the q axis, likewise [A]
+    """Stator current of the d axis [A]; with PWM ripple at level ``registers``, without it at level ``ideal``, whose
+    plant is averaged over half cycles."""
+    i_q: float  # stator current of the q axis, as `i_d` [A]
     torque_e: float  # air-gap torque of these currents [N m]
     u_a: float
-    """Mean voltage of the motor's terminal against the midpoint of `u_dc` [V]; at the level ``registers`` over the last
-    full window of a PWM period (62.5 us, counted from power-on), at the level ``ideal`` over the last half cycle."""
-    u_b: float  # likewise [V]
-    u_c: float  # likewise [V]
+    """Mean voltage of the motor terminal against the midpoint of `u_dc` [V]; at level ``registers`` over the last
+    complete PWM period (62.5 us, counted from power-on), at level ``ideal`` over the last half cycle."""
+    u_b: float  # as `u_a` [V]
+    u_c: float  # as `u_a` [V]
     t_sink: float  # temperature of the axis' power stage [deg C]
     t_winding: float  # temperature of the motor's winding [deg C]
     u_dc: float  # bus voltage [V]
@@ -113,7 +114,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class BoardStats:
-    """What the chip has counted since reset."""
+    """Counters of the chip since reset."""
 
     serial_overruns: int  # received bytes that the firmware did not read in time
     serial_lost: int  # sent bytes that the host did not read in time
@@ -122,11 +123,11 @@ class BoardStats:
 
 
 class FlashState(NamedTuple):
-    """What the data flash is doing."""
+    """State of the data flash."""
 
-    commands: int  # commands begun since power-on
-    busy: bool  # whether one is in progress
-    dead: bool  # power has failed (`Board.cut_flash`): the flash does not change any more
+    commands: int  # commands started since power-on
+    busy: bool  # a command is in progress
+    dead: bool  # power has failed (`Board.cut_flash`): the contents are frozen
 
 
 def _native_config(ffi: Any, plant: PlantConfig, core: CoreSpeed, seed: int, baud: float) -> Any:
@@ -138,27 +139,27 @@ def _native_config(ffi: Any, plant: PlantConfig, core: CoreSpeed, seed: int, bau
 
 
 class Board:
-    """A virtual board, just switched on.
+    """A virtual board, after power-on.
 
     Parameters
     ----------
     plant : PlantConfig, optional
-        What is really there; the packaged ``plant.toml`` by default.
+        Plant data; the packaged ``plant.toml`` by default.
     seed : int
-        Of every random number of the board, 0 .. 2^64 - 1.
+        Seed of all random numbers of the board, 0 .. 2^64 - 1.
     baud : float
         Speed of the serial line [bit/s], ten bits per byte.
     catalogue : Catalogue, optional
         Table of variables; the packaged one by default.
     level : {"registers", "ideal"}, optional
-        How closely chip and plant are modelled; by default what the environment variable SERVO_TWIN_LEVEL names, or
-        else ``ideal``.
+        Level of detail of chip and plant; by default the environment variable SERVO_TWIN_LEVEL, or else
+        ``registers``.
     core : CoreSpeed, optional
-        How fast the core is at register level; the packaged ``core.toml`` by default.
+        Execution time of the core at level ``registers``; the packaged ``core.toml`` by default.
     firmware : Firmware, optional
-        Compiled with another configuration (`servo_twin.firmware_build`), for a board of that level.
+        Firmware with another configuration (`servo_twin.firmware_build`), compiled for this level.
     flash : bytes, optional
-        What is in its data flash: the `flash_image` of a board before it; erased by default.
+        Contents of the data flash: `flash_image` of another board; erased by default.
     """
 
     def __init__(
@@ -185,8 +186,8 @@ class Board:
         config = _native_config(self._ffi, self.plant, core or CoreSpeed.load(), seed, baud)
         if flash is not None:
             if len(flash) != self._lib.board_flash_size():
-                raise ValueError(f"an image of the flash has {self._lib.board_flash_size()} bytes, not {len(flash)}")
-            config.flash = self._ffi.from_buffer("uint8_t[]", flash)  # board_new copies what it needs
+                raise ValueError(f"the flash image has {len(flash)} bytes instead of {self._lib.board_flash_size()}")
+            config.flash = self._ffi.from_buffer("uint8_t[]", flash)  # board_new copies the image
         handle = self._lib.board_new(config)
         if handle == self._ffi.NULL:
             raise MemoryError("no memory for another board")
@@ -198,10 +199,10 @@ class Board:
         self._injected: list[InjectedFault] = []
         self._sampler: BoardSampler | None = None
 
-    # ---- life -----------------------------------------------------------------------------------------------------
+    # ---- lifetime --------------------------------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Free the board; a second call does nothing."""
+        """Free the board; a second call has no effect."""
         if self._handle is not None:
             self._sampler = None
             self._ffi.release(self._handle)
@@ -228,7 +229,7 @@ class Board:
         return self._own_memory
 
     def _check(self) -> None:
-        """Raise if the chip has stopped for good."""
+        """Raise `ChipError` if the chip has stopped."""
         error = self._lib.board_error(self._board)
         if error != self._ffi.NULL:
             raise ChipError(self._ffi.string(error).decode())
@@ -241,7 +242,7 @@ class Board:
         return int(self._lib.board_time_ns(self._board))
 
     def advance(self, until_ns: int) -> None:
-        """Run up to and including simulated time `until_ns`; a time in the past does nothing."""
+        """Run up to and including simulated time `until_ns`; no effect if that is in the past."""
         self._lib.board_advance(self._board, until_ns)
         self._check()
 
@@ -250,7 +251,7 @@ class Board:
         self.advance(self.time_ns + round(seconds * 1e9))
 
     def record(self, until_ns: int) -> NDArray[np.void]:
-        """Run as `advance` does, and keep the snapshot of every slow tick.
+        """As `advance`, and record the snapshot of every slow tick.
 
         Returns
         -------
@@ -258,62 +259,62 @@ class Board:
             Raw integers; one field per telemetry variable, named as in the catalogue. `si` converts.
         """
         dtype = self.snapshot_dtype
-        room = max(until_ns - self.time_ns, 0) // (PERIOD_NS * SLOW_PERIODS) + 2
-        log = np.zeros(room, dtype)
+        capacity = max(until_ns - self.time_ns, 0) // (PERIOD_NS * SLOW_PERIODS) + 2
+        log = np.zeros(capacity, dtype)
         rows = self._lib.board_record(
-            self._board, until_ns, self._ffi.from_buffer("uint8_t[]", log, require_writable=True), room
+            self._board, until_ns, self._ffi.from_buffer("uint8_t[]", log, require_writable=True), capacity
         )
         self._check()
         return log[:rows]
 
-    def sample(self, recorder: int, elements: Sequence[tuple[Variable, int]], room: int) -> None:
-        """Have a recorder of the firmware sample without end, from the next call of its loop on.
+    def sample(self, recorder: int, elements: Sequence[tuple[Variable, int]], capacity: int) -> None:
+        """Start continuous sampling by a recorder of the firmware, with the next call of its loop.
 
         Parameters
         ----------
         recorder : int
             0: every PWM period; 1: every slow tick.
         elements : sequence of (Variable, int)
-            Variables and their elements, at most 8.
-        room : int
-            Points that are kept.
+            Variables and element indices, at most 8.
+        capacity : int
+            Capacity [points]; the newest points are kept.
 
         Raises
         ------
         BoardError
-            If the board does not have a variable or cannot sample it.
+            If a variable does not exist or cannot be sampled.
         """
         self.end_sampling()
         places = [self.address(variable.name) + k * variable.element_size for variable, k in elements]
         names = (f"{variable.name}[{k}]" for variable, k in elements)
         layout = np.dtype([(name, _element(variable)) for name, (variable, _) in zip(names, elements, strict=True)])
-        self._sampler = BoardSampler(self._ffi, self._lib, self._board, recorder, places, layout, room)
+        self._sampler = BoardSampler(self._ffi, self._lib, self._board, recorder, places, layout, capacity)
 
     def sampled(self) -> NDArray[np.void]:
-        """What `sample` has kept, oldest first; raw integers, one field per element in the order of `sample`."""
+        """Points since `sample`, oldest first; raw integers, one field per element in the order of `sample`."""
         if self._sampler is None:
-            raise BoardError("nothing is sampled")
+            raise BoardError("no sampling is active: call sample first")
         return self._sampler.points()
 
     def end_sampling(self) -> None:
-        """End what `sample` has begun; without it does nothing."""
+        """End the sampling that `sample` has started, if any."""
         if self._sampler is not None:
             self._sampler.close()
             self._sampler = None
 
-    def trace(self, until_ns: int, room: int = 1_000_000) -> NDArray[np.void]:
-        """Run as `advance` does, and write down what a logic analyser on the chip would show.
+    def trace(self, until_ns: int, capacity: int = 1_000_000) -> NDArray[np.void]:
+        """As `advance`, and record the events of the chip as by a logic analyser.
 
-        The first call after the board was made, before any other, includes the boot from power-on.
+        A call immediately after the creation of the board includes the boot from power-on.
 
         Returns
         -------
         ndarray, shape (events,), dtype `TRACE_ENTRY`
-            The first `room` events; none at the level ``ideal``, where there is no chip to look at.
+            The first `capacity` events; none at level ``ideal``.
         """
-        log = np.zeros(room, TRACE_ENTRY)
+        log = np.zeros(capacity, TRACE_ENTRY)
         size = self._lib.board_trace(
-            self._board, until_ns, self._ffi.from_buffer("trace_entry_t[]", log, require_writable=True), room
+            self._board, until_ns, self._ffi.from_buffer("trace_entry_t[]", log, require_writable=True), capacity
         )
         self._check()
         seen: NDArray[np.void] = log[:size].copy()
@@ -322,29 +323,29 @@ class Board:
     # ---- registers --------------------------------------------------------------------------------------------------
 
     def peek(self, address: int) -> int:
-        """Read a register of the chip, with all that a read does to it.
+        """Read a register of the chip, including the side effects of a read.
 
         Raises
         ------
         ChipError
-            If there is no such register; the board stands still then.
+            If the register does not exist; the board has stopped.
         """
         value = int(self._lib.board_peek(self._board, address))
         self._check_register(value)
         return value
 
     def poke(self, address: int, value: int) -> None:
-        """Write a register of the chip, as a debugger would."""
+        """Write a register of the chip, as a debugger."""
         self._check_register(int(self._lib.board_poke(self._board, address, value & 0xFFFF)))
 
     def _check_register(self, result: int) -> None:
         self._check()
         if result < 0:
-            raise BoardError("a board at the level 'ideal' has no registers")
+            raise BoardError("a board at level 'ideal' has no registers")
 
     @property
     def snapshot_dtype(self) -> np.dtype[np.void]:
-        """Layout of one snapshot, from the addresses that the board itself reports."""
+        """Layout of one snapshot, from the addresses in the table of the board."""
         if self._dtype is None:
             variables = self.catalogue.snapshot_variables()
             start = self.address("snapshot")
@@ -376,7 +377,7 @@ class Board:
         Raises
         ------
         BoardError
-            If the board does not have it.
+            If the variable does not exist.
         """
         try:
             return self._memory.variables[name].address
@@ -389,7 +390,7 @@ class Board:
         return variable.decode(self._read_variable(variable))
 
     def write(self, name: str, value: float | Sequence[float]) -> None:
-        """Write a variable in SI units, past the serial line but through the same checks.
+        """Write a variable in SI units, with the checks of the FreeMASTER server but without the serial line.
 
         Raises
         ------
@@ -411,17 +412,17 @@ class Board:
         self._write_bytes(name, self.catalogue[name].encode_raw(values))
 
     def read_memory(self, address: int, size: int) -> bytes:
-        """Bytes at an address, as FreeMASTER READMEM gives them.
+        """Read bytes at an address, as FreeMASTER READMEM.
 
         Raises
         ------
         BoardError
-            If the board refuses; `BoardError.status` says why.
+            If the board refuses; `BoardError.status` is the reason.
         """
         return self._memory.read(address, size)
 
     def write_memory(self, address: int, data: bytes) -> None:
-        """Write bytes at an address, as FreeMASTER WRITEMEM does."""
+        """Write bytes at an address, as FreeMASTER WRITEMEM."""
         self._memory.write(address, data)
 
     def _read_variable(self, variable: Variable) -> bytes:
@@ -437,29 +438,29 @@ class Board:
     # ---- serial line ------------------------------------------------------------------------------------------------
 
     def serial_in(self, data: bytes) -> int:
-        """Put bytes on the wire to the board; returns how many there was room for."""
+        """Send bytes to the board; returns the number of accepted bytes."""
         return int(self._lib.board_serial_in(self._board, data, len(data)))
 
     def serial_out(self) -> bytes:
-        """Bytes that have come off the wire from the board and were not fetched yet."""
-        room = 4096
-        buffer = self._ffi.new("uint8_t[]", room)
+        """Read all bytes received from the board."""
+        capacity = 4096
+        buffer = self._ffi.new("uint8_t[]", capacity)
         parts: list[bytes] = []
         while True:
-            size = int(self._lib.board_serial_out(self._board, buffer, room))
+            size = int(self._lib.board_serial_out(self._board, buffer, capacity))
             parts.append(bytes(self._ffi.buffer(buffer, size)))
-            if size < room:
+            if size < capacity:
                 return b"".join(parts)
 
     def serial_next_ns(self) -> int | None:
-        """Simulated time at which the next byte on the wire is complete [ns]; None while the line is idle."""
+        """Simulated time of the end of the next byte on the line [ns]; None while the line is idle."""
         next_ns = int(self._lib.board_serial_next_ns(self._board))
         return None if next_ns == _IDLE else next_ns
 
     # ---- data flash -------------------------------------------------------------------------------------------------
 
     def flash_image(self) -> bytes:
-        """What stays without power: the words of the data flash, and how many times each sector was erased.
+        """Non-volatile memory: words of the data flash, and erase counts of the sectors.
 
         ``np.frombuffer(image, "<u4")`` has 8192 words and 32 counts.
         """
@@ -468,34 +469,34 @@ class Board:
         return bytes(image)
 
     def flash_state(self) -> FlashState:
-        """What the data flash is doing."""
+        """State of the data flash."""
         state = self._ffi.new("board_flash_state_t *")
         self._lib.board_flash_state(self._board, state)
         return FlashState(state.commands, bool(state.busy), bool(state.dead))
 
     def cut_flash(self, number: int, part: float) -> None:
-        """Let power fail during a command of the flash that is still to come.
+        """Simulate a power failure during a future command of the flash.
 
-        The board runs on, but nothing that it does changes the flash: `flash_image` is what the next board finds.
+        The board continues, but the contents of the flash are frozen: `flash_image` is for the next board.
 
         Parameters
         ----------
         number : int
-            Of the command, from 1 for the next one.
+            Number of the command; 1: the next one.
         part : float
-            Part of its time that has passed by then, 0 .. 1.
+            Elapsed fraction of the command at the power failure, 0 .. 1.
         """
         self._lib.board_flash_cut(self._board, number, part)
 
     def cut_power(self) -> bytes:
-        """Let power fail now; returns what is in the flash then. A command under way is torn."""
+        """Simulate a power failure now and return the flash image. A command in progress is left incomplete."""
         self._lib.board_flash_cut_now(self._board)
         return self.flash_image()
 
     # ---- plant ------------------------------------------------------------------------------------------------------
 
     def truth(self, axis: int) -> Truth:
-        """What is really going on at an axis (index 0 or 1)."""
+        """True state of the plant of an axis (index 0 or 1)."""
         truth = self._ffi.new("board_truth_t *")
         self._lib.board_truth(self._board, _axis_index(axis), truth)
         return Truth(**{name: getattr(truth, name) for name in Truth.__dataclass_fields__})
@@ -507,9 +508,9 @@ class Board:
         return BoardStats(**{name: getattr(stats, name) for name in BoardStats.__dataclass_fields__})
 
     def inject(self, fault: InjectedFault) -> None:
-        """Inject a fault, from this moment on (`servo_twin.fault_injection`); `plant` stays what it is without it."""
+        """Inject a fault from now on (`servo_twin.fault_injection`); `plant` remains that without the fault."""
         if isinstance(fault, ChangedValue):
-            fault.applied(self.plant)  # what cannot be is refused before anything changes
+            fault.applied(self.plant)  # raises on an invalid value before any change
             self._injected.append(fault)
             self._change_plant()
             return
@@ -517,7 +518,7 @@ class Board:
         self._injected.append(fault)
 
     def clear_fault(self, fault: InjectedFault | None = None) -> None:
-        """Undo what `inject` has done; everything by default."""
+        """Remove an injected fault; by default all."""
         faults = self._injected if fault is None else [fault]
         for one in reversed(faults):
             if not isinstance(one, ChangedValue):
@@ -532,21 +533,21 @@ class Board:
         return self._ffi.new("board_fault_t *", (getattr(self._lib, kind), *where))
 
     def set_plant(self, name: str, value: float) -> None:
-        """Change a value [SI] of the plant from now on, by its name in the plant file: ``axis1.r_s``, ``bus.u_source``.
+        """Change a value of the plant [SI] by its name in the plant file: ``axis1.r_s``, ``bus.u_source``.
 
-        Currents, speeds, angles and temperatures go on from where they are; `plant` is the new one.
+        Currents, speeds, angles and temperatures are continuous; `plant` is the new plant.
 
         Raises
         ------
         PlantError
-            If there is no such value, it is one of `servo_twin.plant.BUILT_IN`, or the plant cannot have it.
+            If the name is unknown or in `servo_twin.plant.BUILT_IN`, or the value is invalid.
         """
         if name.rpartition(".")[2] in BUILT_IN:
-            raise PlantError(f"{name}: cannot change on a running board; make another one")
+            raise PlantError(f"{name}: cannot be changed on a running board; create a new board")
         self.take_plant(self.plant.with_value(name, value))
 
     def take_plant(self, plant: PlantConfig) -> None:
-        """As `set_plant`, with all values at once; those of `servo_twin.plant.BUILT_IN` have to stay as they are."""
+        """As `set_plant`, with all values at once; the values of `servo_twin.plant.BUILT_IN` must not change."""
         self.plant = plant
         self._change_plant()
 
@@ -558,29 +559,29 @@ class Board:
         self._lib.board_change_plant(self._board, self._config)
 
     def set_load(self, axis: int, torque: float) -> None:
-        """External torque that slows positive motion and drives negative motion [N m]."""
+        """Set the external torque, which opposes positive motion [N m]."""
         self.plant = self.plant.with_axis(_axis_index(axis), load_torque=torque)
         self._lib.board_set_load(self._board, axis, torque)
 
     def set_supply(self, volts: float) -> None:
-        """Open-circuit voltage of the supply [V]."""
+        """Set the open-circuit voltage of the supply [V]."""
         self.plant = self.plant.with_bus(u_source=volts)
         self._lib.board_set_supply(self._board, volts)
 
     def lock_shaft(self, axis: int, locked: bool = True) -> None:
-        """Hold the shaft of an axis fast, or let it go."""
+        """Lock or release the shaft of an axis."""
         self._lib.board_set_shaft(self._board, _axis_index(axis), int(locked))
 
     def obstruct_shaft(self, axis: int, below: float, above: float) -> None:
-        """End stops so far to both sides of where the shaft of an axis is now [rad]; infinite ones are none."""
+        """Set end stops at these distances from the present angle of the shaft [rad]; infinite: none."""
         self._lib.board_obstruct_shaft(self._board, _axis_index(axis), below, above)
 
     def connect_encoder(self, axis: int, connected: bool = True) -> None:
-        """Plug in the encoder of an axis, or pull its plug."""
+        """Connect or disconnect the encoder of an axis."""
         self._lib.board_set_encoder(self._board, _axis_index(axis), int(connected))
 
     def cut_encoder_line(self, axis: int, line: Literal["A", "B"]) -> None:
-        """Leave one line of the encoder of an axis dead; `connect_encoder` repairs it."""
+        """Interrupt one line of the encoder of an axis; `connect_encoder` restores it."""
         self._lib.board_cut_encoder(self._board, _axis_index(axis), "AB".index(line))
 
     def reverse_encoder(self, axis: int) -> None:
@@ -588,22 +589,22 @@ class Board:
         self._lib.board_reverse_encoder(self._board, _axis_index(axis))
 
     def set_winding(self, axis: int, celsius: float) -> None:
-        """Temperature of a winding from now on, and with it the firmware's estimate: as if it had been in use [deg C].
+        """Set the temperature of a winding and the estimate of the firmware [deg C].
 
         Raises
         ------
         ValueError
-            If the firmware has no number for it.
+            If the value is outside the range of the variable.
         """
         self._check_winding(axis, celsius)
         self._lib.board_set_winding(self._board, _axis_index(axis), celsius)
 
     def set_magnet(self, axis: int, celsius: float) -> None:
-        """Temperature of a magnet from now on; it follows the winding's with `magnet_time` [deg C]."""
+        """Set the temperature of a magnet [deg C]; it then follows the winding with time constant `magnet_time`."""
         self._lib.board_set_magnet(self._board, _axis_index(axis), celsius)
 
     def set_winding_estimate(self, axis: int, celsius: float) -> None:
-        """Set the firmware's estimate alone [deg C]: the motor keeps its temperature. Errors as in `set_winding`."""
+        """Set the estimate of the firmware, not the temperature of the motor [deg C]; errors: see `set_winding`."""
         self._check_winding(axis, celsius)
         self._lib.board_set_winding_estimate(self._board, _axis_index(axis), celsius)
 
@@ -613,18 +614,18 @@ class Board:
             raise ValueError(f"{celsius:g} deg C is not within {span.minimum:g} .. {span.maximum:g}")
 
     def connect_motor(self, axis: int, connected: bool = True) -> None:
-        """Plug in the motor cable of an axis, or pull it."""
+        """Connect or disconnect the motor cable of an axis."""
         self._lib.board_set_motor(self._board, _axis_index(axis), int(connected))
 
 
 def _format(variable: Variable) -> str:
-    """Code of numpy for the raw type of a variable."""
+    """Numpy format of a variable."""
     shape = f"{variable.count}" if variable.count > 1 else ""
     return f"{shape}{_element(variable)}"
 
 
 def _element(variable: Variable) -> str:
-    """The same of one element."""
+    """Numpy format of one element of a variable."""
     return f"<{'i' if variable.raw_type.signed else 'u'}{variable.element_size}"
 
 

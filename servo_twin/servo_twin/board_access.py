@@ -1,4 +1,4 @@
-"""A virtual board to measure on, in simulated time: see `servo_msgs_py.measurement.access.BoardAccess`."""
+"""`servo_msgs_py.measurement.access.BoardAccess` to a virtual board, in simulated time."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from servo_msgs_py.measurement.access import (
 
 from servo_twin.board import Board, BoardError
 
-_OUT_OF_RANGE: Final = 0x97  # FreeMASTER status of a value that the board does not take
-_FAST, _SLOW = 0, 1
-_LOOK: Final = 0.002  # between two looks for the trigger [s]
-_START_TIME: Final = 5.0  # that what is called to start a recording may take [s]
-_ATTEND: Final = 0.05  # between two calls of who attends a recording, as on a serial line [s]
+_OUT_OF_RANGE: Final = 0x97  # FreeMASTER status: value outside the range of the variable
+_FAST, _SLOW = 0, 1  # recorders
+_TRIGGER_POLL: Final = 0.002  # polling interval of the trigger [s]
+_START_TIME: Final = 5.0  # longest time of the function that starts the motion [s]
+_CALLBACK_INTERVAL: Final = 0.05  # interval of `meanwhile`, as on a serial line [s]
 
 
 class VirtualBoardAccess(BoardAccess):
-    """Access to a board of this process. Its host never falls silent.
+    """Access to a board in this process, without a host timeout.
 
     Parameters
     ----------
     board : Board
-        The board; time moves only by `wait` and `record`.
+        The board; only `wait` and `record` advance its time.
     """
 
     def __init__(self, board: Board) -> None:
@@ -64,11 +64,11 @@ class VirtualBoardAccess(BoardAccess):
         return self.board.time_ns * 1e-9
 
     def wait(self, seconds: float) -> None:
-        """Let simulated time pass [s]."""
+        """Advance the simulated time [s]."""
         self.board.run(seconds)
 
     def capacity(self, names: Sequence[str]) -> int:
-        """As on a chip, so that a measurement is the same; `record` itself takes more."""
+        """Capacity of a real recorder, for identical measurements; `record` does not have this limit."""
         return RECORDER_BYTES // sum(element_of(self.catalogue, name)[0].element_size for name in names)
 
     def record(
@@ -83,30 +83,30 @@ class VirtualBoardAccess(BoardAccess):
         lead: float = 0.0,
         meanwhile: Callable[[bool], None] | None = None,
     ) -> Recording:
-        """Record in simulated time; parameters as of `BoardAccess.record`."""
+        """Record in simulated time; parameters: see `BoardAccess.record`."""
         elements = [element_of(self.catalogue, name) for name in names]
         sampled = list(elements)
         if trigger is not None and trigger not in names:
             sampled.append(element_of(self.catalogue, trigger))
         loop = step_of(1, slow)
         wait = 0.0 if trigger is None else _START_TIME + TRIGGER_TIMEOUT
-        room = samples * every + round((wait + _LOOK) / loop) + 1
+        capacity = samples * every + round((wait + _TRIGGER_POLL) / loop) + 1
         try:
-            self.board.sample(_SLOW if slow else _FAST, sampled, room)
+            self.board.sample(_SLOW if slow else _FAST, sampled, capacity)
         except BoardError as error:
             raise MeasurementError(str(error)) from None
         try:
             if start is not None:
                 start()
-            if trigger is not None and len(self.board.sampled()) + samples * every > room:
-                raise MeasurementError(f"the start of the recording took longer than {_START_TIME:g} s")
+            if trigger is not None and len(self.board.sampled()) + samples * every > capacity:
+                raise MeasurementError(f"starting the motion took longer than {_START_TIME:g} s")
             first = (
                 0
                 if trigger is None
                 else self._first_triggered(names.index(trigger) if trigger in names else len(elements))
             )
             while (missing := first + samples * every - len(self.board.sampled())) > 0:
-                self.board.run(min(missing * loop, _ATTEND))
+                self.board.run(min(missing * loop, _CALLBACK_INTERVAL))
                 if meanwhile is not None:
                     meanwhile(False)
             points = self.board.sampled()[first : first + samples * every : every]
@@ -122,12 +122,12 @@ class VirtualBoardAccess(BoardAccess):
         return Recording(step_of(every, slow), columns)
 
     def _first_triggered(self, column: int) -> int:
-        """Run until the variable of a column is above zero; returns the number of that sample."""
+        """Run until the variable of a column is above zero; returns the index of this sample."""
         begin = self.board.time_ns
         while (self.board.time_ns - begin) * 1e-9 < TRIGGER_TIMEOUT:
-            self.board.run(_LOOK)
+            self.board.run(_TRIGGER_POLL)
             points = self.board.sampled()
             above = points[(points.dtype.names or ())[column]] > 0
             if above.any():
                 return int(np.argmax(above))
-        raise MeasurementError(f"nothing started within {TRIGGER_TIMEOUT:g} s: the recording was not triggered")
+        raise MeasurementError(f"no trigger within {TRIGGER_TIMEOUT:g} s")

@@ -1,4 +1,4 @@
-"""Memory of a virtual board as a host sees it, past the serial line: bytes, and the table of variables in them."""
+"""Memory access to a virtual board as through FreeMASTER, without the serial line: bytes and table of variables."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 _ENTRY_SIZE: Final = 16
 
 _STATUS_TEXT: Final[Mapping[int, str]] = {
-    0x84: "more bytes than the server moves at once",
+    0x84: "more bytes than one request can transfer",
     0x86: "wrong number of bytes",
     0x87: "busy",
     0x89: "access denied: not inside one variable, or read-only",
@@ -22,7 +22,7 @@ class BoardError(RuntimeError):
 
     def __init__(self, message: str, status: int = 0) -> None:
         super().__init__(message)
-        self.status = status  # FreeMASTER status code, 0 where there was none
+        self.status = status  # FreeMASTER status code; 0: none
 
 
 class TableEntry(NamedTuple):
@@ -31,30 +31,30 @@ class TableEntry(NamedTuple):
     name: str
     address: int
     size: int  # [bytes]
-    variable: bool  # and not a type, a member or a constant
+    variable: bool  # true: a variable; false: a type, a member or a constant
 
 
 class BoardMemory:
-    """What FreeMASTER lets a host see and change.
+    """Memory access with the checks of the FreeMASTER server.
 
     Parameters
     ----------
     ffi, lib : cffi library
-        With the interface of ``board.h``.
+        Library with the interface of ``board.h``.
     board : cffi pointer
-        The board, for as long as it lives.
+        The board; must exist as long as this object.
     """
 
     def __init__(self, ffi: Any, lib: Any, board: Any) -> None:
         self._ffi, self._lib, self._board = ffi, lib, board
 
     def read(self, address: int, size: int) -> bytes:
-        """Bytes at an address, as FreeMASTER READMEM gives them.
+        """Read bytes at an address, as FreeMASTER READMEM.
 
         Raises
         ------
         BoardError
-            If the board refuses; `BoardError.status` says why.
+            If the board refuses; `BoardError.status` is the reason.
         """
         data = self._ffi.new("uint8_t[]", max(size, 1))
         status = self._lib.board_read(self._board, address, data, size)
@@ -63,31 +63,31 @@ class BoardMemory:
         return bytes(self._ffi.buffer(data, size))
 
     def write(self, address: int, data: bytes) -> None:
-        """Write bytes at an address, as FreeMASTER WRITEMEM does."""
+        """Write bytes at an address, as FreeMASTER WRITEMEM."""
         status = self._lib.board_write(self._board, address, data, len(data))
         if status != 0:
             raise BoardError(f"writing {len(data)} bytes at {address:#x}: {status_text(status)}", status)
 
     @cached_property
     def table(self) -> tuple[TableEntry, ...]:
-        """All entries of the table, in its order."""
+        """All entries of the table, in the order of the table."""
         start, size = self._ffi.new("uint32_t *"), self._ffi.new("uint32_t *")
         self._lib.board_table(start, size)
         return tuple(self._entry(at) for at in range(start[0], start[0] + size[0], _ENTRY_SIZE))
 
     @cached_property
     def variables(self) -> Mapping[str, TableEntry]:
-        """The variables among them, by name."""
+        """Variables of the table, by name."""
         return {entry.name: entry for entry in self.table if entry.variable}
 
     def _entry(self, at: int) -> TableEntry:
-        """Name, type, address and info of an entry, four bytes each."""
+        """Decode an entry: name, type, address and info, four bytes each."""
         data = self.read(at, _ENTRY_SIZE)
         name, _, address, info = (int.from_bytes(data[k : k + 4], "little") for k in (0, 4, 8, 12))
         return TableEntry(self._string(name), address, info >> 2, bool(info & 3))
 
     def _string(self, address: int) -> str:
-        """Text of the board's memory; its terminating 00 is what the board does not let out."""
+        """String from the memory of the board; its terminating zero is not readable and ends the loop."""
         text = bytearray()
         byte = self._ffi.new("uint8_t[1]")
         while self._lib.board_read(self._board, address + len(text), byte, 1) == 0:
@@ -96,5 +96,5 @@ class BoardMemory:
 
 
 def status_text(status: int) -> str:
-    """What a FreeMASTER status code means."""
+    """Text of a FreeMASTER status code."""
     return _STATUS_TEXT.get(status, f"status {status:02X}h")

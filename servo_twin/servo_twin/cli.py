@@ -34,16 +34,18 @@ def parser() -> argparse.ArgumentParser:
     common.add_argument("--seed", type=int, default=1, help="seed of every random number (default: %(default)s)")
     common.add_argument("--plant", type=Path, help="plant file (default: the packaged one)")
     levelled = _levelled(DEFAULT_LEVEL)
-    common.add_argument("--json", action="store_true", help="figures as JSON on standard output")
+    common.add_argument("--json", action="store_true", help="print the results as JSON")
 
-    info = verbs.add_parser("info", parents=[common, levelled], help="what is really there: motors, inverter, bus")
+    info = verbs.add_parser("info", parents=[common, levelled], help="print the plant data: motors, inverter, bus")
     info.set_defaults(run=_info)
 
-    mover = verbs.add_parser("move", parents=[common, levelled], help="find the rotors, move, measure")
+    mover = verbs.add_parser("move", parents=[common, levelled], help="search the rotors, move, measure the response")
     mover.add_argument("--turns", type=argument.finite, default=5.0, help="distance (default: %(default)s)")
     mover.add_argument("--axis", type=int, choices=range(1, AXES + 1), help="only this axis (default: both)")
-    mover.add_argument("--time", type=argument.positive, help="length of the recording [s] (default: by the distance)")
-    mover.add_argument("--plot", type=Path, metavar="FILE", help="draw position, speed and current to this file")
+    mover.add_argument(
+        "--time", type=argument.positive, help="length of the recording [s] (default: depends on the distance)"
+    )
+    mover.add_argument("--plot", type=Path, metavar="FILE", help="file for a plot of position, speed and current")
     mover.set_defaults(run=_move)
 
     bench = verbs.add_parser("bench", parents=[common, levelled], help="real-time factor of one board with two axes")
@@ -109,7 +111,7 @@ def _print_moves(results: Sequence[MoveResult]) -> None:
     print("axis    target  reached  overshoot  steady state  settling   speed    i_q")
     print("        counts   counts     counts        counts        ms   rad/s      A")
     for r in results:
-        settling = "never" if r.settling_time is None else f"{1e3 * r.settling_time:.1f}"
+        settling = "not settled" if r.settling_time is None else f"{1e3 * r.settling_time:.1f}"
         print(
             f"{r.axis} {r.target:8} {r.reached:8} {r.overshoot:10} {r.steady_state:13} {settling:>9}"
             f" {r.speed_max:7.1f} {r.i_q_max:6.2f}"
@@ -166,7 +168,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 when it succeeded, 1 when the board did not do what was asked, 2 for a wrong usage, 130 after Ctrl-C.
+        0: success, 1: the run failed, 2: wrong usage, 130: Ctrl-C.
     """
     args = parser().parse_args(argv)
     try:

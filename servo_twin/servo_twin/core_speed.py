@@ -1,4 +1,4 @@
-"""How fast the core of the DSC is (``core.toml``)."""
+"""Execution time of the core of the DSC (``core.toml``)."""
 
 from __future__ import annotations
 
@@ -19,22 +19,24 @@ DEFAULT_FILE: Final = Path(__file__).with_name("core.toml")
 
 @dataclass(frozen=True)
 class CoreSpeed:
-    """What the firmware's instructions cost.
+    """Execution time of the instructions of the firmware.
 
     Raises
     ------
     ValueError
-        If an instruction takes no time, or an interrupt less than none.
+        If a value is out of range.
     """
 
-    cycles_per_instruction: float  # clocks of the bus (10 ns) for each instruction that a Cortex-M3 would execute
-    entry_cycles: int  # clocks of each interrupt besides those: vector, saving and restoring of registers
+    cycles_per_instruction: float  # bus clocks (10 ns) per instruction of a Cortex-M3
+    entry_cycles: int  # additional bus clocks per interrupt: vector fetch, saving and restoring of registers
 
     def __post_init__(self) -> None:
         if not 0.0 < self.cycles_per_instruction <= 100.0:
-            raise ValueError(f"core: {self.cycles_per_instruction} cycles per instruction; more than 0, at most 100")
+            raise ValueError(
+                f"core: cycles_per_instruction {self.cycles_per_instruction} is not above 0 and at most 100"
+            )
         if not 0 <= self.entry_cycles <= 10_000:
-            raise ValueError(f"core: an interrupt begins with {self.entry_cycles} cycles; 0 to 10000")
+            raise ValueError(f"core: entry_cycles {self.entry_cycles} is not within 0 .. 10000")
 
     @classmethod
     def load(cls, path: Path | str | None = None) -> CoreSpeed:
@@ -49,10 +51,10 @@ class CoreSpeed:
 
     @classmethod
     def parse(cls, table: Mapping[str, Any]) -> CoreSpeed:
-        """The values of a parsed table."""
+        """Create from a parsed table."""
         names = [field.name for field in fields(cls)]
         if sorted(table) != sorted(names):
-            raise ValueError(f"core: the values are {names}, not {sorted(table)}")
+            raise ValueError(f"core: expected the values {names}, found {sorted(table)}")
         return cls(float(table["cycles_per_instruction"]), int(table["entry_cycles"]))
 
 

@@ -1,9 +1,9 @@
 """Faults of the hardware of a virtual board, for `Board.inject` and `Board.clear_fault`.
 
-Each class is one kind of fault; its values say where and how much. The physics is the plant's: an open phase carries
-no current and leaves the other two in series, a short lets the over-current comparator open the switches without
-software, a stuck encoder line leaves the decoder one count back and forth. Phases are ``"a"``, ``"b"``, ``"c"``; axes
-count from 0.
+Each class is one kind of fault with its location and size. The plant model determines the effects: an open phase
+carries no current and puts the other two in series, a short trips the over-current comparator, which opens the switches
+without software, with a stuck encoder line the decoder counts one count back and forth. Phases are ``"a"``, ``"b"``,
+``"c"``; axis indices start at 0.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _SLIP_MAX: Final = 1_000_000
 
 
 class RawFault(NamedTuple):
-    """The same as the C interface takes it (``board_fault_t``); `kind` names the constant of ``board.h``."""
+    """A fault as C structure ``board_fault_t``; `kind` is the name of the constant in ``board.h``."""
 
     kind: str
     axis: int = 0
@@ -50,7 +50,7 @@ def _one_of(names: str, name: str, what: str) -> int:
 
 def _amount(value: float, what: str) -> float:
     if not 0.0 <= value < math.inf:
-        raise ValueError(f"{what} {value} is not a finite number from 0")
+        raise ValueError(f"{what} {value} is not a finite number of at least 0")
     return float(value)
 
 
@@ -67,7 +67,7 @@ class OpenPhase:
 
 @dataclass(frozen=True)
 class ShortedPhase:
-    """A phase touches another one, or bus minus; an axis has one short at a time."""
+    """Short circuit of a phase to another phase or to bus minus; one short per axis at a time."""
 
     axis: int
     phase: Phase
@@ -77,13 +77,13 @@ class ShortedPhase:
         phase = _one_of(_PHASES, self.phase, "phase")
         to = -1 if self.to == "minus" else _one_of(_PHASES, self.to, "phase")
         if to == phase:
-            raise ValueError(f"phase {self.phase} cannot touch itself")
+            raise ValueError(f"phase {self.phase} cannot be shorted to itself")
         return RawFault("BOARD_SHORTED_PHASE", _axis(self.axis), phase, to)
 
 
 @dataclass(frozen=True)
 class StuckConverter:
-    """The current of a phase reads as one code of the converter, 0 .. 4095."""
+    """The ADC result of a phase current is constant, 0 .. 4095."""
 
     axis: int
     phase: Phase
@@ -97,7 +97,7 @@ class StuckConverter:
 
 @dataclass(frozen=True)
 class StuckLine:
-    """A line of the encoder stays at one level."""
+    """A line of the encoder is constant."""
 
     axis: int
     line: Line
@@ -109,7 +109,7 @@ class StuckLine:
 
 @dataclass(frozen=True)
 class LockedRotor:
-    """Something holds the shaft fast, all at once."""
+    """The shaft is blocked, from one moment to the next."""
 
     axis: int
 
@@ -119,20 +119,20 @@ class LockedRotor:
 
 @dataclass(frozen=True)
 class SupplyDip:
-    """The supply has another open-circuit voltage for some time [V], [s]; 0 V: it is disconnected."""
+    """The open-circuit voltage of the supply changes for some time [V], [s]; 0 V: disconnected."""
 
     volts: float = 0.0  # open-circuit voltage meanwhile; 0: disconnected [V]
     seconds: float = math.inf  # duration [s]
 
     def raw(self) -> RawFault:
         if not self.seconds > 0.0:
-            raise ValueError(f"a dip of {self.seconds} s is none")
+            raise ValueError(f"dip of {self.seconds} s: the time must be above 0")
         return RawFault("BOARD_SUPPLY_DIP", value=_amount(self.volts, "voltage"), seconds=self.seconds)
 
 
 @dataclass(frozen=True)
 class CurrentNoise:
-    """Standard deviation of every current sample of an axis, in place of the usual one [A]."""
+    """Changed standard deviation of the current samples of an axis [A]."""
 
     axis: int
     amperes: float  # [A]
@@ -143,7 +143,7 @@ class CurrentNoise:
 
 @dataclass(frozen=True)
 class BusNoise:
-    """Standard deviation of every sample of the bus voltage, in place of the usual one [V]."""
+    """Changed standard deviation of the samples of the bus voltage [V]."""
 
     volts: float  # [V]
 
@@ -153,7 +153,7 @@ class BusNoise:
 
 @dataclass(frozen=True)
 class EncoderGlitches:
-    """Pulses on a line of the encoder at random moments; each is an edge there and back."""
+    """Pulses on a line of the encoder at random times; each pulse has two edges."""
 
     axis: int
     line: Line
@@ -166,7 +166,7 @@ class EncoderGlitches:
 
 @dataclass(frozen=True)
 class StalledCore:
-    """The software stands still for some time [s], or until the watchdog resets the board."""
+    """The core stops for some time [s], or until the watchdog resets the board."""
 
     seconds: float  # duration [s]
 
@@ -176,7 +176,7 @@ class StalledCore:
 
 @dataclass(frozen=True)
 class SlippedEncoder:
-    """The disc of an encoder turns on its shaft by so many counts, now; `Board.clear_fault` does not turn it back."""
+    """The encoder disc slips on the shaft by `counts`; `Board.clear_fault` does not reverse it."""
 
     axis: int
     counts: int
@@ -189,7 +189,7 @@ class SlippedEncoder:
 
 @dataclass(frozen=True)
 class CutWire:
-    """The wire of a switch, of the enable circuit or of the holding brake's coil is cut: the contact reads as open."""
+    """Broken wire of a switch, of the enable circuit or of the coil of the holding brake: reads as an open contact."""
 
     axis: int
     pin: Pin
@@ -202,7 +202,7 @@ class CutWire:
 
 @dataclass(frozen=True)
 class WeakMagnet:
-    """The magnet keeps this part of its flux, 0 .. 1."""
+    """Partial demagnetisation; `part` is the remaining fraction of the flux, 0 .. 1."""
 
     axis: int
     part: float  # of the flux that is left, 0 .. 1
@@ -215,7 +215,7 @@ class WeakMagnet:
 
 @dataclass(frozen=True)
 class BadContact:
-    """All phases have more resistance: a connector that corrodes, turns that are lost [ohm]."""
+    """Additional resistance in all phases, as from a corroded connector [ohm]."""
 
     axis: int
     ohms: float  # additional resistance of each phase [ohm]
@@ -226,7 +226,7 @@ class BadContact:
 
 @dataclass(frozen=True)
 class WornShaft:
-    """A shaft with a second mass has more play [rad]."""
+    """Additional backlash of a shaft with a second mass [rad]."""
 
     axis: int
     radians: float  # additional play [rad]
@@ -234,13 +234,13 @@ class WornShaft:
     def applied(self, plant: PlantConfig) -> PlantConfig:
         shaft = plant.axes[_axis(self.axis)]
         if shaft.load_inertia == 0.0:
-            raise ValueError(f"axis {self.axis} has no second mass (load_inertia) that could have play")
-        return plant.with_axis(self.axis, backlash=shaft.backlash + _amount(self.radians, "play"))
+            raise ValueError(f"axis {self.axis} has no second mass (load_inertia), so no backlash")
+        return plant.with_axis(self.axis, backlash=shaft.backlash + _amount(self.radians, "backlash"))
 
 
 @dataclass(frozen=True)
 class ShiftedDisc:
-    """The encoder's disc is off the shaft's centre: an error once per turn, with its phase [rad]."""
+    """Eccentric encoder disc: amplitude of the error with one period per revolution, and its phase [rad]."""
 
     axis: int
     radians: float  # amplitude [rad]
@@ -252,7 +252,7 @@ class ShiftedDisc:
 
 @dataclass(frozen=True)
 class DryBearing:
-    """Coulomb and viscous friction are so many times as large."""
+    """Coulomb and viscous friction are multiplied by `times`."""
 
     axis: int
     times: float  # factor of both
@@ -265,7 +265,7 @@ class DryBearing:
 
 @dataclass(frozen=True)
 class HotPowerStage:
-    """The power stage of an axis is at a temperature and stays there [deg C]."""
+    """The power stage of an axis has a constant temperature [deg C]."""
 
     axis: int
     celsius: float  # [deg C]
@@ -275,7 +275,7 @@ class HotPowerStage:
 
 
 ChangedValue = WeakMagnet | BadContact | WornShaft | ShiftedDisc | DryBearing
-"""What is another value of the plant, `applied` to the one that it has without."""
+"""Faults that change values of the plant; `applied` returns the changed plant."""
 
 NativeFault = (
     OpenPhase
@@ -292,7 +292,7 @@ NativeFault = (
     | CutWire
     | StalledCore
 )
-"""What the plant in C injects."""
+"""Faults that the plant model in C implements."""
 
 InjectedFault = NativeFault | ChangedValue
-"""Any of them."""
+"""All faults."""

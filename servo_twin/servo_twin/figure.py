@@ -8,7 +8,7 @@ from servo_twin.board import SimulationError
 
 
 def new_figure(width: float, height: float, dpi: int) -> Any:
-    """A matplotlib figure of this size [inch] that lays itself out.
+    """A matplotlib figure of this size [inch] with automatic layout.
 
     Raises
     ------

@@ -1,8 +1,7 @@
-"""Virtual boards with another configuration: tuned and compiled by the project's own tools, beside the usual one.
+"""Builds virtual boards with another configuration, as separate extension modules.
 
-What `Board` has in it is the firmware with the committed ``servo_config_gen.c``. Another ``servo.toml`` is another
-firmware; here it becomes an extension module of its own. That needs a checkout of the whole repository and a C
-compiler, as the first build did.
+`Board` contains the firmware with the committed ``servo_config_gen.c``. This module tunes and compiles the firmware for
+another ``servo.toml``. Requires a checkout of the whole repository and a C compiler, as the package itself.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ else:
     import tomli as tomllib
 
 CHECKOUT: Final = Path(__file__).resolve().parents[2]
-"""Folder with ``firmware`` in it, where there is one."""
+"""Folder of the checkout, with ``firmware``; the latter is missing in an installed package."""
 
 SERVO_TOML: Final = CHECKOUT / "firmware" / "config" / "servo.toml"
 
@@ -38,21 +37,21 @@ _loaded: Final[dict[Path, Firmware]] = {}
 
 @functools.cache
 def servo_table(path: Path = SERVO_TOML) -> Mapping[str, Any]:
-    """A parsed ``servo.toml``; not to be changed.
+    """A parsed ``servo.toml``; cached, do not modify it.
 
     Raises
     ------
     SimulationError
-        If it is not there.
+        If the file does not exist.
     """
     if not path.is_file():
-        raise SimulationError(f"{path} is not there")
+        raise SimulationError(f"no such file: {path}")
     table: Mapping[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
     return table
 
 
 def as_toml(table: Mapping[str, Any], name: str = "") -> str:
-    """A table of tables as TOML; numbers, truth values, texts and lists of them are all that there may be in it."""
+    """Nested tables as TOML; values: numbers, booleans, strings and lists of these."""
     groups = {key: value for key, value in table.items() if isinstance(value, Mapping)}
     entries = [f"{key} = {_value(value)}\n" for key, value in table.items() if key not in groups]
     head = f"[{name}]\n" if name else ""
@@ -71,44 +70,46 @@ def _value(value: object) -> str:
 
 
 def build_firmware(config: str, level: Level | None = None, folder: Path = _CACHE) -> Firmware:
-    """Tune a configuration and compile a virtual board with it.
+    """Tune a configuration and compile a virtual board for it.
 
     Parameters
     ----------
     config : str
         Text of a ``servo.toml``.
     level : {"registers", "ideal"}, optional
-        Of the boards that are to be made; by default as in `Board`.
+        Level of the boards; by default as in `Board`.
     folder : Path
-        Where builds are kept. What has been built from the same text and the same sources is taken from there.
+        Cache of the builds, by configuration and sources.
 
     Raises
     ------
     SimulationError
-        If the configuration is refused, or there is nothing to build from or with.
+        If the configuration is refused, the sources are missing, or the compilation fails.
     """
     if not SERVO_TOML.is_file():
-        raise SimulationError(f"another motor needs the firmware's sources, and {CHECKOUT} has none: use a checkout")
+        raise SimulationError(
+            f"another motor requires the sources of the firmware, which are not in {CHECKOUT}: use a checkout"
+        )
     kind = chosen_level(level)
     name = f"_{kind}_{_digest(config)}"
-    place = folder / name
-    if place not in _loaded:
-        if not place.is_dir():
-            _build(place, name, kind, config)
-        _loaded[place] = _load(place, name)
-    return _loaded[place]
+    target = folder / name
+    if target not in _loaded:
+        if not target.is_dir():
+            _build(target, name, kind, config)
+        _loaded[target] = _load(target, name)
+    return _loaded[target]
 
 
-def _build(place: Path, name: str, kind: Level, config: str) -> None:
-    """Beside its place, and there when it is done: another process may be building the same."""
-    place.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=place.parent) as folder:
+def _build(target: Path, name: str, kind: Level, config: str) -> None:
+    """Build in a temporary folder, then rename: another process may build the same."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=target.parent) as folder:
         work = Path(folder) / name
         work.mkdir()
         _tune(work, config)
         _compile(work, name, kind)
-        with contextlib.suppress(OSError):  # the other one was first
-            work.rename(place)
+        with contextlib.suppress(OSError):  # another process was faster
+            work.rename(target)
 
 
 def _sources() -> list[Path]:
@@ -134,12 +135,12 @@ def _run(what: str, *arguments: str | Path, folder: Path) -> None:
         raise SimulationError(f"{what}: {(done.stderr or done.stdout).strip()}")
 
 
-def _tune(place: Path, config: str) -> None:
-    file = place / "servo.toml"
+def _tune(target: Path, config: str) -> None:
+    file = target / "servo.toml"
     file.write_text(config, encoding="utf-8")
     tool = SERVO_TOML.with_name("tune.py")
-    output = place / "servo_config_gen.c"
-    _run("the configuration is refused", tool, "generate", "--config", file, "--output", output, folder=place)
+    output = target / "servo_config_gen.c"
+    _run("the configuration is refused", tool, "generate", "--config", file, "--output", output, folder=target)
 
 
 _SCRIPT: Final = """\
@@ -150,15 +151,15 @@ board_ffi(sys.argv[1], sys.argv[2], Path(sys.argv[3])).compile(tmpdir=".")
 """
 
 
-def _compile(place: Path, name: str, level: Level) -> None:
-    """In a process of its own: cffi changes the working folder meanwhile."""
-    config = place / "servo_config_gen.c"
-    _run("the board does not compile", "-c", _SCRIPT, name, level, config, folder=place)
+def _compile(target: Path, name: str, level: Level) -> None:
+    """Compile in a separate process, because cffi changes the working directory."""
+    config = target / "servo_config_gen.c"
+    _run("the board does not compile", "-c", _SCRIPT, name, level, config, folder=target)
 
 
-def _load(place: Path, name: str) -> Firmware:
+def _load(target: Path, name: str) -> Firmware:
     for suffix in importlib.machinery.EXTENSION_SUFFIXES:
-        path = place / (name + suffix)
+        path = target / (name + suffix)
         if path.is_file():
             loader = importlib.machinery.ExtensionFileLoader(name, str(path))
             spec = importlib.util.spec_from_loader(name, loader)
@@ -166,4 +167,4 @@ def _load(place: Path, name: str) -> Firmware:
                 module = importlib.util.module_from_spec(spec)
                 loader.exec_module(module)
                 return Firmware(module.ffi, module.lib)
-    raise SimulationError(f"{place} has no module {name}")
+    raise SimulationError(f"no module {name} in {target}")

@@ -1,4 +1,4 @@
-"""How closely a virtual board is modelled, and who chooses."""
+"""Level of detail of a virtual board, and its defaults."""
 
 from __future__ import annotations
 
@@ -7,37 +7,37 @@ import os
 from typing import Final, Literal, get_args
 
 Level = Literal["registers", "ideal"]
-"""How closely the board is modelled."""
+"""Level of detail of the model."""
 
 LEVEL_VARIABLE: Final = "SERVO_TWIN_LEVEL"
-"""Environment variable that names the level of boards without an explicit one."""
+"""Environment variable with the level of boards without an explicit level."""
 
 DEFAULT_LEVEL: Final[Level] = "registers"
-"""Where it does not, either: as close to the board as there is."""
+"""Default level of a board: the most detailed one."""
 
 FAST_LEVEL: Final[Level] = "ideal"
-"""Of experiments, which simulate minutes and hours, unless another is named."""
+"""Default level of experiments, which simulate minutes and hours."""
 
 _LEVELS: Final[tuple[Level, ...]] = get_args(Level)
 
 
 def chosen_level(level: Level | None = None, default: Level = DEFAULT_LEVEL) -> Level:
-    """The level of a board for which `level` is asked: that, or what the environment names, or `default`.
+    """`level`, or the value of the environment variable `LEVEL_VARIABLE`, or `default`.
 
     Raises
     ------
     ValueError
-        If there is no such level.
+        If the level does not exist.
     """
     name = level or os.environ.get(LEVEL_VARIABLE, default)
     for known in _LEVELS:
         if name == known:
             return known
-    raise ValueError(f"level {name!r}: a board has the levels {', '.join(_LEVELS)}")
+    raise ValueError(f"level {name!r} does not exist; levels: {', '.join(_LEVELS)}")
 
 
 def add_level_option(parser: argparse.ArgumentParser, what: str, default: Level = DEFAULT_LEVEL) -> None:
-    """Let a command line choose the level of `what`, as in "the board is"."""
+    """Add ``--level``; `what` is the start of its help text, as in "the board is"."""
     parser.add_argument(
-        "--level", choices=_LEVELS, help=f"how closely {what} modelled (default: ${LEVEL_VARIABLE}, or {default})"
+        "--level", choices=_LEVELS, help=f"level at which {what} modelled (default: ${LEVEL_VARIABLE}, or {default})"
     )

@@ -1,4 +1,4 @@
-"""What is really there: the plant of the virtual board (``plant.toml``) as checked, immutable objects."""
+"""Plant of the virtual board (``plant.toml``) as validated, immutable objects."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-STIFFEST: Final = 0.06
-"""Of an end stop, over inertia and the square of the PWM frequency: it swings in 25 periods, and its torque is worked
-out once in each."""
+STOP_STIFFNESS_MAX: Final = 0.06
+"""Largest stiffness of an end stop, relative to inertia times PWM frequency squared: the oscillation takes 25 periods,
+and its torque is calculated once per period."""
 
-FASTEST: Final = 8000.0
-"""Resonance of a shaft with a second mass [Hz]: 16 steps of it, in which its frequency is off by 0.6 %."""
+RESONANCE_MAX: Final = 8000.0
+"""Highest resonance of a shaft with a second mass [Hz]: 16 integration steps per period, frequency error 0.6 %."""
 
-DAMPED: Final = 5e4
-"""Of a twist, at most [1/s]: a shaft's torque is worked out every 6 to 8 us."""
+DAMPING_MAX: Final = 5e4
+"""Largest damping rate of the twist of a shaft [1/s]: its torque is calculated every 6 to 8 us."""
 
 DEFAULT_FILE: Final = Path(__file__).with_name("plant.toml")
 
@@ -35,11 +35,11 @@ AXIS_NAMES: Final = ("axis1", "axis2")
 
 
 class PlantError(ValueError):
-    """A description of the plant is not usable; the message names the value and what it should be."""
+    """Invalid plant data; the message contains the value and the valid range."""
 
 
 class _Rule(NamedTuple):
-    """What a number of the plant has to be."""
+    """Valid range of a number of the plant."""
 
     text: str
     holds: Callable[[float], bool]
@@ -61,18 +61,18 @@ DutyError = Annotated[float, _Rule("between -0.2 and 0.2", lambda x: -0.2 < x < 
 Hysteresis = Annotated[float, _Rule("between 0 and 0.5", lambda x: 0.0 <= x < 0.5)]
 
 Fixed = Annotated[_T, _FIXED]
-"""As it is from power-on, at both levels; all other numbers of a plant can change while a board runs."""
+"""Marks a value that cannot be changed while a board runs; all other numbers of a plant can."""
 
 
 @cache
 def _marks(part: type) -> Sequence[tuple[str, object]]:
-    """Rules and other marks of the fields, in their order, with the name of the field."""
+    """Names of the fields with their rules and other marks, in the order of the fields."""
     hints = get_type_hints(part, include_extras=True).items()
     return [(name, mark) for name, hint in hints for mark in getattr(hint, "__metadata__", ())]
 
 
 def _check(where: str, value: object, rule: _Rule) -> None:
-    """Raise a `PlantError` unless `value` is a number that fulfils the rule."""
+    """Raise a `PlantError` unless `value` is a number that satisfies the rule."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise PlantError(f"{where}: {value!r} is not a number")
     if not rule.holds(value):
@@ -80,7 +80,7 @@ def _check(where: str, value: object, rule: _Rule) -> None:
 
 
 def _check_fields(part: Any) -> None:
-    """The same for all fields that have a rule."""
+    """Check all fields with a rule."""
     for name, mark in _marks(part.__class__):
         if isinstance(mark, _Rule):
             _check(name, getattr(part, name), mark)
@@ -88,14 +88,14 @@ def _check_fields(part: Any) -> None:
 
 @dataclass(frozen=True)
 class PinsPlant:
-    """What is wired to the pins of one axis."""
+    """Devices at the pins of one axis."""
 
     home_from: Angle = math.inf  # mechanical angle from which the home switch is closed [rad]
-    home_to: Angle = -math.inf  # mechanical angle up to which it is closed [rad]
+    home_to: Angle = -math.inf  # mechanical angle up to which the home switch is closed [rad]
     limit_min: Angle = -math.inf  # mechanical angle below which the lower limit switch opens [rad]; infinite: never
-    limit_max: Angle = math.inf  # mechanical angle above which the upper one opens [rad]; infinite: never
+    limit_max: Angle = math.inf  # mechanical angle above which the upper limit switch opens [rad]; infinite: never
     enable_closed: Switch = 1.0  # 1: the enable circuit is closed; 0: it is open
-    brake_torque: NotNegative = 0.0  # of the holding brake; 0: there is none [N m]
+    brake_torque: NotNegative = 0.0  # torque of the holding brake; 0: no brake [N m]
     brake_open_time: NotNegative = 0.0  # from energising the coil to the open brake [s]
     brake_close_time: NotNegative = 0.0  # from de-energising the coil to the closed brake [s]
 
@@ -111,63 +111,63 @@ class AxisPlant:
     l_d: Positive  # stator inductance, d axis [H]
     l_q: Positive  # stator inductance, q axis [H]
     psi_m: NotNegative  # permanent-magnet flux linkage, electrical [V s]
-    pole_pairs: Fixed[Whole]  # electrical turns per mechanical turn
+    pole_pairs: Fixed[Whole]  # pole pairs (electrical per mechanical revolutions)
 
     inertia: Positive  # total inertia [kg m^2]
     friction: NotNegative  # Coulomb friction [N m]
     viscous: NotNegative  # viscous friction [N m s]
 
-    load_torque: Finite  # external, slows positive motion, drives negative; on the second mass if there is one [N m]
-    load_inertia: NotNegative  # second mass at the end of an elastic shaft; 0: there is none, `inertia` is all [kg m^2]
-    shaft_stiffness: NotNegative  # of the elastic shaft [N m/rad]
-    shaft_damping: NotNegative  # of the elastic shaft [N m s]
-    backlash: NotNegative  # of the elastic shaft, from one flank to the other [rad]
+    load_torque: Finite  # external torque, opposes positive motion; acts on the second mass if there is one [N m]
+    load_inertia: NotNegative  # inertia of the second mass at the elastic shaft; 0: no second mass [kg m^2]
+    shaft_stiffness: NotNegative  # stiffness of the elastic shaft [N m/rad]
+    shaft_damping: NotNegative  # damping of the elastic shaft [N m s]
+    backlash: NotNegative  # total backlash of the elastic shaft [rad]
     load_friction: NotNegative  # Coulomb friction of the second mass [N m]
 
-    cogging_torque: NotNegative  # amplitude [N m]
-    cogging_periods: Whole  # per turn
-    cogging_phase: Finite  # [rad]
+    cogging_torque: NotNegative  # amplitude of the cogging torque [N m]
+    cogging_periods: Whole  # cogging periods per revolution
+    cogging_phase: Finite  # phase of the cogging torque [rad]
 
-    i_saturation_d: NotNegative  # current scale of the saturation of `l_d`, which is that without current; 0: none [A]
-    i_saturation_q: NotNegative  # the same of `l_q` [A]
-    winding_warms: Switch  # 1: `r_s` follows the winding's temperature at level ``ideal`` too; at ``registers`` always
-    magnet_coefficient: MagnetChange  # relative change of `psi_m`, which is that at the ambient temperature [1/K]
-    magnet_time: NotNegative  # time constant with which the magnet follows the winding's temperature [s]
+    i_saturation_d: NotNegative  # saturation current of `l_d` (the unsaturated inductance); 0: no saturation [A]
+    i_saturation_q: NotNegative  # saturation current of `l_q`; 0: no saturation [A]
+    winding_warms: Switch  # 1: `r_s` follows the winding temperature at level ``ideal``, as at ``registers``
+    magnet_coefficient: MagnetChange  # relative change of `psi_m` (given at ambient temperature) [1/K]
+    magnet_time: NotNegative  # time constant between winding and magnet temperature [s]
 
-    disc_eccentricity: Eccentricity  # amplitude of the encoder's error once per turn [rad]
-    disc_phase: Finite  # phase of that error [rad]
+    disc_eccentricity: Eccentricity  # amplitude of the encoder error with one period per revolution [rad]
+    disc_phase: Finite  # phase of the eccentricity error [rad]
 
     stop_min: Finite  # mechanical rotor angle of the lower end stop [rad]
     stop_max: Finite  # mechanical rotor angle of the upper end stop [rad]
-    stop_stiffness: NotNegative  # of both end stops; 0: there are none [N m/rad]
-    stop_damping: NotNegative  # of both end stops [N m s]
+    stop_stiffness: NotNegative  # stiffness of both end stops; 0: no end stops [N m/rad]
+    stop_damping: NotNegative  # damping of both end stops [N m s]
 
-    encoder_lines: Fixed[Whole]  # lines per turn; counts are four times as many
-    theta_start: Fixed[float | Literal["random"]]  # mechanical rotor angle at time zero [rad]; random: by the seed
+    encoder_lines: Fixed[Whole]  # lines per revolution; four counts per line
+    theta_start: Fixed[float | Literal["random"]]  # mechanical rotor angle at time zero [rad]; random: from the seed
 
     i_full_scale: Positive  # range of the ADC: ``-i_full_scale .. +i_full_scale`` [A]
     i_offset: tuple[float, float, float]  # offset of each current amplifier [A]
     i_noise: NotNegative  # standard deviation of a current sample [A]
     i_break: Positive  # hardware over-current threshold of a phase [A]
 
-    dead_time: Fixed[NotNegative]  # time for which both switches of a leg are open at every edge [s]
+    dead_time: Fixed[NotNegative]  # time with both switches of a leg open, at every edge [s]
     v_drop: NotNegative  # forward drop of switch and diode [V]
     r_on: NotNegative  # resistance of switch and diode [ohm]
 
     dead_time_min: NotNegative
-    """Shortest dead time of the switches: with less the leg is a short for the rest of it, which trips the comparator
-    [s]. This and all that follows has an effect at switching level only."""
+    """Shortest permitted dead time of the switches: with less, the leg shorts the bus for the difference, which trips
+    the comparator [s]. This and all following values have an effect at level ``registers`` only."""
     i_settle: Fixed[NotNegative]  # time constant of the current amplifiers [s]
     encoder_jitter: Fixed[NotNegative]  # standard deviation of an edge of the encoder [counts]
-    encoder_duty_error: Fixed[DutyError]  # part of its period for which an encoder line is high, minus 1/2
-    encoder_hysteresis: Fixed[Hysteresis]  # distance of an edge between the two directions, against chattering [counts]
+    encoder_duty_error: Fixed[DutyError]  # duty cycle of an encoder line, minus 1/2
+    encoder_hysteresis: Fixed[Hysteresis]  # hysteresis of an edge between the two directions [counts]
 
     winding_capacity: Positive  # thermal capacity of the winding [J/K]
-    winding_resistance: Positive  # thermal resistance from the winding to the air [K/W]
+    winding_resistance: Positive  # thermal resistance from the winding to the ambient air [K/W]
     sink_capacity: Positive  # thermal capacity of the inverter's heatsink [J/K]
-    sink_resistance: Positive  # thermal resistance from the heatsink to the air [K/W]
+    sink_resistance: Positive  # thermal resistance from the heatsink to the ambient air [K/W]
 
-    pins: PinsPlant = field(default_factory=PinsPlant)  # what is wired to the pins
+    pins: PinsPlant = field(default_factory=PinsPlant)  # devices at the pins
 
     def __post_init__(self) -> None:
         pins: object = self.pins
@@ -177,16 +177,16 @@ class AxisPlant:
         if self.stop_min > self.stop_max:
             raise PlantError(f"stop_min: {self.stop_min!r} is not below stop_max = {self.stop_max!r}")
         if self.load_inertia > 0.0 and self.shaft_stiffness == 0.0:
-            raise PlantError("shaft_stiffness: 0 does not couple a second mass (load_inertia) to the rotor")
-        if self.resonance > FASTEST:
+            raise PlantError("shaft_stiffness: must be above 0 with a second mass (load_inertia)")
+        if self.resonance > RESONANCE_MAX:
             raise PlantError(
-                f"shaft_stiffness: {self.shaft_stiffness!r} N m/rad lets the masses swing with {self.resonance:.3g} Hz;"
-                f" the most that is followed is {FASTEST:g} Hz"
+                f"shaft_stiffness: {self.shaft_stiffness!r} N m/rad gives a resonance of {self.resonance:.3g} Hz; "
+                f"the model is limited to {RESONANCE_MAX:g} Hz"
             )
-        if self.shaft_damping * self._per_mass > DAMPED:
+        if self.shaft_damping * self._inverse_reduced_inertia > DAMPING_MAX:
             raise PlantError(
-                f"shaft_damping: {self.shaft_damping!r} N m s stops a twist within a step of the plant;"
-                f" with these masses the most is {DAMPED / self._per_mass:.3g}"
+                f"shaft_damping: {self.shaft_damping!r} N m s is too large for the integration step; "
+                f"with these masses the maximum is {DAMPING_MAX / self._inverse_reduced_inertia:.3g}"
             )
         if self.theta_start != "random":
             _check("theta_start", self.theta_start, _FINITE)
@@ -203,12 +203,12 @@ class AxisPlant:
 
     @property
     def resonance(self) -> float:
-        """Frequency at which rotor and second mass swing against each other, both free [Hz]; 0 without one."""
-        return math.sqrt(self.shaft_stiffness * self._per_mass) / (2.0 * math.pi)
+        """Resonance of rotor and second mass, both free [Hz]; 0 without a second mass."""
+        return math.sqrt(self.shaft_stiffness * self._inverse_reduced_inertia) / (2.0 * math.pi)
 
     @property
-    def _per_mass(self) -> float:
-        """One over the mass that a twist moves [1 / (kg m^2)]; 0 without a second mass."""
+    def _inverse_reduced_inertia(self) -> float:
+        """Inverse of the reduced inertia of the twist [1 / (kg m^2)]; 0 without a second mass."""
         return 1.0 / self.inertia + 1.0 / self.load_inertia if self.load_inertia > 0.0 else 0.0
 
     @property
@@ -219,16 +219,16 @@ class AxisPlant:
 
 @dataclass(frozen=True)
 class BusPlant:
-    """Supply and capacitor that both axes share, and the voltage sensor."""
+    """Common supply and capacitor of both axes, and the voltage sensor."""
 
     u_source: NotNegative  # open-circuit voltage of the supply [V]
-    r_source: Positive  # its resistance [ohm]; it takes no energy back
+    r_source: Positive  # internal resistance of the supply [ohm]; the supply cannot absorb energy
     capacitance: Positive  # capacitance of the bus [F]
     u_full_scale: Positive  # full scale of the ADC [V]
     u_noise: NotNegative  # standard deviation of a voltage sample [V]
-    r_brake: NotNegative  # brake resistor [ohm]; 0: there is none
+    r_brake: NotNegative  # brake resistor [ohm]; 0: none
     brake_capacity: Positive  # heat capacity of the brake resistor [J/K]
-    brake_resistance: Positive  # thermal resistance from the brake resistor to the air [K/W]
+    brake_resistance: Positive  # thermal resistance from the brake resistor to the ambient air [K/W]
 
     def __post_init__(self) -> None:
         _check_fields(self)
@@ -241,7 +241,7 @@ class PlantConfig:
     axes: tuple[AxisPlant, AxisPlant]  # axis 1 and axis 2
     bus: BusPlant  # the DC bus
     pwm_frequency: Fixed[Positive]  # carrier of the inverters [Hz]
-    ambient: Fixed[Finite]  # temperature of the air around motors and heatsinks [deg C]
+    ambient: Fixed[Finite]  # temperature of the ambient air [deg C]
 
     def __post_init__(self) -> None:
         _check_fields(self)
@@ -253,28 +253,28 @@ class PlantConfig:
                 f"pwm_frequency: {self.pwm_frequency!r} Hz does not divide into quarter periods of whole nanoseconds"
             )
         for name, axis in zip(AXIS_NAMES, self.axes, strict=True):
-            maximum = STIFFEST * axis.inertia * self.pwm_frequency**2
+            maximum = STOP_STIFFNESS_MAX * axis.inertia * self.pwm_frequency**2
             if axis.stop_stiffness > maximum:
                 raise PlantError(
-                    f"{name}.stop_stiffness: {axis.stop_stiffness!r} N m/rad swings faster than a PWM period shows;"
-                    f" with this inertia the most is {maximum:.3g}"
+                    f"{name}.stop_stiffness: {axis.stop_stiffness!r} N m/rad is too large for the integration step; "
+                    f"with this inertia the maximum is {maximum:.3g}"
                 )
 
     @classmethod
     def load(cls, path: Path | str | None = None) -> PlantConfig:
-        """Read a description of the plant.
+        """Read a plant file.
 
         Parameters
         ----------
         path : path-like, optional
-            A TOML file that names what differs from the packaged ``plant.toml``; without it, that file itself.
+            TOML file with changes of the packaged ``plant.toml``; by default no changes.
 
         Raises
         ------
         PlantError
-            If the file is not TOML, names something unknown or holds an impossible value.
+            If the file is not TOML, or contains an unknown name or an invalid value.
         OSError
-            If it cannot be read.
+            If the file cannot be read.
         """
         if path is None:
             return _packaged()
@@ -283,7 +283,7 @@ class PlantConfig:
 
     @classmethod
     def parse(cls, table: Mapping[str, Any]) -> PlantConfig:
-        """Build the plant from a complete parsed table."""
+        """Create the plant from a complete parsed table."""
         return cls(
             axes=(_part(AxisPlant, "axis1", table), _part(AxisPlant, "axis2", table)),
             bus=_part(BusPlant, "bus", table),
@@ -292,7 +292,7 @@ class PlantConfig:
         )
 
     def drawn(self, seed: int) -> PlantConfig:
-        """Copy with every random start angle drawn; the same seed draws the same angles."""
+        """Copy with random start angles replaced by values that depend on the seed only."""
         plant = self
         for axis, entry in enumerate(self.axes):
             if entry.theta_start == "random":
@@ -301,7 +301,7 @@ class PlantConfig:
         return plant
 
     def fill(self, config: Any) -> None:
-        """Write everything into a C ``board_config_t``; random start angles have to be drawn before."""
+        """Copy all values to a C ``board_config_t``; call `drawn` before."""
         for target, axis in zip(config.axis, self.axes, strict=True):
             for name, value in axis.members().items():
                 setattr(target, name, value)
@@ -321,7 +321,7 @@ class PlantConfig:
         Raises
         ------
         PlantError
-            If there is no such number, or the plant cannot have this value.
+            If the name is unknown or the value is invalid.
         """
         part, _, rest = name.partition(".")
         try:
@@ -340,11 +340,11 @@ class PlantConfig:
 
 
 BUILT_IN: Final = frozenset(name for part in (AxisPlant, PlantConfig) for name, mark in _marks(part) if mark == _FIXED)
-"""Names of the fixed numbers."""
+"""Names of the values marked `Fixed`."""
 
 
 def _replaced(place: Any, name: str, value: float) -> Any:
-    """Copy of one of the dataclasses with a number replaced, in it or in a part of it."""
+    """Copy of a dataclass with a number replaced, also in a nested dataclass."""
     key, _, rest = name.partition(".")
     known = [field.name for field in dataclasses.fields(place)]
     present = getattr(place, key) if key in known else None
@@ -352,7 +352,7 @@ def _replaced(place: Any, name: str, value: float) -> Any:
         return dataclasses.replace(place, **{key: _replaced(present, rest, value)})
     if key not in known or rest or not isinstance(present, (int, float, str)):
         near = difflib.get_close_matches(name, known, n=3)
-        raise PlantError("no number of the plant has this name" + (f"; near are {', '.join(near)}" if near else ""))
+        raise PlantError("no such number of the plant" + (f"; similar names: {', '.join(near)}" if near else ""))
     return dataclasses.replace(place, **{key: value})
 
 
@@ -363,7 +363,7 @@ def _packaged_table() -> Mapping[str, Any]:
 
 @lru_cache(maxsize=1)
 def _packaged() -> PlantConfig:
-    """Plant of the packaged file; parsing takes longer than everything else that a new board needs."""
+    """Plant of the packaged file; cached because parsing takes most of the time of a new board."""
     return _named(DEFAULT_FILE, _packaged_table())
 
 
@@ -376,7 +376,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _named(path: Path, table: Mapping[str, Any]) -> PlantConfig:
-    """Plant from a table, with the file in front of every complaint."""
+    """Plant from a table; error messages start with the path."""
     try:
         return PlantConfig.parse(table)
     except PlantError as error:
@@ -384,11 +384,11 @@ def _named(path: Path, table: Mapping[str, Any]) -> PlantConfig:
 
 
 def _merge(path: Path, base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Table `base` with the entries of `changes`, all of which must have a counterpart."""
+    """Table `base` with the entries of `changes`, which must all exist in `base`."""
     merged = dict(base)
     for key, value in changes.items():
         if key not in base:
-            raise PlantError(f"{path}: unknown name {key!r}; known are {', '.join(base)}")
+            raise PlantError(f"{path}: unknown name {key!r}; known names: {', '.join(base)}")
         if isinstance(base[key], dict):
             if not isinstance(value, dict):
                 raise PlantError(f"{path}: {key} is not a table")
@@ -398,7 +398,7 @@ def _merge(path: Path, base: Mapping[str, Any], changes: Mapping[str, Any]) -> d
 
 
 def _part(kind: type[Any], name: str, table: Mapping[str, Any]) -> Any:
-    """One of the dataclasses from its table, with the table's name in front of every complaint."""
+    """Dataclass from its table; error messages start with the name of the table."""
     entries = table.get(name, {})
     fields = [field.name for field in dataclasses.fields(kind)]
     missing = [field for field in fields if field not in entries]

@@ -1,4 +1,4 @@
-"""Child processes that never outlive their parent: started with a log each, stopped in order and in bounded time."""
+"""Child processes that end with their parent: each with a log file, stopped in order and in bounded time."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 
 _POLL: Final = 0.05  # [s]
 _TERM_TIMEOUT: Final = 8.0  # from SIGTERM to SIGKILL [s]
 
 
 class ChildError(RuntimeError):
-    """A child could not be started, or has ended when it should not have; the text says which and what it said."""
+    """A child process could not be started or has ended unexpectedly; the message contains its last output."""
 
 
 def executable(name: str) -> Path:
-    """Path of a program: in a sourced workspace, beside the running Python, or on the search path.
+    """Path of a program: in a sourced workspace, next to the running Python, or on the search path.
 
-    The order is that of Python's imports, where a sourced workspace comes before the environment, too.
+    The order is the import order of Python, in which a sourced workspace also precedes the environment.
 
     Raises
     ------
     ChildError
-        If it is not installed.
+        If the program is not installed.
     """
     prefixes = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
     installed = (path for prefix in prefixes for path in sorted(Path(prefix).glob(f"lib/*/{name}")))
@@ -41,25 +41,25 @@ def executable(name: str) -> Path:
     on_path = shutil.which(name)
     if on_path is None:
         raise ChildError(
-            f"{name} is not installed, neither in a sourced workspace nor beside {sys.executable}: run `make setup`, "
+            f"{name} is not installed, neither in a sourced workspace nor next to {sys.executable}: run `make setup`, "
             "or source install/setup.bash of the workspace"
         )
     return Path(on_path)
 
 
 class Child:
-    """One process in a group of its own; what it prints goes to a log file.
+    """A process in its own process group, with its output in a log file.
 
     Parameters
     ----------
     name : str
-        For messages, and name of the log.
+        Name in messages.
     command : sequence of str
         Program and arguments.
     log : Path
-        File that takes its output.
+        File for the output.
     environment : mapping
-        The whole environment of the child.
+        Complete environment of the child.
     """
 
     def __init__(self, name: str, command: Sequence[str], log: Path, environment: Mapping[str, str]) -> None:
@@ -68,7 +68,7 @@ class Child:
         with log.open("wb") as output:
             try:
                 self._process = subprocess.Popen(
-                    bound_to_us(command),
+                    with_parent_death_signal(command),
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=subprocess.STDOUT,
@@ -91,33 +91,32 @@ class Child:
         return self._process.poll()
 
     def text(self) -> str:
-        """Everything that it has printed."""
+        """Complete output."""
         return self.log.read_text(encoding="utf-8", errors="replace")
 
-    def last_words(self, lines: int = 12) -> str:
-        """Last lines of its output, indented."""
+    def last_output(self, lines: int = 12) -> str:
+        """Last lines of the output, indented."""
         return "\n".join("    " + line for line in self.text().splitlines()[-lines:])
 
     def check(self) -> None:
-        """Raise `ChildError` if it has ended."""
+        """Raise `ChildError` if the process has ended."""
         if not self.running:
             raise ChildError(
-                f"{self.name} has ended with status {self.exit_status}; its last words ({self.log}):\n"
-                f"{self.last_words()}"
+                f"{self.name} has ended with status {self.exit_status}; last output ({self.log}):\n{self.last_output()}"
             )
 
     def terminate(self) -> None:
-        """Ask it to end."""
+        """Send SIGTERM."""
         if self.running:
             self._process.send_signal(signal.SIGTERM)
 
     def kill(self) -> None:
-        """End whatever is left of its group."""
+        """Send SIGKILL to the process group."""
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, signal.SIGKILL)
 
     def stop(self, timeout: float = _TERM_TIMEOUT) -> bool:
-        """End it within `timeout` [s]; returns False when it had to be killed."""
+        """Stop the process within `timeout` [s]; False if it had to be killed."""
         self.terminate()
         try:
             self._process.wait(timeout)
@@ -130,17 +129,17 @@ class Child:
 
 
 def stop_all(children: Sequence[Child]) -> list[str]:
-    """Stop the children in this order, each in bounded time; returns the names of those that had to be killed."""
+    """Stop the children in this order, each in bounded time; returns the names of killed processes."""
     return [child.name for child in children if not child.stop()]
 
 
 def wait_until(condition: Callable[[], bool], children: Sequence[Child], timeout: float) -> bool:
-    """Wait for a condition while all children live; False after the timeout [s].
+    """Wait for a condition while all children run; False after the timeout [s].
 
     Raises
     ------
     ChildError
-        If a child ends meanwhile.
+        If a child ends during the wait.
     """
     for _ in _ticks(timeout):
         if condition():

@@ -1,4 +1,4 @@
-"""Runs of one virtual board in simulated time: bring both axes under control, command, record. No ROS, no clock."""
+"""Runs of one virtual board in simulated time: enable, move, record. No ROS, no clock."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["MoveResult", "SimulationError", "enable", "keep_set_points", "move",
 
 _BOOT = 0.03  # reset to STOP [s]
 _SEARCH_MAX = 6.0  # rotor search of both axes [s]
-_STEP = 0.01  # between two looks at the state [s]
+_STEP = 0.01  # polling interval of the state [s]
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class MoveResult:
     target: int  # commanded position [counts]
     reached: int  # position at the end [counts]
     overshoot: int  # largest distance beyond the target [counts]
-    settling_time: float | None  # from the command until the shaft stays within the tolerance [s]; None: it does not
+    settling_time: float | None  # from the command until the shaft stays within the tolerance [s]; None: not settled
     steady_state: int  # largest distance from the target over the last quarter of the recording [counts]
     speed_max: float  # largest magnitude in the recording [rad/s]
     i_q_max: float  # largest magnitude in the recording [A]
@@ -38,22 +38,22 @@ def time_axis(log: NDArray[np.void]) -> NDArray[np.float64]:
 
 
 def record(board: Board, seconds: float) -> NDArray[np.void]:
-    """Run for some simulated time [s] and keep every snapshot."""
+    """Run for some simulated time [s] and record every snapshot."""
     return board.record(board.time_ns + round(seconds * 1e9))
 
 
 def keep_set_points(board: Board) -> None:
-    """Let velocity and torque set-points stand until the next one: no host repeats them in such a run."""
+    """Disable the timeout of velocity and torque set-points: no host repeats them in such a run."""
     board.write("param.command_timeout", 0.0)
 
 
 def enable(board: Board) -> NDArray[np.void]:
-    """Switch a fresh board on and bring both axes to SPIN; returns raw rows (slow ticks,) recorded meanwhile.
+    """Enable both axes of a new board and wait for SPIN; returns the recorded raw rows (slow ticks,).
 
     Raises
     ------
     SimulationError
-        If an axis ends in a fault or does not find its rotor.
+        If an axis has a fault, or on a timeout of the rotor search.
     """
     catalogue = board.catalogue
     keep_set_points(board)
@@ -70,7 +70,7 @@ def enable(board: Board) -> NDArray[np.void]:
         run = catalogue.enums["state_t"]["RUN"]
         if all(last[f"{axis_name(a)}.state"] == run and last[f"{axis_name(a)}.substate"] == spin for a in range(AXES)):
             return np.concatenate(logs)
-    raise SimulationError(f"an axis did not find its rotor within {_SEARCH_MAX:g} s")
+    raise SimulationError(f"rotor search not finished within {_SEARCH_MAX:g} s")
 
 
 def move(
@@ -81,13 +81,13 @@ def move(
     Parameters
     ----------
     board : Board
-        With the axes in SPIN.
+        Board with the axes in SPIN.
     targets : dict
         Axis index to position [counts].
     seconds : float
         Length of the recording [s].
     tolerance : int
-        Distance from the target that counts as arrived [counts].
+        Permitted distance from the target after settling [counts].
     """
     start = {axis: board.read_raw(f"{axis_name(axis)}.position")[0] for axis in targets}
     raw = board.read_raw("cmd.position")
@@ -122,5 +122,5 @@ def _measure(board: Board, log: NDArray[np.void], axis: int, start: int, target:
 
 
 def turns(value: float) -> int:
-    """Encoder counts of a number of turns."""
+    """Convert revolutions to encoder counts."""
     return round(value * COUNTS_PER_TURN)

@@ -1,8 +1,8 @@
-"""``servo-up``: virtual board, bridge, twin and viewer together, on one machine and without ROS's launch.
+"""``servo-up``: starts virtual board, bridge, twin and viewer on one machine, without ROS launch.
 
-Brings them up one after the other, says how to use them, and stays until Ctrl-C. With ``--demo`` it lets ``servo-demo``
-move both axes instead and leaves a recording and a picture. Whatever happens, no child stays behind, and the bridge,
-which switches the outputs off, is the first to be stopped.
+Starts the processes in sequence, prints instructions, and runs until Ctrl-C. With ``--demo`` it runs ``servo-demo``,
+which moves both axes, and saves a recording and a picture. At the end all child processes are stopped, the bridge,
+which switches the outputs off, first.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from types import FrameType
 from typing import Any, Final, NoReturn
 
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 
 from servo_msgs_py import board_parameters
 from servo_twin.level import LEVEL_VARIABLE, add_level_option, chosen_level
@@ -30,10 +30,10 @@ from servo_twin.processes import Child, ChildError, executable, stop_all, wait_u
 
 _BOARD_TIMEOUT: Final = 10.0  # [s]
 _CONNECT_TIMEOUT: Final = 15.0
-_VIEWER_TIMEOUT: Final = 30.0  # the first start of the viewer compiles nothing but reads a lot
+_VIEWER_TIMEOUT: Final = 30.0  # the first start of the viewer reads many files
 _DEMO_TIMEOUT: Final = 240.0
 _INTERRUPTED: Final = 130
-_HIGHEST_DOMAIN: Final = 232  # a higher one has no ports
+_DOMAIN_MAX: Final = 232  # higher domain ids exceed the range of UDP ports
 _WARNING: Final = "virtual_board: warning:"
 _URL: Final = re.compile(r"http://\S+")
 
@@ -50,21 +50,21 @@ Without:
   {command} state
   {command} set param.speed_limit=100,100
   {command} disable
-Ctrl-C ramps down, switches the outputs off and ends everything."""
+Ctrl-C ramps down, switches the outputs off and stops all processes."""
 
 
 class _StopRequested(BaseException):
-    """SIGINT, SIGTERM or SIGHUP; no library that works when it comes may take it for an error of its own."""
+    """SIGINT, SIGTERM or SIGHUP; a BaseException, so that no library catches it as an error."""
 
 
 class _Signals:
-    """Turns SIGINT, SIGTERM and SIGHUP (a closed terminal) into `_StopRequested`, once; ignores them afterwards."""
+    """Converts SIGINT, SIGTERM and SIGHUP (closed terminal) to one `_StopRequested`; ignores them afterwards."""
 
     _NUMBERS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
     def __init__(self) -> None:
         self._held = False
-        self._came = False
+        self._requested = False
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> _Signals:
@@ -78,31 +78,31 @@ class _Signals:
     def _request(self, _signum: int, _frame: FrameType | None) -> None:
         for number in self._NUMBERS:
             signal.signal(number, signal.SIG_IGN)
-        self._came = True
+        self._requested = True
         if not self._held:
             raise _StopRequested
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Let nothing interrupt what is done in here; a signal that came meanwhile counts at its end."""
-        came, self._held = self._came, True
+        """Delay a signal until the end of the block."""
+        requested_before, self._held = self._requested, True
         try:
             yield
         finally:
             self._held = False
-        if self._came and not came:
+        if self._requested and not requested_before:
             raise _StopRequested
 
 
 def _port(text: str) -> str:
     if not text.strip():
-        raise argparse.ArgumentTypeError("it is empty; give a device path or a pyserial URL, or leave it out")
+        raise argparse.ArgumentTypeError("empty; give a device path or a pyserial URL, or omit the option")
     return text
 
 
 def _domain(text: str) -> int:
-    if not text.isdecimal() or int(text) > _HIGHEST_DOMAIN:
-        raise argparse.ArgumentTypeError(f"{text!r} is no ROS domain; they are 0 .. {_HIGHEST_DOMAIN}")
+    if not text.isdecimal() or int(text) > _DOMAIN_MAX:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a ROS domain (0 .. {_DOMAIN_MAX})")
     return int(text)
 
 
@@ -116,7 +116,7 @@ def _assignment(text: str) -> str:
 def parser() -> argparse.ArgumentParser:
     """Command line of ``servo-up``."""
     result = argparse.ArgumentParser(
-        prog="servo-up", description="Bring up board, bridge, twin and viewer; stay until Ctrl-C."
+        prog="servo-up", description="Start board, bridge, twin and viewer; run until Ctrl-C."
     )
     result.add_argument(
         "--port", type=_port, help="serial port or pyserial URL of a real board (default: a virtual board)"
@@ -124,13 +124,15 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--baud", type=int, default=115200, help="line speed [bit/s] (default: %(default)s)")
     result.add_argument("--seed", type=int, default=1, help="seed of the virtual board (default: %(default)s)")
     result.add_argument("--plant", type=Path, help="plant file of the virtual board and of its twin")
-    result.add_argument("--twin-plant", type=Path, help="another plant file for the twin")
-    result.add_argument("--thresholds", type=Path, help="of `servo_twin calibrate`, for the diagnosis of the twin")
+    result.add_argument("--twin-plant", type=Path, help="plant file of the twin (default: --plant)")
+    result.add_argument(
+        "--thresholds", type=Path, help="threshold file of `servo_twin calibrate` for the diagnosis of the twin"
+    )
     add_level_option(result, "virtual board and twin are")
-    result.add_argument("--no-web", action="store_true", help="no viewer in the browser")
+    result.add_argument("--no-web", action="store_true", help="do not start the viewer in the browser")
     result.add_argument("--record", type=Path, help="record to this .rrd file")
     result.add_argument(
-        "--domain-id", type=_domain, help="ROS domain (default: $ROS_DOMAIN_ID, or one of its own with --demo)"
+        "--domain-id", type=_domain, help="ROS domain (default: $ROS_DOMAIN_ID; with --demo a separate domain)"
     )
     result.add_argument(
         "--set",
@@ -140,7 +142,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="NAME=VALUE",
         help="parameter of the board, such as param.i_q_limit=1.0,1.5; may be repeated",
     )
-    result.add_argument("--demo", action="store_true", help="move both axes, leave a recording and a picture, and end")
+    result.add_argument("--demo", action="store_true", help="move both axes, save a recording and a picture, and exit")
     result.add_argument(
         "--out", type=Path, default=Path("out"), help="folder for logs and results (default: %(default)s)"
     )
@@ -166,12 +168,12 @@ class Stack:
         self._warnings = 0
 
     def start(self, name: str, *arguments: str) -> Child:
-        """Start one of our executables.
+        """Start an executable of this project.
 
         Raises
         ------
         ChildError
-            If it cannot be started.
+            If the executable cannot be started.
         """
         child = Child(name, [str(executable(name)), *arguments], self._log / f"{name}.log", self._environment)
         self.children.append(child)
@@ -181,16 +183,16 @@ class Stack:
         """Wait until a child has printed something; False after the timeout [s]."""
         return wait_until(lambda: text in child.text(), self.children, timeout)
 
-    def tell_warnings(self) -> None:
-        """Pass on what the virtual board warns of: that the machine is too slow for it."""
+    def print_warnings(self) -> None:
+        """Print new warnings of the virtual board (machine too slow)."""
         texts = [child.text() for child in self.children if child.name == "virtual_board"]
         lines = [line for text in texts for line in text.splitlines() if line.startswith(_WARNING)]
         for line in lines[self._warnings :]:
-            _say(line)
+            _print(line)
         self._warnings = max(self._warnings, len(lines))
 
     def stop(self) -> list[str]:
-        """Stop the bridge, which switches the outputs off, then the rest; names of those that had to be killed."""
+        """Stop the bridge, which switches the outputs off, then the others; returns the names of killed processes."""
         order = {"servo_bridge": 0, "servo_viewer": 1, "servo_twin": 2}
         killed = stop_all(sorted(self.children, key=lambda child: order.get(child.name, 3)))
         self.children.clear()
@@ -198,7 +200,7 @@ class Stack:
 
 
 def _ros(**parameters: object) -> list[str]:
-    """Arguments that set parameters of a node."""
+    """Command-line arguments for the parameters of a node."""
     result = ["--ros-args"]
     for name, value in parameters.items():
         text = str(value).lower() if isinstance(value, bool) else str(value)
@@ -206,24 +208,24 @@ def _ros(**parameters: object) -> list[str]:
     return result
 
 
-def _say(text: str) -> None:
+def _print(text: str) -> None:
     print(text, flush=True)
 
 
-def _refuse_a_second(environment: Mapping[str, str]) -> None:
-    """Two bridges in one domain would both obey every command.
+def _refuse_second_bridge(environment: Mapping[str, str]) -> None:
+    """Refuse a second bridge in a domain: both would execute every command.
 
     Raises
     ------
     ChildError
-        If a servo is up already.
+        If a servo is already running.
     """
     look = [str(executable("servo-command")), "--wait", "3", "state"]
     found = subprocess.run(look, env=dict(environment), capture_output=True, text=True, check=False)
     if found.returncode == 0:
         domain = environment.get("ROS_DOMAIN_ID", "0")
         raise ChildError(
-            f"a servo is up already in ROS domain {domain} ({found.stdout.splitlines()[0]});"
+            f"a servo is already running in ROS domain {domain} ({found.stdout.splitlines()[0]});"
             " stop it first, or choose another domain with --domain-id"
         )
 
@@ -231,25 +233,25 @@ def _refuse_a_second(environment: Mapping[str, str]) -> None:
 def _virtual_board(stack: Stack, args: argparse.Namespace, folder: Path) -> str:
     link = folder / "board"
     plant = ["--plant", str(args.plant)] if args.plant else []
-    _say(f"virtual board on {link}, {args.baud} baud, seed {args.seed}, level {chosen_level(args.level)}")
+    _print(f"virtual board on {link}, {args.baud} baud, seed {args.seed}, level {chosen_level(args.level)}")
     stack.start("virtual_board", "--link", str(link), "--baud", str(args.baud), "--seed", str(args.seed), *plant)
     if not wait_until(link.exists, stack.children, _BOARD_TIMEOUT):
-        raise ChildError(f"the virtual board made no port within {_BOARD_TIMEOUT:g} s")
+        raise ChildError(f"the virtual board did not create its port within {_BOARD_TIMEOUT:g} s")
     return str(link)
 
 
-def _bring_up(stack: Stack, args: argparse.Namespace, folder: Path, record: Path | None) -> None:
-    """Start everything and say what happens.
+def _start_all(stack: Stack, args: argparse.Namespace, folder: Path, record: Path | None) -> None:
+    """Start all processes and print their state.
 
     Raises
     ------
     ChildError
-        If a child does not come up.
+        If a child process fails.
     """
     port = args.port or _virtual_board(stack, args, folder)
-    wanted = json.dumps(args.set or [""])
-    bridge = stack.start("servo_bridge", *_ros(port=port, baud=args.baud, board_parameters=wanted))
-    # The twin has the model of the virtual board, but other random numbers: start angles and noise differ.
+    board_parameters_json = json.dumps(args.set or [""])
+    bridge = stack.start("servo_bridge", *_ros(port=port, baud=args.baud, board_parameters=board_parameters_json))
+    # The twin has the plant of the virtual board, but another seed: start angles and noise differ.
     files = {"plant": args.twin_plant or args.plant, "thresholds": args.thresholds}
     given = {name: path.absolute() for name, path in files.items() if path}
     twin = stack.start("servo_twin", *_ros(seed=args.seed + 1, **given))
@@ -258,40 +260,40 @@ def _bring_up(stack: Stack, args: argparse.Namespace, folder: Path, record: Path
     if web or record:
         viewer = stack.start("servo_viewer", *_ros(record=record or "''", web=web))
     if stack.wait(bridge, "connected to", _CONNECT_TIMEOUT):
-        _say(f"bridge connected to {port}")
+        _print(f"bridge connected to {port}")
     else:
-        _say(f"bridge: no board on {port} yet; it keeps trying. It says:\n{bridge.last_words(3)}")
-    _say(f"twin follows (log: {twin.log})")
+        _print(f"bridge: no board on {port} yet, connection attempts continue. Last output:\n{bridge.last_output(3)}")
+    _print(f"twin started (log: {twin.log})")
     if web and viewer is not None:
         found = wait_until(lambda: _URL.search(viewer.text()) is not None, stack.children, _VIEWER_TIMEOUT)
         match = _URL.search(viewer.text())
-        _say(f"viewer: {match.group(0) if found and match else 'not up yet, see ' + str(viewer.log)}")
+        _print(f"viewer: {match.group(0) if found and match else 'not started yet, see ' + str(viewer.log)}")
     if record:
-        _say(f"recording to {record}")
+        _print(f"recording to {record}")
 
 
-def _stay(stack: Stack, args: argparse.Namespace) -> NoReturn:
+def _wait_for_stop(stack: Stack, args: argparse.Namespace) -> NoReturn:
     domain = os.environ.get("ROS_DOMAIN_ID") if args.domain_id is None else str(args.domain_id)
     setting = f", ROS_DOMAIN_ID={domain}" if domain not in (None, "0") else ""
-    _say(_HOW_TO.format(command=executable("servo-command"), domain=setting))
+    _print(_HOW_TO.format(command=executable("servo-command"), domain=setting))
     while True:
         wait_until(lambda: False, stack.children, 1.0)
-        stack.tell_warnings()
+        stack.print_warnings()
 
 
 def _run_demo(stack: Stack, environment: Mapping[str, str], out: Path) -> int:
-    """Let ``servo-demo`` move the axes, its output shown; returns its exit status."""
+    """Run ``servo-demo``, which moves the axes; returns its exit status."""
     command = [str(executable("servo-demo")), "--require-twin", "--json", str(out / "demo.json")]
     demo = subprocess.Popen(
-        bound_to_us(command), stdin=subprocess.DEVNULL, env=dict(environment), start_new_session=True
+        with_parent_death_signal(command), stdin=subprocess.DEVNULL, env=dict(environment), start_new_session=True
     )
     try:
         ended = wait_until(lambda: demo.poll() is not None, stack.children, _DEMO_TIMEOUT)
         if not ended:
-            _say(f"servo-demo did not end within {_DEMO_TIMEOUT:g} s")
+            _print(f"servo-demo did not finish within {_DEMO_TIMEOUT:g} s")
         return demo.returncode if ended else 1
     finally:
-        stack.tell_warnings()
+        stack.print_warnings()
         if demo.poll() is None:
             demo.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -315,7 +317,7 @@ def _finish_demo(record: Path, out: Path) -> None:
     picture = out / "demo.png"
     picture.unlink(missing_ok=True)
     draw(record, picture)
-    _say(f"recording  {record}   (look at it with {executable('rerun')} {record})\npicture    {picture}")
+    _print(f"recording  {record}   (view: {executable('rerun')} {record})\npicture    {picture}")
 
 
 def _environment(args: argparse.Namespace) -> dict[str, str]:
@@ -326,23 +328,23 @@ def _environment(args: argparse.Namespace) -> dict[str, str]:
     if args.domain_id is not None:
         environment["ROS_DOMAIN_ID"] = str(args.domain_id)
     elif args.demo:
-        # Another servo may be up on this machine; the demonstration must not move its shafts.
+        # Another servo may run on this machine; the demonstration must not move its shafts.
         environment["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
     return environment
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run until Ctrl-C, or until the demonstration is over.
+    """Run until Ctrl-C, or until the end of the demonstration.
 
     Returns
     -------
     int
-        0 after an orderly end; 1 when a child fails or the demonstration does not succeed; 2 for a wrong usage; 130
-        when the demonstration was interrupted.
+        0: normal end; 1: a child process or the demonstration failed; 2: wrong usage; 130: the demonstration was
+        interrupted.
     """
     args = parser().parse_args(argv)
     if args.demo and args.port:
-        parser().error("--demo moves the shafts without asking: it runs on the virtual board only, not on --port")
+        parser().error("--demo moves the shafts: it is permitted with the virtual board only, not with --port")
     environment = _environment(args)
     args.out.mkdir(parents=True, exist_ok=True)
     record = args.out / "demo.rrd" if args.demo else args.record
@@ -354,37 +356,37 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _session(args: argparse.Namespace, environment: Mapping[str, str], record: Path | None, signals: _Signals) -> int:
-    """Everything from the first child to the last; returns the exit status."""
+    """Start, run and stop all processes; returns the exit status."""
     stack = Stack(args.out, environment)
     status = 0
     with tempfile.TemporaryDirectory(prefix="servo-") as folder:
         try:
             if not args.demo:
-                _refuse_a_second(environment)
-            _bring_up(stack, args, Path(folder), record)
+                _refuse_second_bridge(environment)
+            _start_all(stack, args, Path(folder), record)
             if not args.demo:
-                _stay(stack, args)
+                _wait_for_stop(stack, args)
             status = _run_demo(stack, environment, args.out)
         except _StopRequested:
-            _say("\nstopping: outputs off, then everything else")
+            _print("\nstopping: outputs off, then all processes")
             status = _INTERRUPTED if args.demo else 0
         except ChildError as error:
-            _say(f"servo-up: {error}")
+            _print(f"servo-up: {error}")
             status = 1
         finally:
             with signals.held():
                 killed = stack.stop()
         if killed:
-            _say(f"had to be killed: {', '.join(killed)}")
+            _print(f"killed after a timeout: {', '.join(killed)}")
             status = status or 1
     if args.demo and status != _INTERRUPTED and record and record.exists():
         try:
             _finish_demo(record, args.out)
         except (ChildError, ValueError) as error:
-            _say(f"servo-up: {error}")
+            _print(f"servo-up: {error}")
             status = status or 1
         except _StopRequested:
-            _say(f"\nstopped; the recording is in {record}, the picture was not drawn")
+            _print(f"\nstopped; the recording is in {record}, the picture was not drawn")
             raise
     return status
 

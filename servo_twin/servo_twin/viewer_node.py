@@ -1,7 +1,7 @@
 """``servo_viewer``: board and twin in the rerun viewer, as a ROS 2 node.
 
-A thin shell: what is published goes to `Viewer`, whose thread writes it into a file, to a page on the loopback
-interface, or both. It sends nothing to the board.
+A thin shell: messages are passed to `Viewer`, whose thread writes them to a file, to a web page on the loopback
+interface, or both. Nothing is sent to the board.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.convert import applied_from_message, from_stamp, snapshot_table
 from servo_msgs_py.joints import joint_names
 from servo_msgs_py.robot_description import joints_of
-from servo_msgs_py.runtime.node_shell import ParameterError, Spec, declare, run, setting_up
+from servo_msgs_py.runtime.node_shell import ParameterError, Spec, declare, destroyed_on_error, run
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from std_msgs.msg import Bool, Float64MultiArray, String
 
@@ -33,16 +33,16 @@ from servo_twin.view.viewer import Viewer
 from servo_twin.view.web_page import WebPage, WebPageError, free_port
 
 PARAMETERS: Final = {
-    "record": Spec("", "file for the recording (.rrd); one that exists is replaced; empty: none"),
+    "record": Spec("", "file for the recording (.rrd); an existing file is replaced; empty: none"),
     "web": Spec(True, "serve the live viewer to a browser on this machine"),
     "grpc_port": Spec(9876, "port of the data for the live viewer; the next free one if it is in use", 1024, 65535),
     "web_port": Spec(9090, "port of the page of the live viewer; the next free one if it is in use", 1024, 65535),
     "board_namespace": Spec(
-        "servo", "namespace of the node whose board is shown; without a leading slash it lies in that of the viewer"
+        "servo", "namespace of the bridge node; without a leading slash relative to the namespace of the viewer"
     ),
-    "twin_namespace": Spec("twin", "namespace of the twin's node, given in the same way; the twin may be missing"),
+    "twin_namespace": Spec("twin", "namespace of the twin node, as board_namespace; the twin is optional"),
 }
-"""Every parameter of the node. ``config/servo_viewer.yaml`` lists the same defaults."""
+"""Parameters of the node. ``config/servo_viewer.yaml`` lists the same defaults."""
 
 
 class ServoViewer(Node):
@@ -56,22 +56,22 @@ class ServoViewer(Node):
     Raises
     ------
     ParameterError
-        If a parameter does not make sense or asks for what is not possible here.
+        If a parameter is invalid, or the file or a port cannot be opened.
     """
 
-    finished = False  # goes on until it is told to end
+    finished = False  # runs until it is stopped
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__("servo_viewer", **node_arguments)
-        with setting_up(self):
+        with destroyed_on_error(self):
             self._set_up()
 
     def _set_up(self) -> None:
-        self.failure = ""  # why it cannot go on; empty while it can
+        self.failure = ""  # reason for the end of the node; empty: none
         self._log = Node.get_logger(self)
         self._values = declare(self, PARAMETERS)
         if not (self._values["record"] or self._values["web"]):
-            raise ParameterError("nothing to do: set parameter record to a file, or web to true")
+            raise ParameterError("no output: set parameter record to a file, or web to true")
         self._page: WebPage | None = None
         try:
             recording = self._open()
@@ -94,7 +94,7 @@ class ServoViewer(Node):
             port = self._port("grpc_port")
             recording = Recording(path, port)
             try:
-                self._page = WebPage(self._port("web_port", but=port), recording.uri)
+                self._page = WebPage(self._port("web_port", exclude=port), recording.uri)
             except WebPageError:
                 recording.close()
                 raise
@@ -104,18 +104,18 @@ class ServoViewer(Node):
             print(f"viewer on this machine: {self._page.url}", flush=True)
         return recording
 
-    def _port(self, name: str, but: int | None = None) -> int:
-        wanted: int = self._values[name]
-        port = free_port(wanted, but)
-        if port != wanted:
-            self._log.warning(f"{name} {wanted} is in use (another viewer?); using {port}")
+    def _port(self, name: str, exclude: int | None = None) -> int:
+        requested: int = self._values[name]
+        port = free_port(requested, exclude)
+        if port != requested:
+            self._log.warning(f"{name} {requested} is in use (another viewer?); using {port}")
         return port
 
     def _subscribe(self) -> None:
         board, twin = (
             topics.within(self.get_namespace(), self._values[f"{name}_namespace"]) for name in ("board", "twin")
         )
-        # Rows come late after a stall rather than never; what the recording cannot take is counted in `Viewer`.
+        # Deep queues: rows may be late after a stall; `Viewer` counts the rows that it drops.
         deep, latched = telemetry_qos(500), latched_qos()
         viewer = self._viewer
         for namespace, take in ((board, viewer.board), (twin, viewer.twin)):
@@ -136,21 +136,21 @@ class ServoViewer(Node):
         self.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, 50)
         self.create_subscription(DiagnosticArray, f"{twin}/{topics.DIAGNOSIS}", self._on_diagnosis, latched)
 
-    # ---- what comes in
+    # ---- input
     def _on_snapshot(
         self, topic: str, take: Callable[[Sequence[str], NDArray[Any]], None], message: Float64MultiArray
     ) -> None:
         table = self._table(topic, message)
         if table is None:
             return
-        if not self._described:  # its units are not known
-            text = f"{topic} is not shown: the joints are not known without robot_description in the same namespace"
+        if not self._described:  # units unknown
+            text = f"{topic} is not shown: joints unknown, no robot_description in the same namespace"
             self._log.warning(text, throttle_duration_sec=10.0, skip_first=True)
             return
         take(*table)
 
     def _table(self, topic: str, message: Float64MultiArray) -> tuple[Sequence[str], NDArray[Any]] | None:
-        """Columns and table of a message; None, and a warning, if it has none."""
+        """Columns and table of a message; None and a warning if it is invalid."""
         try:
             return snapshot_table(message)
         except ValueError as error:
@@ -169,7 +169,7 @@ class ServoViewer(Node):
             self._log.warning(f"{topic}: {error}")
             return
         if not self._described:
-            self._log.info(f"shows the joints {', '.join(joint_names(joints))}")
+            self._log.info(f"joints: {', '.join(joint_names(joints))}")
         self._described = True
         self._viewer.joints(joints)
 
@@ -199,21 +199,21 @@ class ServoViewer(Node):
     def _on_diagnosis(self, message: DiagnosticArray) -> None:
         found: list[str] = []
         estimates: dict[str, dict[str, float]] = {}
-        for axis, status in enumerate(message.status):  # the joints in their order, then the bus
-            place = axis_name(axis) if axis < AXES else "bus"
+        for axis, status in enumerate(message.status):  # the joints in order, then the bus
+            source = axis_name(axis) if axis < AXES else "bus"
             if status.level != DiagnosticStatus.OK:
-                found.append(f"{place}: {status.message}")
+                found.append(f"{source}: {status.message}")
             for entry in status.values:
                 name, dot, curve = entry.key.partition(".")
                 if dot:
-                    estimates.setdefault(f"{place}/{name}", {})[curve] = float(entry.value)
+                    estimates.setdefault(f"{source}/{name}", {})[curve] = float(entry.value)
         self._viewer.changes(from_stamp(message.header.stamp), found, estimates)
 
     def _every_second(self) -> None:
         self.failure = self.failure or self._viewer.failure
         dropped = self._viewer.dropped
         if dropped != self._dropped:
-            self._log.warning(f"{dropped - self._dropped} messages dropped: writing the recording is too slow")
+            self._log.warning(f"{dropped - self._dropped} messages dropped: the recording is not written fast enough")
             self._dropped = dropped
 
     def _now(self) -> int:
@@ -221,9 +221,9 @@ class ServoViewer(Node):
 
     # ---- end
     def shutdown(self) -> None:
-        """Write what waits, close the recording, end the page and the node; takes a few seconds at most."""
+        """Write pending data, close recording, page and node; takes a few seconds at most."""
         if not self._viewer.close():
-            self._log.error("the recording could not be closed in time; `rerun rrd optimize` may repair it")
+            self._log.error("timeout while closing the recording; `rerun rrd optimize` may repair it")
         if self._page is not None:
             self._page.close()
         Node.destroy_node(self)
@@ -231,7 +231,7 @@ class ServoViewer(Node):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node until Ctrl-C or SIGTERM; returns the exit status."""
-    purpose = "The rerun view of board and twin: a recording, a live page in the browser, or both."
+    purpose = "Board and twin in the rerun viewer: a recording, a live page in the browser, or both."
     return run("servo_viewer", purpose, PARAMETERS, lambda _: ServoViewer(), args)
 
 

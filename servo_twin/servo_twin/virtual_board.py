@@ -1,7 +1,7 @@
-"""A virtual board on a serial port: a pseudo-terminal, paced in real time.
+"""Virtual board with a pseudo-terminal as serial port, in real time.
 
-Whatever talks to a real board over a USB serial port talks to this one in the same way. `Pacer` decides what time it is
-on the board, `Terminal` is the port, `serve` moves bytes and time between them.
+It replaces a real board at a USB serial port without changes of the host. `Pacer` converts wall time to simulated time,
+`Terminal` is the port, `serve` is the loop that advances the board and transfers the bytes.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ from servo_twin.level import Level, add_level_option
 from servo_twin.plant import PlantConfig, PlantError
 
 MAX_LAG_S: Final = 0.05
-"""Backlog that is made up for; a longer stall of the machine is given up and counted as a slip [s]."""
+"""Largest backlog that is caught up; a longer one is skipped and counted as a slip [s]."""
 
 IDLE_SLICE_S: Final = 0.002
-"""Longest sleep while nothing moves on the wire [s]."""
+"""Longest sleep while the line is idle [s]."""
 
 REPORT_INTERVAL_S: Final = 10.0
-"""Shortest time between two messages about slips [s]."""
+"""Shortest time between two slip warnings [s]."""
 
 FIRST_REPORT_S: Final = 1.0
-"""Time that has to pass before the first one, to know the speed [s]."""
+"""Averaging time before the first slip warning [s]."""
 
 
 class LinkError(Exception):
-    """The link to the pseudo-terminal cannot be made; the message says why."""
+    """The link to the pseudo-terminal cannot be created; the message contains the reason."""
 
 
 class Pacer:
@@ -49,13 +49,13 @@ class Pacer:
     Parameters
     ----------
     now_ns : int
-        Wall time that stands for simulated time `sim_ns` [ns].
+        Wall time that corresponds to simulated time `sim_ns` [ns].
     sim_ns : int
         Simulated time at that moment [ns].
     speed : float
         Simulated seconds per second of wall time.
     max_lag_s : float
-        Backlog that is made up for [s of wall time].
+        Largest backlog that is caught up [s of wall time].
     """
 
     def __init__(self, now_ns: int, sim_ns: int = 0, *, speed: float = 1.0, max_lag_s: float = MAX_LAG_S) -> None:
@@ -63,18 +63,18 @@ class Pacer:
         self._sim_ns = sim_ns
         self._speed = speed
         self._max_lag_ns = round(max_lag_s * 1e9 * speed)
-        self.slips = 0  # number of longer backlogs that were dropped
-        self.slipped_s = 0.0  # dropped wall time in all [s]
+        self.slips = 0  # number of skipped backlogs
+        self.slipped_s = 0.0  # total of skipped wall time [s]
 
     def target(self, now_ns: int, reached_ns: int) -> int:
-        """Simulated time that the board should have now [ns].
+        """Present set-point of the simulated time [ns].
 
         Parameters
         ----------
         now_ns : int
             Wall time [ns].
         reached_ns : int
-            Simulated time that it has reached [ns].
+            Simulated time of the board [ns].
         """
         target = self._at(now_ns)
         excess = target - reached_ns - self._max_lag_ns
@@ -94,20 +94,19 @@ class Pacer:
 
 
 class FlashFile:
-    """What stays of a board without power, in a file: `Board.flash_image`.
+    """File with the non-volatile memory of a board: `Board.flash_image`.
 
-    It is brought up to date whenever a command of the flash has ended: the end of the process, however it comes, is
-    like a power failure.
+    It is updated after every flash command, so that any end of the process is equivalent to a power failure.
 
     Parameters
     ----------
     path : Path
-        A file that does not exist yet is an erased flash.
+        A missing file means an erased flash.
 
     Raises
     ------
     OSError
-        If it cannot be read.
+        If the file cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -116,43 +115,43 @@ class FlashFile:
 
     @property
     def image(self) -> bytes | None:
-        """As the file has it."""
+        """Contents of the file; None if it did not exist."""
         return self._kept
 
     def update(self, board: Board) -> None:
-        """Write what is in the flash of a board, if it is something else; in one step."""
+        """Replace the file atomically if the flash of the board has changed."""
         image = board.flash_image()
         if image != self._kept:
-            fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
-            fresh.write_bytes(image)
-            fresh.replace(self._path)
+            temporary = self._path.with_name(f".{self._path.name}.{os.getpid()}")
+            temporary.write_bytes(image)
+            temporary.replace(self._path)
             self._kept = image
 
 
 class Terminal:
-    """A raw pseudo-terminal, and optionally a symbolic link to its other end.
+    """A raw pseudo-terminal, and optionally a symbolic link to its slave end.
 
-    It keeps that other end open itself, so clients may close and open it as they like.
+    Keeps the slave end open, so that clients can close and reopen it.
 
     Parameters
     ----------
     link : Path, optional
-        Where to put the link. A link to a terminal or to nowhere is replaced; anything else is left alone.
+        Path of the link. An existing link to a terminal, or a broken link, is replaced; other files are not.
 
     Raises
     ------
     LinkError
-        If the link cannot be made.
+        If the link cannot be created.
     """
 
     def __init__(self, link: Path | None = None) -> None:
         self._master, self._slave = os.openpty()
         self._link = link
-        self.lost = 0  # bytes discarded because no client fetched them
+        self.lost = 0  # bytes discarded because no client read them
         try:
             tty.setraw(self._slave)
             os.set_blocking(self._master, False)
-            self.device = os.ttyname(self._slave)  # name of the other end, such as ``/dev/pts/3``
+            self.device = os.ttyname(self._slave)  # name of the slave end, such as ``/dev/pts/3``
             if link is not None:
                 _make_link(link, self.device)
         except BaseException:
@@ -160,13 +159,13 @@ class Terminal:
             raise
 
     def close(self) -> None:
-        """Remove the link, unless it leads elsewhere by now, and close both ends."""
+        """Remove the link, unless it has been replaced, and close both ends."""
         if self._link is not None:
             try:
                 if os.readlink(self._link) == self.device:
                     self._link.unlink()
             except OSError:
-                pass  # removed or replaced meanwhile
+                pass  # removed or replaced in the meantime
             self._link = None
         self._close_ends()
 
@@ -183,19 +182,19 @@ class Terminal:
         self.close()
 
     def wait(self, timeout: float, *, readable: bool = True) -> bool:
-        """Sleep until a client has sent something, at most `timeout` [s]; without `readable` just sleep."""
+        """Sleep until a client has sent data, at most `timeout` [s]; without `readable` always `timeout`."""
         ready, _, _ = select.select([self._master] if readable else [], [], [], timeout)
         return bool(ready)
 
     def read(self) -> bytes:
-        """What clients have sent, empty if nothing."""
+        """Received data; may be empty."""
         try:
             return os.read(self._master, 4096)
         except BlockingIOError:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Hand bytes to the client; what does not fit because it is not read is lost, as on a wire."""
+        """Send bytes to the client; bytes beyond the buffer of the terminal are lost."""
         view = memoryview(data)
         while view:
             try:
@@ -206,24 +205,26 @@ class Terminal:
 
 
 def _make_link(link: Path, device: str) -> None:
-    """Symbolic link to a device, in one step even if there is one already."""
+    """Create or replace a symbolic link to a device atomically."""
     try:
         if link.is_symlink():
             if link.exists() and not stat.S_ISCHR(link.stat().st_mode):
-                raise LinkError(f"{link} is a link to {os.readlink(link)}, which is no terminal; choose another name")
+                raise LinkError(
+                    f"{link} is a link to {os.readlink(link)}, which is not a terminal; choose another name"
+                )
         elif link.exists():
             raise LinkError(f"{link} exists and is not a link; choose another name or remove it")
-        fresh = link.with_name(f".{link.name}.{os.getpid()}")
-        fresh.unlink(missing_ok=True)
-        fresh.symlink_to(device)
-        fresh.replace(link)
+        temporary = link.with_name(f".{link.name}.{os.getpid()}")
+        temporary.unlink(missing_ok=True)
+        temporary.symlink_to(device)
+        temporary.replace(link)
     except OSError as error:
-        reason = "its folder does not exist" if error.errno == errno.ENOENT else error.strerror
-        raise LinkError(f"cannot make the link {link}: {reason}") from error
+        reason = "folder does not exist" if error.errno == errno.ENOENT else error.strerror
+        raise LinkError(f"cannot create the link {link}: {reason}") from error
 
 
 class _Board(Protocol):
-    """What `serve` needs of a board."""
+    """Interface of a board for `serve`."""
 
     @property
     def time_ns(self) -> int: ...
@@ -234,7 +235,7 @@ class _Board(Protocol):
 
 
 class _Line(Protocol):
-    """What `serve` needs of a terminal."""
+    """Interface of a terminal for `serve`."""
 
     def wait(self, timeout: float, *, readable: bool = True) -> bool: ...
     def read(self) -> bytes: ...
@@ -251,26 +252,26 @@ def serve(
     on_slip: Callable[[Pacer], None] = lambda pacer: None,
     on_step: Callable[[], None] = lambda: None,
 ) -> None:
-    """Run a board in step with the clock and connect it with a line until `stopped`.
+    """Run a board in real time and connect it with a line until `stopped`.
 
     Parameters
     ----------
     board : Board
         The board.
     line : Terminal
-        The client's side of its serial line.
+        Serial line to the client.
     pacer : Pacer
-        What time it is on the board.
+        Simulated time as a function of wall time.
     stopped : callable
-        Asked at least every few milliseconds.
+        Polled at least every few milliseconds.
     clock_ns : callable
         Monotonic wall time [ns].
     on_slip : callable
-        Told when time has slipped.
+        Called after a slip.
     on_step : callable
-        Called whenever the board has been brought up to the clock.
+        Called after every advance of the board.
     """
-    waiting = b""  # sent by the client, no room on the board's side yet
+    waiting = b""  # received from the client, not yet accepted by the board
     slips = pacer.slips
     while not stopped():
         board.advance(pacer.target(clock_ns(), board.time_ns))
@@ -286,14 +287,14 @@ def serve(
         if line.wait(delay, readable=not waiting):
             waiting = line.read()
         if waiting:
-            # the bytes begin on the wire now, not when the board was last looked at
+            # the transmission of the bytes starts now, not at the last advance of the board
             board.advance(pacer.target(clock_ns(), board.time_ns))
             waiting = waiting[board.serial_in(waiting) :]
 
 
 @contextmanager
 def _stop_signals() -> Iterator[Callable[[], bool]]:
-    """Turn SIGINT and SIGTERM into a flag."""
+    """Convert SIGINT and SIGTERM to a flag."""
     caught: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:
@@ -308,12 +309,12 @@ def _stop_signals() -> Iterator[Callable[[], bool]]:
 
 
 def slip_reporter(level: Level, clock_ns: Callable[[], int] = time.monotonic_ns) -> Callable[[Pacer], None]:
-    """Warning about slips, with what is left of the speed since the one before, at most every `REPORT_INTERVAL_S`.
+    """Warning about slips, with the mean speed since the previous one, at most every `REPORT_INTERVAL_S`.
 
     Parameters
     ----------
     level : {"registers", "ideal"}
-        Of the board, to be named.
+        Level of the board, for the text.
     clock_ns : callable
         Monotonic wall time [ns].
     """
@@ -338,30 +339,28 @@ def slip_reporter(level: Level, clock_ns: Callable[[], int] = time.monotonic_ns)
 
 
 def _slips(pacer: Pacer) -> str:
-    return f"time slipped {pacer.slips} times, {pacer.slipped_s:.3f} s in all"
+    return f"time slipped {pacer.slips} times, {pacer.slipped_s:.3f} s in total"
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="virtual_board",
-        description="A servo board without hardware: the firmware, two motors and a DC bus behind a serial port (a "
+        description="Simulated servo board: the firmware, two motors and a DC bus at a serial port (a "
         "pseudo-terminal), in real time. Stop it with Ctrl-C.",
-        epilog="Exit status: 0 stopped by SIGINT or SIGTERM, 1 the system refused something, 2 wrong options, link or "
-        "plant file. Example: virtual_board --link /tmp/servo --baud 1000000",
+        epilog="Exit status: 0 stopped by SIGINT or SIGTERM, 1 operating system error, 2 wrong options, link or plant "
+        "file. Example: virtual_board --link /tmp/servo --baud 1000000",
     )
-    parser.add_argument("--link", type=Path, help="symbolic link to the port, to have a name that stays the same")
+    parser.add_argument("--link", type=Path, help="symbolic link to the port, as a fixed name")
     parser.add_argument(
         "--baud", type=float, default=115200.0, help="speed of the line in bit/s (default: %(default)g)"
     )
-    parser.add_argument(
-        "--seed", type=int, default=0, help="seed of the sensor noise; the same seed gives the same board"
-    )
-    parser.add_argument("--plant", type=Path, help="TOML file with what differs from the packaged plant.toml")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the sensor noise")
+    parser.add_argument("--plant", type=Path, help="TOML file with changes of the packaged plant.toml")
     parser.add_argument(
         "--flash",
         type=Path,
         metavar="FILE",
-        help="keep what the board stores in its data flash (default: until it ends)",
+        help="file for the contents of the data flash (default: lost at the end)",
     )
     add_level_option(parser, "the board is")
     parser.add_argument(
@@ -406,7 +405,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _keeper(board: Board, flash: FlashFile | None) -> Callable[[], None]:
-    """Brings the file of the flash up to date when a command has been begun or has ended."""
+    """Function that updates the flash file after the start or end of a flash command."""
     if flash is None:
         return lambda: None
     before = board.flash_state()

@@ -52,7 +52,7 @@ def test_a_recording_begins_at_its_trigger(access: VirtualBoardAccess) -> None:
     event = recording.columns["axis1.event_state"]
     assert event[0] > 0.0
     assert access.capacity(["tick", "axis1.event_state"]) == 7680 // 6
-    with pytest.raises(MeasurementError, match="not triggered"):
+    with pytest.raises(MeasurementError, match="no trigger within"):
         access.record(["tick"], 10, 1, slow=True, trigger="axis2.event_mode")
     with pytest.raises(MeasurementError, match="name one element"):
         access.record(["cmd.i_q"], 10, 1, slow=True)
@@ -78,5 +78,5 @@ def test_configuration_blocks_are_taken_together(access: VirtualBoardAccess) -> 
     assert read_block(access, 1) == changed[1]
     access.board.write("cmd.enable", [1, 1])
     access.wait(0.2)
-    with pytest.raises(BlockRefusedError, match="at rest"):
+    with pytest.raises(BlockRefusedError, match="at standstill"):
         send_configuration(access, {0: {**blocks[0], "torque_constant": blocks[0]["torque_constant"] // 2}})

@@ -150,14 +150,14 @@ class TestOverCurrent:
         assert [(c.axis, c.time_ns) for c in chip.calls(BREAK)] == [(0, chip.hal.now_ns)]
         chip.run(chip.hal.now_ns + 5 * PERIOD_NS)  # the firmware goes on asking for current
         assert list(chip.motor(0).phase) == [0.0, 0.0, 0.0]
-        assert chip.lib.hal_break_active(chip.hal, 0)
-        assert not chip.lib.hal_break_active(chip.hal, 1)
+        assert chip.lib.hal_over_current_active(chip.hal, 0)
+        assert not chip.lib.hal_over_current_active(chip.hal, 1)
         assert chip.hal.plant.axis[1].inverter.on
 
     def test_latches_again_while_the_current_is_too_high(self, make: Callable[..., Chip]) -> None:
         chip = self.trip(make)
-        chip.lib.hal_break_clear(chip.hal, 0)
-        assert chip.lib.hal_break_active(chip.hal, 0)
+        chip.lib.hal_over_current_clear(chip.hal, 0)
+        assert chip.lib.hal_over_current_active(chip.hal, 0)
         assert not chip.hal.plant.axis[0].inverter.on
         assert chip.hal.breaks == 2
 
@@ -165,8 +165,8 @@ class TestOverCurrent:
         chip = self.trip(make)
         chip.switch_on(0, 16384, 16384, 16384)
         chip.run(chip.hal.now_ns + 5 * PERIOD_NS)
-        chip.lib.hal_break_clear(chip.hal, 0)
-        assert not chip.lib.hal_break_active(chip.hal, 0)
+        chip.lib.hal_over_current_clear(chip.hal, 0)
+        assert not chip.lib.hal_over_current_active(chip.hal, 0)
         chip.run(chip.hal.now_ns + 5 * PERIOD_NS)
         assert len(chip.calls(BREAK)) == 1
 

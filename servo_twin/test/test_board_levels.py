@@ -47,7 +47,7 @@ class TestChoice:
     @pytest.mark.parametrize("name", ["register", ""])
     def test_an_unknown_level_is_refused(self, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
         monkeypatch.setenv("SERVO_TWIN_LEVEL", name)
-        with pytest.raises(ValueError, match="a board has the levels registers, ideal"):
+        with pytest.raises(ValueError, match="levels: registers, ideal"):
             Board()
 
     def test_the_ideal_level_has_no_registers(self) -> None:
@@ -176,7 +176,7 @@ class TestTrace:
 
     def test_room_is_kept(self) -> None:
         with Board(level="registers") as board:
-            assert board.trace(5_000_000, room=10).size == 10
+            assert board.trace(5_000_000, capacity=10).size == 10
             assert board.time_ns == 5_000_000
 
     def test_looking_changes_nothing(self) -> None:
@@ -236,11 +236,11 @@ class TestCore:
                 assert begin <= late <= begin + (2 if level == "registers" else 1)
 
     def test_a_bad_core_speed_is_refused(self) -> None:
-        with pytest.raises(ValueError, match="the values are"):
+        with pytest.raises(ValueError, match="expected the values"):
             CoreSpeed.parse({"entry_cycles": 10})
-        with pytest.raises(ValueError, match="cycles per instruction"):
+        with pytest.raises(ValueError, match="cycles_per_instruction"):
             CoreSpeed(0.0, 30)
-        with pytest.raises(ValueError, match="begins with"):
+        with pytest.raises(ValueError, match="entry_cycles -1"):
             CoreSpeed(1.0, -1)
 
 

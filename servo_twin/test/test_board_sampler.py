@@ -42,7 +42,7 @@ def test_every_period_is_sampled_with_what_only_the_loops_have() -> None:
 
 def test_what_is_not_there_or_too_much_is_refused_and_the_recorder_is_free_again() -> None:
     with Board() as board:
-        with pytest.raises(BoardError, match="nothing is sampled"):
+        with pytest.raises(BoardError, match="no sampling is active"):
             board.sampled()
         with pytest.raises(BoardError, match="wrong number of bytes"):
             board.sample(0, [(variable, 0) for variable in list(VARIABLES.values())[1:10]], 10)

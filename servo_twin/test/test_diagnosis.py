@@ -1,4 +1,4 @@
-"""The diagnosis on virtual pairs, without ROS: what it names, what it does not, and what it learns from."""
+"""The diagnosis with virtual pairs, without ROS: findings, false alarms and calibration."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Final
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from servo_twin.diagnosis.channel import Channel, Finding, Kind
-from servo_twin.diagnosis.hypotheses import Unknowns
-from servo_twin.diagnosis.monitor import BURSTS, PLANT_VALUES, DiagnosisMonitor
-from servo_twin.diagnosis.pair import BoardPair, Motion
-from servo_twin.diagnosis.report import NOTHING_CHANGED, finding_text, located_text
-from servo_twin.diagnosis.signal_watch import WATCHED, SignalWatch
+from servo_twin.diagnosis.board_pair import BoardPair, Motion
+from servo_twin.diagnosis.change_detector import ChangeDetector, Finding, Kind
+from servo_twin.diagnosis.likelihood_ratio import Unknowns
+from servo_twin.diagnosis.monitor import PLANT_VALUES, TRANSIENT_BLOCKS, DiagnosisMonitor
+from servo_twin.diagnosis.report import NOTHING_CHANGED, finding_text, findings_text
+from servo_twin.diagnosis.signal_monitor import MONITORED, SignalMonitor
 from servo_twin.diagnosis.signals import CHANGES, NEEDED, BusSignal
 from servo_twin.diagnosis.thresholds import Thresholds, ThresholdsError
 from servo_twin.diagnosis.trials import NOTHING, Change, HealthyRuns, Trials
@@ -38,7 +38,7 @@ def trials(*changes: Change, loss: float = 0.0, seconds: float = 10.0) -> Trials
 
 @pytest.mark.parametrize("name", PLANT_VALUES)
 @pytest.mark.parametrize("factor", [0.85, 1.15])
-def test_each_change_gets_its_name_and_size(name: str, factor: float) -> None:
+def test_each_change_is_reported_with_its_size(name: str, factor: float) -> None:
     size = 0.02 * (factor - 1.0) if name == "load" else factor
     answer = trials(Change(name, size)).run(0)
     assert (answer.said, answer.false_alarms) == (answer.truth, ())
@@ -48,25 +48,25 @@ def test_each_change_gets_its_name_and_size(name: str, factor: float) -> None:
 
 
 @pytest.mark.parametrize("name", ["friction", "resistance", "inertia", "load"])
-def test_large_changes_are_single_ones_too(name: str) -> None:
+def test_a_large_change_is_reported_as_a_single_change(name: str) -> None:
     size = {"friction": 4.0, "resistance": 2.0, "inertia": 3.0, "load": 0.03}[name]
     answer = trials(Change(name, size)).run(1)
     assert answer.said == answer.truth
     assert answer.value == pytest.approx(size if name == "load" else size - 1.0, rel=0.15)
 
 
-def test_missing_samples_cost_time_only() -> None:
+def test_a_change_is_found_with_30_percent_of_the_samples_missing() -> None:
     answer = trials(Change("inertia", 1.15), loss=0.3).run(2)
     assert (answer.said, answer.false_alarms) == (answer.truth, ())
     assert answer.covered
 
 
-def test_nothing_is_said_of_a_healthy_pair() -> None:
+def test_a_healthy_pair_has_no_finding() -> None:
     answer = trials(seconds=60.0).run(3)
     assert (answer.said, answer.false_alarms) == (NOTHING, ())
 
 
-# ---- more than one, and none that is known --------------------------------------------------------------------------
+# ---- several changes, and unknown ones -------------------------------------------------------------------------------
 
 
 def watched(*changes: tuple[str, float], slip: SlippedEncoder | None = None, seconds: float = 10.0) -> DiagnosisMonitor:
@@ -87,14 +87,14 @@ def watched(*changes: tuple[str, float], slip: SlippedEncoder | None = None, sec
     return monitor
 
 
-def test_two_changes_of_one_axis_are_several() -> None:
+def test_two_changes_of_one_axis_are_reported_as_several() -> None:
     monitor = watched(("axis1.inertia", 1.2e-5), ("axis1.friction", 5e-3))
     (found,) = monitor.findings()
     assert (found.axis, found.finding.kind) == (0, Kind.SEVERAL)
     assert set(found.finding.changes) == {"friction", "inertia"}
 
 
-def test_the_twin_takes_over_all_of_several_changes() -> None:
+def test_the_twin_adopts_all_of_several_changes() -> None:
     plant = watched(("axis1.inertia", 1.2e-5), ("axis1.friction", 5e-3)).adapted(1 << 40)
     assert plant is not None
     assert plant.axes[0].inertia == pytest.approx(1.2e-5, rel=0.05)
@@ -102,7 +102,7 @@ def test_the_twin_takes_over_all_of_several_changes() -> None:
     assert plant.axes[1] == PLANT.axes[1]
 
 
-def test_a_slipped_encoder_is_an_angle() -> None:
+def test_a_slipped_encoder_is_reported_as_encoder_angle() -> None:
     (found,) = watched(slip=SlippedEncoder(1, 100)).findings()
     assert (found.axis, found.finding.changes) == (1, ("encoder_angle",))
     assert abs(found.finding.value) == pytest.approx(np.deg2rad(18.0), rel=0.1)
@@ -114,16 +114,16 @@ def rows(samples: Sequence[tuple[float, NDArray[np.float64]]]) -> Rows:
     return Rows(y, np.array([phi for _, phi in samples]), np.ones_like(y), np.ones_like(y))
 
 
-def test_what_no_equation_has_is_unknown() -> None:
+def test_a_residual_without_an_equation_is_reported_as_unknown() -> None:
     """Noise three times as large as that of a healthy pair."""
     unknowns = Unknowns(("one", "two"), np.array([0.01, 0.01]), np.ones(2), (1, 1))
-    channel = Channel(unknowns, 10.0, np.array([2.0]), np.empty(0), rows)
+    detector = ChangeDetector(unknowns, 10.0, np.array([2.0]), np.empty(0), rows)
     draw = np.random.default_rng(1)
     said: list[Kind | None] = []
     for tick in range(0, 400_000, 136):
         phi = draw.normal(size=(1, 2))
-        if channel.add(tick, 0.0085, (draw.normal() * 3.0, phi)):
-            said.append(channel.finding.kind if channel.finding else None)
+        if detector.add(tick, 0.0085, (draw.normal() * 3.0, phi)):
+            said.append(detector.finding.kind if detector.finding else None)
     assert set(said) == {None, Kind.UNKNOWN}
     assert said.count(Kind.UNKNOWN) > len(said) // 2
 
@@ -132,41 +132,43 @@ BLOCK_SAMPLES = 12
 WHITE = np.random.default_rng(3).normal(size=100 * BLOCK_SAMPLES)
 
 
-Simple = Channel[tuple[float, NDArray[np.float64]]]
+Simple = ChangeDetector[tuple[float, NDArray[np.float64]]]
 
 
-def named(channel: Simple, left: NDArray[np.float64], change: int = 0) -> int | None:
-    """Block in which a channel first names something, when one unknown alone moves, with these left sides."""
+def detection_block(detector: Simple, left: NDArray[np.float64], change: int = 0) -> int | None:
+    """Block of the first finding, if a single unknown changes, with these left sides; None without a finding."""
     phi = np.zeros((1, 2))
     phi[0, change] = 1.0
     for number, y in enumerate(left):
-        channel.add(136 * number, 1.001 * BLOCK / BLOCK_SAMPLES, (float(y), phi))
-        if channel.finding is not None:
+        detector.add(136 * number, 1.001 * BLOCK / BLOCK_SAMPLES, (float(y), phi))
+        if detector.finding is not None:
             return number // BLOCK_SAMPLES
     return None
 
 
 def two(*names: str) -> Simple:
-    unknowns = Unknowns(names, np.array([0.01, 0.01]), np.ones(2), [BURSTS[CHANGES.index(name)] for name in names])
-    return Channel(unknowns, 10.0, np.array([9.0]), np.empty(0), rows)
+    unknowns = Unknowns(
+        names, np.array([0.01, 0.01]), np.ones(2), [TRANSIENT_BLOCKS[CHANGES.index(name)] for name in names]
+    )
+    return ChangeDetector(unknowns, 10.0, np.array([9.0]), np.empty(0), rows)
 
 
 @pytest.mark.parametrize("name", CHANGES)
-def test_a_transient_is_no_change_but_what_lasts_longer_is(name: str) -> None:
-    """The blocks of a transient, `BURSTS`, are no evidence however strong they are."""
-    blocks, begin = BURSTS[CHANGES.index(name)], 40 * BLOCK_SAMPLES
+def test_a_transient_is_not_reported_but_a_longer_change_is(name: str) -> None:
+    """The strongest `TRANSIENT_BLOCKS` are excluded from the decision, regardless of their strength."""
+    blocks, begin = TRANSIENT_BLOCKS[CHANGES.index(name)], 40 * BLOCK_SAMPLES
     names = ("flux", name) if name != "flux" else ("flux", "friction")
     change = names.index(name)
     short, longer = 0.1 * WHITE, 0.1 * WHITE
     short[begin : begin + blocks * BLOCK_SAMPLES] += 2.0
     longer[begin : begin + (blocks + 1) * BLOCK_SAMPLES] += 2.0
-    assert named(two(*names), short, change) is None
-    assert named(two(*names), longer, change) == 40 + blocks
+    assert detection_block(two(*names), short, change) is None
+    assert detection_block(two(*names), longer, change) == 40 + blocks
 
 
 @pytest.mark.parametrize("before", [0.0, 20.0])
-def test_a_slip_and_an_unknown_cause_have_to_last(before: float) -> None:
-    """Also after an outlier, which is a sign of a change for as long as the window holds it."""
+def test_a_slip_and_an_unknown_cause_are_reported_only_if_persistent(before: float) -> None:
+    """Also after an outlier, which looks like a change while it is in the window."""
     begin, second = 40 * BLOCK_SAMPLES, 10 * BLOCK_SAMPLES
     short, slip, noise = WHITE.copy(), WHITE.copy(), WHITE.copy()
     for left in (short, slip, noise):
@@ -174,17 +176,17 @@ def test_a_slip_and_an_unknown_cause_have_to_last(before: float) -> None:
     short[begin : begin + second // 2] += 1.5
     slip[begin:] += 1.5
     noise[begin:] *= 6.0
-    assert named(two("flux", "encoder_angle"), short, 1) is None
-    assert named(two("flux", "friction"), short) is not None
-    block = named(two("flux", "encoder_angle"), slip, 1)
+    assert detection_block(two("flux", "encoder_angle"), short, 1) is None
+    assert detection_block(two("flux", "friction"), short) is not None
+    block = detection_block(two("flux", "encoder_angle"), slip, 1)
     assert block is not None
     assert block >= 40 + 5
-    channel = two("flux", "friction")
-    block = named(channel, noise)
+    detector = two("flux", "friction")
+    block = detection_block(detector, noise)
     assert block is not None
     assert block >= 40 + 19
-    assert channel.finding is not None
-    assert channel.finding.kind is Kind.UNKNOWN
+    assert detector.finding is not None
+    assert detector.finding.kind is Kind.UNKNOWN
 
 
 class Buses:
@@ -209,7 +211,7 @@ class Buses:
 
 
 @pytest.mark.parametrize("braking", [(True, False), (False, True), (True, True)])
-def test_a_bus_that_a_motor_has_lifted_does_not_show_its_supply(braking: tuple[bool, bool]) -> None:
+def test_a_bus_raised_by_braking_is_not_evaluated(braking: tuple[bool, bool]) -> None:
     """0.5 J of either board, or of both: at standstill one board may use it faster than the other."""
     buses = Buses()
     assert buses.run(0.1, (24.0, 24.0), buses.STILL, buses.STILL) == 0.0
@@ -218,7 +220,7 @@ def test_a_bus_that_a_motor_has_lifted_does_not_show_its_supply(braking: tuple[b
     assert buses.run(0.017, (25.2, 24.0), buses.ACCELERATING, buses.ACCELERATING) == pytest.approx(0.05)
 
 
-def test_the_supply_is_judged_after_all_returned_energy_is_used() -> None:
+def test_the_supply_is_evaluated_after_all_returned_energy_is_used() -> None:
     """A lift from 24 to 33 V is 1.21 J of 4.7 mF: 0.027 s at 45 W."""
     buses = Buses()
     buses.run(0.1, (24.0, 24.0), buses.STILL, buses.STILL)
@@ -227,8 +229,8 @@ def test_the_supply_is_judged_after_all_returned_energy_is_used() -> None:
     assert buses.run(0.3 * 1.2 / 45.0, (24.0, 24.0), buses.ACCELERATING, buses.ACCELERATING) == 0.0
 
 
-def test_after_an_interruption_a_bus_above_its_supply_may_be_lifted() -> None:
-    """As after another plant: what the motors have returned before is not known."""
+def test_a_bus_above_its_supply_is_not_evaluated_after_an_interruption() -> None:
+    """As after a change of the plant: the energy returned before is unknown."""
     buses = Buses()
     for volts, shown in (((24.05, 24.0), 0.05 / 24.0), ((23.0, 24.0), -1.0 / 24.0), ((25.0, 24.0), None)):
         buses.signal.interrupt()
@@ -236,21 +238,21 @@ def test_after_an_interruption_a_bus_above_its_supply_may_be_lifted() -> None:
         assert found == (shown if shown is None else pytest.approx(shown))
 
 
-def test_what_the_motion_does_not_tell_apart_is_said_to_be_one_of_two() -> None:
-    """Friction and load are the same while the shaft turns one way only."""
+def test_indistinguishable_changes_are_reported_as_one_of_two() -> None:
+    """Friction and load are indistinguishable while the shaft rotates in one direction only."""
     unknowns = Unknowns(("friction", "load"), np.array([0.01, 0.01]), np.ones(2), (1, 1))
-    channel = Channel(unknowns, 10.0, np.array([5.0]), np.empty(0), rows)
+    detector = ChangeDetector(unknowns, 10.0, np.array([5.0]), np.empty(0), rows)
     draw = np.random.default_rng(2)
     for tick in range(0, 1_000_000, 136):
-        channel.add(tick, 0.0085, (draw.normal() + 1.0, np.ones((1, 2))))
-    assert channel.finding is not None
-    assert (channel.finding.kind, set(channel.finding.changes)) == (Kind.ONE_OF, {"friction", "load"})
+        detector.add(tick, 0.0085, (draw.normal() + 1.0, np.ones((1, 2))))
+    assert detector.finding is not None
+    assert (detector.finding.kind, set(detector.finding.changes)) == (Kind.ONE_OF, {"friction", "load"})
 
 
-# ---- afterwards ------------------------------------------------------------------------------------------------------
+# ---- after a finding -------------------------------------------------------------------------------------------------
 
 
-def test_what_has_gone_is_not_said_any_more_and_estimates_stay_at_rest() -> None:
+def test_a_finding_is_withdrawn_after_the_change_and_estimates_are_constant_at_rest() -> None:
     monitor = DiagnosisMonitor(PLANT, LEARNED)
     with BoardPair(PLANT, PLANT, seed=15, level="ideal") as pair:
         pair.enable()
@@ -307,85 +309,85 @@ def test_the_residual_after_adapting_is_that_of_an_unchanged_pair() -> None:
 
 
 @pytest.mark.parametrize("loads", [(0.03, 0.0), (0.0, -0.03)])
-def test_a_load_at_rest_shows_in_the_means(loads: tuple[float, float]) -> None:
-    watch = SignalWatch([noise.means for noise in LEARNED.axes])
+def test_a_load_at_rest_is_detected_by_the_means(loads: tuple[float, float]) -> None:
+    watch = SignalMonitor([noise.means for noise in LEARNED.axes])
     with BoardPair(PLANT, PLANT, seed=14, level="ideal") as pair:
         pair.enable()
         for _ in range(200):
             for one in pair.sample():
                 watch.update(one)
-        before = watch.complaint
+        before = watch.deviation
         for axis, load in enumerate(loads):
             pair.board.set_load(axis, load)
         for _ in range(200):
             for one in pair.sample():
                 watch.update(one)
     assert before is None
-    assert watch.complaint is not None
-    assert watch.complaint[0] == (0 if loads[0] else 1)
-    assert "i_q differs by" in watch.complaint[1]
-    assert len(LEARNED.axes[0].means) == len(WATCHED)
+    assert watch.deviation is not None
+    assert watch.deviation[0] == (0 if loads[0] else 1)
+    assert "i_q differs by" in watch.deviation[1]
+    assert len(LEARNED.axes[0].means) == len(MONITORED)
 
 
-# ---- what is learned -------------------------------------------------------------------------------------------------
+# ---- calibration -----------------------------------------------------------------------------------------------------
 
 
-def test_thresholds_are_learned_and_read_again(tmp_path: Path) -> None:
+def test_calibrated_thresholds_are_written_and_read_again(tmp_path: Path) -> None:
     runs = HealthyRuns(PLANT, 1, 120.0, "ideal")
-    learner = runs.run(0)
+    calibrator = runs.run(0)
     for number in range(1, 3):
-        learner.join(runs.run(number))
-    learned = learner.thresholds()
+        calibrator.merge(runs.run(number))
+    calibrated = calibrator.thresholds()
     path = tmp_path / "thresholds.toml"
-    path.write_text(learned.text())
+    path.write_text(calibrated.text())
     read = Thresholds.load(path)
-    assert read.detect == pytest.approx(learned.detect, rel=1e-5)
+    assert read.detect == pytest.approx(calibrated.detect, rel=1e-5)
     assert read.axes[0].torque == pytest.approx(LEARNED.axes[0].torque, rel=0.1)
     assert read.run_hours == pytest.approx(0.1, rel=0.01)
-    path.write_text(learned.text().replace("spread = [", "spread = [true, "))
+    path.write_text(calibrated.text().replace("spread = [", "spread = [true, "))
     with pytest.raises(ThresholdsError, match=r"thresholds.toml: spread is not a list of 6 numbers"):
         Thresholds.load(path)
 
 
 @pytest.mark.slow
-def test_another_motor_is_learned_and_its_changes_are_named(tmp_path: Path) -> None:
+def test_another_motor_is_calibrated_and_its_changes_are_found(tmp_path: Path) -> None:
     """Other motors on both axes and another supply, of board and twin, with the firmware for the usual ones."""
-    plant, learned = tmp_path / "plant.toml", tmp_path / "thresholds.toml"
+    plant, calibrated = tmp_path / "plant.toml", tmp_path / "thresholds.toml"
     plant.write_text(
         "[bus]\nu_source = 26.0\n"
         "[axis1]\nr_s = 0.8\npsi_m = 0.0125\ninertia = 1.4e-5\nfriction = 4e-3\n"
         "[axis2]\nr_s = 0.7\npsi_m = 0.011\ninertia = 2e-5\nfriction = 3e-3\n"
     )
     options = ["--plant", str(plant), "--workers", "1"]
-    assert cli.main(["calibrate", *options, "--runs", "2", "--time", "120", "--out", str(learned)]) == 0
-    assert Thresholds.load(learned).axes[0].voltage_q != LEARNED.axes[0].voltage_q
+    assert cli.main(["calibrate", *options, "--runs", "2", "--time", "120", "--out", str(calibrated)]) == 0
+    assert Thresholds.load(calibrated).axes[0].voltage_q != LEARNED.axes[0].voltage_q
     changes = [word for name in ("friction", "inertia", "flux") for word in ("--change", f"{name}=1.15")]
-    assert cli.main(["diagnose", *options, "--thresholds", str(learned), "--trials", "3", *changes]) == 0
+    assert cli.main(["diagnose", *options, "--thresholds", str(calibrated), "--trials", "3", *changes]) == 0
 
 
-def test_a_board_with_a_fault_teaches_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_calibration_fails_with_a_board_in_fault(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plant = tmp_path / "plant.toml"
     plant.write_text("[axis1]\npsi_m = 0.004\n")
     assert cli.main(["calibrate", "--plant", str(plant), "--runs", "1", "--workers", "1"]) == 1
     assert "axis1 of the board is in FAULT" in capsys.readouterr().err
 
 
-def test_too_little_motion_teaches_nothing() -> None:
+def test_calibration_fails_with_too_little_motion() -> None:
     with pytest.raises(ThresholdsError, match="s of motion are not enough"):
         HealthyRuns(PLANT, 1, 10.0, "ideal").run(0).thresholds()
 
 
-# ---- in words --------------------------------------------------------------------------------------------------------
+# ---- as text ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_finding_in_words() -> None:
+def test_a_finding_as_text() -> None:
     finding = Finding(Kind.SINGLE, ("friction",), 1.1, 0.9, 1.3, 16000, 38400)
     text = finding_text(finding, 48000, 1_700_000_003_000_000_000)
     assert text.startswith("friction 2.1 times (1.9..2.3) since ")
     assert text.endswith(":21, detected after 1.4 s")
     load = Finding(Kind.SINGLE, ("load",), 1e-3, 0.9e-3, 1.1e-3, 0, 16000)
     assert finding_text(load, 0, 0).startswith("load +1.0 mN m (+0.9..+1.1) since ")
-    assert located_text([], ["axis1", "axis2"], 0, 0) == NOTHING_CHANGED
+    assert findings_text([], ["axis1", "axis2"], 0, 0) == NOTHING_CHANGED
 
 
 def test_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:

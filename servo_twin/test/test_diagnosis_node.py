@@ -1,4 +1,4 @@
-"""What the twin's node says of a board that has changed, under real rclpy."""
+"""Diagnosis by the node of the twin, under real rclpy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.parameter import Parameter
 from servo_msgs_py.runtime.qos import latched_qos
 from servo_twin.calibrate_node import Calibration
-from servo_twin.diagnosis.pair import BoardPair, Motion
+from servo_twin.diagnosis.board_pair import BoardPair, Motion
 from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.plant import PlantConfig
 from test_twin_node import DOMAIN, Rig
@@ -26,7 +26,7 @@ PLANT = PlantConfig.load()
 
 
 class DiagnosisRig(Rig):
-    """The same, listening to the diagnosis."""
+    """`Rig` that subscribes to the diagnosis."""
 
     def __init__(self, **parameters: Any) -> None:
         super().__init__(**parameters)
@@ -39,7 +39,7 @@ class DiagnosisRig(Rig):
         return self
 
     def moves(self, condition: Callable[[], bool], times: int = 40) -> bool:
-        """Move to and fro until a condition holds; False if it does not after so many moves."""
+        """Move back and forth until a condition holds; False if it does not after `times` moves."""
         for _ in range(times):
             self.board.move([self._draw.uniform(-8.0, 8.0), self._draw.uniform(-8.0, 8.0)], 0.5)
             self.caught_up()
@@ -48,16 +48,16 @@ class DiagnosisRig(Rig):
         return False
 
     def said(self, place: str) -> str:
-        """What was said last of a joint, or of the bus; empty if nothing was."""
+        """Last message of a joint or of the bus; empty: none."""
         statuses = [s for m in self.messages[TOPIC][-1:] for s in m.status if s.name.endswith(f"diagnosis {place}")]
         return statuses[0].message if statuses else ""
 
     def found(self, place: str, text: str) -> Callable[[], bool]:
-        """Condition that something is said."""
+        """Condition: the last message contains a text."""
         return lambda: text in self.said(place)
 
 
-def test_a_changed_friction_is_named(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_changed_friction_is_reported(capfd: pytest.CaptureFixture[str]) -> None:
     with DiagnosisRig() as rig:
         assert rig.moves(lambda: bool(rig.last("/twin/healthy")))
         friction = rig.board.board.plant.axes[1].friction
@@ -73,7 +73,7 @@ def test_a_changed_friction_is_named(capfd: pytest.CaptureFixture[str]) -> None:
         assert rig.moves(lambda: bool(rig.last("/twin/healthy")))
 
 
-def test_the_twin_takes_over_what_has_changed() -> None:
+def test_the_twin_adopts_a_change() -> None:
     with DiagnosisRig(adapt=True) as rig:
         assert rig.moves(lambda: bool(rig.last("/twin/healthy")))
         before = rig.node._twin.synchronisations
@@ -85,10 +85,10 @@ def test_the_twin_takes_over_what_has_changed() -> None:
         assert rig.node._twin.synchronisations == before
 
 
-def test_calibrate_writes_a_file_that_the_twin_takes(tmp_path: Path) -> None:
+def test_calibrate_writes_a_threshold_file_for_the_twin(tmp_path: Path) -> None:
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=DOMAIN)
-    out = tmp_path / "learned.toml"
+    out = tmp_path / "calibrated.toml"
     values = {"out": str(out), "duration": 250.0}
     try:
         node = Calibration(context=context, parameter_overrides=[Parameter(k, value=v) for k, v in values.items()])
@@ -104,12 +104,12 @@ def test_calibrate_writes_a_file_that_the_twin_takes(tmp_path: Path) -> None:
             node.shutdown()
     finally:
         rclpy.shutdown(context=context)
-    learned = Thresholds.load(out)
-    assert learned.run_hours == pytest.approx(250.0 / 3600.0, rel=0.01)
-    assert learned.axes[0].torque == pytest.approx(Thresholds.load(level="ideal").axes[0].torque, rel=0.1)
+    calibrated = Thresholds.load(out)
+    assert calibrated.run_hours == pytest.approx(250.0 / 3600.0, rel=0.01)
+    assert calibrated.axes[0].torque == pytest.approx(Thresholds.load(level="ideal").axes[0].torque, rel=0.1)
 
 
-def test_telemetry_without_voltages_is_said_to_lack_them() -> None:
+def test_missing_voltages_of_the_telemetry_are_reported() -> None:
     with DiagnosisRig() as rig:
         keep = [k for k, name in enumerate(COLUMNS) if not name.endswith((".u_d", ".u_q"))]
         rig._rows.clear()

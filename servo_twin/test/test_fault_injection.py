@@ -357,13 +357,13 @@ def test_a_hot_power_stage(board: Board) -> None:
     [
         (OpenPhase(2, "a"), "axes 0 .. 1"),
         (OpenPhase(0, "d"), "none of a, b, c"),  # type: ignore[arg-type]
-        (ShortedPhase(0, "a", "a"), "touch itself"),
+        (ShortedPhase(0, "a", "a"), "shorted to itself"),
         (StuckConverter(0, "a", 4096), "4095"),
-        (SupplyDip(-1.0), "from 0"),
-        (SupplyDip(10.0, 0.0), "is none"),
+        (SupplyDip(-1.0), "at least 0"),
+        (SupplyDip(10.0, 0.0), "must be above 0"),
         (CurrentNoise(0, math.inf), "finite"),
     ],
 )
-def test_what_cannot_be_broken(fault: InjectedFault, message: str) -> None:
+def test_invalid_faults_are_refused(fault: InjectedFault, message: str) -> None:
     with Board(level="ideal") as board, pytest.raises((ValueError, IndexError), match=message):
         board.inject(fault)

@@ -27,7 +27,7 @@ from servo_twin.identification.files import write_estimates
 from servo_twin.identification.motors import random_motor
 from servo_twin.identification.refine import covariance
 from servo_twin.identification.session import identified, measure_virtual
-from servo_twin.identification.trials import AIMS, Trial, Trials, summary
+from servo_twin.identification.trials import TARGETS, Trial, Trials, summary
 from servo_twin.plant import PlantConfig
 
 AXIS = 1
@@ -45,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_plant_file_has_the_motor(folder: Path) -> None:
     found, true = PlantConfig.load(folder / "plant.toml").axes[AXIS], PlantConfig.load().axes[AXIS]
     assert found.pole_pairs == true.pole_pairs
-    for name, aim in AIMS.items():
+    for name, aim in TARGETS.items():
         assert getattr(found, name) == pytest.approx(getattr(true, name), rel=aim), name
     assert found.v_drop == pytest.approx(true.v_drop, rel=0.03)
 
@@ -53,7 +53,7 @@ def test_the_plant_file_has_the_motor(folder: Path) -> None:
 def test_intervals_hold_the_truth(folder: Path) -> None:
     content = json.loads((folder / "estimates.json").read_text())
     true = PlantConfig.load().axes[AXIS]
-    for name in AIMS:
+    for name in TARGETS:
         low, high = content["estimates"][name]["interval"]
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         assert abs(getattr(true, name) - middle) < 1.6 * half, name  # of one motor: 3 standard uncertainties
@@ -84,7 +84,7 @@ def test_a_recording_with_missing_samples_is_enough(folder: Path, tmp_path: Path
     arguments = ["identify", "--recording", str(tmp_path / "gaps.npz"), "--model", "ideal", "--out", str(tmp_path)]
     assert main(arguments) == 0
     found, true = PlantConfig.load(tmp_path / "plant.toml").axes[AXIS], PlantConfig.load().axes[AXIS]
-    for name, aim in AIMS.items():
+    for name, aim in TARGETS.items():
         assert getattr(found, name) == pytest.approx(getattr(true, name), rel=aim), name
 
 
@@ -405,9 +405,9 @@ def test_random_motors_are_the_same_for_a_seed() -> None:
 
 
 def test_false_success_is_counted() -> None:
-    good = Trial(dict.fromkeys(AIMS, 0.01), dict.fromkeys(AIMS, True), 20.0, (), "")
-    far = Trial({**dict.fromkeys(AIMS, 0.01), "psi_m": 0.2}, dict.fromkeys(AIMS, False), 20.0, (), "")
-    told = Trial({**dict.fromkeys(AIMS, 0.01), "psi_m": 0.2}, dict.fromkeys(AIMS, False), 20.0, ("psi_m",), "")
+    good = Trial(dict.fromkeys(TARGETS, 0.01), dict.fromkeys(TARGETS, True), 20.0, (), "")
+    far = Trial({**dict.fromkeys(TARGETS, 0.01), "psi_m": 0.2}, dict.fromkeys(TARGETS, False), 20.0, (), "")
+    told = Trial({**dict.fromkeys(TARGETS, 0.01), "psi_m": 0.2}, dict.fromkeys(TARGETS, False), 20.0, ("psi_m",), "")
     assert [one.false_success for one in (good, far, told)] == [False, True, False]
     text = "\n".join(summary([(0, good), (1, far), (2, told)]))
     assert "3 motors: 2 identified, 1 not" in text
@@ -433,7 +433,7 @@ def test_trials_that_are_ended_leave_what_they_have(tmp_path: Path, monkeypatch:
     def run(_: Trials, number: int) -> Trial:
         if number == 2:
             raise KeyboardInterrupt
-        return Trial(dict.fromkeys(AIMS, 0.01), dict.fromkeys(AIMS, True), 20.0, (), "")
+        return Trial(dict.fromkeys(TARGETS, 0.01), dict.fromkeys(TARGETS, True), 20.0, (), "")
 
     monkeypatch.setattr(Trials, "run", run)
     arguments = ["identify", "--trials", "3", "--workers", "1", "--seed", "5", "--level", "ideal"]

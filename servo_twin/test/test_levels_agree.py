@@ -79,7 +79,7 @@ def test_a_core_that_stands_still_is_late_whatever_it_does_next() -> None:
     with turning() as board:
         while True:
             before = board.time_ns
-            events = board.trace(before + 1000, room=100)
+            events = board.trace(before + 1000, capacity=100)
             if np.any((events["kind"] == Kind.ENTER) & np.isin(events["a"], EDGE_HANDLERS)):
                 break
     with turning() as board:

@@ -95,18 +95,18 @@ def test_shafts_at_rest_make_a_picture_too(tmp_path: Path) -> None:
     assert image.imread(tmp_path / "run.png").shape[:2] == (1000, 1600)
 
 
-def test_an_empty_recording_is_named_with_what_may_be_wrong(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_recording_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "empty.rrd"
     viewer = Viewer(Recording(file), CATALOGUE, START_NS)
     viewer.start()
     assert viewer.close()
-    with pytest.raises(RecordingError, match="holds no telemetry of a board: was the bridge connected"):
+    with pytest.raises(RecordingError, match="contains no telemetry of a board: record with a connected bridge"):
         draw(file, tmp_path / "run.png")
     assert main([str(file), str(tmp_path / "run.png")]) == 1
-    assert "holds no telemetry" in capsys.readouterr().err
+    assert "contains no telemetry" in capsys.readouterr().err
     assert not (tmp_path / "run.png").exists()
 
 
-def test_a_missing_recording_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_recording_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([str(tmp_path / "none.rrd"), str(tmp_path / "run.png")]) == 1
-    assert "there is no recording" in capsys.readouterr().err
+    assert "no such recording" in capsys.readouterr().err

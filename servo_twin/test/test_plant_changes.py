@@ -118,13 +118,13 @@ def test_a_noisy_sensor_outlives_a_change_and_heals_to_the_present_value(level: 
 @pytest.mark.parametrize(
     ("name", "value", "text"),
     [
-        ("axis1.r_q", 1.0, "axis1.r_q: no number of the plant has this name; near are r_s"),
-        ("axis3.r_s", 1.0, "axis3.r_s: no number"),
+        ("axis1.r_q", 1.0, "axis1.r_q: no such number of the plant; similar names: r_s"),
+        ("axis3.r_s", 1.0, "axis3.r_s: no such number"),
         ("axis1.r_s", 0.0, "axis1.r_s: r_s: 0.0 is not above 0"),
-        ("axis1.i_offset", 0.0, "axis1.i_offset: no number"),
-        ("axis1.pins", 0.0, "axis1.pins: no number"),
-        ("axis1.pole_pairs", 3.0, "axis1.pole_pairs: cannot change on a running board"),
-        ("pwm_frequency", 8000.0, "pwm_frequency: cannot change on a running board"),
+        ("axis1.i_offset", 0.0, "axis1.i_offset: no such number"),
+        ("axis1.pins", 0.0, "axis1.pins: no such number"),
+        ("axis1.pole_pairs", 3.0, "axis1.pole_pairs: cannot be changed on a running board"),
+        ("pwm_frequency", 8000.0, "pwm_frequency: cannot be changed on a running board"),
     ],
 )
 def test_what_cannot_change_says_so(name: str, value: float, text: str) -> None:

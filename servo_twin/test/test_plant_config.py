@@ -1,4 +1,4 @@
-"""Reading plant.toml: the packaged truth, changed copies, and complaints that help."""
+"""Reading plant.toml: the packaged truth, changed copies, and error messages."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_changed_copies_leave_the_original_alone() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    ("text", "message"),
     [
         ("[axis1]\nr_s = 0.0", r"axis1\.r_s: 0\.0 is not above 0"),
         ("[axis2]\nfriction = -1e-3", r"axis2\.friction: -0\.001 is not 0 or more"),
@@ -53,7 +53,7 @@ def test_changed_copies_leave_the_original_alone() -> None:
         ("[axis1]\nl_d = true", r"axis1\.l_d: True is not a number"),
         ("[axis1]\nl_d = '1 mH'", r"axis1\.l_d: '1 mH' is not a number"),
         ("[axis1]\ni_offset = [0.1, 0.2]", r"axis1\.i_offset: .* is not a list of three currents"),
-        ("[axis1]\nresistance = 1.0", r"unknown name 'resistance'; known are r_s, "),
+        ("[axis1]\nresistance = 1.0", r"unknown name 'resistance'; known names: r_s, "),
         ("[axis3]\nr_s = 1.0", r"unknown name 'axis3'"),
         ("axis1 = 5", r"axis1 is not a table"),
         ("[bus]\ncapacitance = 0", r"bus\.capacitance: 0 is not above 0"),
@@ -61,10 +61,10 @@ def test_changed_copies_leave_the_original_alone() -> None:
         ("[axis1\n", r"bad\.toml: "),
     ],
 )
-def test_complaints_name_the_place(tmp_path: Path, text: str, complaint: str) -> None:
+def test_messages_contain_file_and_name(tmp_path: Path, text: str, message: str) -> None:
     file = tmp_path / "bad.toml"
     file.write_text(text)
-    with pytest.raises(PlantError, match=complaint) as error:
+    with pytest.raises(PlantError, match=message) as error:
         PlantConfig.load(file)
     assert str(error.value).startswith(str(file))
 

@@ -218,7 +218,7 @@ def test_no_result_is_missing_when_a_worker_of_the_cluster_is_killed(cluster: Cl
 
 def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("servo_twin.runner.cluster.CONNECT_TIME", 0.5)
-    with pytest.raises(RuntimeError, match=r"no Dask scheduler answers at tcp://127.0.0.1:1"):
+    with pytest.raises(RuntimeError, match=r"no Dask scheduler at tcp://127.0.0.1:1"):
         run_in_order(Runner(scheduler="tcp://127.0.0.1:1"), Square(), NUMBERS, "squares")
 
 

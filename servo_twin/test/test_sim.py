@@ -43,9 +43,9 @@ def test_the_same_seed_gives_the_same_figures_and_another_one_others(capsys: pyt
     assert texts[0] == texts[1] != texts[2]
 
 
-def test_a_move_that_is_not_watched_long_enough_has_not_arrived(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_too_short_recording_of_a_move_is_not_settled(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["move", "--turns", "20", "--time", "0.1"]) == 1
-    assert "never" in capsys.readouterr().out
+    assert "not settled" in capsys.readouterr().out
 
 
 def test_the_plot_is_drawn(tmp_path: Path) -> None:
@@ -64,25 +64,25 @@ def test_info_shows_the_plant_file(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "capacitance" in capsys.readouterr().out
 
 
-def test_the_bench_measures(capsys: pytest.CaptureFixture[str]) -> None:
+def test_bench_prints_real_time_factor(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "--time", "0.2", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["real_time_factor"] > 0.0
 
 
 @pytest.mark.parametrize(
-    ("content", "complaint"),
+    ("content", "message"),
     [("[axis1]\ninertia = -1", "inertia"), ("[axis9]\nr_s = 1", "axis9"), ("not toml", "plant")],
 )
-def test_a_bad_plant_file_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str, complaint: str
+def test_an_invalid_plant_file_is_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str, message: str
 ) -> None:
     plant = tmp_path / "plant.toml"
     plant.write_text(content)
     assert main(["move", "--plant", str(plant)]) == 1
-    assert complaint in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
-def test_a_shaft_that_is_held_fast_is_reported() -> None:
+def test_a_locked_shaft_is_reported() -> None:
     with Board(PlantConfig.load(), seed=2) as board:
         board.lock_shaft(1)
         with pytest.raises(SimulationError, match="axis2: ROTOR_SEARCH"):
@@ -105,14 +105,14 @@ def test_only_the_named_axis_moves() -> None:
     + [(value, f"'{value}' is not a finite number") for value in ("nan", "inf", "soon")],
 )
 @pytest.mark.parametrize("verb", ["move", "bench"])
-def test_a_time_has_to_be_one(verb: str, value: str, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_invalid_time_is_refused(verb: str, value: str, text: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main([verb, "--time", value])
     assert end.value.code == 2
     assert text in capsys.readouterr().err
 
 
-def test_an_interrupted_command_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_interruption_is_reported(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 

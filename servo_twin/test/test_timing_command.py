@@ -39,9 +39,9 @@ def test_agrees_and_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert picture.stat().st_size > 50_000
 
 
-def test_all_draws_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_and_plot_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["timing", "--all", "--plot", str(tmp_path / "timing.png")]) != 0
-    assert "leave out --all" in capsys.readouterr().err
+    assert "--plot and --all cannot be combined" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

@@ -13,7 +13,7 @@ from servo_twin.board import TRACE_ENTRY as ENTRY
 from servo_twin.experiments.outcome import Row
 from servo_twin.timing import deadlines, picture
 from servo_twin.timing.chip_map import LOOPS, SLOTS, START_STEPS, VECTOR_M1, VECTOR_M2, VECTOR_START
-from servo_twin.timing.figures import circle, start
+from servo_twin.timing.figures import pwm_cycle, start
 from servo_twin.timing.trace import Kind, Trace
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
@@ -71,7 +71,7 @@ def wrong(rows: list[Row]) -> set[str]:
 
 
 def test_right_timing_agrees() -> None:
-    rows = circle(trace(ideal()))
+    rows = pwm_cycle(trace(ideal()))
     assert wrong(rows) == set()
     by_name = {row.name: row.measured for row in rows}
     assert by_name["motor 2 behind motor 1, most"] == pytest.approx(180.0)
@@ -114,18 +114,18 @@ def longer(vector: int, clocks: int) -> Mistake:
     ],
 )
 def test_every_mistake_shows_in_its_row(mistake: Mistake, row: str) -> None:
-    assert row in wrong(circle(trace(mistake(ideal()))))
+    assert row in wrong(pwm_cycle(trace(mistake(ideal()))))
 
 
 def test_an_empty_trace_agrees_with_nothing() -> None:
-    rows = circle(trace([]))
+    rows = pwm_cycle(trace([]))
     assert wrong(rows) >= {row.name for row in rows} - {"M1 and M2 at the same time"}
 
 
 # ---- deadlines -------------------------------------------------------------------------------------------------------
 
 
-def rooms(entries: list[Entry]) -> dict[str, float | None]:
+def margins(entries: list[Entry]) -> dict[str, float | None]:
     return {row.name: row.measured for row in deadlines.rows(trace(entries), M1_BEGIN)}
 
 
@@ -135,19 +135,19 @@ def test_room_is_what_is_left_from_sample_to_load() -> None:
     for name, begin in (("M1", M1_BEGIN), ("M2", 232)):
         left = HALF - begin - RELEASE
         for kind in SLOTS.values():
-            assert rooms(ideal())[f"{name} {kind}, least room"] == pytest.approx(100.0 * left / due), name + kind
-    assert rooms(ideal())["core busy"] == pytest.approx(100.0 * 2 * LENGTH / PERIOD, abs=1.0)
+            assert margins(ideal())[f"{name} {kind}, least room"] == pytest.approx(100.0 * left / due), name + kind
+    assert margins(ideal())["core busy"] == pytest.approx(100.0 * 2 * LENGTH / PERIOD, abs=1.0)
     assert wrong(deadlines.rows(trace(ideal()), M1_BEGIN)) == set()
 
 
 def test_the_picture_shows_the_room_of_each_loop() -> None:
     """And of a miss how much too late it is: bars that go back."""
     for loop, begin in zip(LOOPS, (M1_BEGIN, 232), strict=True):
-        drawn = picture.rooms(trace(ideal()), loop)
+        drawn = picture.margins(trace(ideal()), loop)
         assert drawn.shape[0] >= COUNT - 2
         assert set(np.diff(drawn)[:, 0]) == {HALF - begin - RELEASE}
     late = shift(Kind.WRITE, {MCTRL[0]}, HALF - M1_BEGIN - RELEASE + 1)(longer(VECTOR_M1, HALF)(ideal()))
-    assert set(np.diff(picture.rooms(trace(late), LOOPS[0]))[:, 0]) == {-1}
+    assert set(np.diff(picture.margins(trace(late), LOOPS[0]))[:, 0]) == {-1}
 
 
 def test_slots_are_those_of_the_firmware() -> None:
@@ -180,7 +180,7 @@ def test_a_miss_is_a_negative_room_however_soon_the_next_load_comes() -> None:
     late = at_period(4, shift(Kind.WRITE, {MCTRL[0]}, HALF - M1_BEGIN - RELEASE + 1))
     longer_m1 = at_period(4, longer(VECTOR_M1, HALF - M1_BEGIN - LENGTH + 10))
     entries = late(longer_m1(ideal()))
-    assert rooms(entries)["M1 with current watches, least room"] == pytest.approx(-100.0 / (HALF - 60 - FIRST))
+    assert margins(entries)["M1 with current watches, least room"] == pytest.approx(-100.0 / (HALF - 60 - FIRST))
     assert wrong(deadlines.rows(trace(entries), M1_BEGIN)) == {"M1 with current watches, least room"}
 
 
@@ -222,7 +222,7 @@ def test_what_interrupts_a_handler_is_counted_once() -> None:
 
 
 def test_a_trace_without_handlers_has_no_rows_but_the_core() -> None:
-    assert list(rooms([])) == ["core busy"]
+    assert list(margins([])) == ["core busy"]
 
 
 def beginning() -> list[Entry]:

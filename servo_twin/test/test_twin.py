@@ -182,7 +182,7 @@ class TestParameters:
         rig.up()
         rig.move([20.0, -20.0], 0.2)
         rig.set_parameters("param.speed_limit[1]=50", f"param.features[0]={FEATURES}")
-        changed = "the board has another param.speed_limit, param.features"
+        changed = "changed parameters of the board: param.speed_limit, param.features"
         assert rig.twin.status == changed
         rig.run(0.05)
         assert rig.twin.status == f"waiting: axis1 is not at rest; {changed}"
@@ -274,7 +274,7 @@ class TestConfiguration:
             rig.twin.blocks({0: tuple(AxisConfigTable.load().words(read_block(rig.real, 0)))})
             assert rig.twin.labels(), "the twin's board has that one, too, and goes on"
             rig.twin.blocks({1: tuple(AxisConfigTable.load().words(block))})
-            assert rig.twin.status == "the board has another configuration"
+            assert rig.twin.status == "changed configuration of the board"
             rig.up()
             began = rig.twin.synchronisations
             follows(rig, rig.move([5.0, -5.0]))

@@ -99,12 +99,12 @@ def test_of_another_plant_it_is_the_difference() -> None:
         assert burst.note == ""
         worst = dict(zip(burst.columns, np.abs(burst.residual).max(axis=0), strict=True))
         assert worst["axis1.i_q"] > 0.01
-        assert worst["axis1.position"] < 0.5, "in the frame of the real axis"
-        assert worst["axis1.theta_e"] < 1.0, "the short way round"
+        assert worst["axis1.position"] < 0.5, "in coordinates of the real axis"
+        assert worst["axis1.theta_e"] < 1.0, "wrapped to half a revolution"
         assert not np.isnan(burst.residual[:, :width]).any()
 
 
-def test_a_twin_that_began_later_and_elsewhere_has_the_same_ticks_and_positions() -> None:
+def test_a_twin_synchronised_later_has_the_ticks_and_positions_of_the_board() -> None:
     with TwinRig(real_seed=7, twin_seed=8, tick_base=3 << 32) as rig:
         rig.up()
         rig.move([1.25, -2.5])
@@ -113,7 +113,7 @@ def test_a_twin_that_began_later_and_elsewhere_has_the_same_ticks_and_positions(
         assert rig.twin.status == ""
         burst = recorded(rig, FAST, (-1.0, 2.0))
         assert burst.note == (
-            "no residual of axis1.i_a, axis1.theta_e, axis2.duty_a: the twin's shaft is at another angle"
+            "no residual of axis1.i_a, axis1.theta_e, axis2.duty_a: the twin's shaft has another electrical angle"
         )
         assert burst.twin[0, 0] > 3 << 32
         columns = list(burst.columns)
@@ -123,7 +123,7 @@ def test_a_twin_that_began_later_and_elsewhere_has_the_same_ticks_and_positions(
         assert np.isnan(burst.residual[:, columns.index("axis1.theta_e")]).all()
 
 
-def test_a_burst_waits_for_a_twin_that_lags(rig: TwinRig) -> None:
+def test_a_burst_waits_for_a_lagging_twin(rig: TwinRig) -> None:
     begin(rig, FAST)
     rig.listening = False
     rig.run(0.1)
@@ -136,10 +136,10 @@ def test_a_burst_waits_for_a_twin_that_lags(rig: TwinRig) -> None:
     assert answer(rig).note == ""
     rig.run(2.2)
     rig.twin.burst("", columns, table)
-    assert answer(rig).note == "the twin was not there when the recorder was set up", "sampled only when armed"
+    assert answer(rig).note == "the twin was started after the set-up of the recorder", "sampled only when armed"
 
 
-def test_what_the_twin_does_not_have_is_left_out_and_named(rig: TwinRig) -> None:
+def test_variables_without_a_twin_value_are_omitted_and_reported(rig: TwinRig) -> None:
     begin(rig, replace(FAST, names=("tick", "cmd.position", "applied_tick", "axis2.i_q")))
     rig.run(0.1)
     columns, table = end(rig, replace(FAST, names=("tick", "cmd.position[0]", "applied_tick", "axis2.i_q")))
@@ -147,18 +147,18 @@ def test_what_the_twin_does_not_have_is_left_out_and_named(rig: TwinRig) -> None
     rig.twin.burst("", columns, table)
     burst = answer(rig)
     assert list(burst.columns) == ["tick", "axis2.i_q", topics.BURST_TIME, *topics.STAMP_COLUMNS]
-    assert burst.note == "without cmd.position[0], applied_tick, which the host writes or the twin does not have"
+    assert burst.note == "without cmd.position[0], applied_tick (written by the host or not available in the twin)"
 
 
 @pytest.mark.parametrize(
     ("setup", "said"),
     [
         (replace(FAST, names=("tick", "foreign", "axis1.i_q[3]")), "the twin has none of tick, foreign, axis1.i_q[3]"),
-        (replace(FAST, period_ns=0), "the board does not say at which ticks it samples"),
-        (replace(FAST, period_ns=10_000 * PERIOD_NS), "every period of 312 s takes 104 MB, and the twin keeps 64 MB"),
+        (replace(FAST, period_ns=0), "the recording contains no ticks or has an unknown sampling period"),
+        (replace(FAST, period_ns=10_000 * PERIOD_NS), "312 s at full rate need 104 MB; the limit of the twin is 64 MB"),
     ],
 )
-def test_what_cannot_be_sampled_is_refused_with_the_reason(rig: TwinRig, setup: RecorderSetup, said: str) -> None:
+def test_an_unsuitable_setup_is_refused_with_the_reason(rig: TwinRig, setup: RecorderSetup, said: str) -> None:
     begin(rig, FAST)
     rig.twin.recorder(setup)
     rig.run(0.1)
@@ -168,11 +168,11 @@ def test_what_cannot_be_sampled_is_refused_with_the_reason(rig: TwinRig, setup: 
     assert burst.note == said
 
 
-def test_samples_of_before_the_twin_began_anew_are_not_there(rig: TwinRig) -> None:
+def test_samples_before_a_resynchronisation_are_not_available(rig: TwinRig) -> None:
     begin(rig, FAST)
     rig.run(0.05)
     first = rig.real.tick
-    rig.twin.resync("asked to begin anew")
+    rig.twin.resync("resynchronisation requested")
     rig.run(0.2)
     burst_columns, table = end(rig, FAST)
     rig.run(0.05)
@@ -180,18 +180,18 @@ def test_samples_of_before_the_twin_began_anew_are_not_there(rig: TwinRig) -> No
     early[0, 0] = first
     rig.twin.burst("", burst_columns, early)
     said = answer(rig).note
-    assert said.startswith(f"the burst begins at tick {first}, and of the twin's samples there are those from tick ")
-    assert said.endswith(" on (asked to begin anew)")
+    assert said.startswith(f"the burst starts at tick {first}; the twin has samples from tick ")
+    assert said.endswith(" on (resynchronisation requested)")
     table[:, 0] += 16_000.0
     rig.twin.burst("", burst_columns, table)
     rig.twin.recorder(FAST)
-    assert answer(rig).note == "the recorder was set up anew before the twin had run so far"
+    assert answer(rig).note == "the twin lags: the recorder was set up again first"
     rig.twin.burst("", burst_columns, table)
     rig.twin.resync("asked again")
     assert answer(rig).note == "the twin does not follow the board: asked again"
 
 
-def test_where_the_boards_cannot_be_compared_the_twin_is_shown_alone() -> None:
+def test_no_residual_while_the_boards_are_not_comparable() -> None:
     with TwinRig(real_seed=7, twin_seed=7) as rig:
         rig.up()
         begin(rig, replace(FAST, points=4000))
@@ -210,18 +210,18 @@ def test_where_the_boards_cannot_be_compared_the_twin_is_shown_alone() -> None:
         assert burst.note == f"no residual at {apart.sum()} of {len(apart)} points: axis1 is FAULT, its twin RUN/SPIN"
 
 
-def test_the_setup_of_a_recorder_travels_as_a_message() -> None:
+def test_the_setup_of_a_recorder_is_converted_to_a_message_and_back() -> None:
     assert setup_from_message(setup_message(FAST)) == FAST
     assert setup_from_message(setup_message(replace(SLOW, period_ns=1_500_000))) == replace(SLOW, period_ns=1_500_000)
     assert setup_from_message(setup_message(None)) is None
     broken = setup_message(FAST)
     broken.data[2] = 0.0
-    with pytest.raises(ValueError, match=r"0 points of .* are no set-up"):
+    with pytest.raises(ValueError, match=r"0 points of .* are not a valid set-up"):
         setup_from_message(broken)
 
 
-def test_sampling_ends_where_the_ticks_begin_anew(rig: TwinRig) -> None:
-    """The recorder was idle before the reset: nothing of the next board is sampled."""
+def test_sampling_ends_at_a_reset_of_the_board(rig: TwinRig) -> None:
+    """The recorder was idle before the reset: the next board is not sampled."""
     begin(rig, FAST)
     rig.run(0.05)
     assert rig.twin._bursts.sampling

@@ -240,7 +240,7 @@ def test_without_a_description_nothing_is_compared_in_unknown_units() -> None:
     with Rig(joints=[]) as rig:
         rig.board.run(0.7)
         rig.caught_up()
-        missing = "nothing on /servo/robot_description: the joints are not known"
+        missing = "joints unknown: no message on /servo/robot_description"
         rig.until(lambda: rig.last("/twin/state") == f"SYNCHRONISING {missing}")
         rig.until(lambda: missing in rig.told())
         assert rig.last("/twin/healthy") is False
@@ -404,10 +404,10 @@ def test_has_the_configuration_that_the_bridge_reads_from_the_board(
     rig.caught_up()
     published = rig.user.create_publisher(String, topics.TUNING, latched_qos())
     published.publish(String(data="not TOML ["))
-    rig.until(lambda: "the twin cannot take the configuration of the board" in capfd.readouterr().err)
+    rig.until(lambda: "invalid configuration of the board" in capfd.readouterr().err)
     text = SERVO_TOML.read_text(encoding="utf-8")
     published.publish(String(data=text.replace("position_gain     = 60.0", "position_gain = 50.0")))
-    rig.until(lambda: "the board has another configuration" in rig.last("/twin/state"))
+    rig.until(lambda: "changed configuration of the board" in rig.last("/twin/state"))
 
 
 def test_names_unknown_parameters_when_the_boards_differ(rig: Rig) -> None:
@@ -416,13 +416,13 @@ def test_names_unknown_parameters_when_the_boards_differ(rig: Rig) -> None:
     rig.board.run(0.7)
     rig.until(lambda: rig.last("/twin/healthy"))
     rig.board.move([5.0, -5.0], 0.4)
-    rig.until(lambda: "nothing on /servo/parameters" in rig.status("comparison").message)
+    rig.until(lambda: "no message on /servo/parameters" in rig.status("comparison").message)
     assert "differs by" in rig.status("comparison").message
 
 
 def test_parameters_of_another_version_are_named(rig: Rig) -> None:
     rig.board_parameters.publish(snapshot_message(["param.warp"], [[8.0]]))
-    rig.until(lambda: "the names are not those of this version" in rig.status("comparison").message)
+    rig.until(lambda: "the names belong to another version" in rig.status("comparison").message)
     assert rig.status("comparison").level == b"\x01"
     rig.board.set_parameters()
     rig.board.run(0.7)

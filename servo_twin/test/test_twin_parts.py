@@ -1,4 +1,4 @@
-"""The parts of the twin by themselves: ledger of commands, rest, replica, health."""
+"""Parts of the twin: applied commands, standstill, replica, health."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from servo_msgs_py.convert import AppliedCommand
 from servo_msgs_py.joints import Joint
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.board import Board
-from servo_twin.lockstep.axis_tie import AxisTie
-from servo_twin.lockstep.ledger import CommandLedger
+from servo_twin.lockstep.applied_commands import AppliedCommands
+from servo_twin.lockstep.axis_alignment import AxisAlignment
 from servo_twin.lockstep.replica import Replica, slow_tick
 from servo_twin.lockstep.residual import COMPARED, HealthMonitor, Residual, Thresholds, residual
-from servo_twin.lockstep.samples import Activity, RestWatch, SampleReader, activity
+from servo_twin.lockstep.samples import Activity, SampleReader, StandstillDetector, activity
 from twin_rig import CATALOGUE, COLUMNS
 
 SECOND = round(1e9 / PERIOD_NS)
@@ -30,61 +30,61 @@ def command(tick: int, variable: str = "cmd.position", raw: tuple[int, int] = (1
     return AppliedCommand(variable, tick, raw, 3)
 
 
-class TestLedger:
-    def test_counts_what_is_missing(self) -> None:
-        ledger = CommandLedger()
-        assert ledger.from_reset
-        assert ledger.missing(800, 0, 0) == 0
-        assert ledger.missing(800, 792, 2) == 2
-        ledger.add(command(792))
-        assert ledger.missing(800, 792, 2) == 1
-        ledger.add(command(400))
-        assert ledger.missing(800, 792, 2) == 0
-        assert [c.tick for c in ledger.until(800)] == [400, 792]
-        assert [c.tick for c in ledger.until(791)] == [400]
+class TestAppliedCommands:
+    def test_counts_missing_commands(self) -> None:
+        applied_commands = AppliedCommands()
+        assert applied_commands.from_reset
+        assert applied_commands.missing(800, 0, 0) == 0
+        assert applied_commands.missing(800, 792, 2) == 2
+        applied_commands.add(command(792))
+        assert applied_commands.missing(800, 792, 2) == 1
+        applied_commands.add(command(400))
+        assert applied_commands.missing(800, 792, 2) == 0
+        assert [c.tick for c in applied_commands.until(800)] == [400, 792]
+        assert [c.tick for c in applied_commands.until(791)] == [400]
 
     def test_writes_of_one_tick_count_once(self) -> None:
-        ledger = CommandLedger()
-        ledger.add(command(80, "cmd.mode"))
-        ledger.add(command(80, "cmd.speed"))
-        assert ledger.missing(96, 80, 1) == 0
-        assert ledger.missing(96, 80, 2) == 1
-        assert [c.variable for c in ledger.until(96)] == ["cmd.mode", "cmd.speed"]
+        applied_commands = AppliedCommands()
+        applied_commands.add(command(80, "cmd.mode"))
+        applied_commands.add(command(80, "cmd.speed"))
+        assert applied_commands.missing(96, 80, 1) == 0
+        assert applied_commands.missing(96, 80, 2) == 1
+        assert [c.variable for c in applied_commands.until(96)] == ["cmd.mode", "cmd.speed"]
 
-    def test_a_later_command_does_not_stand_in_for_an_earlier_one(self) -> None:
-        ledger = CommandLedger()
-        ledger.add(command(160))
-        assert ledger.missing(96, 80, 1) == 1
+    def test_a_later_command_does_not_replace_an_earlier_one(self) -> None:
+        applied_commands = AppliedCommands()
+        applied_commands.add(command(160))
+        assert applied_commands.missing(96, 80, 1) == 1
 
-    def test_settling_forgets_and_refuses_what_is_old(self) -> None:
-        ledger = CommandLedger()
-        assert ledger.add(command(80))
-        assert not ledger.add(command(80))
-        ledger.settle(96, 1)
-        assert (ledger.from_reset, ledger.until(96)) == (False, [])
-        assert not ledger.add(command(96))
-        assert ledger.missing(800, 80, 1) == 0
-        assert ledger.add(command(104))
-        assert ledger.missing(800, 104, 2) == 0
-        ledger.forget()
-        assert ledger.from_reset
-        assert ledger.add(command(8))
+    def test_settling_removes_and_refuses_old_commands(self) -> None:
+        applied_commands = AppliedCommands()
+        assert applied_commands.add(command(80))
+        assert not applied_commands.add(command(80))
+        applied_commands.settle(96, 1)
+        assert (applied_commands.from_reset, applied_commands.until(96)) == (False, [])
+        assert not applied_commands.add(command(96))
+        assert applied_commands.missing(800, 80, 1) == 0
+        assert applied_commands.add(command(104))
+        assert applied_commands.missing(800, 104, 2) == 0
+        applied_commands.forget()
+        assert applied_commands.from_reset
+        assert applied_commands.add(command(8))
 
     def test_missing_commands_are_counted_across_the_wrap_of_the_counters(self) -> None:
-        ledger = CommandLedger()
+        applied_commands = AppliedCommands()
         late = (1 << 32) + 80
-        ledger.settle((1 << 32) - 160, 0xFFFF)
-        ledger.add(command((1 << 32) - 80))
-        ledger.add(command(late))
-        assert ledger.missing(late + 16, 80, 1) == 0
-        assert ledger.missing(late + 16, 80, 2) == 1
+        applied_commands.settle((1 << 32) - 160, 0xFFFF)
+        applied_commands.add(command((1 << 32) - 80))
+        applied_commands.add(command(late))
+        assert applied_commands.missing(late + 16, 80, 1) == 0
+        assert applied_commands.missing(late + 16, 80, 2) == 1
 
     @given(st.permutations(range(1, 8)))
     def test_the_order_of_arrival_does_not_matter(self, order: list[int]) -> None:
-        ledger = CommandLedger()
+        applied_commands = AppliedCommands()
         for k in order:
-            ledger.add(command(8 * k))
-        assert [c.tick for c in ledger.until(56)] == [8, 16, 24, 32, 40, 48, 56]
+            applied_commands.add(command(8 * k))
+        assert [c.tick for c in applied_commands.until(56)] == [8, 16, 24, 32, 40, 48, 56]
 
 
 class FarReplica:
@@ -94,13 +94,13 @@ class FarReplica:
 
 
 @pytest.mark.parametrize("turns_of_the_counter", [-2, 0, 1, 5])
-def test_positions_of_the_twin_are_unwrapped_as_those_of_the_board_are(turns_of_the_counter: int) -> None:
+def test_positions_of_the_twin_are_unwrapped_like_those_of_the_board(turns_of_the_counter: int) -> None:
     far = turns_of_the_counter << 32
     sample = SimpleNamespace(position=(far + 2**31 + 5, 0), labels=("STOP", "STOP"))
-    tie = AxisTie(0, CATALOGUE)
-    tie.begin(sample, FarReplica())  # type: ignore[arg-type]
-    assert tie.offset == 3
-    assert tie.in_real_frame(FarReplica(), sample) == {  # type: ignore[arg-type]
+    alignment = AxisAlignment(0, CATALOGUE)
+    alignment.begin(sample, FarReplica())  # type: ignore[arg-type]
+    assert alignment.offset == 3
+    assert alignment.in_real_coordinates(FarReplica(), sample) == {  # type: ignore[arg-type]
         "axis1.position": far + 2**31 + 5,
         "axis1.position_ref": far + 2**31 + 2,
     }
@@ -115,7 +115,7 @@ class TestSamples:
             ("RUN/ALIGN", Activity.SEARCHING), ("RUN/SPIN", Activity.ACTIVE),
         ],
     )  # fmt: skip
-    def test_a_label_names_its_activity(self, label: str, kind: Activity) -> None:
+    def test_activity_of_a_state_label(self, label: str, kind: Activity) -> None:
         assert activity(label) is kind
 
     @staticmethod
@@ -146,32 +146,32 @@ class TestSamples:
         assert sample.faults == (1 << 20, 5)
         assert sample.expired == (False, True)
 
-    def test_a_telemetry_without_them_has_none(self) -> None:
+    def test_missing_faults_and_limits_read_as_none(self) -> None:
         columns = [name for name in COLUMNS if not name.endswith(("faults", "limits"))]
         (sample,) = SampleReader(CATALOGUE).rows(columns, np.zeros((1, len(columns))))
         assert (sample.faults, sample.expired) == ((0, 0), (False, False))
 
-    def test_without_a_shaped_set_point_the_position_stands_in(self) -> None:
+    def test_the_position_replaces_a_missing_shaped_set_point(self) -> None:
         columns = [name for name in COLUMNS if not name.endswith("position_ref")]
         table = np.array([[float(name == "axis2.position") for name in columns]])
         (sample,) = SampleReader(CATALOGUE).rows(columns, table)
         assert sample.position_ref == sample.position == (0, 637)
 
-    def test_rest_needs_the_whole_time(self) -> None:
-        watch = RestWatch(100)
+    def test_standstill_requires_the_full_time(self) -> None:
+        detector = StandstillDetector(100)
 
         def add(tick: int, counts: int) -> bool:
-            watch.add(tick, (counts, 0))
-            return watch.at_rest(0)
+            detector.add(tick, (counts, 0))
+            return detector.at_rest(0)
 
         assert [add(tick, 0) for tick in (0, 40, 80, 120)] == [False, False, False, True]
         assert add(160, 2)
         assert not add(200, 3)
         assert not add(240, 3)
         assert add(280, 3)
-        assert watch.at_rest(1)
-        watch.forget()
-        assert not watch.at_rest(1)
+        assert detector.at_rest(1)
+        detector.forget()
+        assert not detector.at_rest(1)
         assert [add(tick, 0) for tick in (400, 450, 500)] == [False, False, True]
 
 
@@ -198,26 +198,26 @@ class TestReplica:
         replica.run_to(1608)
         assert (replica.raw["applied_tick"], replica.raw["applied_count"]) == (1608, 1)
 
-    def test_the_mask_leaves_axes_alone(self, replica: Replica) -> None:
+    def test_unmasked_axes_are_not_written(self, replica: Replica) -> None:
         replica.write("cmd.position", [5, 6], 3)
         replica.write("cmd.position", [7, 8], 2)
         assert replica.board.read("cmd.position") == pytest.approx([5 * 0.0015707963, 8 * 0.0015707963])
 
-    def test_knows_an_expired_set_point(self, replica: Replica) -> None:
+    def test_an_expired_set_point_is_detected(self, replica: Replica) -> None:
         assert not replica.expired(0)
         replica.raw = {"axis1.limits": EXPIRED | 1, "axis2.limits": 1}
         assert [replica.expired(axis) for axis in range(2)] == [True, False]
 
-    def test_a_set_point_that_expires_on_the_twins_board_alone_is_a_stop_too(self, replica: Replica) -> None:
-        """Once: a bit that stays does not take back what a new set-point has said."""
-        tie = AxisTie(1, CATALOGUE)
+    def test_an_expired_set_point_of_the_twin_alone_is_a_stop(self, replica: Replica) -> None:
+        """Only the rising edge counts: a set bit does not stop the axis again after a new set-point."""
+        alignment = AxisAlignment(1, CATALOGUE)
         (sample,) = SampleReader(CATALOGUE).rows(COLUMNS, TestSamples.row())
         said = []
         for limits in (0, EXPIRED, EXPIRED, 0, EXPIRED):
             replica.raw = {"axis2.limits": limits, "axis1.limits": EXPIRED}
-            tie.observe(replica, sample)
-            said.append(tie.stopping)
-            tie.stopping = False
+            alignment.observe(replica, sample)
+            said.append(alignment.stopping)
+            alignment.stopping = False
         assert said == [False, True, False, False, True]
 
     def test_runs_until_something_holds(self, replica: Replica) -> None:
@@ -245,16 +245,16 @@ class TestHealth:
         assert result.effort == (0.5 * 1.5, 2.0 * 4.5)
         assert result.values["axis2.i_q"] == 4.5
 
-    def test_becomes_healthy_after_a_while(self) -> None:
+    def test_becomes_healthy_after_the_hold_time(self) -> None:
         monitor = HealthMonitor(Thresholds(hold=0.5))
         assert not monitor.healthy
         assert not self.update(monitor, 10.0)
         assert not self.update(monitor, 10.49)
-        assert monitor.reason == "the residual has been small for a moment only"
+        assert monitor.reason == "residual small for less than 0.5 s"
         assert self.update(monitor, 10.5)
         assert monitor.reason == ""
 
-    def test_a_short_excursion_is_forgiven(self) -> None:
+    def test_a_short_excursion_is_tolerated(self) -> None:
         monitor = HealthMonitor(Thresholds(position=0.05, hold=0.5, grace=0.1))
         for t in (0.0, 0.5):
             self.update(monitor, t)
@@ -263,7 +263,7 @@ class TestHealth:
         assert self.update(monitor, 0.695)
         assert self.update(monitor, 0.7, axis1_position=-0.06)
         assert not self.update(monitor, 0.8, axis1_position=-0.06)
-        assert monitor.reason == "axis1: position differs by -0.06 rad, allowed are 0.05"
+        assert monitor.reason == "axis1: position differs by -0.06 rad, limit 0.05"
         assert not self.update(monitor, 0.9)
         assert self.update(monitor, 1.4)
 
@@ -281,7 +281,7 @@ class TestHealth:
         assert not self.update(monitor, 0.1, **difference)
         assert monitor.reason.startswith(said)
 
-    def test_a_geared_joint_is_judged_in_its_units(self) -> None:
+    def test_a_geared_joint_is_compared_in_joint_units(self) -> None:
         zero = dict.fromkeys(COMPARED, 0.0)
         real = zero | {"axis1.position": 0.4, "axis1.speed": -20.0, "axis1.i_q": 0.01}
         arm = Joint("arm", 10.0, -1, 0.5)
@@ -292,9 +292,9 @@ class TestHealth:
         assert result.values["axis1.i_q"] == 0.01
         monitor = HealthMonitor(Thresholds(0.05, 1.0, 0.06, hold=0.0, grace=0.0))
         assert not monitor.update(result)
-        assert monitor.reason == "arm: velocity differs by +2 rad/s, allowed are 1"
+        assert monitor.reason == "arm: velocity differs by +2 rad/s, limit 1"
 
-    def test_where_a_stopping_axis_is_says_nothing(self) -> None:
+    def test_the_position_of_a_stopping_axis_is_ignored(self) -> None:
         monitor = HealthMonitor(Thresholds(0.05, 10.0, 0.05, hold=0.0, grace=0.0))
         far = dict.fromkeys(COMPARED, 0.0) | {"axis2.position": 0.1}
         difference = Residual(0, ["axis1", "axis2"], far, (0.0, 0.1), (0.0, 0.0), (0.0, 0.0))
@@ -305,7 +305,7 @@ class TestHealth:
         assert not monitor.update(fast, (False, True))
         assert monitor.reason.startswith("axis2: velocity")
 
-    def test_an_interruption_begins_the_wait_anew(self) -> None:
+    def test_an_interruption_restarts_the_hold_time(self) -> None:
         monitor = HealthMonitor(Thresholds(hold=0.5))
         self.update(monitor, 0.0)
         assert self.update(monitor, 0.5)

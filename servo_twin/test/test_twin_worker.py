@@ -99,7 +99,7 @@ def test_too_many_messages_make_it_begin_anew(line: Line) -> None:
         row[0, 0] = tick
         line.worker.samples(COLUMNS, row.copy())
     line.worker.start()
-    line.recorder.wait_for(lambda: "the simulation cannot keep up with the board" in line.recorder.statuses)
+    line.recorder.wait_for(lambda: "the simulation is slower than the board" in line.recorder.statuses)
     assert line.worker.figures().overruns == 1
 
 
@@ -109,7 +109,7 @@ def test_too_much_board_time_makes_it_begin_anew(line: Line) -> None:
     table[:, 0] = np.arange(500) * 800 + 80_000
     line.worker.samples(COLUMNS, table)
     line.worker.start()
-    line.recorder.wait_for(lambda: "the simulation cannot keep up with the board" in line.recorder.statuses)
+    line.recorder.wait_for(lambda: "the simulation is slower than the board" in line.recorder.statuses)
     figures = line.worker.figures()
     assert (figures.overruns, figures.backlog) == (1, 0.0)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from servo_twin.view.curves import Curves, Hand
+from servo_twin.view.curves import Curves, ShaftAngle
 
 
 def test_points_come_out_once_and_in_order() -> None:
@@ -31,7 +31,7 @@ def test_silence_breaks_a_curve_even_between_two_writes(later: float) -> None:
 
 @pytest.mark.parametrize("chunk", [1, 7, 1000])
 def test_a_hand_moves_thirty_times_a_second_however_the_rows_arrive(chunk: int) -> None:
-    hand = Hand()
+    hand = ShaftAngle()
     times = np.arange(1000, dtype=np.float64) * 0.002
     for first in range(0, 1000, chunk):
         part = times[first : first + chunk]
@@ -44,7 +44,7 @@ def test_a_hand_moves_thirty_times_a_second_however_the_rows_arrive(chunk: int) 
 
 
 def test_a_hand_goes_on_after_time_went_back() -> None:
-    hand = Hand()
+    hand = ShaftAngle()
     hand.add(np.array([5.0]), np.array([1.0]))
     hand.add(np.array([0.1]), np.array([2.0]))
     assert hand.take()[1].tolist() == [1.0, 2.0]

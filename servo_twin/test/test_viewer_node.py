@@ -27,7 +27,7 @@ from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import diagnostic_array, diagnostic_status, joint_state, snapshot_message
 from servo_msgs_py.joints import DEFAULT_JOINTS
 from servo_msgs_py.robot_description import describe
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.runtime.qos import latched_qos, telemetry_qos
 from servo_msgs_py.units import PERIOD_NS
 from servo_twin.view import scene
@@ -65,7 +65,7 @@ class ViewerProcess:
         arguments = [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]
         with self._log.open("w") as output:
             self.process = subprocess.Popen(
-                bound_to_us([sys.executable, "-c", MAIN, "--ros-args", *arguments]),
+                with_parent_death_signal([sys.executable, "-c", MAIN, "--ros-args", *arguments]),
                 stdout=output,
                 stderr=output,
                 env=dict(os.environ, ROS_DOMAIN_ID=str(DOMAIN), RERUN_STRICT="1"),
@@ -136,7 +136,7 @@ class Robot:
         self.start_ns = self.node.get_clock().now().nanoseconds
 
     def wait_for_viewer(self, viewer: ViewerProcess) -> None:
-        viewer.wait_for("shows the joints axis1, axis2")
+        viewer.wait_for("joints: axis1, axis2")
         _wait(lambda: all(p.get_subscription_count() for p in self._made.values()), "subscriptions of the viewer")
         self.start_ns = self.node.get_clock().now().nanoseconds
 
@@ -241,7 +241,7 @@ def test_what_is_published_is_in_the_file_after_sigterm(start: Start, robot: Rob
     assert read_scalars(file, RESIDUAL)[0] == pytest.approx(board[0], abs=1e-6)
     states = [state for _, state in read_texts(file, scene.state_entity("axis1"), "StateChange:state")]
     assert states == ["STOP", "RUN/SPIN", "FAULT"]
-    assert [state for _, state in read_texts(file, scene.state_entity("twin"), "StateChange:state")] == ["FOLLOWS"]
+    assert [state for _, state in read_texts(file, scene.state_entity("twin"), "StateChange:state")] == ["HEALTHY"]
     assert any("OVER_CURRENT" in text and "clear the fault" in text for _, text in read_texts(file, "/log/axis1"))
     assert [text for _, text in read_texts(file, "/log/diagnostics")] == ["diagnostics: servo_bridge: link: 2 timeouts"]
 
@@ -281,7 +281,7 @@ def test_the_page_is_served_beside_ports_in_use_and_ends_with_the_node(start: St
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
-        (["web:=false"], "nothing to do: set parameter record"),
+        (["web:=false"], "no output: set parameter record"),
         (["web:=false", "record:=/dev/null/run.rrd"], "/dev/null/run.rrd cannot be written"),
         (["web_port:=80"], "parameter web_port"),
         (["web:=perhaps"], "parameter web"),

@@ -72,7 +72,7 @@ def _gone(pid: int) -> bool:
 def test_a_port_in_use_is_passed_over(listener: int) -> None:
     assert free_port(listener) > listener
     free = free_port(listener)
-    assert free_port(free, but=free) > free
+    assert free_port(free, exclude=free) > free
 
 
 def test_no_free_port_is_named(monkeypatch: pytest.MonkeyPatch, listener: int) -> None:

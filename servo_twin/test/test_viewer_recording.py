@@ -245,7 +245,7 @@ def test_the_link_and_the_twin_have_states(record: Record, file: Path) -> None:
     assert [state for _, state in link] == ["DISCONNECTED", "CONNECTED", "DISCONNECTED"]
     assert [moment for moment, _ in link] == pytest.approx([0.05, 0.1, 0.4], abs=1e-6)
     twin = read_texts(file, scene.state_entity("twin"), "StateChange:state")
-    assert [state for _, state in twin] == ["FOLLOWS", "APART"]
+    assert [state for _, state in twin] == ["HEALTHY", "NOT HEALTHY"]
     axis = read_texts(file, scene.state_entity("axis1"), "StateChange:state")
     assert [state for _, state in axis] == ["STOP", "DISCONNECTED"]
     texts = [text for _, text in read_texts(file, "/log/link")]
@@ -325,7 +325,7 @@ def test_unusable_messages_are_told_once_and_the_rest_is_recorded(record: Record
     record(feed)
     assert len(read_scalars(file, scene.series_entity(1, "i_q", scene.BOARD))[0]) == 10
     assert [text for _, text in read_texts(file, "/log/viewer")] == [
-        "viewer: a message was left out: telemetry without the column tick"
+        "viewer: invalid message ignored: telemetry without the column tick"
     ]
 
 

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_twin.virtual_board import IDLE_SLICE_S, LinkError, Pacer, Terminal, main, serve, slip_reporter
 
 pytestmark = pytest.mark.realtime
@@ -190,7 +190,7 @@ class TestSlipReport:
     def test_one_stall_is_told_with_the_next(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert self.told([(0.5, 0.2)], capsys) == []
         (line,) = self.told([(0.5, 0.2), (100.0, 0.8)], capsys)
-        assert "at 0.99 of its speed (last 100.0 s); time slipped 2 times, 1.000 s in all" in line
+        assert "at 0.99 of its speed (last 100.0 s); time slipped 2 times, 1.000 s in total" in line
 
 
 def read_for(fd: int, size: int) -> bytes:
@@ -271,7 +271,7 @@ class TestTerminal:
         for link, reason in [
             (file, "is not a link"),
             (tmp_path, "is not a link"),
-            (to_file, "no terminal"),
+            (to_file, "not a terminal"),
             (tmp_path / "no" / "servo", "folder does not exist"),
         ]:
             with pytest.raises(LinkError, match=reason):
@@ -284,7 +284,7 @@ class TestTerminal:
 def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     """The program itself, terminated at the end."""
     process = subprocess.Popen(
-        bound_to_us([sys.executable, "-m", "servo_twin.virtual_board", *arguments]),
+        with_parent_death_signal([sys.executable, "-m", "servo_twin.virtual_board", *arguments]),
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
     )  # fmt: skip
@@ -355,7 +355,7 @@ class TestProgram:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "complaint"),
+    ("arguments", "message"),
     [
         (["--seed", "-3"], "seed -3"),
         (["--baud", "0"], "baud 0"),
@@ -364,9 +364,9 @@ class TestProgram:
         (["--link", "/dev/null"], "is not a link"),
     ],
 )
-def test_wrong_options_exit_with_2(arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_options_exit_with_2(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(arguments) == 2
-    assert complaint in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("arguments", [["--speed", "0"], ["--speed", "nan"], ["--frobnicate"]])

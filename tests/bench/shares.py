@@ -34,7 +34,7 @@ from bench.twin import turning
 from servo_twin.board import Board
 board = Board(seed=1, level=sys.argv[1])
 turning(board)
-board.trace(board.time_ns + {PERIODS * PERIOD_NS}, room=1)
+board.trace(board.time_ns + {PERIODS * PERIOD_NS}, capacity=1)
 """
 
 _FILE: Final = re.compile(r"(?P<kind>fl|fi|fe|cfi|cfl)=\((?P<number>\d+)\)(?: (?P<name>.*))?")

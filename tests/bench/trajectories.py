@@ -14,7 +14,7 @@ from typing import Final, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from servo_bridge.setpoints import JointSetPoint, Mode, SetPointRequest
+from servo_bridge.set_points import JointSetPoint, Mode, SetPointRequest
 from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.shapes import lissajous
 from servo_msgs_py.catalogue import AXES

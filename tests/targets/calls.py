@@ -9,14 +9,14 @@ from typing import Final
 
 from servo_msgs_py.units import PERIOD_NS
 
-KINDS: Final = ("init", "m1", "m2", "background", "edge", "break")
+KINDS: Final = ("init", "m1", "m2", "background", "edge", "over_current")
 """Names of ``call_t``."""
 
 _OUTPUTS: Final = (
     ("pair", 1),
     ("duty", 3),
     ("enable", 1),
-    ("break_clear", 0),
+    ("over_current_clear", 0),
     ("preset", 1),
     ("capture_arm", 0),
     ("serial", 1),
@@ -29,7 +29,7 @@ _OUTPUTS: Final = (
 )
 """Names of ``out_t``, and how many words follow the head."""
 
-_AXIS_KINDS: Final = ("edge", "break")
+_AXIS_KINDS: Final = ("edge", "over_current")
 _CALL: Final = re.compile(r"\?([0-9A-F]{8})((?: [0-9A-F]{4})+)")
 _FIELD: Final = re.compile(r"!([0-9A-F]{4}) ([0-9A-F]{8})")
 _CHECK: Final = re.compile(r"=([0-9A-F]{8})")

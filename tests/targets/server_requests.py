@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from typing import Final
 
 from servo_bridge.freemaster import commands
-from servo_bridge.freemaster.codec import encode_request, encode_sleb, encode_uleb
 from servo_bridge.freemaster.commands import Command, ScopeSlot
+from servo_bridge.freemaster.frames import encode_request, encode_sleb, encode_uleb
 
 from targets.rig import Rig
 

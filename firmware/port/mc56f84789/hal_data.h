@@ -25,22 +25,22 @@ struct hal {
 #ifdef CHIP_ON_HOST
     struct chip *chip;
 #endif
-    uint32_t baud; /* of the host's line, set by the owner of the board; 0: SERIAL_BAUD */
+    uint32_t baud; /* baud rate, set by the owner of the board; 0: SERIAL_BAUD */
     servo_t *servo;
     port_axis_t axis[HAL_AXES];
     uint16_t bus; /* ADC code of the bus voltage */
-    bool watchdog_reset;     /* the last reset was that of the watchdog */
-    uint16_t losses; /* of triggers, forgotten with time */
+    bool watchdog_reset;     /* the last reset was caused by the watchdog */
+    uint16_t losses; /* count of lost triggers, with decay */
     uint16_t late;     /* hal_late_loops() */
     uint16_t last;     /* time stamp of the last M1, TIME_STAMP_DIVIDER clocks */
-    uint16_t m2_runs;  /* M2 since then */
+    uint16_t m2_runs;  /* M2 interrupts since the last M1 */
     bool running;      /* M1 has run before */
     bool monitoring;   /* the monitor outputs run */
 
-    bool slow_line; /* the background fetches received bytes, too */
+    bool slow_line; /* the background loop reads received bytes, too */
     volatile uint8_t ring[PORT_RING];
-    volatile uint16_t ring_in; /* bytes ever put in and taken out, modulo 65536 */
-    volatile uint16_t ring_out;
+    volatile uint16_t ring_in; /* number of bytes written, modulo 65536 */
+    volatile uint16_t ring_out; /* number of bytes read, modulo 65536 */
     volatile uint16_t overruns; /* received bytes lost in the interface or in the ring */
 };
 

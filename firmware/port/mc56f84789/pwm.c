@@ -44,13 +44,13 @@ void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on)
     REG_WRITE(hal, hal->axis[axis].pwm + PWM_OUTEN, (on ? SET_PWM_OUTEN : 0U) | hal->axis[axis].others);
 }
 
-bool hal_break_active(hal_t *hal, uint16_t axis)
+bool hal_over_current_active(hal_t *hal, uint16_t axis)
 {
     const uint16_t fsts = REG_READ(hal, hal->axis[axis].pwm + PWM_FSTS0);
     return (fsts & (PWM_FSTS_FFLAG(FAULT_INPUT) | PWM_FSTS_FFPIN(FAULT_INPUT))) != 0U;
 }
 
-void hal_break_clear(hal_t *hal, uint16_t axis)
+void hal_over_current_clear(hal_t *hal, uint16_t axis)
 {
     const uint16_t module = hal->axis[axis].pwm;
     REG_WRITE(hal, module + PWM_FSTS0, SET_PWM_FSTS0 | PWM_FSTS_FFLAG(FAULT_INPUT));
@@ -73,7 +73,7 @@ void hal_analog_out(hal_t *hal, uint16_t channel, uint16_t value)
 static void over_current(hal_t *hal, uint16_t axis)
 {
     REG_WRITE(hal, hal->axis[axis].pwm + PWM_FCTRL0, SET_PWM_FCTRL0_SILENT);
-    servo_break_isr(hal->servo, axis);
+    servo_over_current_isr(hal->servo, axis);
 }
 
 void port_break_1(hal_t *hal) { over_current(hal, 0U); }

@@ -264,7 +264,7 @@
 /* ---- flash controller: registers of bytes, two in a word, the even one in its low half ----------------------------- */
 
 #define DATA_FLASH_BASE 0x8000U /* in words of 16 bits */
-#define DATA_FLASH_SECTORS 32U  /* of 1 KB */
+#define DATA_FLASH_SECTORS 32U  /* sectors of 1 KB */
 
 #define FTFL_STAT 0xE3C0U          /* FSTAT, FCNFG */
 #define FTFL_FCCOB_ADDRESS 0xE3C2U /* FCCOB3, 2: bits 15:0 of the address, which counts bytes */

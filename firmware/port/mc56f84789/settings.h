@@ -1,7 +1,7 @@
 /* settings.h - every register value of the servo, derived from physical quantities.
  *
  * Change a quantity in the first part; the values in the second follow. What the hardware cannot do does not compile:
- * the name of the failing check tells why. All of it are integer constant expressions, also where int has 16 bits.
+ * the name of the failing check states the reason. All of it are integer constant expressions, also where int has 16 bits.
  */
 #ifndef PORT_SETTINGS_H
 #define PORT_SETTINGS_H
@@ -67,7 +67,7 @@
 #define ENCODER_LINES 1000
 #endif
 #ifndef ENCODER_SPEED_RPM
-#define ENCODER_SPEED_RPM 5000UL /* that the filters must let through */
+#define ENCODER_SPEED_RPM 5000UL /* highest speed for the input filters */
 #endif
 #ifndef ENCODER_FILTER_NS
 #define ENCODER_FILTER_NS 200UL
@@ -135,7 +135,7 @@ SETTINGS_CHECK(bus_clock_is_whole_megahertz, BUS_CLOCK_HZ % 1000000UL == 0UL);
 #define SET_PWM_VAL1 WORD(PWM_HALF_PERIOD - 1)
 #define SET_PWM_NEVER 0x7FFFU /* far beyond VAL1 */
 #define SET_PWM_VAL0 WORD(0) /* half-cycle reload */
-#define SET_PWMA_SM0_VAL0 WORD(-(int32_t)SYNC_LATENCY_CLOCKS) /* and there the sync of PWMB */
+#define SET_PWMA_SM0_VAL0 WORD(-(int32_t)SYNC_LATENCY_CLOCKS) /* sync of PWMB */
 
 #define DEAD_TIME_CLOCKS CLOCKS_OF_NS(DEAD_TIME_NS)
 #define SET_PWM_DTCNT WORD(DEAD_TIME_CLOCKS)
@@ -170,7 +170,7 @@ SETTINGS_CHECK(shortest_pulse_is_swallowed,
 
 /* The comparator is fault 0 of its module and switches A and B off without software; PWMX is not in use. */
 #define FAULT_INPUT BIT(0)
-#define ENABLE_INPUT BIT(1) /* and the enable input fault 1, where it is fitted; open it is high */
+#define ENABLE_INPUT BIT(1) /* fault 1: enable input, if fitted; high when open */
 #define PWM_DISMAP0_OF(faults) (PWM_DISMAP_ONES | PWM_DISMAP_X_MASK | PWM_DISMAP_B(faults) | PWM_DISMAP_A(faults))
 #define SET_PWM_DISMAP0 PWM_DISMAP0_OF(FAULT_INPUT)
 #define SET_PWM_DISMAP0_ENABLE PWM_DISMAP0_OF(FAULT_INPUT | ENABLE_INPUT)
@@ -228,7 +228,7 @@ SETTINGS_CHECK(start_interrupt_has_time, PWM_HALF_PERIOD - START_COUNT >= (int32
 #define SET_ADC_PWR2                                                                                                   \
     (ADC_PWR2_DIV1(ADC_DIVIDER - 1UL) | ADC_PWR2_SPEEDA(ADC_SPEED_CODE) | ADC_PWR2_SPEEDB(ADC_SPEED_CODE))
 #define ADC_PAIRS_MASK(first, count) ((BIT(count) - 1U) << (first))
-#define ADC_SAMPLES_MASK(first, count) FIELD(0, 0x101U * ADC_PAIRS_MASK(first, count)) /* of both converters */
+#define ADC_SAMPLES_MASK(first, count) FIELD(0, 0x101U * ADC_PAIRS_MASK(first, count)) /* samples of both converters */
 #define SET_ADC_SDIS ADC_SAMPLES_MASK(2U * ADC_PAIRS, 8U - 2U * ADC_PAIRS)
 #define SET_ADC_SCTRL BIT(ADC_PAIRS) /* the first pair of motor 2 waits for the second trigger */
 #define SET_ADC_STAT_CLEAR (ADC_STAT_EOSI0 | ADC_STAT_EOSI1)

@@ -1,1 +1,1 @@
-"""Bursts: what the recorder of a board samples at the rate of its loops; from the request to files and topics."""
+"""Bursts: samples of the recorder of a board at the rate of its control loops, written to files and topics."""

@@ -1,4 +1,4 @@
-"""A burst: what a recorder of a board has sampled, as arrays. Pure."""
+"""Points of a recorder as arrays. Pure."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _LETTERS: Final = {TypeKind.UNSIGNED: "u", TypeKind.SIGNED: "i", TypeKind.FLOAT:
 class Channel:
     """One number of every point."""
 
-    name: str  # variable, or element of one
-    variable: BoardVariable  # that it belongs to
+    name: str  # variable or element
+    variable: BoardVariable  # variable of the number
     slot: ScopeSlot  # address and size of the number
 
     @property
@@ -33,13 +33,13 @@ class Channel:
 
     @property
     def raw_type(self) -> str:
-        """Type of the number as NumPy names it."""
+        """NumPy name of the type of the number."""
         type_ = self.variable.target.type
         order = ">" if self.variable.target.order == "big" else "<"
         return f"{order}{_LETTERS[type_.kind]}{type_.size}"
 
     def scaled(self, raw: NDArray[Any]) -> NDArray[Any]:
-        """Values [SI] of raw numbers, same shape; whole numbers and those that the catalogue does not know stay raw."""
+        """Values [SI] of raw numbers, same shape; integers and variables without a scale stay raw."""
         native = raw.astype(raw.dtype.newbyteorder("="))
         contract, fraction = self.variable.contract, self.variable.target.type.fraction_bits
         if contract is not None:
@@ -48,17 +48,17 @@ class Channel:
 
 
 def channels_of(selection: Sequence[tuple[str, BoardVariable, int | None]]) -> list[Channel]:
-    """Find the numbers of some variables; of an array all elements.
+    """Channels of variables; for an array of all elements.
 
     Parameters
     ----------
     selection : sequence of (str, BoardVariable, int or None)
-        Name as it was given, variable, and element.
+        Given name, variable, and element.
 
     Raises
     ------
     UsageError
-        If one is a block of bytes.
+        If a variable is a block of bytes.
     """
     result = []
     for name, variable, element in selection:
@@ -73,10 +73,10 @@ def channels_of(selection: Sequence[tuple[str, BoardVariable, int | None]]) -> l
 class Burst:
     """Points of a recorder, oldest first."""
 
-    channels: tuple[Channel, ...]  # that were recorded
+    channels: tuple[Channel, ...]  # in the order of a point
     times: NDArray[np.float64]
-    """(n,), time of every point [s], zero at the trigger, or at the first point without one; index of the point where
-    the board does not state its sampling period."""
+    """(n,), time of every point [s], zero at the trigger, or at the first point without a trigger; index of the point
+    if the board does not report its sampling period."""
     values: tuple[NDArray[Any], ...]  # values of every channel, each (n,)
     timed: bool  # whether `times` are seconds
 
@@ -92,23 +92,23 @@ def burst_of(channels: Sequence[Channel], data: bytes, period_ns: int, zero: int
     Parameters
     ----------
     channels : sequence of Channel
-        In the order in which a point holds them.
+        In the order of a point.
     data : bytes
         All points, oldest first.
     period_ns : int
-        Time between two points [ns]; 0 when it is not known.
+        Time between two points [ns]; 0: not known.
     zero : int
-        Index of the point at time zero.
+        Index of the point with time zero.
 
     Raises
     ------
     CodecError
-        If the data are no whole number of points.
+        If the data are not a whole number of points.
     """
     names = [f"f{k}" for k in range(len(channels))]
     layout = np.dtype([(name, channel.raw_type) for name, channel in zip(names, channels, strict=True)])
     if len(data) % layout.itemsize:
-        raise CodecError(f"{len(data)} bytes of samples are no whole number of points of {layout.itemsize} bytes")
+        raise CodecError(f"{len(data)} bytes of samples are not a whole number of points of {layout.itemsize} bytes")
     points = np.frombuffer(data, layout)
     times = (np.arange(len(points)) - zero).astype(np.float64) * (period_ns * 1e-9 if period_ns else 1.0)
     values = tuple(channel.scaled(points[name]) for name, channel in zip(names, channels, strict=True))

@@ -1,4 +1,4 @@
-"""A burst as a file: CSV, a picture, NumPy arrays or a rerun recording."""
+"""Files of a burst: CSV, plot, NumPy arrays or rerun recording."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TIMELINE: Final = "time"
 
 
 def write_csv(burst: Burst, path: Path) -> None:
-    """Write one row per point."""
+    """Write a CSV file with one row per point."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow([burst.time_head, *(channel.head for channel in burst.channels)])
@@ -26,18 +26,18 @@ def write_csv(burst: Burst, path: Path) -> None:
 
 
 def write_arrays(burst: Burst, path: Path) -> None:
-    """Write ``time`` and an array per channel, under its name; ``units`` in the order of the channels."""
+    """Write ``time`` and one array per channel, under its name; ``units`` in the order of the channels."""
     columns = {channel.name: column for channel, column in zip(burst.channels, burst.values, strict=True)}
     units = np.array([channel.variable.unit for channel in burst.channels])
     np.savez(path, allow_pickle=False, time=burst.times, units=units, **columns)
 
 
 def write_picture(burst: Burst, path: Path) -> None:
-    """Draw one plot per unit, above each other."""
+    """Write a plot with one diagram per unit."""
     try:
         from matplotlib.figure import Figure
     except ImportError:
-        raise UsageError(f"{path.name}: a picture needs matplotlib: pip install matplotlib") from None
+        raise UsageError(f"{path.name}: a plot needs matplotlib: pip install matplotlib") from None
     units = list(dict.fromkeys(channel.variable.unit for channel in burst.channels))
     figure = Figure(figsize=(10.0, 1.5 + 2.2 * len(units)), layout="constrained")
     plots = figure.subplots(len(units), 1, squeeze=False, sharex=True)[:, 0]
@@ -52,7 +52,7 @@ def write_picture(burst: Burst, path: Path) -> None:
 
 
 def write_recording(burst: Burst, path: Path) -> None:
-    """Write a recording that the rerun viewer opens: one entity per channel, on the time line ``time``."""
+    """Write a recording for the rerun viewer: one entity per channel, on the timeline ``time``."""
     rr = import_rerun(f"{path.name}: a recording")
     recording = rr.RecordingStream("servo-tool", send_properties=False)
     recording.save(path)
@@ -79,14 +79,14 @@ _WRITERS: Final[Mapping[str, Callable[[Burst, Path], None]]] = {
 
 
 def writer_for(path: Path) -> Callable[[Burst, Path], None]:
-    """Find what writes a file of that name.
+    """Function that writes a file of this type.
 
     Raises
     ------
     UsageError
-        If its ending says nothing.
+        If the suffix is unknown.
     """
     try:
         return _WRITERS[path.suffix.lower()]
     except KeyError:
-        raise UsageError(f"{path}: the name has to end in one of {', '.join(_WRITERS)}") from None
+        raise UsageError(f"{path}: the name must end with one of {', '.join(_WRITERS)}") from None

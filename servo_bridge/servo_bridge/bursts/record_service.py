@@ -20,16 +20,16 @@ from std_srvs.srv import SetBool
 from servo_bridge.bursts.burst import Burst
 from servo_bridge.bursts.recording import POLL, Phase, Recording
 from servo_bridge.bursts.request import TICK, BurstRequest
+from servo_bridge.deferred_service import DeferredService, Outcome
 from servo_bridge.outcome import error_of
-from servo_bridge.services import DeferredService, Outcome
 from servo_bridge.wire.session import Call
 from servo_msgs_py import topics
 
 
 class RecordService:
-    """Sets a recorder up when it is asked to, and publishes what it has recorded.
+    """Configures a recorder, and publishes its recording.
 
-    What it records is published before the recorder starts: a twin has to sample the same from the first point on.
+    The configuration is published before the recorder starts, because a twin must sample the same from the first point.
 
     Parameters
     ----------
@@ -38,17 +38,17 @@ class RecordService:
     catalogue : Catalogue
         Meaning of the variables.
     request : BurstRequest
-        What the service records.
+        Configuration of the recording.
     call : Call
-        Way to the board.
+        Calls a function with the board, in the thread of the link.
     post : callable
         Runs a function in the thread of the node.
     piece : int
-        Bytes that are read between two samples of the telemetry.
+        Bytes read between two samples of the telemetry.
     times : callable
-        From uint32 ticks, oldest first, to extended ticks and ROS times [ns].
+        Converts uint32 ticks, oldest first, to extended ticks and ROS times [ns].
     say, warn : callable
-        Get a sentence for the log.
+        Receive messages for the log.
     """
 
     def __init__(
@@ -72,28 +72,28 @@ class RecordService:
         self._say, self._warn = say, warn
         self._recording: Recording | None = None
         self._answer: Future[Outcome] | None = None
-        self.request = request  # another one counts from the next burst on
+        self.request = request  # a change applies to the next burst
         self._publisher = node.create_publisher(Float64MultiArray, topics.RECORDING, latched_qos())
         self._setups = node.create_publisher(Float64MultiArray, topics.RECORDER, latched_qos())
         self._setups.publish(setup_message(None))
         self._timer = node.create_timer(POLL, self._step, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._timer.cancel()
-        self._service = DeferredService(node, SetBool, topics.RECORD, lambda request: self._asked(request.data))
+        self._service = DeferredService(node, SetBool, topics.RECORD, lambda request: self._on_record(request.data))
 
     def link_lost(self) -> None:
-        """Give up what is being recorded."""
+        """End the recording without a result."""
         self._end("the link to the board was lost")
 
-    def _asked(self, begin: bool) -> Future[Outcome]:
+    def _on_record(self, begin: bool) -> Future[Outcome]:
         answer: Future[Outcome] = Future()
         if begin and self._recording is not None:
-            answer.set_result((False, f"{self._recording.phase.value}; end it first: call record with data: false"))
+            answer.set_result((False, f"{self._recording.phase.value}; call record with data: false to end it first"))
         elif begin:
             self._answer = answer
             self._recording = Recording(self.request.with_tick(), self._catalogue, self._piece)
             self._step()
         elif self._recording is None:
-            answer.set_result((False, "nothing is being recorded; call record with data: true first"))
+            answer.set_result((False, "no recording in progress; call record with data: true first"))
         else:
             self._recording.stop()
             answer.set_result((True, "the recorder is stopped; its samples are read and published on recording"))
@@ -132,7 +132,7 @@ class RecordService:
             self._timer.reset()
 
     def _end(self, reason: str) -> None:
-        """Give a recording up."""
+        """End a recording without a result."""
         recording, self._recording = self._recording, None
         answer, self._answer = self._answer, None
         if answer is not None:
@@ -149,16 +149,16 @@ class RecordService:
 
 
 def table_of(burst: Burst, label: str, times: Callable[[Any], tuple[Any, Any]]) -> Float64MultiArray:
-    """Message of a burst that has the tick among its channels.
+    """Message of a burst that includes the tick.
 
     Parameters
     ----------
     burst : Burst
         The points.
     label : str
-        What it is, for ``layout.dim[0].label``.
+        Description, for ``layout.dim[0].label``.
     times : callable
-        From uint32 ticks, oldest first, to extended ticks and ROS times [ns].
+        Converts uint32 ticks, oldest first, to extended ticks and ROS times [ns].
     """
     names = [channel.name for channel in burst.channels]
     columns = [values.astype(np.float64) for values in burst.values]

@@ -1,4 +1,4 @@
-"""One burst from its set-up to its last point, in steps that leave the line to others in between. Pure."""
+"""One recording from configuration to the last point, in steps between which the line is free for others. Pure."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ from servo_bridge.freemaster.recorder import SampleMemory, State, in_order, memo
 from servo_bridge.wire.session import Session
 
 POLL: Final = 0.05
-"""Between two questions for the state of the recorder [s]."""
+"""Period of requests for the state of the recorder [s]."""
 
 _MARGIN: Final = 0.05
-"""After which a memory that is filled without a trigger is surely full [s]."""
+"""Margin after which a memory that is filled without a trigger is full [s]."""
 
 _GRACE: Final = 2.0
-"""In which a recorder that was told to stop has to [s]."""
+"""Timeout of a stop of the recorder [s]."""
 
 
 _PIECE_SECONDS: Final = 0.0025
-"""For which a set-point may wait for a piece of the samples, however short the telemetry is [s]."""
+"""Longest delay of a set-point by a piece of the samples, if the telemetry is shorter [s]."""
 
 
 def piece_size(sample_size: int, baud: int) -> int:
     """Bytes to read between two samples of the telemetry.
 
-    On a slow line a piece takes as long as a sample, so that the telemetry keeps half of its rate; on a fast one what
-    counts is the number of exchanges.
+    On a slow line a piece is as long as a sample, so that the telemetry keeps half of its rate; on a fast line larger
+    pieces save exchanges.
     """
     return max(sample_size, round(_PIECE_SECONDS * baud / 10))
 
 
 class Phase(Enum):
-    """How far a recording is."""
+    """Progress of a recording."""
 
-    SET_UP = "not begun"
-    READY = "set up"
+    SET_UP = "not started"
+    READY = "configured"
     RECORDING = "recording"
     WAITING = "waiting for the trigger"
     STOPPING = "stopping"
@@ -52,18 +52,18 @@ class Phase(Enum):
 
 
 class Recording:
-    """One burst.
+    """One recording.
 
     Parameters
     ----------
     request : BurstRequest
-        What it is to hold.
+        Configuration.
     catalogue : Catalogue
         Meaning of the variables.
     piece : int, optional
-        Bytes that are read in one step; by default as many as the board sends in one answer.
+        Bytes read in one step; default: one full response.
     clock : callable, optional
-        Time from any origin [s].
+        Time with any origin [s].
     """
 
     def __init__(
@@ -84,33 +84,33 @@ class Recording:
         self._memory: SampleMemory | None = None
         self._data = bytearray()
         self.phase = Phase.SET_UP  # progress
-        self.triggered = False  # whether the trigger has ended it
+        self.triggered = False  # whether it was ended by the trigger
 
     @property
     def read(self) -> int:
-        """Bytes that have been read."""
+        """Number of bytes read."""
         return len(self._data)
 
     @property
     def size(self) -> int:
-        """Bytes of all points; 0 before they are known."""
+        """Bytes of all points; 0 if not known yet."""
         return 0 if self._memory is None else self._memory.size
 
     @property
     def pause(self) -> float:
-        """How long to wait before the next step [s]."""
+        """Time to wait before the next step [s]."""
         return POLL if self.phase in (Phase.RECORDING, Phase.WAITING, Phase.STOPPING) else 0.0
 
     @property
     def setup(self) -> RecorderSetup:
-        """What the recorder is set up for; once it is."""
+        """Configuration of the recorder, after its set-up."""
         assert self._prepared is not None
         names = tuple(channel.name for channel in self._prepared.channels)
         return RecorderSetup(names, self.request.recorder, self._prepared.period_ns, self._points)
 
     @property
     def text(self) -> str:
-        """What is recorded, in words; once the recorder is set up."""
+        """Text of the configuration, after the set-up of the recorder."""
         assert self._prepared is not None
         period = self._prepared.period_ns
         rate = f" at {1e9 / period:g} Hz" if period else ""
@@ -118,45 +118,45 @@ class Recording:
         return f"{self._points} points of {len(self._prepared.channels)} number(s){rate}{trigger}"
 
     def stop(self) -> None:
-        """End the recording without waiting for the trigger; the next step carries it out."""
+        """Stop the recorder without a trigger, in the next step."""
         self._stop = True
 
     def abandon(self) -> None:
-        """Stop the recorder where it runs, and read nothing."""
+        """Stop a running recorder, without reading."""
         if self._prepared is not None and self.phase in (Phase.RECORDING, Phase.WAITING):
             self._prepared.recorder.stop()
 
     @property
     def timed(self) -> bool:
-        """Whether the board says how fast it samples; once it has begun."""
+        """Whether the board reports its sampling rate; after the set-up."""
         assert self._prepared is not None
         return self._prepared.period_ns > 0
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """What is recorded; once it has begun."""
+        """Recorded channels; after the set-up."""
         assert self._prepared is not None
         return self._prepared.channels
 
     def step(self, session: Session) -> Burst | None:
-        """Do what is next, which takes a few exchanges at most.
+        """Execute the next step, which takes few exchanges.
 
         Returns
         -------
         Burst or None
-            The burst, when it is complete; else None: call again after `pause`.
+            The complete burst; None: call again after `pause`.
 
         Raises
         ------
         UsageError, UnknownVariableError, RecorderError, FreemasterError
-            If it cannot be recorded; the recording has ended then.
+            If the recording is not possible; it has ended then.
         """
         if self._prepared is None:
             self._set_up(session)
         elif self.phase is Phase.READY:
             self._begin(self._prepared)
         elif self._memory is None:
-            self._look(self._prepared)
+            self._poll(self._prepared)
         elif self.read < self.size:
             limit = session.client.read_limit & ~7
             piece = min(limit, self._piece or limit, self.size - self.read)
@@ -189,8 +189,8 @@ class Recording:
         assert self._prepared is not None
         return self._points * self._prepared.period_ns * 1e-9
 
-    def _look(self, prepared: Prepared) -> None:
-        """Ask for the state, and have the recorder stop when it has to."""
+    def _poll(self, prepared: Prepared) -> None:
+        """Read the state, and stop the recorder if requested or due."""
         if prepared.recorder.state() is not State.RUNNING:
             self.triggered = self.phase is Phase.WAITING
             self._memory = memory_checked(prepared.recorder.memory())

@@ -1,4 +1,4 @@
-"""What a burst is to hold, as options of a command line, and the set-up of a recorder for it. Pure."""
+"""Configuration of a burst as command line options, and set-up of a recorder for it. Pure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from servo_bridge.tool_values import UsageError, lookup, opened
 from servo_bridge.wire.session import Session
 
 TICK: Final = "tick"
-"""PWM periods since the reset of a board of ours."""
+"""PWM periods since the reset of a servo board."""
 
 _FAST, _SLOW = 0, 1
 _RATE_TOLERANCE: Final = 0.01
@@ -25,13 +25,13 @@ _RATE_TOLERANCE: Final = 0.01
 
 @dataclass(frozen=True)
 class Before:
-    """How much of a burst lies before its trigger: a part of all points, or a number of them."""
+    """Points before the trigger: a fraction of all points, or a number."""
 
     part: float | None = None  # of all points, 0 .. 1
     points: int | None = None  # number of points
 
     def of(self, total: int) -> int:
-        """Points before the trigger of so many in all."""
+        """Points before the trigger, of `total` points."""
         if self.points is not None:
             return self.points
         assert self.part is not None
@@ -40,43 +40,43 @@ class Before:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A recorder and what it is to record."""
+    """A recorder and its configuration."""
 
     recorder: Recorder  # of the board
-    channels: tuple[Channel, ...]  # numbers of a point, in this order
-    setup: Setup  # what to configure
-    period_ns: int  # time between two points [ns]; 0: the board does not state it
+    channels: tuple[Channel, ...]  # in the order of a point
+    setup: Setup  # configuration
+    period_ns: int  # time between two points [ns]; 0: not reported by the board
 
 
 @dataclass(frozen=True)
 class BurstRequest:
-    """What a burst is to hold."""
+    """Configuration of a burst."""
 
     names: tuple[str, ...]  # variables, elements of arrays or structures
     recorder: int = _FAST  # number of the recorder
     trigger: str | None = None  # such as ``axis1.i_q > 1.0``
-    level: bool = False  # trigger also when the condition holds from the beginning
+    level: bool = False  # trigger also if the condition holds from the start
     before: Before | None = None  # points before the trigger; None: half of them
     points: int | None = None  # number of points; None: as many as fit
     rate: float | None = None  # [Hz]; None: the sampling rate of the recorder
 
     @classmethod
     def of(cls, args: argparse.Namespace) -> BurstRequest:
-        """Take the options of `add_options`, with ``names`` and ``rate``."""
+        """Create from the options of `add_options`, with ``names`` and ``rate``."""
         if args.level and args.trigger is None:
-            raise UsageError("--level applies to a trigger only; give one with --trigger")
+            raise UsageError("--level needs a trigger; add --trigger")
         return cls(
             tuple(args.names), args.recorder or _FAST, args.trigger, args.level, args.before, args.points, args.rate
         )
 
     @classmethod
     def parse(cls, text: str) -> BurstRequest:
-        """Read names and options as they are given to ``servo-tool record``.
+        """Parse names and options in the form of ``servo-tool record``.
 
         Raises
         ------
         UsageError
-            If they do not make sense.
+            If they are invalid.
         """
         parser = _Parser(prog="record", add_help=False)
         parser.add_argument("names", nargs="+")
@@ -88,18 +88,18 @@ class BurstRequest:
             raise UsageError(f"{text!r}: {error}") from None
 
     def with_tick(self) -> BurstRequest:
-        """The same with the tick, which places the points on the time of the board."""
+        """Add the tick, which gives the points their board time."""
         return self if TICK in self.names else replace(self, names=(TICK, *self.names))
 
     def prepare(self, session: Session, catalogue: Catalogue) -> Prepared:
-        """Ask the board what its recorder can, and work out its set-up.
+        """Read the limits of the recorder of the board, and compute its configuration.
 
         Raises
         ------
         UsageError, UnknownVariableError
-            If a name, the trigger or the rate does not fit the board.
+            If a name, the trigger or the rate does not match the board.
         RecorderError
-            If the board has no such recorder, or it cannot record that.
+            If the board does not have the recorder, or it does not support the configuration.
         """
         names = opened(session.variables, self.names)
         channels = channels_of([(name, *lookup(session.variables, name)) for name in names])
@@ -122,7 +122,7 @@ class BurstRequest:
         total = setup.points or limits.capacity(setup)
         before = self.before or Before(part=0.5)
         if total is None and before.part is not None:
-            raise UsageError("the board does not say how much memory its recorder has; give --points")
+            raise UsageError("the board does not report the memory size of its recorder; add --points")
         return Setup(setup.slots, setup.points, before.of(total or 0), divider, trigger)
 
 
@@ -142,20 +142,20 @@ def add_options(command: argparse.ArgumentParser) -> None:
         metavar="EXPR",
         help="condition, such as 'axis1.i_q > 1.0', 'u_dc < 20', 'axis1.state rising FAULT'",
     )
-    burst.add_argument("--level", action="store_true", help="trigger also when the condition holds from the beginning")
+    burst.add_argument("--level", action="store_true", help="trigger also if the condition holds from the start")
     burst.add_argument("--before", type=_before, metavar="PART", help="points before the trigger (default: 50%%)")
-    burst.add_argument("--points", type=_index, metavar="N", help="points in all (default: as many as fit)")
+    burst.add_argument("--points", type=_index, metavar="N", help="number of points (default: as many as fit)")
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that raises instead of ending the program."""
+    """Parser that raises an error instead of ending the program."""
 
     def error(self, message: str) -> NoReturn:
         raise UsageError(message)
 
 
 def _before(text: str) -> Before:
-    """Read ``30%`` or a number of points; an `argparse.ArgumentTypeError` if it is neither."""
+    """Parse ``30%`` or a number of points; else raise `argparse.ArgumentTypeError`."""
     try:
         if text.endswith("%"):
             part = float(text[:-1]) / 100.0
@@ -165,7 +165,7 @@ def _before(text: str) -> Before:
             return Before(points=int(text))
     except ValueError:
         pass
-    raise argparse.ArgumentTypeError(f"{text!r} is neither a part such as 30% nor a number of points")
+    raise argparse.ArgumentTypeError(f"{text!r} is neither a fraction such as 30% nor a number of points")
 
 
 def _index(text: str) -> int:
@@ -175,19 +175,19 @@ def _index(text: str) -> int:
 
 
 def _divider(rate: float | None, limits: Limits) -> int:
-    """Find the divider for a rate [Hz].
+    """Divider for a rate [Hz].
 
     Raises
     ------
     UsageError
-        If no whole divider gives the rate.
+        If no integer divider gives the rate.
     """
     if rate is None:
         return 1
     if not rate > 0.0:
-        raise UsageError(f"the rate is {rate:g} Hz; give one above 0")
+        raise UsageError(f"the rate is {rate:g} Hz; write a rate above 0")
     if not limits.period_ns:
-        raise UsageError("the board does not say how fast its recorder samples; leave --rate away")
+        raise UsageError("the board does not report the sampling rate of its recorder; omit --rate")
     full = 1e9 / limits.period_ns
     divider = max(round(full / rate), 1)
     if abs(full / divider / rate - 1.0) > _RATE_TOLERANCE:

@@ -1,6 +1,6 @@
-"""Curves for the rerun viewer: what a recording file of a burst and the command ``scope`` have in common.
+"""Curves for the rerun viewer, used by recording files of bursts and by ``scope``.
 
-rerun is imported when it is first used: everything else works without.
+rerun is imported at its first use: other functions work without it.
 """
 
 from __future__ import annotations
@@ -18,41 +18,41 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 
-def import_rerun(what: str) -> ModuleType:
+def import_rerun(user: str) -> ModuleType:
     """Import rerun.
 
     Parameters
     ----------
-    what : str
-        What needs it, for the message.
+    user : str
+        Function that needs rerun, for the message.
 
     Raises
     ------
     UsageError
         If it is not installed.
     """
-    os.environ.setdefault("RERUN_ANALYTICS", "false")  # a computer without a network must not wait for it
+    os.environ.setdefault("RERUN_ANALYTICS", "false")  # prevents delays on a computer without a network
     try:
         import rerun
     except ImportError as error:
-        raise UsageError(f"{what} needs rerun ({error}): pip install 'rerun-sdk==0.41.*'") from None
+        raise UsageError(f"{user} needs rerun ({error}): pip install 'rerun-sdk==0.41.*'") from None
     return rerun
 
 
 def entity_of(parts: Sequence[str]) -> str:
-    """Path of an entity; names of variables may hold any character."""
+    """Path of an entity; names of variables may contain any character."""
     import rerun
 
     return rerun.new_entity_path(list(parts))
 
 
 def send_curve(stream: Any, entity: str, index: Any, values: NDArray[Any]) -> None:
-    """Append points to a curve; NaN draws a gap.
+    """Append points to a curve; NaN is a gap.
 
     Parameters
     ----------
     stream : rerun.RecordingStream
-        Where to.
+        Destination.
     entity : str
         Path of the curve.
     index : rerun.TimeColumn

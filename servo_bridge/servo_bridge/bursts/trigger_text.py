@@ -1,4 +1,4 @@
-"""Triggers of a recorder as text: ``axis1.i_q > 1.0``. Pure."""
+"""Triggers of a recorder as text, such as ``axis1.i_q > 1.0``. Pure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from servo_bridge.wire.session import BoardVariable
 _FORM: Final = re.compile(r"\s*(\S.*?)\s*(>=|<=|>|<|(?<=\s)(?:rising|falling)(?=\s))\s*(\S.*?)\s*\Z", re.DOTALL)
 _ABOVE: Final = (">", ">=", "rising")
 _BEYOND: Final = (">", "<=")
-"""Operators for which a variable that equals the value counts as below: the target itself compares with >=."""
+"""Operators for which equality counts as below the value; the target compares with >=."""
 _KINDS: Final = {
     TypeKind.UNSIGNED: Compare.UNSIGNED,
     TypeKind.SIGNED: Compare.SIGNED,
@@ -31,7 +31,7 @@ _NEAR: Final = 1e-9
 
 @dataclass(frozen=True)
 class Expression:
-    """A trigger in three words: variable, operator, value or variable."""
+    """Trigger expression: variable, operator, and value or variable."""
 
     name: str
     operator: str
@@ -39,31 +39,31 @@ class Expression:
 
 
 def parse_expression(text: str) -> Expression:
-    """Take a trigger apart.
+    """Parse a trigger expression.
 
     Raises
     ------
     UsageError
-        If it has not the form ``VAR > VALUE``, with ``>``, ``>=``, ``<``, ``<=``, ``rising`` or ``falling``.
+        If it does not have the form ``VAR > VALUE``, with ``>``, ``>=``, ``<``, ``<=``, ``rising`` or ``falling``.
     """
     match = _FORM.match(text)
     if match is None:
-        raise UsageError(f"{text!r} is no trigger; write one such as 'axis1.i_q > 1.0', 'u_dc < 20' or 'x rising 3'")
+        raise UsageError(f"{text!r} is not a trigger; write e.g. 'axis1.i_q > 1.0', 'u_dc < 20' or 'x rising 3'")
     return Expression(*match.groups())
 
 
 def channel_slot(variable: BoardVariable, element: int | None) -> ScopeSlot:
-    """Find address and size of a number, or of an element of an array.
+    """Address and size of a number, or of an element of an array.
 
     Raises
     ------
     UsageError
-        If it is a block of bytes, or an array of which no element is named.
+        If it is a block of bytes, or an array without an element index.
     """
     if variable.is_block:
-        raise UsageError(f"{variable.name} is a block of bytes; name the variables inside it")
+        raise UsageError(f"{variable.name} is a block of bytes; write the variables in it")
     if element is None and variable.count > 1:
-        raise UsageError(f"{variable.name} is an array; name one element, such as {variable.name}[0]")
+        raise UsageError(f"{variable.name} is an array; write one element, such as {variable.name}[0]")
     size = variable.target.type.size
     return ScopeSlot(variable.address + size * (element or 0), size)
 
@@ -71,25 +71,25 @@ def channel_slot(variable: BoardVariable, element: int | None) -> ScopeSlot:
 def trigger_of(
     expression: Expression, variables: Mapping[str, BoardVariable], catalogue: Catalogue, *, level: bool = False
 ) -> Trigger:
-    """Build the trigger that fires when an expression comes true.
+    """Build the trigger of an expression.
 
     Parameters
     ----------
     expression : Expression
-        What to wait for; the value is SI where the catalogue knows the variable, and may be another variable.
+        Expression; the value is in SI units if the catalogue has the variable, and may be another variable.
     variables : mapping
         Variables of the board.
     catalogue : Catalogue
         Names of enumeration values.
     level : bool
-        Fire also when the expression holds from the beginning.
+        Trigger also if the expression holds from the start.
 
     Raises
     ------
     UnknownVariableError
-        If there is no such variable.
+        If the variable does not exist.
     UsageError
-        If the value is no number, or one that a variable of this type never reaches.
+        If the value is not a number, or is outside the range of the variable.
     """
     variable, element = lookup(variables, expression.name)
     slot = channel_slot(variable, element)
@@ -112,7 +112,7 @@ def _other_variable(text: str, variables: Mapping[str, BoardVariable]) -> tuple[
 
 
 def _threshold_address(variable: BoardVariable, other: BoardVariable, element: int | None) -> int:
-    """Address of a variable that is the threshold."""
+    """Address of a variable used as threshold."""
     slot = channel_slot(other, element)
     first, second = variable.target.type, other.target.type
     if (first.kind, first.size, first.fraction_bits, _lsb(variable)) != (
@@ -120,7 +120,7 @@ def _threshold_address(variable: BoardVariable, other: BoardVariable, element: i
     ):  # fmt: skip
         raise UsageError(
             f"{other.name} ({second.name}) cannot be the threshold of {variable.name} ({first.name}): "
-            "both have to be of the same type and scale"
+            "both must have the same type and scale"
         )
     return slot.address
 
@@ -133,7 +133,7 @@ def _lsb(variable: BoardVariable) -> float:
 
 
 def _threshold(variable: BoardVariable, expression: Expression, catalogue: Catalogue) -> int:
-    """Raw number that the target compares with."""
+    """Raw threshold for the comparison in the target."""
     try:
         values = parse_values(variable, expression.value, catalogue)
     except UsageError as error:
@@ -150,14 +150,14 @@ def _threshold(variable: BoardVariable, expression: Expression, catalogue: Catal
         lsb = _lsb(variable)
         unit = f" {variable.unit}" if variable.unit else ""
         raise UsageError(
-            f"trigger: {expression.value} is outside of what {variable.name} can be: "
+            f"trigger: {expression.value} is outside the range of {variable.name}: "
             f"{number_text(low * lsb)} .. {number_text(high * lsb)}{unit}"
         )
     return raw
 
 
 def _raw(value: Number, lsb: float, beyond: bool) -> int:
-    """First raw number that is at the value, or beyond it; a value that is a whole number of units is taken as such."""
+    """Smallest raw number at or beyond the value; tolerates rounding of a value that is a multiple of the unit."""
     if isinstance(value, int) and lsb == 1.0:
         return value + beyond
     units = value / lsb
@@ -173,12 +173,12 @@ def _raw_range(type_: ValueType) -> tuple[int, int]:
 
 
 def _float_bits(variable: BoardVariable, value: float, beyond: bool) -> int:
-    """Bits of the first number of this type that is at the value, or beyond it."""
+    """Bits of the smallest number of this type at or beyond the value."""
     size, code = variable.target.type.size, "f" if variable.target.type.size == 4 else "d"
     try:
         bits = int.from_bytes(struct.pack(f"<{code}", value), "little")
     except OverflowError:
-        raise UsageError(f"trigger: {value:g} is outside of what {variable.name} can be") from None
+        raise UsageError(f"trigger: {value:g} is outside the range of {variable.name}") from None
     (rounded,) = struct.unpack(f"<{code}", bits.to_bytes(size, "little"))
     if rounded > value or (rounded == value and not beyond):
         return bits

@@ -1,1 +1,1 @@
-"""FreeMASTER version 4 over a serial line: frames, client and discovery. No ROS, usable alone."""
+"""FreeMASTER protocol over a serial line: frames, client and discovery of variables. No ROS; can be used alone."""

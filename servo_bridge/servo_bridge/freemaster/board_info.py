@@ -1,4 +1,4 @@
-"""What a target says about itself."""
+"""Identification of a target."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Final
 
 DEFAULT_MTU: Final = 32
-"""Smallest allowed message buffer of version 4, until the target has named its own [bytes]."""
+"""Smallest message buffer in version 4, assumed until the target has reported its size [bytes]."""
 
 
 @dataclass(frozen=True)
 class BoardInfo:
-    """What a target says about itself; values that it does not know are None or empty."""
+    """Identification of a target; values that it does not report are None or empty."""
 
     protocol: int = 4
     mtu: int = DEFAULT_MTU
@@ -27,10 +27,10 @@ class BoardInfo:
 
     @property
     def big_endian(self) -> bool:
-        """Whether numbers in the target's memory have their high byte first."""
+        """Whether multi-byte numbers of the target begin with the high byte."""
         return bool(self.flags & 0x01)
 
     @property
     def password_level(self) -> int:
-        """Lowest access level that needs a password: 0 none, 1 read, 2 write, 3 flash."""
+        """Lowest access level that requires a password: 0 none, 1 read, 2 write, 3 flash."""
         return self.flags >> 4 & 3

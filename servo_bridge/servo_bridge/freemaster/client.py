@@ -1,4 +1,4 @@
-"""Synchronous FreeMASTER client for targets of versions 4 and 3: the commands as methods."""
+"""Synchronous FreeMASTER client for targets of versions 4 and 3, with one method per command."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import Final
 
 from servo_bridge.freemaster import commands
 from servo_bridge.freemaster.board_info import DEFAULT_MTU, BoardInfo
-from servo_bridge.freemaster.codec import MAX_ANSWER_DATA
 from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
 from servo_bridge.freemaster.dialect import Dialect
 from servo_bridge.freemaster.dialect_v3 import DialectV3
@@ -27,6 +26,7 @@ from servo_bridge.freemaster.errors import (
     StatusError,
     WrongProtocolError,
 )
+from servo_bridge.freemaster.frames import MAX_ANSWER_DATA
 from servo_bridge.freemaster.line import Exchange, Line
 from servo_bridge.freemaster.pipe import Pipe
 from servo_bridge.freemaster.recorder import Recorder
@@ -34,7 +34,7 @@ from servo_bridge.freemaster.recorder import Recorder
 __all__ = ["LEVELS", "PASSWORD_VARIABLE", "BoardInfo", "Client", "password_of_environment"]
 
 LEVELS: Final = ("none", "view", "command", "tune")
-"""Access levels of a target with passwords: read memory, write it as well, everything."""
+"""Access levels of a target with passwords: none, read memory, also write it, all commands."""
 
 _SUM_REFUSALS: Final = (b"+\x82\x7e", b"+\x81\x7f")  # refusals of a version 3 target: sum instead of CRC
 
@@ -43,7 +43,7 @@ PASSWORD_VARIABLE: Final = "SERVO_PASSWORD"
 
 
 def password_of_environment() -> str | None:
-    """Give the password that the user put into the environment; it must not stand in a file of parameters."""
+    """Password from the environment; it must not be in a parameter file."""
     return os.environ.get(PASSWORD_VARIABLE) or None
 
 
@@ -53,31 +53,31 @@ class Client:
     Parameters
     ----------
     line : Line
-        The way to the target.
+        Line to the target.
     """
 
     def __init__(self, line: Line) -> None:
         self.line = line
         self.before_exchange: Callable[[], None] | None = None
-        """Called before every exchange; may exchange something itself while it has taken itself out of here."""
+        """Called before every exchange; may send exchanges itself if it is removed here during that time."""
         self.ask_password: Callable[[], str | None] | None = None
-        """Gives the password when the target requires one; None or a None from it lets the refusal stand."""
-        self.info = BoardInfo()  # the target's description of itself
+        """Returns the password if the target requires one; None: the refusal is raised."""
+        self.info = BoardInfo()  # identification by the target
         self.mtu = DEFAULT_MTU
         self._dialect: Dialect = DialectV4()
 
     @property
     def read_limit(self) -> int:
-        """Most bytes per READMEM."""
+        """Largest number of bytes per READMEM."""
         return min(self.mtu, MAX_ANSWER_DATA)
 
     @property
     def payload_limit(self) -> int:
-        """Most bytes of payload per request: command and length share the target's buffer."""
+        """Largest payload of a request [bytes]: command and length share the buffer of the target."""
         return min(self.mtu - 2, MAX_ANSWER_DATA)
 
     def exchange(self, request: Request, *, retries: int | None = None) -> Exchange:
-        """Send any request; see `Line.exchange`. Logs in when the target requires a password and there is one."""
+        """Send a request; see `Line.exchange`. Logs in if the target requires a password and there is one."""
         if self.before_exchange is not None:
             self.before_exchange()
         try:
@@ -91,46 +91,46 @@ class Client:
         self.log_in(password)
         return self.line.exchange(request, retries=retries)
 
-    def _ask(self, request: Request) -> bytes:
+    def _data(self, request: Request) -> bytes:
         return self.exchange(request).data
 
-    # ---- who is there -----------------------------------------------------------------------------------------
+    # ---- identification -----------------------------------------------------------------------------------------
 
     def probe(self) -> None:
-        """Make sure that a FreeMASTER target answers, and find out which version it speaks.
+        """Check that a FreeMASTER target responds, and determine its version.
 
         Raises
         ------
         WrongProtocolError
-            If something else answers; the message says what it looks like.
+            If the response is not FreeMASTER; the message has the probable cause.
         AnswerTimeoutError
-            If nothing answers.
+            If there is no response.
         """
         request = commands.get_config("PV")
         self.line.fence = None
-        for left in range(self.line.retries, -1, -1):
+        for attempts_left in range(self.line.retries, -1, -1):
             try:
                 self.exchange(request, retries=0)
             except StatusError:
                 pass  # an intact version 4 refusal: the key is optional
             except AnswerTimeoutError:
-                if left == 0:
+                if attempts_left == 0:
                     raise
                 continue
             except DamagedAnswerError as error:
                 if any(refusal in error.received for refusal in _SUM_REFUSALS):
                     self._dialect = DialectV3()
                     return
-                if left > 0:
+                if attempts_left > 0:
                     continue
                 if isinstance(error, DisturbedRequestError):
-                    raise  # it is the right protocol on a bad line
-                raise WrongProtocolError(_what_answers(error.received, request.frame)) from error
+                    raise  # the right protocol on a line with errors
+                raise WrongProtocolError(_wrong_protocol_text(error.received, request.frame)) from error
             self._dialect = DialectV4()
             return
 
     def identify(self) -> BoardInfo:
-        """Ask the target who it is and adopt its version of the protocol and its buffer size.
+        """Identify the target; sets the version of the protocol and the buffer size.
 
         Raises
         ------
@@ -144,72 +144,74 @@ class Client:
         return self.info
 
     def get_config(self, key: str) -> bytes | None:
-        """Read the value of a configuration key, or None when the target does not know it."""
+        """Read the value of a configuration key; None if the target does not have it."""
         return self._dialect.get_config(self.exchange, key)
 
     def log_in(self, password: str, level: int = len(LEVELS) - 1) -> int:
-        """Log in with a password to the highest level that it opens, at most `level`.
+        """Log in with a password to the highest level that it permits, at most `level`.
 
         Returns
         -------
         int
-            The level that the target grants; see `LEVELS`.
+            Granted level; see `LEVELS`.
 
         Raises
         ------
         StatusError
-            If the password is wrong, or the target has none at all.
+            If the password is wrong, or the target has no passwords.
         """
-        for left in range(self.line.retries, -1, -1):
+        for attempts_left in range(self.line.retries, -1, -1):
             try:
                 return self._dialect.log_in(self.line.exchange, level, password)
-            except (AnswerTimeoutError, DamagedAnswerError):  # the salt may be another one: begin anew
-                if left == 0:
+            except (AnswerTimeoutError, DamagedAnswerError):  # the salt may have changed: repeat from the start
+                if attempts_left == 0:
                     raise
         raise AssertionError("unreachable")
 
     # ---- memory -----------------------------------------------------------------------------------------------
 
     def read_memory(self, address: int, size: int) -> bytes:
-        """Read `size` bytes, in as many requests as the target's buffer asks for.
+        """Read `size` bytes, in several requests if required by the buffer of the target.
 
-        Pieces start at multiples of eight from `address`, so that no number is torn by the split.
+        The requests start at multiples of eight from `address`, so that numbers are not split.
         """
         step = self.read_limit & ~7
         pieces = (
-            self._ask(self._dialect.read_memory(address + done, min(step, size - done)))
+            self._data(self._dialect.read_memory(address + done, min(step, size - done)))
             for done in range(0, size, step)
         )
         return b"".join(pieces)
 
     def write_limit(self, address: int) -> int:
-        """Tell how many data bytes fit one WRITEMEM to `address`."""
+        """Largest number of data bytes in one WRITEMEM to `address`."""
         overhead = len(self._dialect.write_memory(address, b"").payload) + 1  # a size of 128 and more takes two bytes
         return self.payload_limit - overhead
 
     def write_memory(self, address: int, data: bytes, *, lengthy: bool = False) -> Exchange:
-        """Write bytes in one request, so that they take effect together.
+        """Write bytes in one request, so that they take effect simultaneously.
 
         Parameters
         ----------
         address : int
-            Where.
+            Address.
         data : bytes
-            What.
+            Bytes.
         lengthy : bool
-            Wait for the answer for the full time, because a write that arrives twice does more than one.
+            Wait for the response with the full timeout, because a repeated write is executed twice.
 
         Raises
         ------
         CodecError
-            If the data does not fit the target's buffer.
+            If the data do not fit the buffer of the target.
         """
         self._check_write(address, len(data))
         return self.exchange(replace(self._dialect.write_memory(address, data), lengthy=lengthy))
 
     def _check_write(self, address: int, size: int) -> None:
         if size > self.write_limit(address):
-            raise CodecError(f"{size} bytes do not fit one write; the board takes {self.write_limit(address)}")
+            raise CodecError(
+                f"{size} bytes do not fit one write; the limit of the board is {self.write_limit(address)}"
+            )
 
     # ---- scope ------------------------------------------------------------------------------------------------
 
@@ -219,29 +221,29 @@ class Client:
         Returns
         -------
         Request
-            What to pass to `exchange` to read it.
+            Request that reads the scope, for `exchange`.
 
         Raises
         ------
         CodecError
-            If the values together do not fit one answer.
+            If the values do not fit one response.
         """
         size = sum(slot.size for slot in slots)
         if size > self.read_limit:
-            raise CodecError(f"{size} bytes of scope variables do not fit one answer of {self.read_limit} bytes")
+            raise CodecError(f"{size} bytes of scope variables do not fit one response of {self.read_limit} bytes")
         for request in self._dialect.set_scope(slots, scope=scope, payload_limit=self.payload_limit):
-            self._ask(request)
+            self._data(request)
         return self._dialect.read_scope(size, scope=scope)
 
     # ---- table of variables -----------------------------------------------------------------------------------
 
     def tsa_table(self, index: int) -> TsaTable:
-        """Ask where table `index` lies; address 0 when there are no more."""
-        return self._dialect.parse_tsa_info(self._ask(self._dialect.get_tsa_info(index)))
+        """Read the location of table `index`; address 0 after the last table."""
+        return self._dialect.parse_tsa_info(self._data(self._dialect.get_tsa_info(index)))
 
     def string_length(self, address: int) -> int:
-        """Ask for the length of a text in target memory."""
-        return self._dialect.parse_size(self._ask(self._dialect.get_string_length(address)))
+        """Read the length of a text in target memory."""
+        return self._dialect.parse_size(self._data(self._dialect.get_string_length(address)))
 
     # ---- application commands ---------------------------------------------------------------------------------
 
@@ -251,32 +253,32 @@ class Client:
         Raises
         ------
         AnswerTimeoutError
-            If its answer was lost, so that it is not known whether it ran. It does not run later.
+            If its response was lost, so that its execution is unknown. It will not be executed later.
         CommandUnfinishedError
-            If it, or one before it, does not end in time.
+            If it, or a previous command, does not finish in time.
         StatusError
             If the target refuses it.
         """
         limit = self.line.clock() + round(timeout * 1e9)
         request = self._dialect.send_command(code, arguments)
         try:
-            self._ask(request)
+            self._data(request)
         except (AnswerTimeoutError, DamagedAnswerError):
-            # It may have arrived, and may run only when its result is asked for: now, and not at the next command.
+            # It may have been received but not executed: targets execute it when the status is read, so read it now.
             with suppress(FreemasterError):
                 self.exchange(self._dialect.get_command_status(), retries=0)
             raise
         except StatusError as error:
             if error.code != Status.BUSY:
                 raise
-            # One is pending whose sender has gone before it asked for the result.
+            # A command of another client is pending whose result was not read.
             self._command_result(code, limit, timeout)
-            self._ask(request)
+            self._data(request)
         return self._command_result(code, limit, timeout)
 
     def _command_result(self, code: int, limit: int, timeout: float) -> int:
         while True:
-            result = self._ask(self._dialect.get_command_status())[0]
+            result = self._data(self._dialect.get_command_status())[0]
             if result != commands.COMMAND_RUNNING:
                 return result
             if self.line.clock() >= limit:
@@ -285,18 +287,18 @@ class Client:
     # ---- pipes ------------------------------------------------------------------------------------------------
 
     def pipe(self, port: int = 1) -> Pipe:
-        """Give the client's end of a pipe."""
+        """Return the client end of a pipe."""
         return Pipe(self.exchange, self._dialect, port)
 
     # ---- recorder ---------------------------------------------------------------------------------------------
 
     def recorder(self, index: int = 0) -> Recorder:
-        """Give a recorder of the identified target.
+        """Return a recorder of the identified target.
 
         Raises
         ------
         RecorderError
-            If it has no such recorder.
+            If the target does not have this recorder.
         """
         if index >= self.info.recorders:
             has = "none" if not self.info.recorders else f"0 .. {self.info.recorders - 1}"
@@ -304,11 +306,8 @@ class Client:
         return self._dialect.recorder(self.exchange, self.info, index, self.payload_limit)
 
 
-def _what_answers(received: bytes, request: bytes) -> str:
-    """Name the kind of device from the bytes that were no answer."""
+def _wrong_protocol_text(received: bytes, request: bytes) -> str:
+    """Probable cause of bytes that are not a FreeMASTER response."""
     if received.startswith(request):
-        return "only the echo of the request came back; are the lines TX and RX connected with each other?"
-    return (
-        f"something answers, but not in FreeMASTER (first bytes {received[:16]!r}); "
-        "another device, or another baud rate?"
-    )
+        return "only the echo of the request was received; check whether TX and RX are connected with each other"
+    return f"the response is not FreeMASTER (first bytes {received[:16]!r}); check device and baud rate"

@@ -1,4 +1,4 @@
-"""FreeMASTER v4 commands: what goes into each request and what comes out of its answer."""
+"""FreeMASTER v4 commands: encoding of requests and decoding of responses."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from servo_bridge.freemaster.codec import MAX_ANSWER_DATA, V4, Framing, decode_uleb, encode_uleb
 from servo_bridge.freemaster.errors import CodecError
+from servo_bridge.freemaster.frames import MAX_ANSWER_DATA, V4, Framing, decode_uleb, encode_uleb
 
 SCOPE_SIZES: Final = (1, 2, 4, 8)
-"""Sizes that a scope slot can have [bytes]."""
+"""Sizes of a scope slot [bytes]."""
 
 COMMAND_RUNNING: Final = 0xFE
 COMMAND_IDLE: Final = 0xFF
 
 NO_PASSWORD: Final = 0
 SHA1_PASSWORD: Final = 1
-"""Algorithms by which a target checks a password."""
+"""Password algorithms of a target."""
 
 _OP_SCOPE_RESET: Final = 0x01
 _OP_SCOPE_SLOT: Final = 0x02
@@ -50,13 +50,13 @@ class Request:
     name: str  # for error messages
     command: int  # command code
     payload: bytes  # payload before doubling
-    answer_size: int | None  # data bytes of the answer; None when it carries its own length
-    idempotent: bool = True  # whether it may be sent again after a lost answer
+    answer_size: int | None  # data bytes of the response; None: the response has a length byte
+    idempotent: bool = True  # may be repeated after a lost response
     framing: Framing = V4  # version of the protocol
-    statuses: tuple[int, ...] = ()  # successes without data beside the usual one
+    statuses: tuple[int, ...] = ()  # additional success codes, without data
     lengthy: bool = False
-    """Whether to wait for the answer for the full time: the target may work for a while, or a request that arrives
-    twice, once late, would do more than one."""
+    """Wait for the response with the full timeout: the target may need time, or a repeated request would be executed
+    twice."""
     frame: bytes = field(init=False)  # the bytes on the line
 
     def __post_init__(self) -> None:
@@ -64,19 +64,19 @@ class Request:
 
     @property
     def patient(self) -> bool:
-        """Whether its answer has to be waited for for the full time."""
+        """Whether the response needs the full timeout."""
         return self.lengthy or not self.idempotent
 
     @property
     def answer_limit(self) -> int:
-        """Bytes on the line of the longest possible answer: every byte but the first doubled."""
+        """Length on the line of the longest possible response [bytes]: every byte but the first doubled."""
         data = MAX_ANSWER_DATA + 1 if self.answer_size is None else self.answer_size
         return 2 * (data + 2) + 1
 
 
 @dataclass(frozen=True)
 class ScopeSlot:
-    """One variable of the scope."""
+    """Variable of the scope."""
 
     address: int
     size: int
@@ -84,30 +84,30 @@ class ScopeSlot:
 
 @dataclass(frozen=True)
 class TsaTable:
-    """Where one table of variables lies; address 0 ends the list of tables."""
+    """Location of a table of variables; address 0 ends the list of tables."""
 
-    version: int  # meaning of the entries: 2 or 3
+    version: int  # format of the entries: 2 or 3
     field_size: int  # bytes of each of the four fields of an entry
     size: int  # bytes of the table
     address: int  # of its first byte
 
 
 def get_config(key: str) -> Request:
-    """Ask for a configuration value by its name of up to three characters."""
+    """Read a configuration value by its name of up to three characters."""
     return Request(f"GETCONFIG {key}", Command.GETCONFIG, b"\x00" + key.encode("ascii") + b"\x00", None)
 
 
 def parse_config(key: str, data: bytes) -> bytes:
-    """Take the value from behind the repeated key.
+    """Extract the value after the repeated key.
 
     Raises
     ------
     CodecError
-        If the answer is about another key.
+        If the response is for another key.
     """
     prefix = key.encode("ascii") + b"\x00"
     if not data.startswith(prefix):
-        raise CodecError(f"answer to GETCONFIG {key} is about {data[:4]!r}")
+        raise CodecError(f"response to GETCONFIG {key} is for {data[:4]!r}")
     return data[len(prefix) :]
 
 
@@ -118,7 +118,7 @@ def read_memory(address: int, size: int) -> Request:
 
 
 def write_memory(address: int, data: bytes, mask: bytes | None = None) -> Request:
-    """Write bytes; with a mask only the bits that are set in it."""
+    """Write bytes; with a mask only the bits set in it."""
     if mask is not None and len(mask) != len(data):
         raise CodecError(f"mask of {len(mask)} bytes for {len(data)} bytes of data")
     payload = bytes((mask is not None,)) + encode_uleb(address) + encode_uleb(len(data)) + data + (mask or b"")
@@ -133,20 +133,20 @@ def set_scope(slots: Sequence[ScopeSlot], *, scope: int = 0, payload_limit: int 
     slots : sequence of ScopeSlot
         Variables in the order in which the answers will carry them; empty switches the scope off.
     scope : int
-        Index of the scope.
+        Variables in the order of the response; empty: scope off.
     payload_limit : int
-        Largest payload that the target takes [bytes].
+        Largest payload of the target [bytes].
 
     Raises
     ------
     CodecError
-        If a slot has a size that the scope cannot carry.
+        If the size of a slot is not supported.
     """
     head = bytes((scope,))
     payloads = [head + bytes((_OP_SCOPE_RESET, 1, len(slots)))]
     for index, slot in enumerate(slots):
         if slot.size not in SCOPE_SIZES:
-            raise CodecError(f"{slot.size} bytes do not fit a scope slot; it takes 1, 2, 4 or 8")
+            raise CodecError(f"{slot.size} bytes do not fit a scope slot; permitted are 1, 2, 4 or 8")
         body = bytes((index,)) + encode_uleb(slot.address) + bytes((slot.size,))
         operation = bytes((_OP_SCOPE_SLOT, len(body))) + body
         if len(payloads[-1]) + len(operation) > payload_limit:
@@ -156,52 +156,52 @@ def set_scope(slots: Sequence[ScopeSlot], *, scope: int = 0, payload_limit: int 
 
 
 def read_scope(size: int, *, scope: int = 0) -> Request:
-    """Read all slots, `size` bytes together."""
+    """Read all slots, `size` bytes in total."""
     return Request("READSCOPE", Command.READSCOPE, bytes((scope,)), size)
 
 
 def get_tsa_info(index: int) -> Request:
-    """Ask for the place of table `index`."""
+    """Read the location of table `index`."""
     return Request(f"GETTSAINFO {index}", Command.GETTSAINFO, encode_uleb(index), None)
 
 
 def parse_tsa_info(data: bytes) -> TsaTable:
-    """Decode the place of a table.
+    """Decode the location of a table.
 
     Raises
     ------
     CodecError
-        If the answer is cut off, or names a width of the entries that does not exist.
+        If the response is cut off, or has an undefined width of the entries.
     """
     if not data:
-        raise CodecError("empty answer to GETTSAINFO")
+        raise CodecError("empty response to GETTSAINFO")
     size, end = decode_uleb(data, 1)
     address, _ = decode_uleb(data, end)
     width = data[0] >> 4 & 3
     if width == 3 and address:
-        raise CodecError(f"table flags {data[0]:02X} name no width of the entries")
+        raise CodecError(f"table flags {data[0]:02X} have no valid width of the entries")
     return TsaTable(data[0] & 0x0F, 2 << width, size, address)
 
 
 def get_string_length(address: int) -> Request:
-    """Ask for the length of the text at `address`."""
+    """Read the length of the text at `address`."""
     return Request(f"GETSTRLEN 0x{address:X}", Command.GETSTRLEN, encode_uleb(address), None)
 
 
 def parse_size(data: bytes) -> int:
-    """Decode an answer that is one number."""
+    """Decode a response with one number."""
     return decode_uleb(data)[0]
 
 
 def send_command(code: int, arguments: bytes = b"") -> Request:
-    """Start an application command; never repeated by itself."""
+    """Start an application command; not repeated automatically."""
     if not 0 <= code < COMMAND_IDLE:
         raise CodecError(f"application command {code} is not 0 .. 254")
     return Request(f"SENDAPPCMD {code}", Command.SENDAPPCMD, bytes((code,)) + arguments, 0, idempotent=False)
 
 
 def get_command_status() -> Request:
-    """Ask for the result of the last application command, which the target may run only now."""
+    """Read the result of the last application command; some targets execute it only now."""
     return Request("GETAPPCMDSTS", Command.GETAPPCMDSTS, b"", 1, lengthy=True)
 
 
@@ -211,15 +211,15 @@ def get_command_data(size: int, offset: int = 0) -> Request:
 
 
 def exchange_pipe(payload: bytes) -> Request:
-    """Send to and take from a pipe; the toggle in the payload makes a repetition harmless."""
+    """Exchange bytes with a pipe; because of the toggle bit in the payload a repetition is harmless."""
     return Request(f"PIPE {payload[0] & 0x7F}", Command.PIPE, payload, None)
 
 
 def begin_login(level: int) -> Request:
-    """Ask for the salt of a login to that level; the target draws a new one every time."""
+    """Read the salt for a login to a level; the target generates a new one each time."""
     return Request(f"AUTH1 level {level}", Command.AUTH1, bytes((level,)), None, idempotent=False)
 
 
 def finish_login(level: int, key: bytes) -> Request:
-    """Prove the knowledge of a password; the answer is the level that is granted."""
+    """Send the password key; the response is the granted level."""
     return Request(f"AUTH2 level {level}", Command.AUTH2, bytes((level,)) + key, 1, idempotent=False)

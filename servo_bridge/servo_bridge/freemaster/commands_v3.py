@@ -1,4 +1,4 @@
-"""FreeMASTER v3 commands: command codes, and the forms with addresses of 16 and of 32 bits."""
+"""FreeMASTER v3 commands: codes, and forms with 16-bit and 32-bit addresses."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from servo_bridge.freemaster.codec import V3
 from servo_bridge.freemaster.commands import COMMAND_IDLE, Request, ScopeSlot, TsaTable
 from servo_bridge.freemaster.errors import CodecError
+from servo_bridge.freemaster.frames import V3
 from servo_bridge.freemaster.tsa import ByteOrder
 
 INFO_SIZE: Final = 35
@@ -18,26 +18,26 @@ _WIDE_TABLE: Final = 0x0100
 
 
 def get_info() -> Request:
-    """Ask who is there; a target has this form or the brief one."""
+    """Read the identification; a target has this form or the brief one."""
     return Request("GETINFO", 0xC0, b"", INFO_SIZE, framing=V3)
 
 
 def get_info_brief() -> Request:
-    """Ask who is there, without memory of the recorder, time base and description."""
+    """Read the brief identification, without recorder memory, time base and description."""
     return Request("GETINFOBRIEF", 0xC8, b"", BRIEF_INFO_SIZE, framing=V3)
 
 
 def exchange_pipe(payload: bytes) -> Request:
-    """Send to and take from a pipe, as in version 4."""
+    """Exchange bytes with a pipe, as in version 4."""
     return Request(f"PIPE {payload[0] & 0x7F}", 0x15, payload, None, framing=V3)
 
 
 @dataclass(frozen=True)
 class MemoryForm:
-    """All commands that carry addresses or numbers of the target."""
+    """Commands with addresses or numbers of the target."""
 
-    order: ByteOrder = "little"  # byte order of the target, which is that of the line as well
-    wide: bool = True  # whether addresses have 32 bits instead of 16
+    order: ByteOrder = "little"  # byte order of the target and of the line
+    wide: bool = True  # 32-bit instead of 16-bit addresses
 
     def _code(self, plain: int, wide: int) -> int:
         return wide if self.wide else plain
@@ -83,35 +83,35 @@ class MemoryForm:
         return self.number(len(slots), 1) + b"".join(self.number(s.size, 1) + self.address(s.address) for s in slots)
 
     def set_scope(self, slots: Sequence[ScopeSlot]) -> Request:
-        """Set up the scope; the command takes one frame."""
+        """Set up the scope, in one frame."""
         return Request(
             f"SETUPSCOPE {len(slots)} slots", self._code(0x08, 0x0A), self.slots(slots), 0, framing=V3, lengthy=True
         )
 
     def read_scope(self, size: int) -> Request:
-        """Read all slots, `size` bytes together."""
+        """Read all slots, `size` bytes in total."""
         return Request("READSCOPE", 0xC5, b"", size, framing=V3)
 
     def get_tsa_info(self, index: int) -> Request:
-        """Ask for the place of table `index`."""
+        """Read the location of table `index`."""
         payload, size = self.number(index, 2), 4 + self.address_size
         return Request(f"GETTSAINFO {index}", self._code(0x11, 0x12), payload, size, framing=V3)
 
     def parse_tsa_info(self, data: bytes) -> TsaTable:
-        """Decode the place of a table."""
+        """Decode the location of a table."""
         flags, size, address = self.value(data[:2]), self.value(data[2:4]), self.value(data[4:])
         return TsaTable(flags & 0x0F, 4 if flags & _WIDE_TABLE else 2, size, address)
 
     def get_string_length(self, address: int) -> Request:
-        """Ask for the length of the text at `address`."""
+        """Read the length of the text at `address`."""
         return Request(f"GETSTRLEN 0x{address:X}", self._code(0xD4, 0xE6), self.address(address), 2, framing=V3)
 
     def send_command(self, code: int, arguments: bytes) -> Request:
-        """Start an application command; never repeated by itself."""
+        """Start an application command; not repeated automatically."""
         if not 0 <= code < COMMAND_IDLE:
             raise CodecError(f"application command {code} is not 0 .. 254")
         return Request(f"SENDAPPCMD {code}", 0x10, bytes((code,)) + arguments, 0, idempotent=False, framing=V3)
 
     def get_command_status(self) -> Request:
-        """Ask for the result of the last application command, which the target may run only now."""
+        """Read the result of the last application command; some targets execute it only now."""
         return Request("GETAPPCMDSTS", 0xC6, b"", 1, framing=V3, lengthy=True)

@@ -1,4 +1,4 @@
-"""What a client needs to know of one version of the protocol: how requests are built and answers are read."""
+"""Interface of a protocol version: encoding of requests and decoding of responses."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from servo_bridge.freemaster.recorder import Recorder
 
 
 class Dialect(Protocol):
-    """One version of the protocol, as one target speaks it.
+    """Protocol version of one target.
 
-    The methods build requests and raise `CodecError` for what this version cannot express; those named ``parse_...``
-    read the data of an answer.
+    Methods return requests and raise `CodecError` for arguments that this version does not support; methods named
+    ``parse_...`` decode the data of a response.
     """
 
     def identify(self, ask: Ask) -> BoardInfo:
-        """Ask the target who it is, and learn what the requests depend on."""
+        """Identify the target; determines the parameters of later requests."""
 
     def fence(self, ask: Ask) -> Fence | None:
-        """Find a request whose answer never changes, once the target is identified."""
+        """Request whose response never changes; after `identify`."""
 
     def get_config(self, ask: Ask, key: str) -> bytes | None:
-        """Read a configuration value; None where there is none of that name."""
+        """Read a configuration value; None if it does not exist."""
 
     def read_memory(self, address: int, size: int) -> Request: ...
 
@@ -48,10 +48,10 @@ class Dialect(Protocol):
     def get_command_status(self) -> Request: ...
 
     def exchange_pipe(self, payload: bytes) -> Request:
-        """Build a request to a pipe; `Pipe` says what is in it."""
+        """Request to a pipe; see `Pipe` for its payload."""
 
     def log_in(self, ask: Ask, level: int, password: str) -> int:
-        """Prove the knowledge of a password; returns the level that the target grants.
+        """Log in with a password; returns the granted level.
 
         Raises
         ------
@@ -62,4 +62,4 @@ class Dialect(Protocol):
         """
 
     def recorder(self, ask: Ask, info: BoardInfo, index: int, payload_limit: int) -> Recorder:
-        """Give the recorder of that number."""
+        """Return the recorder with this number."""

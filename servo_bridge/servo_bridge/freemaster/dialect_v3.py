@@ -7,10 +7,10 @@ from typing import Final
 
 from servo_bridge.freemaster import commands_v3
 from servo_bridge.freemaster.board_info import BoardInfo
-from servo_bridge.freemaster.codec import V3
 from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
 from servo_bridge.freemaster.commands_v3 import MemoryForm
 from servo_bridge.freemaster.errors import CodecError, FreemasterError, RecorderError, Status, StatusError
+from servo_bridge.freemaster.frames import V3
 from servo_bridge.freemaster.line import Ask, Fence
 from servo_bridge.freemaster.recorder import Recorder
 from servo_bridge.freemaster.recorder_v3 import RecorderV3
@@ -19,13 +19,13 @@ _MTU_MIN: Final = 8
 _BIG_ENDIAN: Final = 0x01
 _LARGE_RECORDER: Final = 0x10
 _RECORDER_UNIT: Final = 64  # bytes per unit of the memory of a large recorder
-_TIME_UNITS: Final = (1_000_000_000, 1_000_000, 1_000, 1)  # of the time base, by its two highest bits [ns]
+_TIME_UNITS: Final = (1_000_000_000, 1_000_000, 1_000, 1)  # of the time base, by its two most significant bits [ns]
 
 
 class DialectV3:
     """Version 3; see `Dialect`.
 
-    A target takes addresses of 16 bits, of 32, or both; which is found out when it is identified, as is its byte order.
+    A target supports addresses of 16 or 32 bits, or both; this and its byte order are determined by `identify`.
     """
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class DialectV3:
         protocol, flags, _, major, minor, buffer_size = data[:6]
         form = MemoryForm("big" if flags & _BIG_ENDIAN else "little")
         description = ""
-        recorders = 1  # the brief form does not say
+        recorders = 1  # not in the brief form
         if len(data) >= commands_v3.INFO_SIZE:
             self._recorder_memory = form.value(data[6:8]) * (_RECORDER_UNIT if flags & _LARGE_RECORDER else 1)
             time_base = form.value(data[8:10])
@@ -76,7 +76,7 @@ class DialectV3:
 
     def set_scope(self, slots: Sequence[ScopeSlot], *, scope: int, payload_limit: int) -> list[Request]:
         if scope:
-            raise CodecError(f"there is no scope {scope}; a version 3 target has one")
+            raise CodecError(f"scope {scope} does not exist; a version 3 target has one")
         request = self._form.set_scope(slots)
         if len(request.payload) > payload_limit:
             raise CodecError(f"{len(slots)} scope variables do not fit the buffer of the target")
@@ -107,16 +107,16 @@ class DialectV3:
         return commands_v3.exchange_pipe(payload)
 
     def log_in(self, ask: Ask, level: int, password: str) -> int:
-        raise FreemasterError("the board speaks FreeMASTER version 3, which has no passwords")
+        raise FreemasterError("the board uses FreeMASTER version 3, which has no passwords")
 
     def recorder(self, ask: Ask, info: BoardInfo, index: int, payload_limit: int) -> Recorder:
         if index:
-            raise RecorderError(f"there is no recorder {index}; a version 3 target has one")
+            raise RecorderError(f"recorder {index} does not exist; a version 3 target has one")
         return RecorderV3(ask, self._form, self._recorder_memory, self._time_base_ns, payload_limit)
 
 
 def _answer_or_none(ask: Ask, request: Request) -> bytes | None:
-    """Data of the answer; None when the target does not have the command."""
+    """Data of the response; None if the target does not support the command."""
     try:
         return ask(request).data
     except StatusError as error:
@@ -126,7 +126,7 @@ def _answer_or_none(ask: Ask, request: Request) -> bytes | None:
 
 
 def _known_form(ask: Ask, form: MemoryForm) -> MemoryForm:
-    """Find the form of addresses that the target takes, by the requests that only look."""
+    """Determine the address form of the target, by read requests."""
     narrow = MemoryForm(form.order, wide=False)
     for candidate in (form, narrow):
         if _answer_or_none(ask, candidate.get_tsa_info(0)) is not None:

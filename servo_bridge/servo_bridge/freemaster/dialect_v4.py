@@ -6,21 +6,21 @@ import hashlib
 
 from servo_bridge.freemaster import commands
 from servo_bridge.freemaster.board_info import DEFAULT_MTU, BoardInfo
-from servo_bridge.freemaster.codec import V4, decode_uleb
 from servo_bridge.freemaster.errors import FreemasterError, Status, StatusError
+from servo_bridge.freemaster.frames import V4, decode_uleb
 from servo_bridge.freemaster.line import Ask, Fence
 from servo_bridge.freemaster.recorder import Recorder
 from servo_bridge.freemaster.recorder_v4 import RecorderV4
 
 
 def password_key(password: str, salt: bytes) -> bytes:
-    """Compute what proves the knowledge of a password: two rounds of SHA-1 around the salt of the target."""
+    """Key of a password for the login: two rounds of SHA-1 with the salt of the target."""
     inner = hashlib.sha1(password.encode("utf-8"), usedforsecurity=False).digest()
     return hashlib.sha1(salt + inner + salt, usedforsecurity=False).digest()
 
 
 class DialectV4:
-    """Version 4; see `Dialect`. It depends on nothing that the target says."""
+    """Version 4; see `Dialect`. Independent of the identification of the target."""
 
     read_memory = staticmethod(commands.read_memory)
     write_memory = staticmethod(commands.write_memory)
@@ -66,7 +66,7 @@ class DialectV4:
         try:
             exchange = ask(request)
         except StatusError:
-            return None  # a refusal is no answer that could be told from others
+            return None  # a refusal cannot be distinguished from other refusals
         return Fence(request.frame, V4.answer(exchange.status, exchange.data))
 
     def get_config(self, ask: Ask, key: str) -> bytes | None:

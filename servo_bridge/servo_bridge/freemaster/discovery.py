@@ -1,7 +1,7 @@
-"""Learn all variables of a target from its own tables.
+"""Discovery of all variables of a target from its tables.
 
-Per string two requests are needed: with TSA safety a target hands out exactly the characters of one string and nothing
-around it. Strings that several entries share are read once, and those that the caller knows not at all.
+Each string needs two requests: with TSA safety a target permits reading the characters of one string only. Strings used
+by several entries are read once, strings known to the caller are not read.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from servo_bridge.freemaster.errors import DiscoveryError, Status, StatusError
 from servo_bridge.freemaster.tsa import ByteOrder, Entry, TargetVariable, entry_of_version_2, parse_entries
 
 TableRow = tuple[int, int, int, int]
-"""One entry as the target has it: addresses of name and type, address of the variable, size and access bits."""
+"""Entry of a table: addresses of name and type, address of the variable, size and access bits."""
 
 KnownTexts = Callable[[Sequence[TableRow]], Mapping[int, bytes]]
-"""Finds the texts that need not be read, by address, from the rows of all tables."""
+"""Returns the texts that need not be read, by address, from the rows of all tables."""
 
 _OLD_VERSION: Final = 2
 _MAX_TABLES: Final = 256
@@ -32,11 +32,11 @@ def discover(client: Client, info: BoardInfo, known_texts: KnownTexts | None = N
     Parameters
     ----------
     client : Client
-        Client whose `identify` gave `info`.
+        Client that has returned `info` from `identify`.
     info : BoardInfo
-        Tells the byte order.
+        Identification, with the byte order.
     known_texts : callable, optional
-        Texts that are not read.
+        Returns known texts.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def _tables(client: Client) -> list[TsaTable]:
             if error.code == Status.UNKNOWN_COMMAND:
                 break
             raise
-        # The address alone ends the list: a target with a dynamic table reports a stale size there.
+        # Only the address ends the list: a target with a dynamic table reports a stale size there.
         if table.address == 0:
             break
         tables.append(table)
@@ -84,25 +84,25 @@ def _tables(client: Client) -> list[TsaTable]:
 
 
 def _rows(client: Client, table: TsaTable, order: ByteOrder) -> list[TableRow]:
-    """Read the four words of every entry of one table."""
+    """Read the four words of every entry of a table."""
     width = table.field_size
     count = table.size // (4 * width)
     if table.size > _MAX_TABLE_SIZE:
-        raise DiscoveryError(f"the board names a table of {table.size} bytes, which cannot be")
+        raise DiscoveryError(f"the board reports a table of {table.size} bytes, which is not plausible")
     data = client.read_memory(table.address, count * 4 * width)
     words = [int.from_bytes(data[k : k + width], order) for k in range(0, len(data), width)]
     return list(zip(words[0::4], words[1::4], words[2::4], words[3::4], strict=True))
 
 
 class _Strings:
-    """Texts in target memory, each read once unless it is known."""
+    """Texts in target memory; unknown ones are read once."""
 
     def __init__(self, client: Client, known: Mapping[int, bytes]) -> None:
         self._client = client
         self._known: dict[int, bytes | None] = {0: None, **known}
 
     def read(self, address: int) -> bytes | None:
-        """Read the text at `address`; None where there is none or where the target will not show it."""
+        """Read the text at `address`; None if there is none or the target refuses access."""
         if address not in self._known:
             try:
                 length = min(self._client.string_length(address), _MAX_STRING)

@@ -1,4 +1,4 @@
-"""What can go wrong between the host and a FreeMASTER target."""
+"""Errors of the communication with a FreeMASTER target."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Final
 
 
 class Status:
-    """Status byte of an answer: bit 7 error, bit 6 a length byte follows."""
+    """Status byte of a response: bit 7 error, bit 6 length byte follows."""
 
     OK: Final = 0x00
     OK_VARIABLE: Final = 0x40
@@ -26,7 +26,7 @@ class Status:
     WRONG_PASSWORD: Final = 0x92
     BAD_INSTANCE: Final = 0x94
     OUT_OF_RANGE: Final = 0x97
-    """What the servo board says of a value; other targets have it for recorders that are not built in."""
+    """Value refused by the servo board; on other targets: recorder not available."""
     DEBUG_FRAME: Final = 0xA9
 
     ERROR_BIT: Final = 0x80
@@ -36,8 +36,8 @@ class Status:
 STATUS_TEXT: Final = {
     0x81: "unknown command or feature not built in",
     0x82: "checksum error in the request",
-    0x83: "request longer than the target's buffer",
-    0x84: "answer does not fit the target's buffer",
+    0x83: "request longer than the buffer of the target",
+    0x84: "response does not fit the buffer of the target",
     0x85: "bad buffer or variable index",
     0x86: "bad size",
     0x87: "busy",
@@ -62,53 +62,53 @@ STATUS_TEXT: Final = {
 
 
 def status_text(code: int) -> str:
-    """Put a status byte into words."""
+    """Text of a status byte."""
     return STATUS_TEXT.get(code, "unknown status")
 
 
 class FreemasterError(Exception):
-    """Base class of everything this package raises on purpose."""
+    """Base class of the errors of this package."""
 
 
 class CodecError(FreemasterError, ValueError):
-    """A number or a field inside a payload is cut off or malformed."""
+    """A number or field of a payload is truncated or invalid."""
 
 
 class TransportError(FreemasterError):
-    """The port itself is gone or refuses bytes."""
+    """The port is lost or refuses bytes."""
 
 
 class AnswerTimeoutError(FreemasterError):
-    """The target did not send a single byte in time."""
+    """No byte was received within the timeout."""
 
 
 class DamagedAnswerError(FreemasterError):
-    """Bytes came back, but no intact answer."""
+    """Bytes were received, but no intact response."""
 
     def __init__(self, message: str, received: bytes = b"") -> None:
         super().__init__(message)
-        self.received = received  # all bytes, from the first one on
+        self.received = received  # first bytes received
 
 
 class DisturbedRequestError(DamagedAnswerError):
-    """The target says that requests reach it damaged."""
+    """The target reports that requests arrive damaged."""
 
 
 class WrongProtocolError(FreemasterError):
-    """Something answers, but it speaks neither FreeMASTER version 4 nor version 3."""
+    """The response is neither FreeMASTER version 4 nor version 3."""
 
 
 class StatusError(FreemasterError):
-    """The target understood the request and refused it."""
+    """The target refused the request."""
 
     def __init__(self, code: int, request: str) -> None:
-        self.code = code  # status byte, 0x81 and up
-        self.meaning = status_text(code)  # the same in words
-        super().__init__(f"{request}: the board answers {code:02X}, {self.meaning}")
+        self.code = code  # status byte, 0x81 or above
+        self.meaning = status_text(code)  # text of the status byte
+        super().__init__(f"{request}: the board returned {code:02X}, {self.meaning}")
 
 
 class OutOfRangeError(StatusError):
-    """The board has refused a value; the text says which one, and what it takes."""
+    """The board refused a value; the text has the value and the permitted range."""
 
     def __init__(self, text: str) -> None:
         super().__init__(Status.OUT_OF_RANGE, text)
@@ -116,12 +116,12 @@ class OutOfRangeError(StatusError):
 
 
 class CommandUnfinishedError(FreemasterError):
-    """An application command has been started and still runs."""
+    """An application command has not finished yet."""
 
 
 class DiscoveryError(FreemasterError):
-    """The target's variable table is missing or makes no sense."""
+    """The variable table of the target is missing or invalid."""
 
 
 class RecorderError(FreemasterError):
-    """The recorder of the target cannot record what is asked for."""
+    """The recorder of the target does not support the request."""

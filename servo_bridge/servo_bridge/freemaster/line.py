@@ -1,9 +1,8 @@
-"""One request, one answer: the half-duplex line with its time-outs, retries and late answers.
+"""Half-duplex line: one request, one response, with timeouts, retries and late responses.
 
-Never is a second request sent before the first is answered or given up. A request that is given up may yet be
-answered. So the next one is sent only when it is certain that no such answer can be taken for its own: when a fence has
-been answered, a request whose only answer is known byte by byte, because targets answer in order; without a fence when
-the line has been quiet for a while.
+A request is sent after the response of the previous one, or after its timeout. A response that arrives after the
+timeout must not be assigned to the next request. Before that, a fence is therefore sent, a request whose response is
+constant: targets respond in order, so later responses are new. Without a fence the line must be quiet for a while.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from servo_bridge.freemaster.codec import AnswerParser
 from servo_bridge.freemaster.commands import Request
 from servo_bridge.freemaster.errors import (
     AnswerTimeoutError,
@@ -23,37 +21,38 @@ from servo_bridge.freemaster.errors import (
     Status,
     StatusError,
 )
+from servo_bridge.freemaster.frames import AnswerParser
 from servo_bridge.freemaster.round_trip import RoundTrip
 
 _BITS_PER_BYTE: Final = 10  # 8N1
-_QUIET_NS: Final = 30_000_000  # longer than the 16 ms after which a USB adapter hands over a partly filled buffer
+_QUIET_NS: Final = 30_000_000  # longer than the 16 ms after which a USB adapter transmits a partly filled buffer
 _SETTLE_LIMIT_NS: Final = 500_000_000
 _STRAY_LIMIT: Final = 65_536
 _RECEIVED_KEPT: Final = 64
-_ANSWER_LIMIT: Final = 512  # no answer is longer [bytes]
+_ANSWER_LIMIT: Final = 512  # longest response [bytes]
 _FRAME_BYTES: Final = 3  # start, status and checksum
-_FIRST_CHUNK: Final = 64  # of an answer of unknown length; an adapter hands over no more at once [bytes]
+_FIRST_CHUNK: Final = 64  # of a response of unknown length; largest piece of an adapter [bytes]
 
 
 class Transport(Protocol):
-    """A byte stream.
+    """Byte stream.
 
-    Both methods raise `TransportError` when the stream is gone.
+    Both methods raise `TransportError` if the stream is lost.
     """
 
     def write(self, data: bytes) -> None:
-        """Hand over all bytes."""
+        """Write all bytes."""
 
     def read(self, deadline: int) -> bytes:
-        """Bytes as soon as there are any; empty when `deadline` (monotonic ns) passes first.
+        """Received bytes as soon as possible; empty after `deadline` (monotonic ns).
 
-        A deadline in the past returns what is there already.
+        A deadline in the past returns the bytes that are already available.
         """
 
 
 @dataclass
 class ClientStatistics:
-    """Counters since the client was made."""
+    """Counters of a client."""
 
     requests: int = 0
     retries: int = 0
@@ -68,7 +67,7 @@ class ClientStatistics:
 
 @dataclass(frozen=True)
 class Exchange:
-    """One answered request: its data, when it was sent and answered [monotonic ns], and the status of the answer."""
+    """Completed request: data, times of request and response [monotonic ns], and status of the response."""
 
     data: bytes
     request_ns: int
@@ -82,33 +81,33 @@ Ask = Callable[[Request], Exchange]
 
 @dataclass(frozen=True)
 class Fence:
-    """A request that changes nothing, and its answer, which is always the same; both as they go over the line."""
+    """Request without effect whose response is constant; both as encoded on the line."""
 
     request: bytes
     answer: bytes
 
 
 class Line:
-    """The way of one request to a target and of its answer back.
+    """Exchanges requests and responses with a target.
 
     Parameters
     ----------
     transport : Transport
-        Where the bytes go.
+        Byte stream.
     baud : int
-        Line speed [bit/s]; time-outs follow from the bytes on the line.
+        Line speed [bit/s], for the timeouts.
     latency : float
-        What the target and the adapters may add to the time on the line at most [s]. How long an answer is waited for
-        follows from how long those before took; only requests that must not arrive twice, and those that the target
-        may work on, always have this time.
+        Largest delay of target and adapters in addition to the time on the line [s]. Timeouts adapt to the measured
+        delays; requests that must not be executed twice, and those that take the target some time, always use this
+        value.
     retries : int
-        How often an idempotent request is repeated.
+        Number of repetitions of an idempotent request.
     clock : callable
-        Monotonic time [ns], the same as the transport's.
+        Monotonic time [ns], the clock of the transport.
     before_request : callable, optional
-        Called before every attempt; may raise to abandon a long job.
+        Called before every attempt; may raise to abort a long job.
     statistics : ClientStatistics, optional
-        Counters to go on with.
+        Counters to continue.
     """
 
     def __init__(
@@ -128,10 +127,9 @@ class Line:
         self._byte_ns = _BITS_PER_BYTE * 1_000_000_000 // baud
         self._latency_ns = round(latency * 1e9)
         self._round_trip = RoundTrip(self._latency_ns)
-        self.fence: Fence | None = None  # of the target that answers, once it is known
+        self.fence: Fence | None = None  # of the target, after its identification
         self.meanwhile: Callable[[], None] | None = None
-        """Called once, when the next request has been sent: work for the time that the line needs. Must not send
-        itself."""
+        """Called once after the next request has been sent: work during the transmission. Must not send requests."""
         self.retries = retries
         self.clock = clock
         self.before_request = before_request
@@ -139,15 +137,15 @@ class Line:
         self.statistics = ClientStatistics() if statistics is None else statistics
 
     def exchange(self, request: Request, *, retries: int | None = None) -> Exchange:
-        """Send a request and wait for its answer.
+        """Send a request and wait for its response.
 
         Parameters
         ----------
         request : Request
-            What to send.
+            Request to send.
         retries : int, optional
-            Other than those of the line; requests that are not idempotent are repeated only when the target says that
-            it did not understand them.
+            Replaces the number of the line; requests that are not idempotent are repeated only if the target reports
+            that it could not decode them.
 
         Raises
         ------
@@ -165,7 +163,7 @@ class Line:
             except AnswerTimeoutError:
                 self._unsettled = lost = True
                 self._round_trip.lost()
-                # Short waits do not count as retries, only their sum does: the target may just be busy for a moment.
+                # Retries count by the sum of their waiting times: the target may just be busy for a moment.
                 remaining_ns -= self.clock() - begin_ns
                 if not request.idempotent or left == 0 or remaining_ns <= 0:
                     raise
@@ -177,7 +175,7 @@ class Line:
                     raise
             except StatusError as error:
                 self._unsettled = lost
-                # A damaged length makes the target report an overflow instead of a wrong checksum.
+                # With a damaged length the target reports an overflow instead of a wrong checksum.
                 if error.code not in (Status.CHECKSUM, Status.REQUEST_TOO_LONG):
                     self.statistics.refused += 1
                     raise
@@ -186,26 +184,26 @@ class Line:
                         raise DisturbedRequestError(str(error)) from error
                     raise
             else:
-                # Both the lost and the repeated request may yet be answered.
+                # Both the lost and the repeated request may still be answered.
                 self._unsettled = lost
                 return exchange
             left -= 1
             self.statistics.retries += 1
 
     def rest(self, seconds: float) -> None:
-        """Let time pass without a request [s]; what comes meanwhile was not asked for."""
+        """Wait without a request [s]; bytes received meanwhile are counted as stray."""
         deadline = self.clock() + math.ceil(seconds * 1e9)
         while self.clock() < deadline:
             self.statistics.stray_bytes += len(self._transport.read(deadline))
 
     def work_off(self) -> None:
-        """Do now what would be done while the next request is on its way."""
+        """Call `meanwhile` now, not during the next request."""
         work, self.meanwhile = self.meanwhile, None
         if work is not None:
             work()
 
     def _attempt(self, request: Request, *, ambiguous: bool) -> Exchange:
-        """Send once; an answer says nothing about the round trip when it may be that to an earlier request."""
+        """Send once; if the response may belong to an earlier request, it is not used for the round trip."""
         if self.before_request is not None:
             self.before_request()
         self._discard()
@@ -232,7 +230,7 @@ class Line:
                 statistics.bytes_in += len(chunk)
                 count += len(chunk)
                 if not received:
-                    # Single-wire hardware echoes the request first, so its time counts again.
+                    # Single-wire hardware echoes the request first, so its time is added again.
                     deadline = response_ns + request_wire + request.answer_limit * self._byte_ns + allowance
                 if len(received) < _RECEIVED_KEPT:
                     received += chunk[: _RECEIVED_KEPT - len(received)]
@@ -242,27 +240,27 @@ class Line:
                 if parser.crc_errors:
                     statistics.crc_errors += 1
                     statistics.damaged += 1
-                    raise DamagedAnswerError(f"{request.name}: the answer is damaged", bytes(received))
+                    raise DamagedAnswerError(f"{request.name}: the response is damaged", bytes(received))
             if not chunk or response_ns >= deadline:
                 if received:
                     statistics.damaged += 1
-                    what = "only an answer of the wrong form" if parser.passed_over else "no intact answer"
-                    raise DamagedAnswerError(f"{request.name}: {what}", bytes(received))
+                    problem = "only a response of the wrong form" if parser.passed_over else "no intact response"
+                    raise DamagedAnswerError(f"{request.name}: {problem}", bytes(received))
                 statistics.timeouts += 1
                 waited = (response_ns - request_ns) * 1e-6
-                raise AnswerTimeoutError(f"{request.name}: no answer within {waited:.0f} ms")
+                raise AnswerTimeoutError(f"{request.name}: no response within {waited:.0f} ms")
         if not ambiguous and not request.patient:
             self._round_trip.answered(response_ns - request_ns - request_wire - count * self._byte_ns)
         if parser.trailing and request.idempotent:
-            # A byte that the line has put in shifts the checksum, and one of 256 of such frames seems to be intact.
+            # A byte inserted by the line shifts the checksum; one of 256 such frames seems to be intact.
             statistics.damaged += 1
-            raise DamagedAnswerError(f"{request.name}: more came than the answer", bytes(received))
+            raise DamagedAnswerError(f"{request.name}: bytes after the end of the response", bytes(received))
         if answer.is_error:
             raise StatusError(answer.status, request.name)
         return Exchange(answer.data, request_ns, response_ns, answer.status)
 
     def _discard(self) -> None:
-        """Throw away what came without being asked for."""
+        """Discard received bytes without a request."""
         dropped = 0
         while dropped < _STRAY_LIMIT:
             chunk = self._transport.read(0)
@@ -272,7 +270,7 @@ class Line:
         self.statistics.stray_bytes += dropped
 
     def _settle(self) -> bool:
-        """Make sure that a late answer is not taken for the next one; returns whether that is certain."""
+        """Make sure that a late response is not assigned to the next request; returns whether this is certain."""
         self._unsettled = False
         if self.fence is not None and self._round_trip.allowance_ns < self._latency_ns:
             self._pass(self.fence)
@@ -286,10 +284,10 @@ class Line:
         return False
 
     def _pass(self, fence: Fence) -> None:
-        """Send a fence and wait for its answer; all that comes before is late or damaged.
+        """Send a fence and wait for its response; earlier bytes are late or damaged.
 
-        When there is none, the target is slow or the line is bad. Then all that was sent is given the longest time, so
-        that there is never more than one fence on its way.
+        Without a response the target is slow or the line has errors. Then the longest timeout applies to all requests
+        sent, so that there is never more than one fence pending.
         """
         if self.before_request is not None:
             self.before_request()
@@ -317,6 +315,6 @@ class Line:
                 self._round_trip.stalled()
                 deadline = limit
             elif chunk:
-                # The answer may be behind the one that was late, which takes its time on the wire.
+                # The response may follow a late one, which needs its transmission time.
                 late_ns = min(len(received), _ANSWER_LIMIT) * self._byte_ns
                 deadline = min(sent_ns + wire_ns + late_ns + self._round_trip.allowance_ns, limit)

@@ -1,4 +1,4 @@
-"""A pipe of a target: a stream of bytes in either direction, without loss on a line that loses frames."""
+"""Pipe of a target: byte streams in both directions, reliable on a line that loses frames."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from servo_bridge.freemaster.line import Ask
 
 PORT_MAX: Final = 127
 _TOGGLE: Final = 0x80
-_HEAD: Final = 2  # port and number of bytes taken, in front of the data
+_HEAD: Final = 2  # port and number of accepted bytes, before the data
 
 
 class Pipe:
-    """One pipe, polled by the client.
+    """Pipe, polled by the client.
 
-    Each request acknowledges the bytes of the answer before it, and carries a toggle bit. A target that gets a request
-    a second time sees the toggle and answers as before; so `Line.exchange` may repeat a request whose answer was lost.
+    Each request acknowledges the bytes of the previous response and has a toggle bit. For a repeated request (same
+    toggle) the target repeats its response, so `Line.exchange` may repeat a request whose response was lost.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class Pipe:
     Raises
     ------
     CodecError
-        If there is no such port.
+        If the port does not exist.
     """
 
     def __init__(self, ask: Ask, dialect: Dialect, port: int = 1) -> None:
@@ -43,22 +43,22 @@ class Pipe:
         self._in_step = False
 
     def exchange(self, data: bytes = b"") -> tuple[bytes, int]:
-        """Send bytes and take what the target has written.
+        """Send bytes and receive those that the target has written.
 
-        After an error, call it again with the same bytes: the target may have taken them.
+        After an error, repeat the call with the same bytes: the target may have accepted them.
 
         Returns
         -------
         received, accepted : bytes, int
-            What the target wrote, and how many of the bytes sent it took: send the others again.
+            Bytes of the target, and number of accepted bytes; send the others again.
 
         Raises
         ------
         StatusError
-            If the target has no such pipe, or it is closed.
+            If the pipe does not exist or is closed.
         """
         if not self._in_step:
-            # The target may take the first frame for a repetition, and ignore its data and acknowledgement.
+            # The target may treat the first frame as a repetition and ignore its data and acknowledgement.
             first, _ = self._exchange(b"")
             self._in_step = True
             if first:
@@ -69,7 +69,7 @@ class Pipe:
         head = self._port | (_TOGGLE if self._odd else 0)
         answer = self._ask(self._dialect.exchange_pipe(bytes((head, self._acknowledged)) + data)).data
         if len(answer) < _HEAD or answer[0] != head:
-            raise CodecError(f"answer {answer.hex(' ') or 'without data'} to a request to pipe {self._port}")
+            raise CodecError(f"response {answer.hex(' ') or 'without data'} to a request to pipe {self._port}")
         self._odd = not self._odd
         received = answer[_HEAD:]
         self._acknowledged = len(received)

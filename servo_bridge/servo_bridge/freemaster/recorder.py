@@ -1,7 +1,7 @@
-"""The recorder of a target: samples of a few variables in its own memory, at the rate of its loops.
+"""Recorder of a target: samples of some variables in its memory, at the rate of its control loops.
 
-Points are sampled into a ring until a trigger fires, and then until the ring holds as many points from before the
-trigger as were asked for. Pure data, and the interface that both versions of the protocol have.
+Points are recorded in a ring buffer until the trigger, and after it until the buffer has the requested number of points
+before the trigger. This module has the data and the interface of both protocol versions.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _MEMORY_MAX: Final = 1 << 24
 
 
 class Compare(Enum):
-    """How the target compares a variable with the threshold of a trigger."""
+    """Comparison of a variable with the threshold of a trigger."""
 
     UNSIGNED = 1
     SIGNED = 2
@@ -25,51 +25,51 @@ class Compare(Enum):
 
 
 class State(Enum):
-    """What a recorder does."""
+    """State of a recorder."""
 
     UNCONFIGURED = 0
     EMPTY = 1
     RUNNING = 2
     CUT_SHORT = 3
-    """Stopped before its memory was full once."""
+    """Stopped before its memory was filled once."""
     FULL = 4
 
 
 @dataclass(frozen=True)
 class Trigger:
-    """When to stop recording."""
+    """Trigger condition."""
 
     slot: ScopeSlot  # variable that is compared with the threshold
     compare: Compare  # interpretation of its bits
-    above: bool  # fire when the variable reaches the threshold from below
-    below: bool  # fire when the variable falls below the threshold
+    above: bool  # on a rise to the threshold or above
+    below: bool  # on a fall below the threshold
     threshold: int = 0  # raw number of the target; for `Compare.FLOAT` the bits of the number
-    threshold_address: int | None = None  # address of a variable of the same type that is the threshold instead
-    level: bool = False  # fire also when the condition holds from the beginning; else only when it comes true
+    threshold_address: int | None = None  # address of a variable of the same type used as threshold
+    level: bool = False  # level instead of edge: also if the condition holds from the start
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What to record.
+    """Configuration of a recording.
 
     Raises
     ------
     RecorderError
-        If it contradicts itself.
+        If the entries contradict each other.
     """
 
-    slots: tuple[ScopeSlot, ...]  # variables in the order in which a point holds them
-    points: int = 0  # number of points; 0: as many as fit
+    slots: tuple[ScopeSlot, ...]  # variables in the order of a point
+    points: int = 0  # number of points; 0: as many as fit the memory
     before: int = 0  # points before the trigger
-    divider: int = 1  # record every so many-th of the samples that the target could record
+    divider: int = 1  # record every n-th sample of the target
     trigger: Trigger | None = None  # None: record until `Recorder.stop`
 
     def __post_init__(self) -> None:
         if not self.slots:
-            raise RecorderError("there is nothing to record: name a variable")
+            raise RecorderError("nothing to record: write a variable")
         sizes = [slot.size for slot in self.slots] + ([self.trigger.slot.size] if self.trigger else [])
         if any(size not in SCOPE_SIZES for size in sizes):
-            raise RecorderError("a recorder takes variables of 1, 2, 4 or 8 bytes")
+            raise RecorderError("a recorder supports variables of 1, 2, 4 or 8 bytes")
         if self.points < 0 or self.before < 0 or self.divider < 1:
             raise RecorderError(f"{self.points} points, {self.before} before the trigger, divider {self.divider}")
         if self.points and self.before >= self.points:
@@ -83,19 +83,19 @@ class Setup:
 
 @dataclass(frozen=True)
 class Limits:
-    """What a recorder can do."""
+    """Limits of a recorder."""
 
     name: str  # of the recorder, may be empty
-    memory: int | None  # bytes for samples and the target's own data about them; None: not stated
-    period_ns: int  # time between two samples without divider [ns]; 0: not stated
-    overhead: int = 0  # bytes of `memory` for the target's own data
-    slot_overhead: int = 0  # bytes of `memory` for the target's own data per variable
-    slots_max: int | None = None  # largest number of variables; None: not stated
-    divider_max: int = (1 << 32) - 1  # largest number that a request can carry
-    points_max: int = (1 << 32) - 1  # largest number that a request can carry
+    memory: int | None  # bytes for samples and administration data; None: not reported
+    period_ns: int  # time between two samples without divider [ns]; 0: not reported
+    overhead: int = 0  # bytes of `memory` for administration data
+    slot_overhead: int = 0  # bytes of `memory` for administration data per variable
+    slots_max: int | None = None  # largest number of variables; None: not reported
+    divider_max: int = (1 << 32) - 1  # largest number in a request
+    points_max: int = (1 << 32) - 1  # largest number in a request
 
     def capacity(self, setup: Setup) -> int | None:
-        """Count the points that fit; None when the target does not say how much memory it has."""
+        """Number of points that fit; None if the memory size is not reported."""
         if self.memory is None:
             return None
         extra = setup.trigger is not None and setup.trigger.slot not in setup.slots
@@ -103,15 +103,15 @@ class Limits:
         return min(max(self.memory - used, 0) // setup.point_size, self.points_max)
 
     def check(self, setup: Setup) -> None:
-        """Refuse what cannot be recorded.
+        """Refuse a configuration that exceeds the limits.
 
         Raises
         ------
         RecorderError
-            With what can.
+            With the limit.
         """
         if self.slots_max is not None and len(setup.slots) > self.slots_max:
-            raise RecorderError(f"{len(setup.slots)} variables are too many; the recorder takes {self.slots_max}")
+            raise RecorderError(f"{len(setup.slots)} variables are too many; the recorder supports {self.slots_max}")
         if setup.divider > self.divider_max:
             raise RecorderError(f"the recorder cannot divide its rate by {setup.divider}; at most {self.divider_max}")
         capacity = self.capacity(setup)
@@ -120,7 +120,7 @@ class Limits:
 
 
 def too_many_points(setup: Setup, fitting: int) -> RecorderError:
-    """Say that the points do not fit, and how many do."""
+    """Error for too many points, with the number that fits."""
     if fitting < 2:
         return RecorderError(f"{len(setup.slots)} variables do not fit the memory of the recorder; record fewer")
     return RecorderError(
@@ -131,7 +131,7 @@ def too_many_points(setup: Setup, fitting: int) -> RecorderError:
 
 @dataclass(frozen=True)
 class SampleMemory:
-    """Where the points lie."""
+    """Location of the points in memory."""
 
     address: int  # of the first point in memory
     point_size: int  # bytes of one point
@@ -145,55 +145,55 @@ class SampleMemory:
 
 
 class Recorder(Protocol):
-    """One recorder of one target."""
+    """Recorder of a target."""
 
     def limits(self) -> Limits:
-        """Ask what it can do."""
+        """Read the limits."""
 
     def configure(self, setup: Setup) -> int:
-        """Set it up; a recording that runs is lost.
+        """Configure the recorder; a running recording is lost.
 
         Returns
         -------
         int
-            How many points it will take.
+            Number of points that it will record.
 
         Raises
         ------
         RecorderError
-            If it cannot record that.
+            If the recorder does not support the configuration.
         """
 
     def start(self) -> None:
-        """Begin to record; the points of before are lost."""
+        """Start a recording; previous points are lost."""
 
     def stop(self) -> None:
-        """End the recording without waiting for the trigger; it may go on for as long as after a trigger."""
+        """End the recording without a trigger; it may continue as long as after a trigger."""
 
     def state(self) -> State:
-        """Ask what it does."""
+        """Read the state."""
 
     def memory(self) -> SampleMemory:
-        """Ask where the points lie; only when it is stopped."""
+        """Read the location of the points; only if the recorder is stopped."""
 
 
 def memory_checked(memory: SampleMemory) -> SampleMemory:
-    """Refuse a memory that cannot be.
+    """Refuse an implausible memory.
 
     Raises
     ------
     RecorderError
-        With what the target says.
+        With the reported values.
     """
     if memory.size > _MEMORY_MAX or not 0 <= memory.first < max(memory.count, 1):
         raise RecorderError(
-            f"the board names {memory.count} points of {memory.point_size} bytes, the oldest at {memory.first}; "
-            "that cannot be"
+            f"the board reports {memory.count} points of {memory.point_size} bytes, the oldest at {memory.first}; "
+            "this is not plausible"
         )
     return memory
 
 
 def in_order(memory: SampleMemory, data: bytes) -> bytes:
-    """Points of a whole memory, oldest first."""
-    turn = memory.first * memory.point_size
-    return bytes(data[turn:] + data[:turn])
+    """Points of a whole memory, the oldest first."""
+    start = memory.first * memory.point_size
+    return bytes(data[start:] + data[:start])

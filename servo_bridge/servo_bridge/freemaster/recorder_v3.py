@@ -1,14 +1,14 @@
-"""The recorder by the commands of version 3: one, with one trigger that has a fixed threshold."""
+"""Recorder of version 3: one per target, with one edge trigger of fixed threshold."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import Final
 
-from servo_bridge.freemaster.codec import V3
 from servo_bridge.freemaster.commands import Request
 from servo_bridge.freemaster.commands_v3 import MemoryForm
 from servo_bridge.freemaster.errors import RecorderError, Status, StatusError
+from servo_bridge.freemaster.frames import V3
 from servo_bridge.freemaster.line import Ask
 from servo_bridge.freemaster.recorder import Compare, Limits, SampleMemory, Setup, State, Trigger
 
@@ -21,24 +21,24 @@ _STATUSES: Final = (Status.RECORDER_RUNNING, Status.RECORDER_STOPPED)
 
 
 def set_up(form: MemoryForm, setup: Setup) -> Request:
-    """Build the request that configures the recorder.
+    """Request that configures the recorder.
 
     Raises
     ------
     RecorderError
-        If version 3 has no such trigger.
+        If version 3 does not support the trigger.
     """
     trigger, mode = setup.trigger, _OFF
     if trigger is None:
         trigger = Trigger(setup.slots[0], Compare.UNSIGNED, above=True, below=False)
     elif trigger.threshold_address is not None or trigger.level or trigger.above == trigger.below:
         raise RecorderError(
-            "a version 3 target triggers on one edge through a fixed threshold; not on levels, nor on another variable"
+            "a version 3 target supports one edge through a fixed threshold as trigger, no level or variable threshold"
         )
     else:
         mode = _RISING if trigger.above else _FALLING
     if trigger.slot.size > 4:
-        raise RecorderError("a version 3 target has no triggers on variables of 8 bytes")
+        raise RecorderError("a version 3 target does not support triggers on variables of 8 bytes")
     payload = (
         bytes((mode,))
         + form.number(setup.points, 2)
@@ -55,7 +55,7 @@ def set_up(form: MemoryForm, setup: Setup) -> Request:
 
 
 class RecorderV3:
-    """The recorder of a version 3 target; see `Recorder`.
+    """Recorder of a version 3 target; see `Recorder`.
 
     Parameters
     ----------
@@ -64,11 +64,11 @@ class RecorderV3:
     form : MemoryForm
         Form of addresses and numbers.
     memory : int or None
-        Bytes of its memory; None when the target does not say.
+        Memory size [bytes]; None: not reported.
     period_ns : int
-        Time between two samples [ns]; 0 when the target does not say.
+        Time between two samples [ns]; 0: not reported.
     payload_limit : int
-        Largest payload that the target takes [bytes].
+        Largest payload of the target [bytes].
     """
 
     def __init__(self, ask: Ask, form: MemoryForm, memory: int | None, period_ns: int, payload_limit: int) -> None:
@@ -88,7 +88,7 @@ class RecorderV3:
         self._limits.check(setup)
         points = setup.points or self._limits.capacity(setup)
         if points is None:
-            raise RecorderError("the board does not say how much memory its recorder has; say how many points to take")
+            raise RecorderError("the board does not report the memory size of its recorder; set the number of points")
         setup = replace(setup, points=points)
         request = set_up(self._form, setup)
         if len(request.payload) > self._payload_limit:
@@ -101,7 +101,7 @@ class RecorderV3:
             if error.code == Status.BAD_SIZE:
                 raise RecorderError(
                     f"{points} points of {len(setup.slots)} variable(s) do not fit the memory of the recorder; "
-                    "take fewer points"
+                    "record fewer points"
                 ) from error
             if error.code == Status.BAD_BUFFER:
                 raise RecorderError(f"{len(setup.slots)} variables are too many for the recorder") from error

@@ -1,12 +1,12 @@
-"""The recorder by the commands of version 4."""
+"""Recorder of version 4."""
 
 from __future__ import annotations
 
 from typing import Final
 
-from servo_bridge.freemaster.codec import decode_uleb, encode_sleb, encode_uleb
 from servo_bridge.freemaster.commands import Command, Request
 from servo_bridge.freemaster.errors import CodecError, RecorderError, Status, StatusError
+from servo_bridge.freemaster.frames import decode_uleb, encode_sleb, encode_uleb
 from servo_bridge.freemaster.line import Ask
 from servo_bridge.freemaster.recorder import Compare, Limits, SampleMemory, Setup, State, Trigger, too_many_points
 
@@ -21,14 +21,14 @@ _VARIABLE_THRESHOLD: Final = 0x80
 
 
 def set_up(index: int, setup: Setup, payload_limit: int) -> list[Request]:
-    """Build the requests that configure a recorder, in as few frames as possible."""
+    """Requests that configure a recorder, in as few frames as possible."""
     trigger = setup.trigger
     slots = [(slot.address, slot.size) for slot in setup.slots]
-    watched = None
+    triggering = None
     if trigger is not None:
-        watched = (trigger.slot.address, trigger.slot.size)
-        if watched not in slots:
-            slots.append(watched)
+        triggering = (trigger.slot.address, trigger.slot.size)
+        if triggering not in slots:
+            slots.append(triggering)
     operations = [
         _operation(
             _CONFIGURE,
@@ -40,9 +40,9 @@ def set_up(index: int, setup: Setup, payload_limit: int) -> list[Request]:
     ]
     for number, (address, size) in enumerate(slots):
         flags, threshold = 0, b"\x00"
-        if trigger is not None and (address, size) == watched:
+        if trigger is not None and (address, size) == triggering:
             flags, threshold = _trigger(trigger)
-            watched = None  # the same variable may be recorded twice
+            triggering = None  # the same variable may be recorded twice
             flags |= _TRIGGER_ONLY if number >= len(setup.slots) else 0
         body = bytes((number,)) + encode_uleb(address) + bytes((size, flags)) + threshold
         operations.append(_operation(_VARIABLE, body))
@@ -70,7 +70,7 @@ def _trigger(trigger: Trigger) -> tuple[int, bytes]:
 
 
 class RecorderV4:
-    """A recorder of a version 4 target; see `Recorder`."""
+    """Recorder of a version 4 target; see `Recorder`."""
 
     def __init__(self, ask: Ask, index: int, payload_limit: int) -> None:
         self._ask = ask
@@ -106,7 +106,9 @@ class RecorderV4:
             self._set(_START)
         except StatusError as error:
             if error.code == Status.BAD_SIZE:
-                raise RecorderError("the board has lost the set-up of its recorder; was it reset?") from error
+                raise RecorderError(
+                    "the board has lost the configuration of its recorder, probably by a reset; start again"
+                ) from error
             raise
 
     def stop(self) -> None:
@@ -118,7 +120,7 @@ class RecorderV4:
     def memory(self) -> SampleMemory:
         data = self._get(_INFO)
         if len(data) < 6:
-            raise CodecError(f"answer about the recorder of {len(data)} bytes; 6 or more expected")
+            raise CodecError(f"response about the recorder of {len(data)} bytes; 6 or more expected")
         address, end = decode_uleb(data, 2)
         point_size, end = decode_uleb(data, end)
         count, end = decode_uleb(data, end)
@@ -130,7 +132,7 @@ class RecorderV4:
 
     def _set(self, operation: int) -> None:
         payload = bytes((self._index,)) + _operation(operation)
-        # A START that arrives late would begin anew.
+        # A START that arrives late would begin again.
         self._ask(Request("SETREC", Command.SETREC, payload, 0, lengthy=True))
 
 
@@ -142,9 +144,9 @@ def _state(data: bytes) -> State:
 
 
 def _explained(error: StatusError, setup: Setup) -> Exception:
-    """Say what a refusal of the set-up is about."""
+    """Error that explains a refusal of the configuration."""
     if error.code == Status.NO_FLOAT_TRIGGER:
-        return RecorderError("the board has no triggers on floating-point variables")
+        return RecorderError("the board does not support triggers on floating-point variables")
     if error.code in (Status.BAD_BUFFER, Status.BAD_SIZE, Status.BAD_INSTANCE, Status.OUT_OF_RANGE):
         return RecorderError(
             f"the board refuses {len(setup.slots)} variable(s) and {setup.points or 'all'} points ({error.meaning}); "

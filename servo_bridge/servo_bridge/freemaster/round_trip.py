@@ -1,27 +1,27 @@
-"""How long to wait for an answer, from how long the answers before took. Pure."""
+"""Timeout of a response, from the measured delays of previous ones. Pure."""
 
 from __future__ import annotations
 
 from typing import Final
 
 _FLOOR_NS: Final = 1_500_000
-"""Least margin: what a computer and an adapter in low-latency mode may be late."""
+"""Smallest margin: delays of a computer and of an adapter in low-latency mode."""
 
 _PEAK_LIFE: Final = 64
-"""Answers after which a late one is forgotten by two thirds: on a busy computer few are late, and those by far."""
+"""Decay of a late response, in number of responses to a third: on a busy computer few are late, but by much."""
 
 
 class RoundTrip:
-    """Running estimate of what the target and the adapters add to the time on the wire.
+    """Estimate of the delay of target and adapters in addition to the time on the line.
 
-    Mean and mean deviation are smoothed as those of TCP are (RFC 6298); the time on the wire is known and is not part
-    of them, so that one estimate serves requests of every length. The latest of the last answers counts as well. Every
-    loss doubles the wait, until an answer comes.
+    Mean and mean deviation are smoothed as in TCP (RFC 6298). The time on the line is known and not included, so that
+    one estimate applies to requests of all lengths. The peak of recent delays is used, too. Every loss doubles the
+    timeout until the next response.
 
     Parameters
     ----------
     limit_ns : int
-        Longest wait beyond the time on the wire [ns]; also the first one, while nothing is known.
+        Longest wait in addition to the time on the line [ns]; also the initial value.
     """
 
     def __init__(self, limit_ns: int) -> None:
@@ -33,19 +33,19 @@ class RoundTrip:
 
     @property
     def allowance_ns(self) -> int:
-        """How long to wait beyond the time on the wire [ns]."""
+        """Timeout in addition to the time on the line [ns]."""
         if self._mean is None:
             return self.limit_ns
         usual = self._mean + max(4 * self._deviation, _FLOOR_NS)
         return min(max(usual, self._peak) << self._shift, self.limit_ns)
 
     def stalled(self) -> None:
-        """Wait as long as possible next time: the target seems to be slow, or the line to be bad."""
+        """Use the longest timeout next: the target is probably slow, or the line has errors."""
         while self.allowance_ns < self.limit_ns:
             self._shift += 1
 
     def answered(self, extra_ns: int) -> None:
-        """Take the time beyond that on the wire [ns] after which an answer to a single request was complete."""
+        """Process the delay [ns] of a complete response to a single request, without the time on the line."""
         extra_ns = min(max(extra_ns, 0), self.limit_ns)
         if self._mean is None:
             self._mean, self._deviation = extra_ns, extra_ns // 2
@@ -56,6 +56,6 @@ class RoundTrip:
         self._shift = 0
 
     def lost(self) -> None:
-        """Wait twice as long next time: an answer has not come."""
+        """Double the next timeout after a lost response."""
         if self.allowance_ns < self.limit_ns:
             self._shift += 1

@@ -1,6 +1,6 @@
-"""The variable table of a target (TSA): type strings, entries, and numbers from bytes.
+"""Variable table of a target (TSA): type strings, entries, and decoding of numbers.
 
-Pure: works on the texts and words that `discovery` has read from the target.
+Pure: processes the texts and words read by `discovery`.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ _FIXED_POINT: Final = re.compile(rb":(\d{1,3})\.(\d{1,3})\Z")
 _SIZES: Final = (1, 2, 4, 8)
 
 MAX_ELEMENTS: Final = 256
-"""Longest array of structures whose elements are listed."""
+"""Largest array of structures whose elements are listed."""
 
-_MAX_VARIABLES: Final = 65_536  # structures are opened no further: a table of arrays in arrays could list any number
+_MAX_VARIABLES: Final = 65_536  # limit for nested arrays of structures
 
 
 class EntryKind(Enum):
@@ -40,7 +40,7 @@ class EntryKind(Enum):
 
 
 class TypeKind(Enum):
-    """How the bits of a value are to be read."""
+    """Interpretation of the bits of a value."""
 
     UNSIGNED = "unsigned"
     SIGNED = "signed"
@@ -50,7 +50,7 @@ class TypeKind(Enum):
 
 @dataclass(frozen=True)
 class Entry:
-    """One entry of a table, texts read; `type_text` is empty when the entry has no type."""
+    """Entry of a table with its texts; `type_text` is empty without a type."""
 
     name: str
     type_text: bytes
@@ -64,19 +64,19 @@ class Entry:
 
     @property
     def kind(self) -> EntryKind:
-        """Access that the target grants."""
+        """Access permitted by the target."""
         return EntryKind(self.info & 3)
 
     @property
     def special(self) -> str:
-        """``STRUCT``, ``ENUM``, ``CONST`` ... for entries that are no variables, else empty."""
+        """``STRUCT``, ``ENUM``, ``CONST`` ... for entries that are not variables, else empty."""
         if self.type_text[:1] and self.type_text[0] in _SPECIAL:
             return self.type_text[1:].removeprefix(b":").decode("latin-1")
         return ""
 
 
 def entry_of_version_2(name: str, type_text: bytes, address: int, info: int) -> Entry:
-    """Build an entry from a table of version 2, which marks structures and their members by the access bits alone."""
+    """Entry of a table of version 2, which marks structures and their members by the access bits only."""
     size, kind = info >> 2 << 2, info & 3
     if kind == _OLD_STRUCT and not type_text:
         return Entry(name, _STRUCT_TYPE, 0, size)
@@ -91,7 +91,7 @@ class ValueType:
 
     kind: TypeKind  # interpretation of the bits
     size: int  # bytes of one element
-    name: str  # for display: ``u16``, ``q0.15``, ``float`` or the name of the target's own type
+    name: str  # for display: ``u16``, ``q0.15``, ``float`` or the name of a type of the target
     fraction_bits: int = 0  # the value is the integer divided by two to this power
     labels: tuple[tuple[str, int], ...] = ()  # names of enumeration values
 
@@ -108,7 +108,7 @@ class ValueType:
         Raises
         ------
         ValueError
-            If the value is not finite, not whole where it has to be, or does not fit.
+            If the value is not finite, not an integer where required, or does not fit.
         """
         if not math.isfinite(value):
             raise ValueError(f"{value!r} is not a finite number")
@@ -120,7 +120,7 @@ class ValueType:
         if self.fraction_bits:
             raw = round(math.ldexp(value, self.fraction_bits))
         elif isinstance(value, float) and not value.is_integer():
-            raise ValueError(f"{value:g} is not whole, as {self.name} has to be")
+            raise ValueError(f"{value:g} is not an integer, as required by {self.name}")
         else:
             raw = int(value)
         try:
@@ -129,22 +129,22 @@ class ValueType:
             raise ValueError(f"{value:g} does not fit {self.name}") from None
 
     def label(self, value: Number) -> str | None:
-        """Find the name of an enumeration value; tables carry negative ones in two's complement."""
+        """Name of an enumeration value; tables have negative values in two's complement."""
         mask = (1 << 8 * self.size) - 1
         return next((n for n, v in self.labels if isinstance(value, int) and (v ^ value) & mask == 0), None)
 
 
 @dataclass(frozen=True)
 class TargetVariable:
-    """One variable as the target describes it."""
+    """Variable as described by the target."""
 
     name: str  # members of structures are ``variable.member``, elements of arrays of structures ``variable[k]``
     address: int  # of its first byte
     size: int  # bytes
     type: ValueType  # type of one element; `TypeKind.RAW` for memory without a type that can be shown as numbers
-    writable: bool  # whether the target permits writing
+    writable: bool  # whether the target permits writes
     order: ByteOrder = "little"  # byte order of the target
-    members: tuple[str, ...] = field(default=())  # names of the variables inside it; empty for numbers and plain memory
+    members: tuple[str, ...] = field(default=())  # names of its member variables; empty for numbers and plain memory
 
     @property
     def count(self) -> int:
@@ -152,7 +152,7 @@ class TargetVariable:
         return 1 if self.type.kind is TypeKind.RAW else self.size // self.type.size
 
     def decode(self, data: bytes) -> Number | list[Number] | bytes:
-        """Decode to a value, a list of values, or the bytes themselves for raw memory."""
+        """Decode to a value, a list of values, or the bytes of raw memory."""
         if len(data) != self.size:
             raise CodecError(f"{self.name}: {len(data)} bytes read, {self.size} expected")
         if self.type.kind is TypeKind.RAW:
@@ -170,14 +170,14 @@ class TargetVariable:
             If the number of elements is wrong or a value does not fit.
         """
         if self.type.kind is TypeKind.RAW:
-            raise ValueError(f"{self.name}: memory without a type can only be read")
+            raise ValueError(f"{self.name}: memory without a type is read-only")
         if len(values) != self.count:
             raise ValueError(f"{self.name}: {len(values)} values given, {self.count} expected")
         return b"".join(self.type.encode(value, self.order) for value in values)
 
 
 def _storage(bits: int, size: int) -> int:
-    """Find the bytes of a fixed-point element: the smallest word that holds it and of which the variable is made."""
+    """Bytes of a fixed-point element: the smallest word that holds it and divides the size of the variable."""
     word = next((s for s in _SIZES if 8 * s >= bits), 0)
     if word and size % word == 0:
         return word
@@ -185,7 +185,7 @@ def _storage(bits: int, size: int) -> int:
 
 
 def parse_type(text: bytes, size: int) -> ValueType | None:
-    """Read a base type from a type string.
+    """Parse a base type of a type string.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def parse_type(text: bytes, size: int) -> ValueType | None:
     Returns
     -------
     ValueType or None
-        None when `text` is not a base type, or not one of which a whole number fits into `size`.
+        None if `text` is not a base type, or the size of the variable is not a multiple of its size.
     """
     if not text or text[0] < 0xE0 or text[0] in _SPECIAL:
         return None
@@ -216,7 +216,7 @@ def parse_type(text: bytes, size: int) -> ValueType | None:
             return None
         result = ValueType(kind, width, f"{'' if signed else 'u'}q{whole}.{fraction}", fraction)
     elif form == 1:
-        # FreeMASTER's unsigned fractions keep one whole bit: UQ1.15 beside Q0.15.
+        # Unsigned fractions of FreeMASTER have one integer bit: UQ1.15, but Q0.15.
         result = ValueType(kind, width, f"{'q0' if signed else 'uq1'}.{8 * width - 1}", 8 * width - 1)
     elif form == 2 and width >= 4 and signed:
         result = ValueType(TypeKind.FLOAT, width, "float" if width == 4 else "double")
@@ -226,10 +226,10 @@ def parse_type(text: bytes, size: int) -> ValueType | None:
 
 
 def parse_entries(entries: Sequence[Entry], order: ByteOrder = "little") -> list[TargetVariable]:
-    """Build the variables of a whole table list, in table order, structures followed by their members.
+    """Build the variables of all tables, in their order; structures are followed by their members.
 
-    Unknown entries are skipped; a variable of unknown type is raw memory, or an unsigned number when it has the size
-    of one. An array of structures is followed by its elements, ``name[k]``, unless it has more than `MAX_ELEMENTS`.
+    Unknown entries are skipped; a variable of unknown type is an unsigned number if it has the size of one, else raw
+    memory. An array of structures is followed by its elements, ``name[k]``, unless there are more than `MAX_ELEMENTS`.
     """
     structs, enums = _user_types(entries)
     opener = _Opener(structs, enums, order)
@@ -241,14 +241,14 @@ def parse_entries(entries: Sequence[Entry], order: ByteOrder = "little") -> list
 
 @dataclass(frozen=True)
 class _Structure:
-    """A structure type: bytes of one, and its members."""
+    """Structure type: size in bytes, and members."""
 
     size: int
     members: list[Entry]
 
 
 def _user_types(entries: Sequence[Entry]) -> tuple[dict[bytes, _Structure], dict[bytes, ValueType]]:
-    """Collect structures with their members, and enumerations, by name; of several with one name the first counts."""
+    """Collect structures with their members, and enumerations, by name; the first of several equal names is used."""
     structs: dict[bytes, _Structure] = {}
     enums: dict[bytes, tuple[int, list[tuple[str, int]]]] = {}
     members: list[Entry] | None = None
@@ -278,7 +278,7 @@ def _user_types(entries: Sequence[Entry]) -> tuple[dict[bytes, _Structure], dict
 
 
 class _Opener:
-    """Appends variables and what is inside them."""
+    """Appends variables with their members."""
 
     def __init__(self, structs: dict[bytes, _Structure], enums: dict[bytes, ValueType], order: ByteOrder) -> None:
         self.variables: list[TargetVariable] = []
@@ -289,7 +289,7 @@ class _Opener:
     def open(
         self, name: str, address: int, size: int, type_text: bytes, writable: bool, inside: tuple[bytes, ...] = ()
     ) -> None:
-        """Append a variable, then its members or elements; `inside` are the structures around it."""
+        """Append a variable, then its members or elements; `inside` has the enclosing structures."""
         structure = self._structs.get(type_text) if type_text not in inside else None
         count = size // structure.size if structure is not None and structure.size else 1
         names: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""One path takes over from another without a step of position, velocity or acceleration."""
+"""Transition between paths without a step of position, velocity or acceleration."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from servo_bridge.trajectory.spline import cubic, quintic
 from servo_bridge.trajectory.timed_points import PERIOD, TimedPoints
 
 BLEND_TIME = 0.1
-"""Shortest time to join a path that runs already, where it is long enough [s]."""
+"""Shortest transition to a path that has begun, if the path is long enough [s]."""
 
 
 def joined(start: State, start_time: float, path: Path) -> Path:
-    """Path that leaves a state and joins a path that has begun before.
+    """Return the path from a state to a path that has begun before.
 
-    A quintic piece ends at the first breakpoint at least `BLEND_TIME` later, or at the last one, with the state that
-    the path has there.
+    A quintic piece ends at the first breakpoint that is at least `BLEND_TIME` later (or at the last one) with the state
+    of the path there.
 
     Parameters
     ----------
@@ -54,16 +54,16 @@ def joined(start: State, start_time: float, path: Path) -> Path:
 
 
 def spliced(old: Path, new: Path, since: float) -> Path:
-    """Path that follows `old` from a time on and `new` from where this begins.
+    """Return the path along `old` from a time, and along `new` from the start of `new`.
 
-    Where `old` ends before `new` begins, it holds.
+    If `old` ends before `new` begins, the result holds in between.
 
     Parameters
     ----------
     old, new : Path
-        Paths of the same joints; `new` begins with the state that `old` has there.
+        Paths of the same joints; `new` begins with the state of `old` at its start.
     since : float
-        Beginning of the result [s]; breakpoints of `old` before are left out, but for the last.
+        Begin of the result [s]; breakpoints of `old` before it are removed except the last.
     """
     if since >= new.start_time:
         return new
@@ -86,16 +86,16 @@ def spliced(old: Path, new: Path, since: float) -> Path:
 
 
 def extended(old: Path, points: TimedPoints, since: float) -> Path:
-    """Path of one joint that goes on along timed points, as the board interpolates them.
+    """Return the path of one joint, extended along timed points as interpolated by the board.
 
     Parameters
     ----------
     old : Path
         Path of one joint.
     points : TimedPoints
-        At least two, unless they begin after the end of `old`, which is then the first one.
+        At least two; one is enough if it is after the end of `old`, which is then the first point.
     since : float
-        Breakpoints of `old` before are left out, but for the last [s].
+        Breakpoints of `old` before this time are removed except the last [s].
     """
     times = points.periods * PERIOD
     columns = np.stack((points.positions, points.velocities, points.efforts))

@@ -1,4 +1,4 @@
-"""Limits of a path, between its waypoints, too: exact extrema of every piece."""
+"""Check of the limits of a path over its whole duration: exact extrema of every piece."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from servo_bridge.trajectory.polynomials import derivative, enclosure, extrema, 
 from servo_bridge.trajectory.waypoints import Array
 
 _ROUNDING = 1.0e-9
-"""What a value may exceed its limit by, relative to the larger of both and 1: a motion planned to the limit passes."""
+"""Relative tolerance of a limit, for rounding of motions planned to the limit: of the larger of limit and 1."""
 
 _UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2", "torque": "N m"}
 _REMEDIES = {
-    "position": "move the waypoints inside",
-    "velocity": "give the motion more time",
-    "acceleration": "give the motion more time",
-    "torque": "give the motion more time, or less effort",
+    "position": "move the waypoints inside the limit",
+    "velocity": "use more time for the motion",
+    "acceleration": "use more time for the motion",
+    "torque": "use more time for the motion, or less effort",
 }
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of one joint, infinite where there are none, and the rigid model behind that of the torque.
+    """Limits of one joint (infinite: no limit), and the rigid model for the torque.
 
     torque = inertia * acceleration + viscous * velocity + coulomb * sign(velocity) + effort
 
@@ -50,32 +50,32 @@ class Limits:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if math.isnan(value) or (value < 0.0 and not name.startswith("position")):
-                raise ValueError(f"{name} is {value:g}; give a number that is not negative")
+                raise ValueError(f"{name} is {value:g}; write a number that is not negative")
         if self.position_min > self.position_max:
             raise ValueError(f"position_min {self.position_min:g} is above position_max {self.position_max:g}")
 
 
 @dataclass(frozen=True)
 class Violation:
-    """The first time that a path leaves its limits."""
+    """First time at which a path exceeds a limit."""
 
     joint: str  # name
     quantity: str  # ``position``, ``velocity``, ``acceleration`` or ``torque``
-    time: float  # at which the limit is passed, on the clock of the path [s]
-    since_start: float  # the same from the start of the path [s]
-    value: float  # extremum in the piece of the path in which it happens, in the unit of the quantity
-    limit: float  # that is passed, in the unit of the quantity
+    time: float  # at which the limit is exceeded, in path time [s]
+    since_start: float  # `time` minus the start of the path [s]
+    value: float  # extremum in this piece of the path, in the unit of the quantity
+    limit: float  # in the unit of the quantity
 
     def __str__(self) -> str:
-        unit, way = _UNITS[self.quantity], "above" if self.value > self.limit else "below"
+        unit, side = _UNITS[self.quantity], "above" if self.value > self.limit else "below"
         return (
-            f"{self.quantity} of {self.joint} goes {way} its limit {self.limit:g} {unit} at {self.since_start:.6g} s "
-            f"and reaches {self.value:g} {unit}; {_REMEDIES[self.quantity]}, or change the limit"
+            f"{self.quantity} of {self.joint} is {side} its limit {self.limit:g} {unit} at {self.since_start:.6g} s "
+            f"with a peak of {self.value:g} {unit}; {_REMEDIES[self.quantity]}, or change the limit"
         )
 
 
 def first_violation(path: Path, limits: Sequence[Limits]) -> Violation | None:
-    """Find the first violation in time; None if every limit holds at every instant.
+    """Find the first violation; None if all limits hold at all times.
 
     Parameters
     ----------
@@ -89,12 +89,12 @@ def first_violation(path: Path, limits: Sequence[Limits]) -> Violation | None:
 
 
 def require(path: Path, limits: Sequence[Limits]) -> None:
-    """Refuse a path that leaves its limits.
+    """Refuse a path that exceeds a limit.
 
     Raises
     ------
     TrajectoryError
-        With the sentence of `first_violation`.
+        With the text of `first_violation`.
     """
     violation = first_violation(path, limits)
     if violation is not None:
@@ -102,12 +102,12 @@ def require(path: Path, limits: Sequence[Limits]) -> None:
 
 
 def _violations(path: Path, axis: int, limits: Limits) -> Iterator[Violation]:
-    """The first violation of each quantity of one joint."""
+    """First violation of each quantity of one joint."""
     h = np.diff(path.times)[:, None]
     position = path.coefficients[:, axis] * h ** np.arange(DEGREE + 1)
     velocity = derivative(position) / h
     acceleration = derivative(velocity) / h
-    # Without sign(velocity), which the pieces of constant sign add.
+    # The Coulomb term, sign(velocity), is added in `_in_piece`.
     torque = limits.inertia * acceleration + limits.viscous * velocity
     torque[:, 0] += path.efforts[:-1, axis]
     torque[:, 1] += np.diff(path.efforts[:, axis])
@@ -130,7 +130,7 @@ def _violations(path: Path, axis: int, limits: Limits) -> Iterator[Violation]:
 def _in_piece(
     polynomial: Array, velocity: Array, coulomb: float, low: float, high: float
 ) -> tuple[float, float, float] | None:
-    """First violation in a piece: s, the extremum on that side of the limits, and the limit."""
+    """First violation in a piece: s, the extremum on this side of the limits, and the limit."""
     hits: list[tuple[float, float, float]] = []
     cuts = np.concatenate(([0.0], roots(velocity) if coulomb else [], [1.0]))
     for begin, end in pairwise(cuts):

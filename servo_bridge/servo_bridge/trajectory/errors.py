@@ -5,10 +5,10 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import Final
 
-from servo_bridge.setpoints import Rejected
+from servo_bridge.set_points import Rejected
 
 POINTS_REFUSED: Final = "the board refused points of the trajectory"
-"""Reason for which a path that has begun is given up."""
+"""Reason for the end of a path that has begun."""
 
 
 class ErrorCode(IntEnum):
@@ -23,7 +23,7 @@ class ErrorCode(IntEnum):
 
 
 class TrajectoryError(Rejected):
-    """A trajectory that was refused; the text says what is wrong, where, and what to do."""
+    """A trajectory was refused; the text has the error, its location and a remedy."""
 
     def __init__(self, text: str, code: ErrorCode = ErrorCode.INVALID_GOAL) -> None:
         super().__init__(text)

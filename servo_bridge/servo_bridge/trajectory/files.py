@@ -1,4 +1,4 @@
-"""Waypoints from files: comma-separated values, or JSON in the form of trajectory_msgs/JointTrajectory. SI units."""
+"""Waypoints from files: CSV, or JSON in the form of trajectory_msgs/JointTrajectory. SI units."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _POINT = ("time_from_start", "positions", "velocities", "accelerations", "effort
 
 
 def read_waypoints(file: str | File, joints: Sequence[str]) -> Waypoints:
-    """Waypoints from a file, by the end of its name.
+    """Read waypoints; the format is given by the suffix.
 
-    ``.csv``: a header ``time``, names of joints, and for all of them or for none ``<joint>_velocity``, in any order;
-    a line per waypoint. Empty lines, and those that begin with ``#``, are left out.
+    ``.csv``: a header with ``time``, joint names, and ``<joint>_velocity`` for all of them or none, in any order; one
+    line per waypoint. Empty lines and lines that begin with ``#`` are ignored.
 
     ``.json``: an object with ``joint_names`` and ``points``, each with ``time_from_start`` (a number, or ``sec`` and
     ``nanosec``), ``positions``, and optionally ``velocities``, ``accelerations`` and ``effort``.
@@ -30,24 +30,24 @@ def read_waypoints(file: str | File, joints: Sequence[str]) -> Waypoints:
     file : str or pathlib.Path
         File.
     joints : sequence of str
-        Joints that may be named.
+        Known joints.
 
     Raises
     ------
     TrajectoryError
-        If the file cannot be read or something in it is wrong: file, line or point, and remedy.
+        If the file cannot be read or is invalid: file, line or point, and remedy.
     """
     path = File(file)
     readers = {".csv": _from_csv, ".json": _from_json}
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        raise TrajectoryError(f"{path}: unknown kind of file; give one whose name ends in .csv or .json")
+        raise TrajectoryError(f"{path}: unknown format; use a file whose name ends with .csv or .json")
     try:
         return reader(path.read_text(encoding="utf-8-sig"), joints)
     except OSError as error:
         raise TrajectoryError(f"{path}: cannot be read ({error.strerror}); check name and permissions") from None
     except UnicodeDecodeError:
-        raise TrajectoryError(f"{path}: is no text in UTF-8; save it as such") from None
+        raise TrajectoryError(f"{path}: is not UTF-8 text; save it in this encoding") from None
     except TrajectoryError as error:
         raise TrajectoryError(f"{path}: {error}", error.code) from None
 
@@ -64,7 +64,7 @@ def _from_csv(text: str, known: Sequence[str]) -> Waypoints:
     rows: list[dict[str, float]] = []
     for number, row in lines[1:]:
         if len(row) != len(header):
-            raise TrajectoryError(f"line {number}: {len(row)} values for {len(header)} columns; give one per column")
+            raise TrajectoryError(f"line {number}: {len(row)} values for {len(header)} columns; write one per column")
         values = {name: _number(number, name, cell) for name, cell in zip(header, row, strict=True)}
         if times and values["time"] <= times[-1]:
             raise TrajectoryError(
@@ -73,7 +73,7 @@ def _from_csv(text: str, known: Sequence[str]) -> Waypoints:
         times.append(values["time"])
         rows.append(values)
     if not rows:
-        raise TrajectoryError(f"line {number}: there is no line after the header; add a line per waypoint")
+        raise TrajectoryError(f"line {number}: no line after the header; add one line per waypoint")
     positions = [[row[joint] for joint in joints] for row in rows]
     moving = joints[0] + _VELOCITY in header
     velocities = [[row[joint + _VELOCITY] for joint in joints] for row in rows] if moving else None
@@ -81,13 +81,13 @@ def _from_csv(text: str, known: Sequence[str]) -> Waypoints:
 
 
 def _joints_of(number: int, header: Sequence[str], known: Sequence[str]) -> list[str]:
-    """Joints that the header names."""
+    """Joints of the header."""
     allowed = ["time", *known, *(joint + _VELOCITY for joint in known)]
     for name in header:
         if name not in allowed:
             raise TrajectoryError(f"line {number}: column {name!r} is unknown; columns are {', '.join(allowed)}")
         if header.count(name) > 1:
-            raise TrajectoryError(f"line {number}: column {name} is given twice; remove one")
+            raise TrajectoryError(f"line {number}: column {name} occurs twice; remove one")
     joints = [name for name in header if name in known]
     if "time" not in header or not joints:
         raise TrajectoryError(f"line {number}: no column time, or no joint; begin with time,{','.join(known)}")
@@ -95,7 +95,7 @@ def _joints_of(number: int, header: Sequence[str], known: Sequence[str]) -> list
     if moving and moving != set(joints):
         odd = sorted(moving ^ set(joints))[0]
         raise TrajectoryError(
-            f"line {number}: {odd} has only one of position and velocity; give velocities of all joints or of none"
+            f"line {number}: {odd} has only one of position and velocity; write velocities of all joints or of none"
         )
     return joints
 
@@ -106,7 +106,7 @@ def _number(line: int, name: str, cell: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise TrajectoryError(f"line {line}: {name} is {cell!r}; give a finite number")
+        raise TrajectoryError(f"line {line}: {name} is {cell!r}; write a finite number")
     return value
 
 
@@ -118,7 +118,7 @@ def _from_json(text: str, known: Sequence[str]) -> Waypoints:
     if not isinstance(content, dict) or not all(
         isinstance(content.get(key), list) for key in ("joint_names", "points")
     ):
-        raise TrajectoryError("joint_names or points is missing or no list; give an object with both")
+        raise TrajectoryError("joint_names or points is missing or not a list; write an object with both")
     joints = content["joint_names"]
     for joint in joints:
         if joint not in known:
@@ -137,13 +137,13 @@ def _row(k: int, point: dict[str, Any], field: str) -> list[float] | None:
     row: Any = point.get(field, [])
     if isinstance(row, list) and all(_is_number(x) for x in row):
         return row or None
-    raise TrajectoryError(f"{field} of point #{k} is {json.dumps(row)}; give a list of numbers")
+    raise TrajectoryError(f"{field} of point #{k} is {json.dumps(row)}; write a list of numbers")
 
 
 def _seconds(k: int, time: Any) -> float:
     parts = (time.get("sec", 0), time.get("nanosec", 0)) if isinstance(time, dict) else (time, 0)
     if not all(map(_is_number, parts)):
-        raise TrajectoryError(f"time_from_start of point #{k} is {json.dumps(time)}; give seconds, or sec and nanosec")
+        raise TrajectoryError(f"time_from_start of point #{k} is {json.dumps(time)}; write seconds, or sec and nanosec")
     return float(parts[0] + parts[1] * 1.0e-9)
 
 

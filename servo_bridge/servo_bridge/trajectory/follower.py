@@ -1,8 +1,8 @@
-"""Paths on their way to the board: which points it gets when, as far ahead as its queues allow. Pure.
+"""Sends the timed points of paths to the board ahead of time, limited by the queues of the board. Pure.
 
-Times are board time: PWM periods since reset, extended past 32 bits, or the same in seconds. Every axis has a path of
-its own. A new one replaces it a moment later, with the state that the old one has then. Paths are in joint units,
-reports and points of the board in those of the motors.
+Times are board time: PWM periods since reset, extended beyond 32 bits, or seconds. Every axis has its own path. A new
+path replaces it after `LEAD`, starting with the state of the old path at that time. Paths are in joint units, reports
+and points of the board in motor units.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from servo_msgs_py.catalogue import AXES, Catalogue
 from servo_msgs_py.joints import Joint, joint_names
-from servo_msgs_py.timed_points import POINTS_TOGETHER, TimedPoint, encode_points
+from servo_msgs_py.timed_points import POINTS_PER_WRITE, TimedPoint, encode_points
 
 from servo_bridge.trajectory.blend import extended, spliced
 from servo_bridge.trajectory.errors import TrajectoryError
@@ -25,61 +25,61 @@ from servo_bridge.trajectory.path import Path
 from servo_bridge.trajectory.timed_points import PERIOD, SEGMENT_PERIODS_MIN, TimedPoints, concatenated, timed_points
 
 LEAD: Final = 0.1
-"""From the newest telemetry to the first point [s]: a sample on its way, two writes, the board's own 1.5 ms, and what a
-busy computer adds."""
+"""Time from the newest telemetry to the first point [s]: a sample in transit, two writes, 1.5 ms of the board, and
+delays of a busy computer."""
 
-_LEFT: Final = 0.7
-"""Part of `LEAD` that has to be left when a path has been worked out."""
+_LEAD_REMAINDER_MIN: Final = 0.7
+"""Smallest fraction of `LEAD` that must remain after the planning of a path."""
 
 _LEAD_MAX: Final = 5.0
-"""Longest lead [s]."""
+"""Largest lead [s]."""
 
-_SOON: Final = 0.2
-"""How long before its start a path is worked out and sent [s]; until then a path that runs goes on."""
+_PLAN_AHEAD: Final = 0.2
+"""Time before its start at which a path is planned and sent [s]; until then the present path continues."""
 
-_PAST = round(0.2 / PERIOD)
-"""What is kept of a path that is extended, before now [PWM periods]: the next one leaves it a moment later."""
+_HISTORY = round(0.2 / PERIOD)
+"""Past of an extended path that is kept, because the next path starts from it [PWM periods]."""
 
-_TAIL: Final = 32
-"""Extensions of a path that are put together at once: one by one they would take a third of a processor's time."""
+_EXTENSIONS_PER_REBUILD: Final = 32
+"""Extensions of a path that are merged at once; one by one they would take a third of the processor time."""
 
 _QUEUE: Final = 14
-"""Points that an axis of the board holds ahead; its queue has 16."""
+"""Queued points of an axis on the board; the queue has 16."""
 
 Plan = Callable[[Path, float], Path]
-"""Makes a path that begins at a time [s] or later, from the one that all joints follow until then; raises
+"""Returns a path that begins at a time [s] or later, from the path that all joints follow until then; raises
 `TrajectoryError`."""
 
 
 @dataclass(frozen=True)
 class AxisReport:
-    """What the newest sample says of an axis that may follow a path."""
+    """State of an axis in the newest sample."""
 
     position_ref: float  # set-point of the motor [rad]
-    follows: bool  # the axis is in mode TRAJECTORY and has been for this sample
+    follows: bool  # the axis was in mode TRAJECTORY at this sample
 
 
 @dataclass
 class _Axis:
-    """Path of one axis and what is left to be sent of it."""
+    """Path of one axis and its points that are not sent yet."""
 
     path: Path | None = None
-    plan: Plan | None = None  # that has made the path
-    tail: list[TimedPoints] = field(default_factory=list)  # by which the path has been extended since `whole`
+    plan: Plan | None = None  # of the path
+    tail: list[TimedPoints] = field(default_factory=list)  # extensions of the path since `whole`
     position_ref: float = 0.0  # of the joint
-    abandoned: Callable[[str], None] | None = None  # whom to tell that `path` has not been followed to its end
+    abandoned: Callable[[str], None] | None = None  # called if `path` is not followed to its end
     waiting: deque[TimedPoint] = field(default_factory=deque)
     ticks: deque[int] = field(default_factory=deque)  # of `waiting`, extended
-    sent: deque[int] = field(default_factory=deque)  # ticks of points that the board has and has not passed
-    held: float | None = None  # position reference of the last report, while the axis follows no path
+    sent: deque[int] = field(default_factory=deque)  # ticks of points in the queue of the board
+    held: float | None = None  # position reference of the last report, without a path
 
     def end(self) -> int:
-        """End of the path with its tail [PWM periods]."""
+        """End of the path with its extensions [PWM periods]."""
         assert self.path is not None
         return int(self.tail[-1].periods[-1]) if self.tail else round(self.path.end_time / PERIOD)
 
     def whole(self, since: int) -> Path:
-        """Path with its tail, from a tick on."""
+        """Merge the extensions into the path and return it, from a tick on."""
         assert self.path is not None
         if self.tail:
             self.path = extended(self.path, concatenated(self.tail), since * PERIOD)
@@ -99,7 +99,7 @@ class _Request:
 
 
 class Follower:
-    """Paths of all axes of one board.
+    """Sends the paths of all axes of one board.
 
     Parameters
     ----------
@@ -108,9 +108,9 @@ class Follower:
     joints : sequence of Joint
         In the order of the axes.
     check : callable
-        Raises `TrajectoryError` for a path that may not be followed.
+        Raises `TrajectoryError` for a path that exceeds the limits.
     clock : callable, optional
-        How late it is [s], from any origin: working out a path takes time.
+        Time [s] with any origin, to measure the duration of the planning.
     """
 
     def __init__(
@@ -141,24 +141,24 @@ class Follower:
         abandoned: Callable[[str], None] | None = None,
         takes_over: str = "another trajectory took over",
     ) -> None:
-        """Follow another path as soon as the axes can; a request that still waits is replaced.
+        """Follow a path as soon as the axes are ready; a pending request is replaced.
 
         Parameters
         ----------
         joints : sequence of str
             Joints of the path.
         plan : Plan
-            Makes it, once the state is known from which it begins.
+            Plans the path when the state at its begin is known.
         begun : callable
-            Called with the end of the path [s] when its first points are to be sent.
+            Called with the end of the path [s] when its first points are about to be sent.
         refused : callable
-            Called instead when it is not to be.
+            Called instead if the path is refused.
         start : float
-            Begin no sooner than that [s].
+            Earliest begin [s].
         abandoned : callable, optional
-            Called with the reason when the path has begun, but a joint does not follow it to its end; for each joint.
+            Called with the reason if the path has begun but is not followed to its end; once per joint.
         takes_over : str
-            This reason for the paths and the request that this one replaces.
+            Reported for the replaced paths and request.
         """
         if self._request is not None:
             self._request.refused(TrajectoryError(takes_over))
@@ -171,7 +171,7 @@ class Follower:
             self._request = None
 
     def cancel(self, axis: int, reason: str) -> None:
-        """Discard the path of an axis, and the request that names it."""
+        """Discard the path of an axis, and a request for this axis."""
         before = self._axes[axis]
         self._axes[axis] = _Axis(position_ref=before.position_ref)
         if before.abandoned is not None:
@@ -188,47 +188,47 @@ class Follower:
 
     @property
     def axes(self) -> frozenset[int]:
-        """Axes that have to be in mode TRAJECTORY."""
-        wanted = set(self._request.joints) if self._request is not None else set()
-        return frozenset(wanted | {axis for axis, one in enumerate(self._axes) if one.path is not None})
+        """Axes that must be in mode TRAJECTORY."""
+        requested = set(self._request.joints) if self._request is not None else set()
+        return frozenset(requested | {axis for axis, one in enumerate(self._axes) if one.path is not None})
 
     def paths(self) -> Mapping[str, Path]:
-        """Path of every joint that has one."""
+        """Paths by joint."""
         return {
-            self._joints[axis]: one.whole(self._now - _PAST)
+            self._joints[axis]: one.whole(self._now - _HISTORY)
             for axis, one in enumerate(self._axes)
             if one.path is not None
         }
 
     def follows(self, joint: str, plan: Plan) -> bool:
-        """Whether a joint follows the path that a plan has made, or what it has been extended to."""
+        """True if a joint follows the path of a plan, or an extension of it."""
         return self._axes[self._joints.index(joint)].plan is plan
 
     def extend(self, joint: str, points: TimedPoints) -> None:
-        """Follow timed points after the first of the path of a joint, or of what it has been extended to.
+        """Extend the path of a joint along timed points.
 
         Parameters
         ----------
         joint : str
             Joint with a path.
         points : TimedPoints
-            The first one continues the path, within or at its end; what comes later in the path is dropped.
+            The first one continues the path, within it or at its end; the later part of the path is replaced.
         """
         axis = self._joints.index(joint)
         one = self._axes[axis]
         first = int(points.periods[0])
         within = first < one.end()
-        if within or len(one.tail) >= _TAIL:
-            one.whole(self._now - _PAST)
+        if within or len(one.tail) >= _EXTENSIONS_PER_REBUILD:
+            one.whole(self._now - _HISTORY)
         self._drop_from(one, first)
         self._put(axis, points, replaces=within)
         one.tail.append(points)
         if within:
-            one.whole(self._now - _PAST)
+            one.whole(self._now - _HISTORY)
 
-    # ---- what the board says
+    # ---- telemetry
     def on_sample(self, tick: int, reports: Sequence[AxisReport]) -> None:
-        """Take a sample: go on, and begin what has waited for it.
+        """Process a sample; begin a pending request if the axes are ready.
 
         Parameters
         ----------
@@ -251,8 +251,8 @@ class Follower:
             one.position_ref = joint.position(report.position_ref)
 
     def _ready(self, request: _Request, reports: Sequence[AxisReport]) -> bool:
-        """Whether every axis follows a path, or holds a position that has not changed since the last sample."""
-        if self._now * PERIOD + _SOON < request.start:
+        """True if every axis follows a path, or holds an unchanged position since the last sample."""
+        if self._now * PERIOD + _PLAN_AHEAD < request.start:
             return False
         return all(
             reports[axis].follows
@@ -261,11 +261,11 @@ class Follower:
         )
 
     def running(self) -> Path:
-        """What all joints follow; those without a path hold where they are meant to be."""
+        """Present paths of all joints; joints without a path hold their set-point."""
         time = self._now * PERIOD
         return merged(
             [
-                Path.hold([joint], [one.position_ref], time) if one.path is None else one.whole(self._now - _PAST)
+                Path.hold([joint], [one.position_ref], time) if one.path is None else one.whole(self._now - _HISTORY)
                 for joint, one in zip(self._joints, self._axes, strict=True)
             ]
         )
@@ -278,9 +278,9 @@ class Follower:
             while True:
                 time = (self._now + round((self._clock() - begin + lead) / PERIOD)) * PERIOD
                 path, points = self._plan(request, time)
-                # The work takes longer the more points there are; the board must get the first one in time.
+                # The planning time grows with the number of points; the board needs the first point in time.
                 spent = self._now * PERIOD + self._clock() - begin
-                if path.start_time - spent > _LEFT * LEAD or lead > _LEAD_MAX:
+                if path.start_time - spent > _LEAD_REMAINDER_MIN * LEAD or lead > _LEAD_MAX:
                     break
                 lead += LEAD + 2.0 * (self._clock() - begin)
         except TrajectoryError as error:
@@ -290,7 +290,7 @@ class Follower:
             joint = self._joints[axis]
             one = self._axes[axis]
             if one.path is not None:
-                one.whole(self._now - _PAST)
+                one.whole(self._now - _HISTORY)
             mine = _after(one, points[joint])
             self._drop_from(one, int(mine.periods[0]))
             self._put(axis, mine, replaces=True)
@@ -331,34 +331,34 @@ class Follower:
 
     @staticmethod
     def _drop_from(one: _Axis, tick: int) -> None:
-        """The board drops what it has from the first new point on."""
+        """Remove the points that the board discards: those from the first new point on."""
         while one.ticks and one.ticks[-1] >= tick:
             one.ticks.pop()
             one.waiting.pop()
         while one.sent and one.sent[-1] >= tick:
             one.sent.pop()
 
-    # ---- to the board
+    # ---- transmission
     def next_points(self) -> tuple[int, ...] | None:
-        """Words of the next points, the earliest first, as many as one write and the queues of the board hold."""
+        """Words of the next points, the earliest first, limited by one write and the queues of the board."""
         chosen: list[TimedPoint] = []
-        while len(chosen) < POINTS_TOGETHER:
+        while len(chosen) < POINTS_PER_WRITE:
             ready = [one for one in self._axes if one.waiting and len(one.sent) < _QUEUE]
             if not ready:
                 break
             one = min(ready, key=lambda candidate: candidate.ticks[0])
             if one.waiting[0].replaces and any(point.axis == one.waiting[0].axis for point in chosen):
-                break  # a point that replaces others is the first of its axis in a write
+                break  # a replacing point must be the first of its axis in a write
             chosen.append(one.waiting.popleft())
             one.sent.append(one.ticks.popleft())
         return tuple(encode_points(self._catalogue, chosen)) if chosen else None
 
 
 def _after(one: _Axis, points: TimedPoints) -> TimedPoints:
-    """Points that replace those of an axis from their first one on, as the board takes them.
+    """Points that replace those of an axis from the first one on, adapted for the board.
 
-    It takes no segment shorter than 1 ms. Where a point of the old path lies so close before the first new one, a point
-    of the old path that lies far enough before both replaces it.
+    The board refuses segments shorter than 1 ms. If a point of the old path is too close to the first new point, it is
+    replaced by a point of the old path with sufficient distance.
     """
     first = int(points.periods[0])
     kept = [tick for tick in (*one.sent, *one.ticks) if tick < first]

@@ -1,9 +1,8 @@
-"""A path from a message trajectory_msgs/JointTrajectory, with the rules of joint_trajectory_controller.
+"""Path from a message trajectory_msgs/JointTrajectory, with the rules of joint_trajectory_controller.
 
-As there: positions always; velocities, accelerations and effort for all joints of a point or for none; joints in any
-order; what does not fit is refused as a whole. Better than there: a stamp in the
-future is waited for, while the running path goes on; a trajectory that has begun is joined without a step; and NaN
-and joints named twice are refused.
+Same rules: positions are required; velocities, accelerations and effort for all joints of a point or none; joints in
+any order; invalid messages are refused as a whole. Differences: the present path continues until a stamp in the future;
+a trajectory that has begun is joined without a step; NaN and repeated joints are refused.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from servo_bridge.trajectory.spline import START_TOLERANCE, path_through
 from servo_bridge.trajectory.waypoints import Waypoints, check_joints
 
 _STANDING = float(np.finfo(np.float32).eps)
-"""Velocity that joint_trajectory_controller takes for zero at the end [rad/s]."""
+"""Velocity that joint_trajectory_controller accepts as zero at the end [rad/s]."""
 
 
 def from_message(
@@ -33,30 +32,30 @@ def from_message(
     start_tolerance: float = START_TOLERANCE,
     may_end_moving: bool = False,
 ) -> Path:
-    """Path of the joints of a message, from the state that the running path has.
+    """Return the path of the joints of a message, starting with the state of the present path.
 
     Parameters
     ----------
     message : trajectory_msgs/JointTrajectory
-        Anything with its fields.
+        Any object with these fields.
     running : Path
-        What all known joints do now; `Path.hold` if they rest. It goes on until the new path begins, and joints that
-        the message does not name stay with it.
+        Present path of all joints (`Path.hold` at rest). It continues until the new path begins; joints that are not in
+        the message keep it.
     now : float
-        On the clock of the paths [s]; no stamp, or 0, means now.
+        Present time of the paths [s]; used if there is no stamp, or 0.
     origin_ns : int
-        Stamp at which this clock is 0 [ns].
+        Stamp at time 0 of the paths [ns].
     source : str
         Topic or action, for refusals.
     start_tolerance : float
-        How far a point at the start time may be from the joint [rad]; see `path_through`.
+        Largest distance between a point at the start time and the joint [rad]; see `path_through`.
     may_end_moving : bool
-        Allow a velocity at the last point.
+        Permit a velocity at the last point.
 
     Returns
     -------
     Path
-        Joints of the message, in the order of `running`. It begins now or at the stamp, whichever is later.
+        Joints of the message, in the order of `running`. It begins at the later of now and the stamp.
 
     Raises
     ------
@@ -82,7 +81,7 @@ def _path(
         for joint, velocity in zip(waypoints.joints, waypoints.velocities[-1], strict=True):
             if abs(velocity) > _STANDING:
                 raise TrajectoryError(
-                    f"velocity of {joint} at the last point, #{len(waypoints.times) - 1}, is {velocity:g} rad/s; give "
+                    f"velocity of {joint} at the last point, #{len(waypoints.times) - 1}, is {velocity:g} rad/s; write "
                     "0, or add a point with velocity 0"
                 )
     old = running.select(waypoints.joints)
@@ -101,7 +100,7 @@ def _waypoints(message: Any, names: list[str], begin: float) -> Waypoints:
     points = list(message.points)
     for k, point in enumerate(points):
         if _nanoseconds(point.time_from_start) < 0:
-            raise TrajectoryError(f"time_from_start of point #{k} is negative; give 0 or more")
+            raise TrajectoryError(f"time_from_start of point #{k} is negative; write 0 or more")
     times = [begin + _nanoseconds(point.time_from_start) * 1.0e-9 for point in points]
     rows = ([list(getattr(p, field)) or None for p in points] for field in _FIELDS)
     return Waypoints.of(names, times, *rows)

@@ -1,6 +1,6 @@
-"""One goal of control_msgs/FollowJointTrajectory, from its acceptance to its result. Pure.
+"""State of one goal of control_msgs/FollowJointTrajectory, from its acceptance to its result. Pure.
 
-Times are board time [s]; states are those of the joints of the goal, in their order.
+Times are board time [s]; states contain the joints of the goal in their order.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from servo_bridge.setpoints import Rejected
+from servo_bridge.set_points import Rejected
 from servo_bridge.trajectory.errors import ErrorCode, TrajectoryError
 from servo_bridge.trajectory.path import State
 from servo_bridge.trajectory.tolerances import GoalMonitor, Outcome, Phase, Tolerance
 
 PREEMPTED = "Current goal preempted by new incoming action."
-"""What joint_trajectory_controller says of a goal that another one replaces."""
+"""Text of joint_trajectory_controller for a replaced goal."""
 
 CANCELED = "cancelled; the joints have stopped and hold"
 
@@ -27,23 +27,23 @@ WITHDRAWN = "cancelled before it began"
 
 @dataclass(frozen=True)
 class GoalDefaults:
-    """What holds where a goal gives no tolerance."""
+    """Tolerances of goals without their own."""
 
     path: Mapping[str, Tolerance]  # by joint, during the motion
     goal: Mapping[str, Tolerance]  # by joint, at the end
-    goal_time: float  # longest wait for the goal after the end of the path [s]
+    goal_time: float  # time limit for the goal tolerance after the end of the path [s]
 
 
 class Step(Enum):
-    """What its owner has to do for a goal."""
+    """Next action of the owner of a goal."""
 
     NOTHING = "nothing"
     STOP = "stop"
-    """Have the joints of the goal stop and hold."""
+    """Stop the joints of the goal and hold."""
     WITHDRAW = "withdraw"
-    """Its path has not begun: discard it, and send the result."""
+    """Discard the path, which has not begun, and send the result."""
     END = "end"
-    """Send the result, `Goal.outcome`; joints that still follow the path of an aborted goal have to stop."""
+    """Send the result, `Goal.outcome`; stop joints that still follow the path of an aborted goal."""
 
 
 class Goal:
@@ -52,11 +52,11 @@ class Goal:
     Parameters
     ----------
     joints : sequence of str
-        Joints that it moves.
+        Joints of the goal.
     path, goal : mapping of str to Tolerance
-        By joint, in the order of `joints`: on the way, and at the end.
+        By joint, in the order of `joints`: during the motion, and at the end.
     goal_time : float
-        How long to wait for the goal after the end of the path [s].
+        Time limit for the goal tolerance after the end of the path [s].
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Goal:
     ) -> None:
         self.joints = list(joints)
         self.outcome = Outcome(Phase.RUNNING)  # result, once `ended`
-        self.canceled = False  # whether it ended because its client has cancelled it
+        self.canceled = False  # whether it was ended by a cancel request
         self._tolerances = path, goal, goal_time
         self._monitor: GoalMonitor | None = None
         self._canceling = self._stopping = False
@@ -72,53 +72,53 @@ class Goal:
 
     @property
     def ended(self) -> bool:
-        """Whether the result is known."""
+        """True if the result is known."""
         return self.outcome.phase is not Phase.RUNNING
 
     @property
     def moving(self) -> bool:
-        """Whether its path is followed."""
+        """True while the path is followed."""
         return self._monitor is not None and not self.ended and not self._stopping
 
-    # ---- what becomes of its path
+    # ---- events of the path
     def begun(self, end: float) -> None:
-        """Its path is followed from now on, until a time [s]."""
+        """The path has begun; it ends at a time [s]."""
         self._monitor = GoalMonitor(*self._tolerances[:2], end, self._tolerances[2])
 
     def refused(self, error: Rejected) -> None:
-        """Its path is not followed."""
+        """The path was refused."""
         code = error.code if isinstance(error, TrajectoryError) else ErrorCode.INVALID_GOAL
         self._abort(code, str(error))
 
     def abandoned(self, reason: str) -> None:
-        """Something else moves a joint, or holds it up."""
-        if not self._stopping:  # by the stop of the goal itself
+        """The path is not followed to its end, for this reason."""
+        if not self._stopping:  # not by the stop of this goal
             self._abort(ErrorCode.INVALID_GOAL, reason)
 
     def cancel(self) -> None:
-        """Cancel requested."""
+        """Cancel was requested."""
         self._canceling = True
 
-    # ---- a stop: after a cancellation, or because the trajectory is empty
+    # ---- stop after a cancellation or an empty trajectory
     def stopping(self, end: float) -> None:
-        """The joints stop, and rest from a time on [s]."""
+        """The joints are stopping; they are at rest at a time [s]."""
         self._stopping = True
         self._stopped_at = end
 
     def failed(self, reason: str) -> None:
-        """The axes obey nothing any more."""
+        """The axes do not accept set-points any more."""
         self._abort(ErrorCode.INVALID_GOAL, reason)
 
-    # ---- time
+    # ---- samples
     def sample(self, time: float, desired: State | None, actual: State) -> Step:
-        """Compare the joints with the path at one instant.
+        """Compare the joints with the path.
 
         Parameters
         ----------
         time : float
-            Of the sample [s].
+            Time of the sample [s].
         desired, actual : State
-            States of shape (joints,); `desired` is None as long as the path has not begun.
+            States of shape (joints,); `desired` is None before the path has begun.
         """
         if self.ended:
             return Step.END

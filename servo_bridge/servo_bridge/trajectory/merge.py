@@ -1,4 +1,4 @@
-"""Paths of single joints as one path of them all."""
+"""Merge the paths of several joints."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from servo_bridge.trajectory.waypoints import Array
 
 
 def merged(paths: Sequence[Path]) -> Path:
-    """The same motions, with the breakpoints of every path.
+    """Return one path with the motions and breakpoints of all paths.
 
     Parameters
     ----------
@@ -22,10 +22,12 @@ def merged(paths: Sequence[Path]) -> Path:
     Returns
     -------
     Path
-        Joints in the order of the paths. Before its start and past its end each one holds, as it does by itself.
+        Joints in the order of the paths. Each joint holds before the start and after the end of its own path.
     """
     times = np.sort(np.concatenate([path.times for path in paths]))
-    times = times[np.concatenate(([True], np.diff(times) > 0.0))]  # np.unique loads 100 ms of modules when first called
+    times = times[
+        np.concatenate(([True], np.diff(times) > 0.0))
+    ]  # the first call of np.unique takes 100 ms for imports
     begins = times[:-1]
     return Path(
         [joint for path in paths for joint in path.joints],
@@ -37,7 +39,7 @@ def merged(paths: Sequence[Path]) -> Path:
 
 
 def _pieces(path: Path, begins: Array) -> Array:
-    """Coefficients of the pieces of a path that begin at these times, of shape (times, joints, 6)."""
+    """Coefficients of a path for pieces that begin at these times, shape (times, joints, 6)."""
     last = len(path.times) - 2
     piece = np.clip(np.searchsorted(path.times, begins, side="right") - 1, 0, last)
     old, s = path.coefficients[piece], (begins - path.times[piece])[:, None]

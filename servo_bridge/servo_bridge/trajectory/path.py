@@ -1,4 +1,4 @@
-"""A motion of several joints over time: polynomials of at most fifth degree between common breakpoints."""
+"""Motion of several joints: polynomials of at most fifth degree between common breakpoints."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from servo_bridge.trajectory.waypoints import Array
 
 DEGREE = 5
 _HOLD = 1.0e-3
-"""Length of a path that only holds [s]: the shortest segment of the board."""
+"""Duration of a path that only holds [s]: the shortest segment of the board."""
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """State of several joints at one instant or at several."""
+    """State of several joints at one or several times."""
 
     position: Array  # (..., joints) [rad]
     velocity: Array  # (..., joints) [rad/s]
@@ -27,17 +27,17 @@ class State:
 
     @classmethod
     def at_rest(cls, position: ArrayLike) -> State:
-        """State that holds a position [rad] of any shape."""
-        place = np.array(position, dtype=np.float64)
-        zero = np.zeros_like(place)
-        return cls(place, zero, zero, zero)
+        """State at rest at a position [rad] of any shape."""
+        position_ = np.array(position, dtype=np.float64)
+        zero = np.zeros_like(position_)
+        return cls(position_, zero, zero, zero)
 
 
 class Path:
     """Piecewise polynomials of several joints.
 
-    Times are seconds from an origin that the caller chooses. It should lie near, such as the start of the program:
-    a number of seconds since 1970 resolves 0.2 us only.
+    Times are seconds from an origin chosen by the caller, which should be recent, such as the start of the program:
+    times since 1970 have a resolution of 0.2 us only.
 
     Parameters
     ----------
@@ -46,16 +46,16 @@ class Path:
     times : (n + 1,) array_like
         Breakpoints, strictly increasing, n >= 1 [s].
     coefficients : (n, joints, 6) array_like
-        Position in powers of the time since the beginning of a piece, constant term first [rad/s^k].
+        Position as powers of the time since the begin of a piece, constant term first [rad/s^k].
     end : (joints,) array_like
-        Position at the end [rad]: exact, where the last polynomial is exact to rounding.
+        Position at the end [rad]: exact, whereas the last polynomial has rounding errors.
     efforts : (n + 1, joints) array_like, optional
         Torque at the breakpoints, linear between them [N m].
 
     Raises
     ------
     TrajectoryError
-        If shapes do not fit, a number is not finite, or times do not increase.
+        If shapes do not match, a number is not finite, or times do not increase.
     """
 
     def __init__(
@@ -77,18 +77,18 @@ class Path:
             raise TrajectoryError(f"a path of {axes} joints and {knots} breakpoints cannot have arrays of {shapes}")
         for array in (self.times, self.coefficients, self.end, self.efforts):
             if not np.isfinite(array).all():
-                raise TrajectoryError("a path has a number that is not finite; give finite waypoints")
+                raise TrajectoryError("a path has a number that is not finite; use finite waypoints")
             array.setflags(write=False)
         if (np.diff(self.times) <= 0.0).any():
             raise TrajectoryError("breakpoints of a path do not increase strictly")
 
     @classmethod
     def hold(cls, joints: Sequence[str], position: ArrayLike, time: float = 0.0, until: float | None = None) -> Path:
-        """Path that holds a position [rad] from `time` on [s]."""
-        place = np.array(position, dtype=np.float64)
+        """Path that holds a position [rad] from `time` [s]."""
+        fixed = np.array(position, dtype=np.float64)
         coefficients = np.zeros((1, len(joints), DEGREE + 1))
-        coefficients[0, :, 0] = place
-        return cls(joints, [time, time + _HOLD if until is None else until], coefficients, place)
+        coefficients[0, :, 0] = fixed
+        return cls(joints, [time, time + _HOLD if until is None else until], coefficients, fixed)
 
     @property
     def start_time(self) -> float:
@@ -106,17 +106,17 @@ class Path:
         return self.end_time - self.start_time
 
     def state(self, t: ArrayLike) -> State:
-        """State at any time; before the start and past the end the path holds.
+        """State at any time; before the start and after the end the path holds.
 
         Parameters
         ----------
         t : (...) array_like
-            [s]
+            Times [s].
 
         Returns
         -------
         State
-            Arrays of shape (..., joints). At a breakpoint the acceleration is that of the piece that begins there.
+            Arrays of shape (..., joints). The acceleration at a breakpoint is that of the following piece.
         """
         time = np.asarray(t, dtype=np.float64)
         state = self.continued(np.clip(time, self.start_time, self.end_time))
@@ -125,9 +125,9 @@ class Path:
         return State(state.position, held[0], held[1], state.effort)
 
     def continued(self, t: ArrayLike) -> State:
-        """State at any time [s]; before the start and past the end the outer pieces go on.
+        """State at any time [s]; the first and last piece are extrapolated.
 
-        Used for instants that rounding has moved out of the path by less than a PWM period.
+        Used for times that rounding has moved out of the path by less than a PWM period.
         """
         time = np.asarray(t, dtype=np.float64)
         last = len(self.times) - 2
@@ -153,5 +153,5 @@ class Path:
         return Path(joints, self.times, self.coefficients[:, columns], self.end[columns], self.efforts[:, columns])
 
     def shifted(self, by: float) -> Path:
-        """The same motion later by a time [s]."""
+        """Path shifted by a time [s]."""
         return Path(self.joints, self.times + by, self.coefficients, self.end, self.efforts)

@@ -1,4 +1,4 @@
-"""When a set-point of a stream is due: clock offset, delay and jitter from stamps and arrival times."""
+"""Jitter buffer of a stream: clock offset, delay and jitter from time stamps and arrival times."""
 
 from __future__ import annotations
 
@@ -8,67 +8,67 @@ from itertools import pairwise
 from statistics import median
 
 _WINDOW = 128
-"""Messages that the estimates look back on."""
+"""Number of messages in the estimates."""
 
 _QUANTILE = 0.95
-"""Share of the messages that the measured jitter covers; the others are bridged by extrapolation."""
+"""Fraction of the messages covered by the measured jitter; later ones are bridged by extrapolation."""
 
 _SLEW = 0.05
-"""Largest rate of change of the delay: velocities are off by this part while it changes."""
+"""Largest rate of change of the delay [s/s]; relative error of the velocities during a change."""
 
 _STEP = 1.0
-"""Farther than this a stamp is of another clock, or after a pause [s]."""
+"""Larger jumps mean a new clock or a pause [s]."""
 
-_STRANGE = 10
-"""Messages in a row that are late by more than that, until the clock of the sender is taken to have been set back."""
+_LATE_MAX = 10
+"""Consecutive messages later than `_STEP` until the clock of the sender counts as reset."""
 
 
 class PlayoutClock:
-    """Maps the time here to the stamp that is due.
+    """Jitter buffer: maps local time to the sender's time stamp that is due.
 
-    The message with the least delay in a window gives the offset of the clocks, which includes that delay; the spread
-    of the others gives the jitter. A message is needed one period after the one before, so period plus jitter is the
-    delay that bridges both. It changes slowly, so that the motion neither jumps nor stops.
+    The smallest transit time in a window is the clock offset (including the smallest delay); the spread of the other
+    transit times is the jitter. Each message is needed one period after the previous one, so the delay is period plus
+    jitter. The delay changes slowly, so that the motion neither jumps nor stops.
 
     Parameters
     ----------
     lead : float
-        How long before they are due points are fetched [s].
+        Time before its due time at which a point is fetched [s].
     delay_max : float, optional
-        Bound of the delay besides the lead [s]; by default one period of the stream.
+        Bound of the delay without the lead [s]; default: one period of the stream.
     """
 
     def __init__(self, lead: float, delay_max: float | None = None) -> None:
-        self.lead = lead  # [s]; the delay follows a change slowly
+        self.lead = lead  # [s]; the delay follows changes slowly
         self._delay_max = delay_max
-        self.received = self.lost = self.late = 0  # messages; missing in the order of stamps; after they were due
+        self.received = self.lost = self.late = 0  # numbers of messages
         self.reset()
 
     def reset(self) -> None:
-        """Discard the clock of the sender; the counts stay."""
+        """Restart the estimates for another clock; the counters are kept."""
         self._transits: deque[float] = deque(maxlen=_WINDOW)
         self._recent: deque[float] = deque(maxlen=_WINDOW)
         self._pending: list[float] = []
         self._passed: float | None = None
         self._shift: float | None = None
-        self._strange = 0
+        self._late_in_a_row = 0
         self.offset = self.jitter = self.period = 0.0
 
     def belongs(self, stamp: float, arrival: float) -> bool:
-        """False if the stamp [s] is from another clock than those before: then a `reset` is due."""
+        """False if the stamp [s] is from another clock than the previous ones; then call `reset`."""
         if not self._transits:
             return True
         excess = arrival - stamp - self.offset
-        self._strange = self._strange + 1 if excess > _STEP else 0
-        return excess > -_STEP and self._strange < _STRANGE
+        self._late_in_a_row = self._late_in_a_row + 1 if excess > _STEP else 0
+        return excess > -_STEP and self._late_in_a_row < _LATE_MAX
 
-    def heard(self, stamp: float, arrival: float) -> None:
-        """Take a message into the estimates.
+    def add_message(self, stamp: float, arrival: float) -> None:
+        """Update the estimates with a message.
 
         Parameters
         ----------
         stamp, arrival : float
-            On the clock of the sender and on the one here [s].
+            Times of the clock of the sender and of the local clock [s].
         """
         self.received += 1
         self._transits.append(arrival - stamp)
@@ -86,25 +86,25 @@ class PlayoutClock:
             self.lost -= 1
 
     @property
-    def delay_wanted(self) -> float:
-        """Delay besides the lead that the estimates ask for, within its bound [s]."""
+    def delay_target(self) -> float:
+        """Delay without the lead according to the estimates, within its bound [s]."""
         bound = self.period if self._delay_max is None else self._delay_max
         return min(self.period + self.jitter, bound)
 
     @property
     def delay(self) -> float:
-        """Delay now, from the fastest message on, with the lead [s]."""
+        """Present delay with the lead, relative to the fastest message [s]."""
         return self.lead if self._shift is None else self._shift - self.offset
 
     def due(self, time: float, step: float) -> tuple[float, float]:
-        """Stamp that is due at a time here, and how fast stamps pass; called once per step.
+        """Stamp that is due at a local time, and its rate of change; called once per step.
 
         Parameters
         ----------
         time, step : float
-            Now, and since the call before [s].
+            Present time, and time since the previous call [s].
         """
-        target = self.offset + self.lead + self.delay_wanted
+        target = self.offset + self.lead + self.delay_target
         rate = 1.0
         if self._shift is None:
             self._shift = target

@@ -1,4 +1,4 @@
-"""Ranges of polynomials on an interval. Coefficients in powers of s in [0, 1], constant term first."""
+"""Extrema and roots of polynomials. Coefficients in powers of s in [0, 1], constant term first."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.polynomial import polynomial
 from servo_bridge.trajectory.waypoints import Array
 
 _NEGLIGIBLE = 1.0e-13
-"""A leading coefficient this small beside the largest one changes no value and spoils the companion matrix."""
+"""Leading coefficients below this fraction of the largest one are ignored: they would spoil the companion matrix."""
 
 
 def derivative(coefficients: Array) -> Array:
@@ -21,9 +21,9 @@ def derivative(coefficients: Array) -> Array:
 
 
 def enclosure(coefficients: Array) -> tuple[Array, Array]:
-    """Bounds of many polynomials on [0, 1] along the last axis: smallest and largest Bernstein coefficient.
+    """Bounds of polynomials on [0, 1] along the last axis: smallest and largest Bernstein coefficient.
 
-    The bounds hold for sure and need not be reached. G. Farin, Curves and Surfaces for CAGD, 5th ed., ch. 5.
+    The bounds are safe, but not tight. G. Farin, Curves and Surfaces for CAGD, 5th ed., ch. 5.
     """
     n = coefficients.shape[-1]
     to_bernstein = np.array([[comb(i, k) / comb(n - 1, k) if k <= i else 0.0 for k in range(n)] for i in range(n)])
@@ -32,10 +32,10 @@ def enclosure(coefficients: Array) -> tuple[Array, Array]:
 
 
 def roots(coefficients: Array) -> Array:
-    """Real parts of all roots inside (0, 1), in order, of coefficients of shape (degree + 1,), constant term first.
+    """Sorted real parts in (0, 1) of all roots; coefficients of shape (degree + 1,), constant term first.
 
-    Some of them are not real roots; to split an interval there, or to take the value there, is harmless, and a
-    double root that rounding has made complex is not lost.
+    Complex roots are included: double roots that rounding has made complex are needed, and additional points do no harm
+    where an interval is divided or values are computed.
     """
     size = np.abs(coefficients)
     significant = np.flatnonzero(size > _NEGLIGIBLE * size.max(initial=0.0))
@@ -46,14 +46,14 @@ def roots(coefficients: Array) -> Array:
 
 
 def extrema(coefficients: Array, begin: float = 0.0, end: float = 1.0) -> tuple[Array, Array]:
-    """Instants between which a polynomial is monotone on [begin, end], both included, and its values there."""
+    """Limits of the monotone sections of a polynomial on [begin, end], and its values there."""
     inner = roots(derivative(coefficients))
     s = np.concatenate(([begin], inner[(inner > begin) & (inner < end)], [end]))
     return s, np.asarray(polynomial.polyval(s, coefficients), dtype=np.float64)
 
 
 def first_above(coefficients: Array, s: Array, values: Array, bound: float) -> float:
-    """First s (0 .. 1) with a value above `bound`, from what `extrema` returned; there must be one."""
+    """First s (0 .. 1) with a value above `bound`; `s` and `values` from `extrema`, one value must be above."""
     k = int(np.argmax(values > bound))
     if k == 0:
         return float(s[0])

@@ -1,4 +1,4 @@
-"""Motions by formula: a move, a stop, a sine, a Lissajous figure."""
+"""Predefined motions: move, stop, sine, Lissajous figure."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from servo_bridge.trajectory.spline import path_through
 from servo_bridge.trajectory.waypoints import Array, Waypoints
 
 _SHORTEST = 2.0e-3
-"""Shortest motion that is planned [s]: two of the shortest segments of the board."""
+"""Shortest motion [s]: two of the shortest segments of the board."""
 
 _SHORTEST_STOP = 0.02
-"""Shortest stop [s]: in less, rounding to PWM periods takes more of the acceleration than `_RESERVE` leaves."""
+"""Shortest stop [s]: in a shorter one, rounding to PWM periods adds more acceleration than `_RESERVE` permits."""
 
 _LONGEST = 1.0e6
-"""A motion that does not keep its limits in this time keeps them in none [s]."""
+"""Longest motion that is tried [s]."""
 
 _RESERVE = 0.95
-"""Part of the acceleration that motions use which are as short as they can be. The rest is for the interpolation of the
-board, whose cubic pieces differ a little from the path."""
+"""Fraction of the acceleration limit used by motions of the shortest duration; the remainder is for the interpolation
+of the board, whose cubic pieces deviate slightly from the path."""
 
 _PER_WAVE = 24
-"""Waypoints per period of a sine; the quintics between them are 8e-9 amplitudes off at most."""
+"""Waypoints per period of a sine; the error of the quintics is at most 8e-9 of the amplitude."""
 
 
 def move(
@@ -39,28 +39,28 @@ def move(
     duration: float | None = None,
     limits: Sequence[Limits] | None = None,
 ) -> Path:
-    """Quintic from rest to rest; all joints begin and end together.
+    """Quintic motion from rest to rest; all joints start and end together.
 
     Parameters
     ----------
     joints : sequence of str
         Names.
     start, goal : (joints,) array_like
-        [rad]
+        Positions [rad].
     duration : float, optional
-        [s]; without it the shortest, to a thousandth, that keeps the limits.
+        Duration [s]; default: the shortest, to a thousandth, within the limits.
     limits : sequence of Limits, optional
-        Per joint, for the shortest duration. Limits of position do not count here; the path can be checked.
+        Per joint, for the shortest duration. Position limits are ignored here; see `check`.
 
     Returns
     -------
     Path
-        From time 0 on.
+        Starts at time 0.
 
     Raises
     ------
     TrajectoryError
-        If the duration is no positive number, or there is none and the limits allow any, or forbid every one.
+        If the duration is not positive, or cannot be determined from the limits.
     """
 
     def in_time(time: float) -> Path:
@@ -73,13 +73,13 @@ def move(
     finite = [min(b.velocity_max, b.acceleration_max, b.torque_max if b.inertia else math.inf) for b in bounds]
     if not all(map(math.isfinite, finite or [math.inf])):
         raise TrajectoryError(
-            "a joint has no limit, and no duration is given; give a duration, or limits of each joint"
+            "a joint has no limit and there is no duration; write a duration, or limits of each joint"
         )
     return _shortest(in_time, bounds)
 
 
 def stop(joints: Sequence[str], start: State, deceleration_max: Sequence[float], start_time: float = 0.0) -> Path:
-    """Smooth stop: the velocity goes to zero as a cubic, the acceleration from where it is to zero.
+    """Smooth stop: cubic velocity to zero, acceleration from its present value to zero.
 
     Parameters
     ----------
@@ -88,9 +88,9 @@ def stop(joints: Sequence[str], start: State, deceleration_max: Sequence[float],
     start : State
         State of shape (joints,).
     deceleration_max : sequence of float
-        Per joint [rad/s^2]; an acceleration of the start that is larger is the limit instead.
+        Per joint [rad/s^2]; a larger acceleration at the start is used as the limit instead.
     start_time : float
-        [s]
+        Start [s].
     """
     limits = [
         Limits(acceleration_max=max(a, 1.001 * abs(b) / _RESERVE))
@@ -113,7 +113,7 @@ def stop(joints: Sequence[str], start: State, deceleration_max: Sequence[float],
 def sine(
     joint: str, centre: float, amplitude: float, frequency: float, duration: float, ramp: float | None = None
 ) -> Path:
-    """Sine about a position, from rest to rest at the centre; see `lissajous` for envelope and errors.
+    """Sine about a position, from rest to rest at the centre; see `lissajous` for the envelope.
 
     Parameters
     ----------
@@ -138,11 +138,11 @@ def lissajous(
     phase: float = 0.5 * math.pi,
     ramp: float | None = None,
 ) -> Path:
-    """Sines of two joints, the first one ahead by a phase; a circle with the same amplitude and frequency.
+    """Sines of two joints with a phase shift; a circle if amplitudes and frequencies are equal.
 
-    The amplitude rises from zero at the beginning and falls to zero at the end as a quintic in time, so that the
-    motion starts and ends at rest at the centre, without acceleration. In between it is exactly the sine, to
-    8e-9 amplitudes.
+    The amplitude rises from zero at the begin and falls to zero at the end as a quintic in time, so that the motion
+    starts and ends at rest at the centre with zero acceleration. In between it is the sine, with an error of 8e-9 of
+    the amplitude.
 
     Parameters
     ----------
@@ -153,22 +153,20 @@ def lissajous(
     frequencies : sequence of float
         Per joint [Hz].
     duration : float
-        With both ramps [s].
+        Including both ramps [s].
     phase : float
-        [rad]
+        Phase of the first joint [rad].
     ramp : float, optional
-        Length of a ramp [s]: by default one period of the slowest sine, at most half the duration.
+        Duration of a ramp [s]; default: one period of the slowest sine, at most half the duration.
 
     Raises
     ------
     TrajectoryError
-        If a frequency, the duration or the ramp is no positive number, the ramps are longer than the duration, or
+        If a frequency, the duration or the ramp is not positive, the ramps are longer than the duration, or
         there are not two joints.
     """
     if not len(joints) == len(centre) == len(amplitudes) == len(frequencies) == 2:
-        raise TrajectoryError(
-            "a Lissajous figure is that of two joints; give two names, centres, amplitudes, frequencies"
-        )
+        raise TrajectoryError("a Lissajous figure has two joints; write two names, centres, amplitudes, frequencies")
     return _waves(joints, centre, amplitudes, frequencies, [phase, 0.0], duration, ramp)
 
 
@@ -187,7 +185,7 @@ def _waves(
     rise = min(1.0 / min(frequencies), 0.5 * duration) if ramp is None else ramp
     _check_positive("ramp", rise, "s")
     if 2.0 * rise > duration:
-        raise TrajectoryError(f"two ramps of {rise:g} s do not fit into {duration:g} s; give a longer duration")
+        raise TrajectoryError(f"two ramps of {rise:g} s do not fit into {duration:g} s; use a longer duration")
     step = min(1.0 / max(frequencies), rise) / _PER_WAVE
     spans = [(0.0, rise), (rise, duration - rise), (duration - rise, duration)]
     t = np.unique(np.concatenate([np.linspace(a, b, math.ceil((b - a) / step) + 1) for a, b in spans]))
@@ -196,7 +194,7 @@ def _waves(
     angle = omega * t[:, None] + np.array(phases)
     size = np.array(amplitudes)
     sine, cosine = size * np.sin(angle), size * omega * np.cos(angle)
-    # Product rule; the second derivative of the sine is -omega^2 of it.
+    # Product rule; the second derivative of the sine is -omega^2 times the sine.
     rows = (
         np.array(centre) + e * sine,
         de * sine + e * cosine,
@@ -206,16 +204,16 @@ def _waves(
 
 
 def _envelope(t: Array, rise: float, duration: float) -> tuple[Array, Array, Array]:
-    """Quintic step up, and down at the end, with its first two derivatives."""
+    """Quintic rise at the begin and fall at the end, with the first two derivatives."""
     s = np.clip(np.minimum(t, duration - t) / rise, 0.0, 1.0)
-    way = np.where(t < 0.5 * duration, 1.0, -1.0) / rise
-    first = 30.0 * s**2 * (1.0 - s) ** 2 * way
-    second = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) * way**2
+    slope = np.where(t < 0.5 * duration, 1.0, -1.0) / rise
+    first = 30.0 * s**2 * (1.0 - s) ** 2 * slope
+    second = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) * slope**2
     return s**3 * (10.0 + s * (6.0 * s - 15.0)), first, second
 
 
 def _shortest(in_time: Callable[[float], Path], limits: Sequence[Limits], shortest: float = _SHORTEST) -> Path:
-    """The motion of the shortest duration, to a thousandth, that keeps the limits with a reserve of acceleration."""
+    """Motion of the shortest duration, to a thousandth, within the limits, with a reserve of acceleration."""
     limits = [replace(limit, acceleration_max=_RESERVE * limit.acceleration_max) for limit in limits]
     slow = shortest
     while (violation := first_violation(in_time(slow), limits)) is not None:
@@ -234,4 +232,4 @@ def _shortest(in_time: Callable[[float], Path], limits: Sequence[Limits], shorte
 
 def _check_positive(name: str, value: float, unit: str) -> None:
     if not (math.isfinite(value) and value > 0.0):
-        raise TrajectoryError(f"{name} is {value:g} {unit}; give a finite number above 0")
+        raise TrajectoryError(f"{name} is {value:g} {unit}; write a finite number above 0")

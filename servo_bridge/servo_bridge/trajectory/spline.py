@@ -1,4 +1,4 @@
-"""A path through waypoints: cubic or quintic pieces, from the state that the joints have."""
+"""Path through waypoints: cubic or quintic pieces, starting from the state of the joints."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from servo_bridge.trajectory.path import Path, State
 from servo_bridge.trajectory.waypoints import Array, Waypoints
 
 START_TOLERANCE = 0.01
-"""How far a waypoint at the very start may be from where the joint is [rad]: ``allowed_start_tolerance`` of MoveIt."""
+"""Largest distance between a waypoint at the start time and the joint [rad]: ``allowed_start_tolerance`` of MoveIt."""
 
 
 def path_through(
@@ -18,39 +18,37 @@ def path_through(
     start_time: float = 0.0,
     start_tolerance: float = START_TOLERANCE,
 ) -> Path:
-    """Path through waypoints.
+    """Return the path through waypoints.
 
-    What both ends of a piece carry decides: positions and velocities make it cubic, accelerations quintic. Velocities
-    that are not given are those of the C2 cubic spline through these positions; at the first and last waypoint they
-    are 0 then.
+    Pieces are cubic if positions and velocities are given at both ends, quintic with accelerations. Missing velocities
+    are those of the C2 cubic spline through the positions, 0 at the first and last waypoint.
 
-    With a start state the path begins there with this position, velocity and acceleration, and the first piece is
-    quintic. A waypoint at the start time itself is replaced by the start state. Its position must be near: a motion
-    of no duration would be a step.
+    A start state gives position, velocity and acceleration of the begin; the first piece is then quintic. It replaces a
+    waypoint at the start time, whose position must be close to it, because the distance would be a step.
 
     Parameters
     ----------
     waypoints : Waypoints
-        At least two, or one after the start.
+        At least two, or one with a start state.
     start : State, optional
-        State of shape (joints,) at `start_time`; without it the path begins at the first waypoint.
+        State of shape (joints,) at `start_time`; default: the path begins at the first waypoint.
     start_time : float
-        [s]
+        Begin of the path with a start state [s].
     start_tolerance : float
-        For a waypoint at the start time [rad].
+        Largest distance of a waypoint at the start time [rad].
 
     Raises
     ------
     TrajectoryError
-        If a waypoint lies before the start, one at the start is not where the joint is, or a single waypoint leaves
-        no time for a motion.
+        If a waypoint is before the start, one at the start is too far from the joint, or a single waypoint leaves no
+        time for a motion.
     """
     times, positions, velocities = waypoints.times, waypoints.positions, waypoints.velocities
     accelerations, efforts = waypoints.accelerations, waypoints.efforts
     if start is not None:
         if times[0] < start_time:
             raise TrajectoryError(
-                f"point #0 is {start_time - times[0]:g} s before the start of the motion; give it a later time"
+                f"point #0 is {start_time - times[0]:g} s before the start of the motion; use a later time"
             )
         if times[0] == start_time:
             _check_near(waypoints, start, start_tolerance)
@@ -63,7 +61,7 @@ def path_through(
         accelerations = np.vstack((start.acceleration, accelerations[after]))
         efforts = np.vstack((start.effort, efforts[after]))
     if len(times) == 1:
-        raise TrajectoryError("a single waypoint needs a state to start from; give a second waypoint")
+        raise TrajectoryError("a single waypoint needs a start state; add a second waypoint")
     velocities = _spline_velocities(times, positions, velocities)
     h = np.diff(times)[:, None]
     coefficients = cubic(h, positions[:-1], velocities[:-1], positions[1:], velocities[1:])
@@ -71,7 +69,7 @@ def path_through(
         h, positions[:-1], velocities[:-1], accelerations[:-1], positions[1:], velocities[1:], accelerations[1:]
     )
     if start is not None and np.isnan(accelerations[1]).any():
-        # The acceleration with which the next piece begins; a path of one piece ends without.
+        # The acceleration at the begin of the next piece; 0 at the end of a path of one piece.
         end = 2.0 * coefficients[1, :, 2] if len(times) > 2 else np.zeros_like(start.position)
         fifth[0] = quintic(h[0], positions[0], velocities[0], start.acceleration, positions[1], velocities[1], end)
     coefficients = np.where(np.isnan(fifth).any(axis=(1, 2), keepdims=True), coefficients, fifth)
@@ -89,7 +87,7 @@ def cubic(h: Array, p0: Array, v0: Array, p1: Array, v1: Array) -> Array:
 
 def quintic(h: Array, p0: Array, v0: Array, a0: Array, p1: Array, v1: Array, a1: Array) -> Array:
     """Coefficients of quintic Hermite pieces of length `h` [s], shape (..., 6), constant term first."""
-    # What the end lacks when position, velocity and acceleration of the beginning go on.
+    # Differences at the end if position, velocity and acceleration of the begin were continued.
     p = (p1 - p0 - h * (v0 + 0.5 * h * a0)) / h**3
     v = (v1 - v0 - h * a0) / h**2
     a = (a1 - a0) / h
@@ -100,7 +98,7 @@ def quintic(h: Array, p0: Array, v0: Array, a0: Array, p1: Array, v1: Array, a1:
 
 
 def _spline_velocities(times: Array, positions: Array, velocities: Array) -> Array:
-    """Velocities with those not given (NaN) chosen so that the acceleration is continuous there.
+    """Velocities whose missing values (NaN) make the acceleration continuous.
 
     Row k of the tridiagonal system: the cubics left and right of waypoint k have the same second derivative. Thomas
     algorithm, all joints at once; the matrix is diagonally dominant.
@@ -125,17 +123,15 @@ def _spline_velocities(times: Array, positions: Array, velocities: Array) -> Arr
 
 
 def _check_near(waypoints: Waypoints, start: State, tolerance: float) -> None:
-    for joint, wanted, actual in zip(waypoints.joints, waypoints.positions[0], start.position, strict=True):
-        if abs(wanted - actual) > tolerance:
+    for joint, target, actual in zip(waypoints.joints, waypoints.positions[0], start.position, strict=True):
+        if abs(target - actual) > tolerance:
             raise TrajectoryError(
-                f"{joint} is at {actual:g} rad and point #0 wants {wanted:g} rad at once; give point #0 a "
-                f"time_from_start above 0, or begin within {tolerance:g} rad of the joint"
+                f"{joint} is at {actual:g} rad, but point #0 at the start time is at {target:g} rad; use a "
+                f"time_from_start above 0, or a position within {tolerance:g} rad of the joint"
             )
 
 
 def _resting(waypoints: Waypoints, start: State, start_time: float) -> Path:
     if start.velocity.any():
-        raise TrajectoryError(
-            "the joints move and point #0 is the only one, at once; give it a time_from_start above 0"
-        )
+        raise TrajectoryError("the joints move, and the only point is at the start time; use a time_from_start above 0")
     return Path.hold(waypoints.joints, start.position, start_time)

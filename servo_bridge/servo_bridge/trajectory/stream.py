@@ -1,8 +1,8 @@
-"""Set-points that come one by one over a network, as a smooth path for the board.
+"""Streamed set-points, converted to a smooth path for the board.
 
-Between two messages the reference is their cubic Hermite piece; without velocities, those of a Catmull-Rom spline.
-After the newest it goes on with constant velocity for a limited time, and then stops. A tracker of limited
-acceleration follows it, so what is late, lost or wrong makes the path lag, but makes no step.
+The reference between two messages is a cubic Hermite piece; missing velocities are those of a Catmull-Rom spline.
+After the newest message it continues with constant velocity for a limited time, and then stops. A tracker of limited
+acceleration follows the reference: late, lost or wrong messages cause a lag, but no step.
 """
 
 from __future__ import annotations
@@ -21,35 +21,35 @@ from servo_bridge.trajectory.timed_points import PERIOD, SEGMENT_PERIODS_MIN, Ti
 from servo_bridge.trajectory.tracker import Tracker
 
 STEP_PERIODS = 160
-"""Distance of the points, 10 ms [PWM periods]."""
+"""Distance of points, 10 ms [PWM periods]."""
 
 _HISTORY = 64
-"""Messages that are kept per joint: more than any delay holds."""
+"""Messages kept per joint, more than needed for the largest delay."""
 
 _STOP_SHARE = 0.5
-"""Part of the acceleration with which a reference without messages stops."""
+"""Fraction of the acceleration limit with which a reference without messages stops."""
 
 _REST, _REST_SPEED = 1.0e-4, 1.0e-2
-"""Distance [rad] from where the reference has stopped, and velocity [rad/s], below which a motor is brought to rest."""
+"""Distance to the stopped reference [rad] and velocity [rad/s] of the motor, below which it is brought to rest."""
 
 
 @dataclass(frozen=True)
 class StreamReport:
-    """What is known of a stream."""
+    """State of a stream."""
 
-    delay: float  # from the arrival of the fastest message to its place in the path [s]
-    jitter: float  # spread of the delays in transit [s]
-    period: float  # distance of stamps [s]
+    delay: float  # from the arrival of the fastest message to its use in the path [s]
+    jitter: float  # spread of the transit times [s]
+    period: float  # period of the stamps [s]
     received: int  # messages
-    lost: int  # messages missing in the order of stamps
-    late: int  # messages that came after they were due
-    moving: tuple[str, ...]  # joints that the stream moves or holds now
-    starved: tuple[str, ...]  # those of them whose messages have been missing for longer than is bridged: they stop
+    lost: int  # missing messages
+    late: int  # messages after their due time
+    moving: tuple[str, ...]  # joints with an active stream
+    starved: tuple[str, ...]  # joints that stop, because messages are missing for longer than the bridged time
 
 
 @dataclass
 class _Joint:
-    """Set-points of one joint in the order of stamps: (stamp, position, velocity or NaN, effort)."""
+    """Set-points of one joint, sorted by stamp: (stamp, position, velocity or NaN, effort)."""
 
     tracker: Tracker
     gear_ratio: float = 1.0  # turns of the motor per turn of the joint
@@ -67,14 +67,14 @@ class _Joint:
         del self.points[:-_HISTORY]
 
     def _velocity(self, k: int) -> float:
-        """Velocity at a point; where it is not given, the slope between its neighbours."""
+        """Velocity of a point; if not given, the slope between its neighbours."""
         if not math.isnan(self.points[k][2]):
             return self.points[k][2]
         before, after = self.points[max(k - 1, 0)], self.points[min(k + 1, len(self.points) - 1)]
         return (after[1] - before[1]) / (after[0] - before[0]) if before is not after else 0.0
 
     def reference(self, stamp: float, bridge: float) -> tuple[float, float, float, bool]:
-        """Position, velocity, effort at a stamp, and whether messages have been missing for longer than is bridged."""
+        """Position, velocity and effort at a stamp, and whether messages are missing for longer than `bridge` [s]."""
         deceleration = _STOP_SHARE * self.tracker.acceleration_max
         if not self.points:
             speed = self.tracker.velocity
@@ -104,30 +104,30 @@ class _Joint:
 
 
 class Stream:
-    """Streamed set-points of several joints, turned into timed points.
+    """Converts streamed set-points of several joints to timed points.
 
-    Every piece between two points has constant acceleration, for which the interpolation of the board is exact.
-    A joint begins with its first set-point, from where it is, and ends at rest when there are no more.
+    Pieces between points have constant acceleration, for which the interpolation of the board is exact. A joint begins
+    with its first set-point, at its present position, and ends at rest when messages are missing.
 
     Parameters
     ----------
     joints : sequence of str
         Names.
     start : State
-        State of shape (joints,) when the first set-point takes effect, `lead` after it has arrived. A new stream is
-        due when something else has moved the joints.
+        State of shape (joints,) at the effect of the first set-point, `lead` after its arrival. Use a new stream if the
+        joints have been moved otherwise.
     acceleration_max : sequence of float
-        Per joint, never exceeded [rad/s^2].
+        Limit per joint [rad/s^2].
     velocity_max : sequence of float, optional
-        Per joint [rad/s].
+        Limit per joint [rad/s].
     lead : float
-        How long before they are due points are fetched: `points` is called for a time this much ahead [s].
+        Time before their due time at which points are fetched: `points` is called for a time this much ahead [s].
     delay_max : float, optional
-        Bound of the delay that bridges jitter, and of the extrapolation [s]; by default one period of the stream.
+        Bound of the delay and of the extrapolation [s]; default: one period of the stream.
     step : int
         Distance of the points [PWM periods].
     begin : int, optional
-        No point is before this [PWM periods].
+        Earliest point [PWM periods].
     gear_ratios : sequence of float, optional
         Turns of the motor per turn of each joint; 1 by default.
 
@@ -172,21 +172,21 @@ class Stream:
         velocities: Sequence[float] | None = None,
         efforts: Sequence[float] | None = None,
     ) -> None:
-        """Take a message.
+        """Process a message.
 
         Parameters
         ----------
         stamp : float
-            On the clock of the sender; the arrival where there is none [s].
+            Time of the clock of the sender; the arrival if there is no stamp [s].
         arrival : float
-            On the clock here, that of `points` [s].
+            Time of the local clock, as in `points` [s].
         positions, velocities, efforts : sequence of float
-            Per joint [rad], [rad/s], [N m]. A position of NaN leaves the joint alone, a velocity of NaN is not given.
+            Per joint [rad], [rad/s], [N m]. Position NaN: no set-point for the joint; velocity NaN: not given.
 
         Raises
         ------
         TrajectoryError
-            If a size is wrong or a number infinite; then nothing has changed.
+            If a size is wrong or a number is infinite; then nothing is changed.
         """
         count = len(self._joints)
         nothing = {"positions": math.nan, "velocities": math.nan, "efforts": 0.0}
@@ -196,15 +196,15 @@ class Stream:
         }
         for name, row in rows.items():
             if len(row) != count:
-                raise TrajectoryError(f"{len(row)} {name} for {count} joints; give one per joint")
+                raise TrajectoryError(f"{len(row)} {name} for {count} joints; send one per joint")
             for joint, value in zip(self._joints, row, strict=True):
                 if math.isinf(value):
-                    raise TrajectoryError(f"{name} of {joint} is {value:g}; give a finite number, or NaN for none")
+                    raise TrajectoryError(f"{name} of {joint} is {value:g}; send a finite number, or NaN for none")
         if not self._clock.belongs(stamp, arrival):
             self._clock.reset()
             for state in self._joints.values():
                 state.points.clear()
-        self._clock.heard(stamp, arrival)
+        self._clock.add_message(stamp, arrival)
         first = math.ceil((arrival + self.lead) / PERIOD)
         if self._tick is None or not any(state.active for state in self._joints.values()):
             self._tick = max(first, self._tick or first)
@@ -216,7 +216,7 @@ class Stream:
                 state.active = state.begins = True
 
     def points(self, until: float) -> dict[str, TimedPoints]:
-        """Points that have not been fetched yet, up to a time [s]; joints without new points are left out."""
+        """Fetch the new points up to a time [s], by joint; joints without new points are omitted."""
         while self._tick is not None and (self._tick + self._step) * PERIOD <= until:
             if not any(state.active for state in self._joints.values()):
                 break
@@ -231,7 +231,7 @@ class Stream:
 
     @property
     def lead(self) -> float:
-        """How long before they are due points are fetched [s]; the delay follows a change slowly."""
+        """Time before their due time at which points are fetched [s]; the delay follows changes slowly."""
         return self._clock.lead
 
     @lead.setter
@@ -240,7 +240,7 @@ class Stream:
 
     @property
     def report(self) -> StreamReport:
-        """What is known of the stream now."""
+        """State of the stream."""
         clock = self._clock
         moving = tuple(joint for joint, state in self._joints.items() if state.active)
         starved = tuple(joint for joint in moving if self._joints[joint].starved)

@@ -1,4 +1,4 @@
-"""Streamed set-points of the joints of a board: each gets a stream when its axis is ready for one. Pure.
+"""Streamed set-points of the joints of a board: begin, feeding and end of one stream per joint. Pure.
 
 Times are board time [s].
 """
@@ -13,7 +13,7 @@ from typing import Final
 
 from servo_msgs_py.joints import Joint, joint_names
 
-from servo_bridge.setpoints import JointSetPoint
+from servo_bridge.set_points import JointSetPoint
 from servo_bridge.trajectory.check import Limits
 from servo_bridge.trajectory.errors import POINTS_REFUSED, TrajectoryError
 from servo_bridge.trajectory.follower import Follower, Plan
@@ -23,68 +23,66 @@ from servo_bridge.trajectory.stream import Stream, StreamReport
 from servo_bridge.trajectory.timed_points import PERIOD
 
 _WAITING_MAX: Final = 64
-"""Messages that are kept for a stream that has not begun yet."""
+"""Messages kept for a stream that has not begun."""
 
 _AT_REST: Final = 1.0e-9
-"""Velocity [rad/s] and acceleration [rad/s^2] of a joint that rests."""
+"""Velocity [rad/s] and acceleration [rad/s^2] below which a joint is at rest."""
 
 
 _MARGIN: Final = 0.008
-"""What a write of points has to be early at the board [s]; one that is not makes the lead longer."""
+"""Required margin before the due time of the first point; below it the lead is increased [s]."""
 
 _REFUSED: Final = 0.01
-"""By how much the lead grows when the board has refused points of a joint [s]."""
+"""Increase of the lead after the board has refused points of a joint [s]."""
 
 _LEAD_MAX: Final = 0.2
-"""Longest lead [s]."""
+"""Largest lead [s]."""
 
-_RELAX: Final = 0.0001
-"""How much shorter the lead becomes per second, down to where it began [s/s]."""
+_LEAD_DECAY: Final = 0.0001
+"""Decrease of the lead per time, down to its initial value [s/s]."""
 
 
 def stream_lead(baud: int) -> float:
-    """How long before it is due a point of a stream is sent at first [s].
+    """Initial time before its due time at which a point of a stream is sent [s].
 
-    The segment that ends there takes a step, 10 ms; the board needs a point 1.5 ms ahead and checks eight of them in
-    5 ms; the rest of 27 ms is for the computer. On the line the tick is as old as its sample, 83 bytes. Where a write
-    of eight points, 142 bytes, has just begun, it goes before with the sample that shows its effect, then comes the
-    write itself: 450 bytes.
+    Terms: the segment that ends at the point, 10 ms; the lead of the board, 1.5 ms; the check of eight points, 5 ms;
+    the remainder of 27 ms is for the computer. Line, 450 bytes: a sample (83 bytes), a preceding write of eight points
+    (142 bytes) with the sample that confirms it, and the write itself.
 
     Parameters
     ----------
     baud : int
-        [bit/s]
+        Line speed [bit/s].
     """
     return 0.027 + 450 * 10 / baud
 
 
 @dataclass
 class _Joint:
-    """Stream of one joint; before it has begun, what has come for it."""
+    """Stream of one joint; pending messages before it has begun."""
 
     limits: Limits
     stream: Stream | None = None
-    plan: Plan | None = None  # of the path that has begun
+    plan: Plan | None = None  # of the path
     waiting: deque[tuple[float, float, JointSetPoint]] = field(default_factory=lambda: deque(maxlen=_WAITING_MAX))
     """Stamp [s], arrival [s] and set-point of each message."""
 
 
 class Streamer:
-    """Turns streamed set-points into paths of a follower.
+    """Converts streamed set-points to paths of a follower.
 
-    The lead is as long as the line and the computer need it: it grows where points come late to the board, and slowly
-    shrinks again.
+    The lead adapts to line and computer: it grows if points arrive late at the board, and decreases slowly.
 
     Parameters
     ----------
     joints : sequence of Joint
         In the order of the axes.
     follower : Follower
-        Brings them to the board.
+        Sends the points to the board.
     lead : float
-        Least lead, see `stream_lead` [s].
+        Smallest lead, see `stream_lead` [s].
     delay_max : float, optional
-        Bound of the delay that bridges jitter and loss [s]; by default one period of the stream.
+        Bound of the delay that bridges jitter and loss [s]; default: one period of the stream.
     """
 
     def __init__(
@@ -97,24 +95,24 @@ class Streamer:
         self._delay_max = delay_max
         self._advanced = -math.inf
         self._streams: dict[int, _Joint] = {}
-        self._asked: Plan | None = None
+        self._requested: Plan | None = None
         self._last: StreamReport | None = None
 
     def take(self, points: Mapping[int, JointSetPoint], stamp: float, arrival: float, limits: Sequence[Limits]) -> None:
-        """Take a message whose values have been checked (`require_within`).
+        """Process a message whose values have been checked (`require_within`).
 
         Parameters
         ----------
         points : mapping of int to JointSetPoint
             By axis; each has a position.
         stamp : float
-            On the clock of the sender; the arrival where there is none [s].
+            Time of the clock of the sender; the arrival if there is no stamp [s].
         arrival : float
-            [s]
+            Board time [s].
         limits : sequence of Limits
-            Of every axis; a stream keeps those with which it has begun.
+            Of every axis; a stream keeps its initial limits.
         """
-        self._forget_those_taken_over()
+        self._remove_replaced()
         new = [axis for axis in points if axis not in self._streams]
         for axis in new:
             self._streams[axis] = _Joint(limits[axis])
@@ -125,11 +123,11 @@ class Streamer:
             else:
                 _feed(mine.stream, stamp, arrival, point)
         if new:
-            self._ask()
+            self._request_axes()
 
     def advance(self, now: float) -> None:
-        """Hand the points on that are due to be sent at a time [s]."""
-        self._lead = max(self._lead_min, self._lead - _RELAX * min(max(now - self._advanced, 0.0), 1.0))
+        """Pass the points on that are due at a time [s]."""
+        self._lead = max(self._lead_min, self._lead - _LEAD_DECAY * min(max(now - self._advanced, 0.0), 1.0))
         self._advanced = now
         for axis, mine in self._streams.items():
             joint = self._joints[axis]
@@ -138,15 +136,15 @@ class Streamer:
             mine.stream.lead = self._lead
             for points in mine.stream.points(now + self._lead).values():
                 self._follower.extend(joint, points)
-        self._forget_those_taken_over()
+        self._remove_replaced()
 
     def arrived(self, margin: float) -> None:
-        """Note how long before its first point is due a write took effect [s]."""
+        """Adapt the lead to the time between the effect of a write and its first point [s]."""
         self._lead = max(self._lead, min(self._lead + _MARGIN - margin, _LEAD_MAX))
 
     @property
     def report(self) -> StreamReport | None:
-        """What is known of the streams together; None before the first one."""
+        """State of all streams together; None before the first one."""
         reports = [mine.stream.report for mine in self._streams.values() if mine.stream is not None]
         if reports:
             figures = ("delay", "jitter", "period", "received", "lost", "late")
@@ -160,8 +158,8 @@ class Streamer:
         return self._last
 
     # ---- begin and end
-    def _ask(self) -> None:
-        """Ask for the axes of every stream that waits: a later request replaces an earlier one."""
+    def _request_axes(self) -> None:
+        """Request the axes of all pending streams; this replaces an earlier request."""
         axes = [axis for axis, mine in self._streams.items() if mine.stream is None]
         joints = [self._joints[axis] for axis in axes]
         arrival = max(self._streams[axis].waiting[0][1] for axis in axes)
@@ -171,7 +169,7 @@ class Streamer:
             start = running.select(joints).state(begin * PERIOD)
             for k, axis in enumerate(axes):
                 self._begin(axis, _state_of(start, k), begin)
-            # What the joints do unless the streams go on.
+            # Path for the case that the streams do not continue.
             limits = [self._streams[axis].limits.acceleration_max for axis in axes]
             moving = abs(start.velocity).max() > _AT_REST or abs(start.acceleration).max() > _AT_REST
             if moving:
@@ -185,8 +183,8 @@ class Streamer:
                 mine.waiting.clear()
 
         def refused(_error: TrajectoryError) -> None:
-            if self._asked is not plan:
-                return  # asked for again, together with another axis
+            if self._requested is not plan:
+                return  # requested again, together with another axis
             for axis in axes:
                 self._streams.pop(axis, None)
 
@@ -194,11 +192,11 @@ class Streamer:
             if reason == POINTS_REFUSED:
                 self._lead = min(self._lead + _REFUSED, _LEAD_MAX)
 
-        self._asked = plan
+        self._requested = plan
         self._follower.request(joints, plan, begun, refused, abandoned=abandoned)
 
     def _begin(self, axis: int, start: State, begin: int) -> None:
-        """Make the stream of a joint; anew if the path is worked out again for a later begin."""
+        """Create the stream of a joint; repeated if the path is planned again for a later begin."""
         mine = self._streams[axis]
         mine.stream = Stream(
             [self._joints[axis]],
@@ -213,7 +211,7 @@ class Streamer:
         for message in mine.waiting:
             _feed(mine.stream, *message)
 
-    def _forget_those_taken_over(self) -> None:
+    def _remove_replaced(self) -> None:
         for axis, mine in list(self._streams.items()):
             followed = mine.plan is not None and self._follower.follows(self._joints[axis], mine.plan)
             if mine.stream is not None and not followed:
@@ -227,7 +225,7 @@ def _state_of(state: State, column: int) -> State:
 
 
 def _feed(stream: Stream, stamp: float, arrival: float, point: JointSetPoint) -> None:
-    """Hand a message to the stream of its joint."""
+    """Pass a message to the stream of its joint."""
     assert point.position is not None
     velocity = math.nan if point.velocity is None else point.velocity
     stream.take(stamp, arrival, [point.position], [velocity], [point.effort or 0.0])
@@ -239,7 +237,7 @@ def require_within(source: str, joint: str, point: JointSetPoint, limits: Limits
     Raises
     ------
     TrajectoryError
-        If one of its values is beyond its limit.
+        If a value exceeds its limit.
     """
     rows = (
         ("position", "rad", point.position, limits.position_min, limits.position_max),
@@ -250,5 +248,5 @@ def require_within(source: str, joint: str, point: JointSetPoint, limits: Limits
         if value is not None and not low <= value <= high:
             raise TrajectoryError(
                 f"{source}: {name} of {joint} is {value:g} {unit}, outside {low:g} .. {high:g} {unit}; send a value "
-                "inside, or change the limits in the parameters of bridge and board"
+                "within this range, or change the limits in the parameters of bridge and board"
             )

@@ -1,4 +1,4 @@
-"""Points in time for the board, between which it interpolates by cubic Hermite pieces, close to a path."""
+"""Timed points for the board, whose cubic Hermite interpolation approximates a path."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from servo_bridge.trajectory.spline import cubic
 from servo_bridge.trajectory.waypoints import Array
 
 PERIOD = PERIOD_NS * 1.0e-9
-"""Length of one PWM period, the unit of time of the board [s]."""
+"""PWM period, the time unit of the board [s]."""
 
 SEGMENT_PERIODS_MIN = 16
 """Shortest distance of two points, 1 ms [PWM periods]."""
@@ -26,19 +26,19 @@ SEGMENT_PERIODS_MAX = 960_000
 """Longest distance of two points, 60 s [PWM periods]."""
 
 TOLERANCE = 0.2 * 2.0 * math.pi / COUNTS_PER_TURN
-"""How far the interpolation may be from the path: 0.2 counts of the motor [rad]."""
+"""Largest deviation of the interpolation from the path: 0.2 counts of the motor [rad]."""
 
 _KINK_SHARE = 0.1
-"""Part of the tolerance for the rounding of a breakpoint at either end of a segment."""
+"""Fraction of the tolerance for the rounding of a breakpoint at each end of a segment."""
 
 _ACCELERATION_SHARE = 0.04
-"""How far the acceleration may be from that of the path, as part of its peak: the board limits it."""
+"""Largest deviation of the acceleration from the path, over its peak: the board limits the acceleration."""
 
 _REST = 1.0e-6
-"""A path on which the motor ends slower than this is meant to end at rest [rad/s]."""
+"""Speed of the motor at the end below which a path counts as ending at rest [rad/s]."""
 
 _SAMPLES = 16
-"""Instants per segment at which a segment that leaves out a breakpoint is compared with the path."""
+"""Times per segment at which a segment across a breakpoint is compared with the path."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class TimedPoints:
     efforts: Array  # (n,), torque added to that of the controller [N m]
 
     def interpolated(self, t: Array) -> Array:
-        """Position as the board interpolates it [rad], at times [s] within the points."""
+        """Position as interpolated by the board [rad], at times [s] within the points."""
         k = np.clip(np.searchsorted(self.periods * PERIOD, t, side="right") - 1, 0, len(self.periods) - 2)
         h = np.diff(self.periods)[k] * PERIOD
         p, v = self.positions, self.velocities
@@ -62,7 +62,7 @@ class TimedPoints:
 
 
 def concatenated(parts: Sequence[TimedPoints]) -> TimedPoints:
-    """Points of one joint that follow each other, as one."""
+    """Concatenate consecutive points of one joint."""
     columns = zip(*((part.periods, part.positions, part.velocities, part.efforts) for part in parts), strict=True)
     return TimedPoints(*map(np.concatenate, columns))
 
@@ -70,33 +70,32 @@ def concatenated(parts: Sequence[TimedPoints]) -> TimedPoints:
 def timed_points(
     path: Path, tolerance: float = TOLERANCE, gear_ratios: Sequence[float] | None = None
 ) -> dict[str, TimedPoints]:
-    """Points of every joint, such that the interpolation of the board stays near the path.
+    """Return the points of every joint whose interpolation approximates the path.
 
-    A cubic piece needs its ends only. Others are divided evenly: a cubic Hermite piece of length h is within
-    max|f''''| h^4 / 384 of the function f that it interpolates (C. de Boor, A Practical Guide to Splines, ch. IV), and
-    its acceleration within max|f''''| h^2 / 12.
-    Each time is rounded to a PWM period by itself, so that no error adds up, and position and velocity are those of
-    the path at the rounded time; the last point of a path that ends at rest is exactly its end. Of breakpoints closer
-    than 1 ms the later ones are left out, but for the end.
+    A cubic piece needs its ends only. Other pieces are divided evenly: the error of a cubic Hermite piece of length h
+    is at most max|f''''| h^4 / 384 for an interpolated function f (C. de Boor, A Practical Guide to Splines, ch. IV),
+    the error of its acceleration at most max|f''''| h^2 / 12. Each time is rounded to a PWM period separately, so that
+    errors do not add up; position and velocity are those of the path at the rounded time. The last point of a path that
+    ends at rest is exactly its end. Breakpoints less than 1 ms after another one are omitted, except the end.
 
     Parameters
     ----------
     path : Path
-        Motion of at least 1 ms.
+        Path of at least 1 ms.
     tolerance : float
-        At the motor [rad].
+        Tolerance at the motor [rad].
     gear_ratios : sequence of float, optional
         Turns of the motor per turn of each joint of the path; 1 by default.
 
     Returns
     -------
     dict of TimedPoints
-        By joint. Joints have points of their own: one that holds needs two, however the others move.
+        By joint. Points of different joints are independent: a holding joint has only two.
 
     Raises
     ------
     TrajectoryError
-        If the path is too short, or turns so sharply within 1 ms that the tolerance cannot be kept.
+        If the path is too short, or changes too fast within 1 ms for the tolerance.
     """
     ratios = [1.0] * len(path.joints) if gear_ratios is None else gear_ratios
     return {
@@ -112,7 +111,7 @@ def _points_of(path: Path, axis: int, tolerance: float, rest: float) -> TimedPoi
     pieces = [np.array(knots[:1], dtype=np.int64)]
     for begin, end in pairwise(knots):
         length = end - begin
-        # The pieces of the path that the segment touches by more than rounding.
+        # Pieces of the path that overlap the segment by more than rounding.
         first, last = np.searchsorted(path.times, [(begin + 0.5) * PERIOD, (end - 0.5) * PERIOD])
         size = float(fourth[max(first - 1, 0) : last].max(initial=0.0))
         bound = 384.0 * (1.0 - 2.0 * _KINK_SHARE) * tolerance
@@ -136,11 +135,11 @@ def _ends_at_rest(path: Path, axis: int, rest: float) -> bool:
 
 
 def _knots(path: Path, axis: int, kink: float, rest: float) -> list[int]:
-    """Breakpoints as periods, at least one segment apart, and a point 1 ms beside a sharp one.
+    """Breakpoints in PWM periods, at least one segment apart, with additional points 1 ms from sharp ones.
 
-    A breakpoint that is rounded to an instant in the one piece takes its velocity from there. Where the acceleration
-    steps, the other piece begins with a velocity that differs by the step times the rounding, and a cubic Hermite
-    piece of length h is then 4/27 h times this velocity off. A short piece beside it keeps that small.
+    A breakpoint that is rounded into one piece has the velocity of that piece. If the acceleration steps there, the
+    other piece has a velocity error of step times rounding, and a cubic Hermite piece of length h deviates by 4/27 h
+    times this error. A short adjacent segment keeps the deviation small.
     """
     periods = np.rint(path.times / PERIOD).astype(np.int64)
     if periods[-1] - periods[0] < SEGMENT_PERIODS_MIN:
@@ -164,7 +163,7 @@ def _knots(path: Path, axis: int, kink: float, rest: float) -> list[int]:
 
 
 def _velocity_errors(path: Path, axis: int, periods: NDArray[np.int64], rest: float) -> Array:
-    """Error of velocity that rounding makes at each breakpoint [rad/s]; negative if in the piece that begins there."""
+    """Velocity error by rounding at each breakpoint [rad/s]; negative if it is in the following piece."""
     h = np.diff(path.times)[:, None]
     c = path.coefficients[:, axis] * np.array([0, 0, 2, 6, 12, 20])
     powers = h ** np.array([0, 0, 0, 1, 2, 3])
@@ -173,14 +172,14 @@ def _velocity_errors(path: Path, axis: int, periods: NDArray[np.int64], rest: fl
     step[1:-1] = np.abs(begin[1:] - end[:-1])
     error = step * (periods * PERIOD - path.times)
     if _ends_at_rest(path, axis, rest):
-        # The last point is at rest, wherever rounding has put it.
+        # The last point is at rest in spite of its rounding.
         error[-1] = abs(end[-1] * (periods[-1] * PERIOD - path.times[-1]))
     result: Array = error
     return result
 
 
 def _fourth_derivative_max(path: Path, axis: int) -> Array:
-    """Largest magnitude in each piece [rad/s^4]: it is linear there."""
+    """Largest magnitude of the fourth derivative, which is linear in each piece [rad/s^4]."""
     fourth, fifth = path.coefficients[:, axis, 4], path.coefficients[:, axis, 5]
     ends = np.abs([24.0 * fourth, 24.0 * fourth + 120.0 * fifth * np.diff(path.times)])
     result: Array = ends.max(axis=0)
@@ -188,13 +187,13 @@ def _fourth_derivative_max(path: Path, axis: int) -> Array:
 
 
 def _acceleration_max(path: Path, axis: int) -> float:
-    """Largest magnitude at breakpoints and between them [rad/s^2]."""
+    """Largest magnitude of the acceleration at breakpoints and between them [rad/s^2]."""
     t = path.times[:-1, None] + np.diff(path.times)[:, None] * (np.arange(5) / 4.0)
     return float(np.abs(path.continued(t).acceleration[..., axis]).max())
 
 
 def _check_deviation(path: Path, axis: int, points: TimedPoints, tolerance: float) -> None:
-    """Refuse what the bound does not cover: breakpoints inside a segment, and segments that cannot be shorter."""
+    """Check segments that the error bound does not cover: with inner breakpoints, or of the smallest length."""
     ends = points.periods * PERIOD
     inside = np.diff(np.searchsorted(path.times, ends + 0.5 * PERIOD)) > 1
     short = np.diff(points.periods) < 2 * SEGMENT_PERIODS_MIN
@@ -206,6 +205,6 @@ def _check_deviation(path: Path, axis: int, points: TimedPoints, tolerance: floa
     if deviation.max() > tolerance:
         worst = t.flat[int(np.argmax(deviation))] - path.start_time
         raise TrajectoryError(
-            f"{path.joints[axis]} turns too sharply at {worst:.6g} s: points of the board are 1 ms apart, and between "
-            f"them it would be {deviation.max():g} rad off; give the motion more time"
+            f"{path.joints[axis]} changes too sharply at {worst:.6g} s: points of the board are 1 ms apart, and the "
+            f"deviation between them would be {deviation.max():g} rad; use more time for the motion"
         )

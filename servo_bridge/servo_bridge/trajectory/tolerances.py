@@ -1,4 +1,4 @@
-"""When a goal of control_msgs/FollowJointTrajectory is reached, and when it is given up."""
+"""Success and failure criteria of a goal of control_msgs/FollowJointTrajectory."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}
 
 
 class Phase(Enum):
-    """Where a goal is."""
+    """Phase of a goal."""
 
     RUNNING = "running"
     SUCCEEDED = "succeeded"
@@ -26,7 +26,7 @@ class Phase(Enum):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a goal."""
+    """Result of a goal."""
 
     phase: Phase  # running, succeeded or aborted
     code: ErrorCode = ErrorCode.SUCCESSFUL  # ``error_code`` of the result
@@ -35,7 +35,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far a joint may be from its path; infinite where it does not matter."""
+    """Largest permitted deviations of a joint from its path; infinite: no limit."""
 
     position: float = math.inf  # [rad]
     velocity: float = math.inf  # [rad/s]
@@ -45,28 +45,28 @@ class Tolerance:
 def tolerances_from(
     requested: Iterable[Any], joints: Sequence[str], defaults: Mapping[str, Tolerance]
 ) -> dict[str, Tolerance]:
-    """Tolerances of all joints of a goal.
+    """Return the tolerances of all joints of a goal.
 
     Parameters
     ----------
     requested : iterable of control_msgs/JointTolerance
-        0 takes the default, -1 is no tolerance, above 0 is the tolerance.
+        0: default; -1: no tolerance; above 0: the tolerance.
     joints : sequence of str
         Joints of the goal.
     defaults : mapping of str to Tolerance
-        By joint; joints that are missing have none.
+        By joint; missing joints have no tolerance.
 
     Raises
     ------
     TrajectoryError
-        If a joint is not in the goal, or a number is NaN or negative, but not -1.
+        If a joint is not in the goal, or a number is NaN or negative except -1.
     """
     result = {joint: defaults.get(joint, Tolerance()) for joint in joints}
     for tolerance in requested:
         name = tolerance.name
         if name not in result:
             raise TrajectoryError(
-                f"tolerance of {name!r}, which the trajectory does not move; name one of {', '.join(joints)}",
+                f"tolerance of {name!r}, which is not in the trajectory; use one of {', '.join(joints)}",
                 ErrorCode.INVALID_JOINTS,
             )
         values = {}
@@ -74,7 +74,7 @@ def tolerances_from(
             value = float(getattr(tolerance, field.name))
             if math.isnan(value) or (value < 0.0 and value != -1.0):
                 raise TrajectoryError(
-                    f"tolerance of {field.name} of {name} is {value:g}; give 0 for the default, -1 for none, or more "
+                    f"tolerance of {field.name} of {name} is {value:g}; send 0 for the default, -1 for none, or more "
                     "than 0"
                 )
             values[field.name] = math.inf if value == -1.0 else value or getattr(result[name], field.name)
@@ -83,29 +83,29 @@ def tolerances_from(
 
 
 def goal_time_from(requested: float, default: float) -> float:
-    """Time to wait for the goal after the end of the path [s]; 0 takes the default.
+    """Time limit for the goal tolerance after the end of the path [s]; 0: default.
 
     Raises
     ------
     TrajectoryError
-        If the request is NaN or negative.
+        If the value is NaN or negative.
     """
     if math.isnan(requested) or requested < 0.0:
-        raise TrajectoryError(f"goal_time_tolerance is {requested:g} s; give 0 for the default, or more")
+        raise TrajectoryError(f"goal_time_tolerance is {requested:g} s; send 0 for the default, or more")
     return requested or default
 
 
 class GoalMonitor:
-    """Compares a motion with its path until the goal is reached or given up.
+    """Compares a motion with its path until the goal has succeeded or failed.
 
     Parameters
     ----------
     path, goal : mapping of str to Tolerance
-        By joint, in the order of the joints of the states: on the way, and at the end.
+        By joint, in the order of the joints of the states: during the motion, and at the end.
     end_time : float
         End of the path [s].
     goal_time : float
-        How long to wait for the goal after that [s]; 0 decides at the end, and does not wait for ever.
+        Time limit for the goal tolerance after that [s]; 0: evaluation at the end, without waiting.
     """
 
     def __init__(
@@ -116,14 +116,14 @@ class GoalMonitor:
         self.outcome = Outcome(Phase.RUNNING)
 
     def update(self, time: float, desired: State, actual: State) -> Outcome:
-        """Compare at one instant; once decided, the outcome stays.
+        """Compare one sample; a final outcome does not change.
 
         Parameters
         ----------
         time : float
-            On the clock of the path [s].
+            Path time [s].
         desired, actual : State
-            States of shape (joints,); an actual value of NaN is not known and not compared.
+            States of shape (joints,); NaN in `actual`: unknown, not compared.
         """
         if self.outcome.phase is not Phase.RUNNING:
             return self.outcome
@@ -150,5 +150,5 @@ def _first_excess(tolerances: Mapping[str, Tolerance], desired: State, actual: S
             error = float(np.abs(getattr(desired, field.name)[axis] - getattr(actual, field.name)[axis]))
             if error > limit:
                 unit = _UNITS[field.name]
-                return f"{field.name} of {joint} is {error:g} {unit} off, its tolerance is {limit:g} {unit}"
+                return f"{field.name} of {joint} deviates by {error:g} {unit}, tolerance {limit:g} {unit}"
     return ""

@@ -1,4 +1,4 @@
-"""A point that follows a reference with limited acceleration and velocity, in steps of constant acceleration."""
+"""Tracks a reference with limited acceleration and velocity, in steps of constant acceleration."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 _SMOOTHING = 4.0
-"""Steps in which a small error is corrected; more is smoother and slower."""
+"""Steps for the correction of a small error; more steps are smoother and slower."""
 
 _RESERVE = 0.2
-"""Least part of the acceleration that is left for corrections while the reference accelerates."""
+"""Smallest fraction of the acceleration limit that is available for corrections."""
 
 
 @dataclass
@@ -18,18 +18,18 @@ class Tracker:
 
     position: float  # [rad]
     velocity: float  # [rad/s]
-    acceleration_max: float  # never exceeded [rad/s^2]
-    velocity_max: float = math.inf  # [rad/s]; a start that is faster is slowed down
+    acceleration_max: float  # limit [rad/s^2]
+    velocity_max: float = math.inf  # limit [rad/s]; a faster start is decelerated
 
     def advance(self, position: float, velocity: float, acceleration: float, step: float) -> None:
-        """Move by one step.
+        """Advance by one step.
 
         Parameters
         ----------
         position, velocity, acceleration : float
-            Reference at the beginning of the step, [rad], [rad/s] and [rad/s^2].
+            Reference at the begin of the step, [rad], [rad/s] and [rad/s^2].
         step : float
-            [s]
+            Duration [s].
         """
         forward = min(max(acceleration, -self.acceleration_max), self.acceleration_max)
         authority = max(self.acceleration_max - abs(forward), _RESERVE * self.acceleration_max)
@@ -41,18 +41,18 @@ class Tracker:
         self.velocity += step * u
 
     def stopped(self, step: float) -> tuple[float, bool]:
-        """Where an even deceleration to rest within one step ends [rad], and whether it keeps the limit.
+        """Final position of a constant deceleration to rest within one step [rad], and whether it is within the limit.
 
         Parameters
         ----------
         step : float
-            [s]
+            Duration [s].
         """
         return self.position + 0.5 * step * self.velocity, abs(self.velocity) <= step * self.acceleration_max
 
 
 def _time_optimal(x1: float, x2: float, r: float, h: float) -> float:
-    """Acceleration, |u| <= r, that brings an error x1 and its rate x2 to zero without chatter.
+    """Acceleration, |u| <= r, that brings an error x1 and its derivative x2 to zero without chatter.
 
     fhan of J. Han, From PID to Active Disturbance Rejection Control, IEEE Trans. Ind. Electron. 56(3), 2009.
     """

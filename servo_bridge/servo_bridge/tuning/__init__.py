@@ -1,1 +1,1 @@
-"""Configuration blocks of a board that runs: planned, sent and read back, by the command line and by the bridge."""
+"""Configuration blocks of a running board: planning, transfer and reading back; used by command line and bridge."""

@@ -1,4 +1,4 @@
-"""Configuration blocks over an open session."""
+"""Access to configuration blocks with an open session."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _TIMEOUT: Final = 1.0
 
 
 class BlockSession:
-    """A board as a `servo_msgs_py.axis_config_transfer.BlockMemory`.
+    """`servo_msgs_py.axis_config_transfer.BlockMemory` of a board.
 
     Parameters
     ----------
     session : Session
-        With a board of this contract.
+        Session with a board of this contract.
     """
 
     def __init__(self, session: Session) -> None:
@@ -43,7 +43,7 @@ class BlockSession:
         return True
 
     def wait(self) -> bool:
-        """The next look takes longer than a slow tick by itself; False when the board has had its time."""
+        """Check the timeout; the next request itself takes longer than a slow tick. False after the timeout."""
         now = time.monotonic()
         if self._until is None:
             self._until = now + _TIMEOUT

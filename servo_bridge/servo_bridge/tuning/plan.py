@@ -1,4 +1,4 @@
-"""From a configuration file to what changes on a board, and back from a board to a file. Pure."""
+"""Changes of a board by a configuration file, and a configuration file from a board. Pure."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from servo_msgs_py.axis_config_transfer import BlockMemory, read_block, send_blo
 from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
 from servo_msgs_py.tuning.reading import load
 from servo_msgs_py.tuning.report import axis_reports
-from servo_msgs_py.tuning.restore import restored, toml_text
+from servo_msgs_py.tuning.restore import restore_table, toml_text
 
 Block = Mapping[str, int]
 
 _HEADING: Final = """\
-Read back from a board by `servo-tool tune --from-board`: `servo-tool tune` makes the same numbers of it.
-rotor_inertia and rated_speed are not on a board; they only serve a report. [board.brake] and
+Read back from a board by `servo-tool tune --from-board`; `servo-tool tune` computes the same numbers from it.
+rotor_inertia and rated_speed are not stored on a board; they are used in a report only. [board.brake] and
 [board.regeneration] are compiled into the firmware; `make generate` needs both."""
 
 
 class Computed(NamedTuple):
-    """What the tuning code makes of a file."""
+    """Result of the tuning code for a file."""
 
     blocks: Sequence[Block]  # members by path, per axis
-    warnings: Sequence[Sequence[str]]  # sentences, per axis
+    warnings: Sequence[Sequence[str]]  # texts, per axis
 
 
 def computed(path: Path, catalogue: Catalogue) -> Computed:
@@ -43,17 +43,17 @@ def computed(path: Path, catalogue: Catalogue) -> Computed:
 
 
 def file_of(blocks: Sequence[Block], timeouts: tuple[float, float], catalogue: Catalogue) -> str:
-    """Text of the file that gives these blocks and time-outs [s]; see `servo_msgs_py.tuning.restore.restored`."""
-    return toml_text(restored(blocks, timeouts, catalogue), _HEADING)
+    """Text of the file that gives these blocks and timeouts [s]; see `servo_msgs_py.tuning.restore.restore_table`."""
+    return toml_text(restore_table(blocks, timeouts, catalogue), _HEADING)
 
 
 def read_blocks(memory: BlockMemory, axes: Collection[int] = range(AXES)) -> dict[int, Block]:
-    """Blocks in force, by index of the axis."""
+    """Read the present blocks of a board, by index of the axis."""
     return {axis: read_block(memory, axis) for axis in axes}
 
 
 class Plan:
-    """What differs between the board and what it is to have.
+    """Differences between the blocks of the board and the new blocks.
 
     Parameters
     ----------
@@ -63,20 +63,20 @@ class Plan:
 
     def __init__(self, old: Mapping[int, Block], new: Mapping[int, Block]) -> None:
         self.changes = {axis: (old[axis], new[axis]) for axis in sorted(new) if old[axis] != new[axis]}
-        """Old and new block of every axis that changes."""
+        """Old and new block of each changed axis."""
 
     @property
     def axes(self) -> list[int]:
-        """Indices of the axes that change."""
+        """Indices of the changed axes."""
         return list(self.changes)
 
     @property
     def names(self) -> str:
-        """Names of the axes that change, for a sentence."""
+        """Names of the changed axes, for messages."""
         return " and ".join(map(axis_name, self.changes))
 
     def send(self, memory: BlockMemory) -> None:
-        """Write the new blocks to the board, where they wait until they are taken."""
+        """Write the new blocks to the board, where they are stored until they are applied."""
         for axis, (_, new) in self.changes.items():
             send_block(memory, axis, new)
 
@@ -86,7 +86,7 @@ class Plan:
         return {axis: table.checksum(axis, new) for axis, (_, new) in self.changes.items()}
 
     def table(self) -> list[str]:
-        """Lines of a table of what changes."""
+        """Lines of a table of the changes."""
         rows: list[Sequence[str]] = [("AXIS", "MEMBER", "OLD", "NEW", "CHANGES")]
         for axis, (old, new) in self.changes.items():
             rows += [_row(axis, member, old, new) for member in AxisConfigTable.load().changes(old, new)]

@@ -1,6 +1,6 @@
-"""The tuning code in a process of its own: half a second of computing that takes no time from the node and its line.
+"""Runs the tuning code in a separate process (0.5 s of CPU time), so that the node is not delayed.
 
-Run as a program it reads one question from standard input and writes the answer to standard output, both as JSON.
+The program reads a request from standard input and writes the response to standard output, both as JSON.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from servo_msgs_py.catalogue import Catalogue
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_msgs_py.tuning.errors import ConfigError
 
 from servo_bridge.tuning.plan import Computed, computed, file_of
@@ -23,11 +23,11 @@ _TIMEOUT: Final = 60.0  # [s]
 
 
 class ComputationError(RuntimeError):
-    """The process has ended without an answer."""
+    """The process ended without a response."""
 
 
 class TuningProcess:
-    """Asks a process that is started for every question. Blocks; from one thread, but for `close`."""
+    """Starts a process for each request. Blocking; used by one thread, except `close`."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -42,9 +42,9 @@ class TuningProcess:
         ConfigError
             If the configuration cannot work, or the file cannot be read.
         ComputationError
-            If there is no answer.
+            If there is no response.
         """
-        blocks, warnings = self._ask({"file": str(path)})
+        blocks, warnings = self._request({"file": str(path)})
         return Computed(blocks, warnings)
 
     def file_of(self, blocks: Sequence[Mapping[str, int]], timeouts: tuple[float, float]) -> str:
@@ -53,27 +53,27 @@ class TuningProcess:
         Raises
         ------
         ConfigError
-            If no file gives these blocks.
+            If the tuning code refuses these blocks.
         ComputationError
-            If there is no answer.
+            If there is no response.
         """
-        text: str = self._ask({"blocks": [dict(block) for block in blocks], "timeouts": timeouts})
+        text: str = self._request({"blocks": [dict(block) for block in blocks], "timeouts": timeouts})
         return text
 
     def close(self) -> None:
-        """End a process that computes; no other is started."""
+        """Kill a running process; no other is started."""
         with self._lock:
             self._closed = True
             if self._process is not None:
                 self._process.kill()
 
-    def _ask(self, question: Mapping[str, object]) -> Any:
-        command = bound_to_us([sys.executable, "-m", __name__])
+    def _request(self, question: Mapping[str, object]) -> Any:
+        command = with_parent_death_signal([sys.executable, "-m", __name__])
         pipe = subprocess.PIPE
         with self._lock:
             if self._closed:
                 raise ComputationError("the bridge is ending")
-            # A session of its own: Ctrl-C at the terminal is for the node, which ends this process.
+            # Separate session: Ctrl-C in the terminal is handled by the node, which ends this process.
             self._process = process = subprocess.Popen(
                 command, stdin=pipe, stdout=pipe, stderr=pipe, text=True, encoding="utf-8", start_new_session=True
             )
@@ -103,7 +103,7 @@ def _answer(question: Mapping[str, Any]) -> Any:
 
 
 def main() -> int:
-    """Answer one question; returns the exit status."""
+    """Process one request; returns the exit status."""
     try:
         answer = {"result": _answer(json.load(sys.stdin))}
     except ConfigError as error:

@@ -1,8 +1,8 @@
-"""The service ``tune`` and the topic ``tuning``: another configuration for the axes of a board that runs.
+"""The service ``tune`` and the topic ``tuning``: change of the configuration of a running board.
 
-A thread of its own waits for the tuning code and for the link. The link gets one exchange at a time, between two
-samples of the telemetry and behind every set-point; ``config.take`` goes the way of a command, so that its tick is
-known and a twin can repeat it there.
+A separate thread waits for the tuning code and the link. Each word is a separate job of the link, between two samples
+of the telemetry and after pending set-points; ``config.take`` is sent by the dispatcher like a command, so that its
+tick is known and a twin can repeat it at this tick.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from servo_msgs_py.tuning.errors import ConfigError
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from servo_bridge.services import DeferredService, Outcome
+from servo_bridge.deferred_service import DeferredService, Outcome
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.tuning.plan import Plan, read_blocks
@@ -36,11 +36,11 @@ from servo_msgs_py import topics
 
 _TIMEOUTS: Final = ("param.host_timeout", "param.command_timeout")
 _TIMEOUT: Final = 10.0
-"""Longest wait for one exchange [s]; the link itself answers sooner, or is lost."""
+"""Timeout of one exchange [s]; the link itself reports earlier."""
 
 
 class _LinkMemory:
-    """A `servo_msgs_py.axis_config_transfer.BlockMemory`: every word by a job of the link of its own."""
+    """`servo_msgs_py.axis_config_transfer.BlockMemory` with one job of the link per access."""
 
     def __init__(self, call: Call) -> None:
         self._call = call
@@ -56,25 +56,25 @@ class _LinkMemory:
 
 
 class TuningService:
-    """Tunes when it is asked to, and publishes what the board has.
+    """Executes the service and publishes the configuration of the board.
 
     Parameters
     ----------
     node : Node
         Owner of service and topic.
     path : str
-        The file that the service sends.
+        File with the configuration.
     call : Call
-        Way to the board.
+        Calls a function with the board, in the thread of the link.
     post : callable
         Runs a function in the thread of the node.
     take : callable
-        Starts a write of ``config.take`` on the way of the commands, in the thread of the node; the future holds the
-        tick at which it took effect.
+        Starts a write of ``config.take`` like a command, in the thread of the node; the future has the tick of its
+        effect.
     taken : callable
-        Called in the thread of the node when the board has got other blocks.
+        Called in the thread of the node after a change of the blocks.
     say, warn : callable
-        Get a sentence for the log, in the thread of the node.
+        Receive messages for the log, in the thread of the node.
     """
 
     def __init__(
@@ -89,37 +89,37 @@ class TuningService:
         say: Callable[[str], None],
         warn: Callable[[str], None],
     ) -> None:
-        self.path = path  # another one counts from the next call on
+        self.path = path  # a change applies to the next call
         self._memory = _LinkMemory(call)
         self._post = post
         self._take, self._taken = take, taken
         self._say, self._warn = say, warn
         self._process = TuningProcess()
         self._busy = False
-        self._published: str | None = None  # since the link is up
+        self._published: str | None = None  # since the connection
         self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._publisher = node.create_publisher(String, topics.TUNING, latched_qos())
-        self._service = DeferredService(node, SetBool, topics.TUNE, lambda request: self._asked(request.data))
+        self._service = DeferredService(node, SetBool, topics.TUNE, lambda request: self._on_tune(request.data))
         self._thread = threading.Thread(target=self._run, name="servo tuning", daemon=True)
         self._thread.start()
 
     # ---- thread of the node
     def connected(self) -> None:
-        """The link is up: read the board's configuration and publish it, for a twin may have forgotten it."""
+        """After a connection, read and publish the configuration; a restarted twin needs it."""
         self._published = None
         self._jobs.put(self._refresh)
 
     def close(self) -> None:
-        """Give up what is being done; the thread ends by itself."""
+        """Abort the present job; the thread ends."""
         self._process.close()
         self._jobs.put(None)
 
-    def _asked(self, send: bool) -> Future[Outcome]:
+    def _on_tune(self, send: bool) -> Future[Outcome]:
         answer: Future[Outcome] = Future()
         if not self.path:
-            answer.set_result((False, "the parameter tuning names no file; set it to the path of a TOML file first"))
+            answer.set_result((False, "the parameter tuning is empty; set it to the path of a TOML file first"))
         elif self._busy:
-            answer.set_result((False, "the board is being tuned already; call tune again when that is answered"))
+            answer.set_result((False, "a tune request is in progress; call again after its response"))
         else:
             self._busy = True
             self._jobs.put(partial(self._tune, Path(self.path), send, answer))
@@ -136,7 +136,7 @@ class TuningService:
             self._published = text
             self._publisher.publish(String(data=text))
 
-    # ---- own thread
+    # ---- separate thread
     def _run(self) -> None:
         while True:
             job = self._jobs.get()
@@ -152,16 +152,16 @@ class TuningService:
             if send and plan.axes:
                 plan.send(self._memory)
                 unsure = True
-                lines.append(f"{plan.names} taken at tick {self._bring_into_force(plan)}")
+                lines.append(f"{plan.names} applied at tick {self._apply(plan)}")
             elif plan.axes:
-                lines.append(f"the board would take another configuration for {plan.names}")
+                lines.append(f"the configuration of {plan.names} would change")
             success = True
         except BlockRefusedError as error:
             unsure = False
             lines.append(str(error))
         except ConfigError as error:
             lines.append(f"{path}: {error}")
-        except Exception as error:  # also one of our own making: the service has to answer
+        except Exception as error:  # includes internal errors: the service must respond
             lines.append(_text(error))
         self._post(partial(self._answer, answer, (success, "\n".join(lines))))
         if unsure:
@@ -169,7 +169,7 @@ class TuningService:
             self._refresh()
 
     def _plan(self, path: Path, lines: list[str]) -> Plan:
-        """What changes; with the warnings and a table of it at the end of `lines`."""
+        """Plan of the changes; appends warnings and a table to `lines`."""
         old = read_blocks(self._memory)
         blocks, warnings = self._process.computed(path)
         lines += [f"{path}: warning: {warning}" for axis in range(AXES) for warning in warnings[axis]]
@@ -177,18 +177,18 @@ class TuningService:
         if plan.axes:
             lines += plan.table()
         else:
-            lines.append(f"the board has the configuration of {path}; nothing changes")
+            lines.append(f"the board already has the configuration of {path}; no change")
         return plan
 
-    def _bring_into_force(self, plan: Plan) -> int:
-        """Have the board take what it was sent; returns the tick.
+    def _apply(self, plan: Plan) -> int:
+        """Apply the transferred blocks on the board; returns the tick.
 
         Raises
         ------
         BlockRefusedError
-            If it refuses.
+            If the board refuses them.
         ConnectionError
-            If it does not say what has become of it.
+            If the result is unknown.
         """
         table = AxisConfigTable.load()
         members = tuple(word for _, new in plan.changes.values() for word in table.words(new))
@@ -198,7 +198,7 @@ class TuningService:
         try:
             return begun.result(_TIMEOUT).result(_TIMEOUT)
         except (ConnectionError, futures.TimeoutError):
-            # A request that was repeated is refused though the first one has been obeyed.
+            # The repeated request is refused because the first one was executed.
             in_force = self._memory.read_words("config.checksum")
             if all(in_force[axis] == checksum for axis, checksum in plan.checksums().items()):
                 return self._memory.read_words("config.taken_tick")[0]
@@ -206,21 +206,21 @@ class TuningService:
             raise
 
     def _refresh(self) -> None:
-        """Read what the board has and publish it; an empty text when that cannot be read."""
+        """Read and publish the configuration of the board; an empty text if it cannot be read."""
         try:
             blocks = list(read_blocks(self._memory).values())
             host, command = (self._memory.read(name) for name in _TIMEOUTS)
             text = self._process.file_of(blocks, (host, command))
         except LinkDownError:
-            return  # told elsewhere, and read again when it is back
-        except Exception as error:  # also one of our own making: the thread goes on
+            return  # reported elsewhere; read again after the reconnection
+        except Exception as error:  # includes internal errors: the thread continues
             self._post(partial(self._warn, f"the configuration of the board is not known: {_text(error)}"))
             text = ""
         self._post(partial(self._publish, text))
 
 
 def _text(error: Exception) -> str:
-    """An error in one line."""
+    """Text of an error."""
     return str(error) or (
-        "the board does not answer" if isinstance(error, futures.TimeoutError) else type(error).__name__
+        "no response of the board" if isinstance(error, futures.TimeoutError) else type(error).__name__
     )

@@ -1,7 +1,7 @@
-"""Board time and host time: counting ticks past 32 bits, and mapping them to the clocks of the host. Pure.
+"""Board time and host time: extension of ticks beyond 32 bits, and mapping to the clocks of the host. Pure.
 
-A sample reaches the host some time after the tick that it shows: transmission, adapter, operating system. That delay
-only ever adds, so the smallest difference seen lately is the best estimate of the offset between both clocks.
+A sample arrives some time after its tick: transmission, adapter, operating system. This delay is never negative, so the
+smallest recent difference is the best estimate of the offset between both clocks.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ _STEP_BACK_NS: Final = 1_000_000_000
 
 @dataclass(frozen=True)
 class TickReading:
-    """A tick past 32 bits."""
+    """Tick extended beyond 32 bits."""
 
     tick: int  # PWM periods since reset
-    epoch: int  # board resets seen so far; ticks of different epochs are unrelated
+    epoch: int  # number of board resets; ticks of different epochs are not comparable
     reset: bool  # whether this reading is the first of a new epoch
 
 
 class TickExtender:
-    """Follows a 32-bit tick past its wraps and notices resets of the board.
+    """Extends a 32-bit tick beyond its wraps and detects resets of the board.
 
-    Between two readings the count has to grow about as much as the host's clock. One that goes back, leaps ahead or
-    has fallen far behind comes from a board that was reset in between. The bounds are wide, because a virtual board on
-    a loaded computer runs unevenly.
+    Between two readings the tick must advance about as much as the clock of the host. A tick that goes back, leaps or
+    lags far behind means a reset of the board. The bounds are wide, because a virtual board on a busy computer runs
+    unevenly.
     """
 
     def __init__(self) -> None:
@@ -49,19 +49,19 @@ class TickExtender:
         self._epoch = 0
 
     def restart(self) -> None:
-        """Note a reset that was seen otherwise: the next reading begins a new epoch."""
+        """Register a reset that was detected otherwise: the next reading begins a new epoch."""
         self._last = None
         self._epoch += 1
 
     def update(self, raw: int, host_ns: int) -> TickReading:
-        """Take a reading.
+        """Process a reading.
 
         Parameters
         ----------
         raw : int
             uint32 tick.
         host_ns : int
-            Arrival on a clock that never goes back [ns].
+            Arrival, monotonic clock [ns].
         """
         last = self._last
         tick, reset = raw, False
@@ -78,18 +78,18 @@ class TickExtender:
 
 
 class BoardClock:
-    """Maps ticks of the board to the host's monotonic clock.
+    """Maps ticks of the board to the monotonic clock of the host.
 
-    The estimate follows the smallest delay of the last seconds smoothly: down within 0.1 s, because a smaller delay is
-    proof that the estimate was late, and up within 1 s, which is enough for the drift of a crystal. Only after a
-    standstill of more than 0.25 s it jumps. Stamps grow strictly and never lie after the arrival of their sample.
+    The estimate follows the smallest delay of the last seconds: downwards within 0.1 s, because a smaller delay proves
+    that the estimate was too large, and upwards within 1 s, which is sufficient for the drift of a crystal. It jumps
+    only after a standstill of more than 0.25 s. Stamps increase strictly and are never after the arrival of the sample.
 
     Parameters
     ----------
     minimum_delay_ns : int
-        Part of the delay that is certain, such as the time of the answer on the line [ns].
+        Known part of the delay, such as the transmission time of the response [ns].
     window_ns : int
-        How long a small delay is remembered [ns].
+        Time for which a small delay is remembered [ns].
     """
 
     def __init__(self, minimum_delay_ns: int = 0, window_ns: int = 2_000_000_000) -> None:
@@ -106,19 +106,19 @@ class BoardClock:
         return self._offset
 
     def reset(self) -> None:
-        """Discard the offset: the board counts anew."""
+        """Discard the offset after a restart of the board."""
         self._buckets.clear()
         self._offset = None
 
     def update(self, tick: int, arrival_ns: int) -> int:
-        """Take a sample.
+        """Process a sample.
 
         Parameters
         ----------
         tick : int
-            Extended tick of the sample; larger than that of the sample before.
+            Extended tick of the sample; larger than the previous one.
         arrival_ns : int
-            When its last byte came, monotonic host clock [ns].
+            Arrival of the last byte, monotonic host clock [ns].
 
         Returns
         -------
@@ -143,7 +143,7 @@ class BoardClock:
         return stamp
 
     def host_ns(self, tick: int) -> int:
-        """Host time of any tick near the last sample [ns].
+        """Host time of a tick close to the last sample [ns].
 
         Raises
         ------
@@ -151,7 +151,7 @@ class BoardClock:
             Before the first sample.
         """
         if self._offset is None:
-            raise ValueError("the board has not been seen yet")
+            raise ValueError("no sample of the board yet")
         return tick * PERIOD_NS + round(self._offset)
 
     def _smallest(self, offset: int, arrival_ns: int) -> int:
@@ -166,12 +166,12 @@ class BoardClock:
 
 
 class WallClock:
-    """Maps the monotonic clock to a clock that may be set, such as ROS time.
+    """Maps the monotonic clock to a clock that can be set, such as ROS time.
 
     Parameters
     ----------
     wall, steady : callable
-        Read both clocks [ns].
+        Functions that read the clocks [ns].
     """
 
     def __init__(self, wall: Callable[[], int], steady: Callable[[], int] = time.monotonic_ns) -> None:
@@ -182,9 +182,9 @@ class WallClock:
         self.refresh()
 
     def refresh(self) -> None:
-        """Compare both clocks again; call it about once a second, and for every stamp while the time is simulated.
+        """Compare both clocks again; call it about once a second, with simulated time for every stamp.
 
-        A comparison that the operating system interrupted is dropped, unless it is the first.
+        A comparison that was interrupted by the operating system is discarded, unless it is the first.
         """
         before = self._steady()
         wall = self._wall()
@@ -193,7 +193,7 @@ class WallClock:
             self._offset = wall - (before + after) // 2
 
     def stamp(self, steady_ns: int) -> int:
-        """Wall time of a monotonic time as a stamp [ns]: it grows, unless the wall clock was set back by a second."""
+        """Wall time of a monotonic time as a stamp [ns]; increasing, unless the wall clock was set back by a second."""
         stamp, last = self.wall_ns(steady_ns), self._last_stamp
         if last is not None and last - _STEP_BACK_NS < stamp <= last:
             stamp = last + 1

@@ -1,8 +1,8 @@
-"""The link to one board: a thread that owns the port, reads telemetry without a pause and does what others ask for.
+"""Link to one board: a thread that owns the port, reads telemetry continuously and executes jobs.
 
-Jobs go in through a queue and come back through futures; samples and changes of state come out through callbacks, in
-the thread of the link. A lost link fails everything that waits and is set up again by itself; no command is ever sent
-twice because of that, and none but a stop to a board that does not match the catalogue.
+Jobs are queued and return futures; samples and changes of state are reported by callbacks in the thread of the link.
+The loss of the link fails all waiting jobs; it is re-established automatically. Commands are never repeated by that,
+and a board that does not match the catalogue receives no command except a stop.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from servo_bridge.wire.scope import Sample, ScopeLayout
 from servo_bridge.wire.scope_reader import BoardResetError, ScopeReader
 from servo_bridge.wire.serial_port import LowLatency, SerialPort
 from servo_bridge.wire.session import BoardVariable, Session, connect, element_bytes
-from servo_bridge.wire.take_over import taken_over
+from servo_bridge.wire.stop_at_connection import stopped_at_connection
 
 __all__ = [
     "FinalWrite",
@@ -57,34 +57,34 @@ T = TypeVar("T")
 _LOG: Final = logging.getLogger(__name__)
 _MAX_DAMAGED: Final = 10
 _NEXT_WRITE: Final = 0.4
-"""What the owner has for the next write after the sample that shows the effect of the last one, as a part of the round
-trip of that sample: without a pause another sample goes before."""
+"""Pause after a sample that confirms a write, as a fraction of its round trip: lets the owner queue its next write
+before the next sample is requested."""
 
 
 class _StopError(Exception):
-    """The owner requests the end of the thread."""
+    """The owner has requested the end of the thread."""
 
 
 class Link:
-    """Keeps up the connection to one board.
+    """Maintains the connection to one board.
 
     Parameters
     ----------
     config : LinkConfig
-        How to reach the board.
+        Port and settings.
     catalogue : Catalogue
-        What its variables mean.
+        Meaning of the variables.
     on_sample : callable
-        Gets every sample, in the thread of the link; has to be quick.
+        Receives every sample, in the thread of the link; must be fast.
     on_state : callable
-        Gets every change of the state, in the thread of the link.
+        Receives every change of the state, in the thread of the link.
     open_port : callable
         Opens a port from URL and baud rate.
 
     Raises
     ------
     ValueError
-        If a telemetry variable is unknown or cannot be carried.
+        If a telemetry variable is unknown or has an unsupported size.
     """
 
     def __init__(
@@ -119,10 +119,10 @@ class Link:
         self._connected_once = False
         self._thread = threading.Thread(target=self._run, name="servo link", daemon=True)
 
-    # ---- for the owner, any thread ----------------------------------------------------------------------------
+    # ---- interface, any thread --------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Start the thread; it goes on trying until `close`."""
+        """Start the thread; it connects repeatedly until `close`."""
         self._thread.start()
 
     def close(self, final_writes: Sequence[FinalWrite] = (), timeout: float = 3.0) -> bool:
@@ -131,10 +131,10 @@ class Link:
         Parameters
         ----------
         final_writes : sequence of (str, sequence of float)
-            Written last, in this order, when the link is up; waiting jobs are thrown away.
+            Written last, in this order, if the link is up; waiting jobs are discarded.
         timeout : float
-            Longest wait [s]. The thread needs at most three time-outs of a silent board, or the 5 s of the system when
-            it is opening a network port; it is a daemon and does not keep the process alive.
+            Longest wait [s]. The thread needs at most three timeouts of a silent board, or the 5 s of the operating
+            system to open a network port; it is a daemon thread and does not keep the process alive.
 
         Returns
         -------
@@ -155,42 +155,42 @@ class Link:
 
     @property
     def board(self) -> BoardInfo | None:
-        """What the connected board says about itself."""
+        """Description of the connected board."""
         session = self._session
         return None if session is None else session.info
 
     @property
     def low_latency(self) -> LowLatency:
-        """Whether the adapter hands over bytes at once."""
+        """Whether the adapter passes bytes on immediately."""
         return self._low_latency
 
     def statistics(self) -> LinkStatistics:
-        """Figures at this moment."""
+        """Present figures."""
         return self._statistics.report(time.monotonic_ns(), len(self._queue))
 
     def write(
         self, name: str, values: Sequence[float], *, first: int = 0, urgent: bool = False, latest_wins: bool = False
     ) -> Future[WriteResult]:
-        """Write neighbouring elements of a variable, SI.
+        """Write neighbouring elements of a variable [SI].
 
         Parameters
         ----------
         name : str
-            Name in the catalogue.
+            Name of the variable.
         values : sequence of float
             One per element.
         first : int
             Index of the first element.
         urgent : bool
-            Before everything else that waits.
+            Executed before all other waiting jobs.
         latest_wins : bool
             Cancels a waiting write of the same elements.
 
         Returns
         -------
         Future
-            Completes when the board has acknowledged. Fails with `LinkDownError`, `LinkBusyError` or `StatusError`,
-            which is an `OutOfRangeError` for a value that the board does not take.
+            Done when the board has acknowledged. Fails with `LinkDownError`, `LinkBusyError` or `StatusError`
+            (`OutOfRangeError` for a value that the board refuses).
 
         Raises
         ------
@@ -207,7 +207,7 @@ class Link:
         """Write neighbouring elements of a variable as firmware integers; see `write`."""
         variable = self._known(name)
         offset, data = element_bytes(variable, raw, first)
-        lengthy = name in COMMAND_VARIABLES  # each one that arrives is counted and carried out
+        lengthy = name in COMMAND_VARIABLES  # the board counts and executes every received write
 
         def run(client: Client) -> WriteResult:
             assert self._reader is not None
@@ -221,7 +221,7 @@ class Link:
         return job.done
 
     def read(self, name: str) -> Future[Value]:
-        """Read a variable, SI; the future fails as that of `write` does."""
+        """Read a variable [SI]; the future fails as in `write`."""
         self._known(name)
 
         def run(client: Client) -> Value:
@@ -233,9 +233,9 @@ class Link:
         return job.done
 
     def call(self, function: Callable[[Session], T]) -> Future[T]:
-        """Call a function with the session of the board between two samples; it should take a few exchanges at most.
+        """Call a function with the session of the board between two samples; it should take few exchanges.
 
-        What it raises fails the future; the link is lost only by errors of the line.
+        Its exceptions fail the future; only errors of the line end the connection.
         """
 
         def run(_: Client) -> T:
@@ -247,13 +247,13 @@ class Link:
         return job.done
 
     def run_command(self, code: int, arguments: bytes = b"", *, urgent: bool = False) -> Future[int]:
-        """Run an application command; the future holds its result. It is sent once and never repeated."""
+        """Run an application command; the future has its result. It is sent once and never repeated."""
         job = Job(lambda client: client.run_command(code, arguments), write=True, retried=False)
         self._queue.put(job, urgent=urgent)
         return job.done
 
     def drop_writes(self) -> int:
-        """Cancel all waiting writes that are not urgent; returns how many."""
+        """Cancel all waiting writes that are not urgent; returns their number."""
         return self._queue.drop_writes()
 
     # ---- thread of the link -----------------------------------------------------------------------------------
@@ -277,7 +277,7 @@ class Link:
                 self._hold_port()
             except _StopError:
                 break
-            except Exception as error:  # also one of our own making: told as such, and the link does not end by it
+            except Exception as error:  # includes internal errors, which are reported; the thread continues
                 self._lost(error)
             pause = self._config.backoff_min if self._connected_once else min(2 * pause, self._config.backoff_max)
             self._stop.wait(pause)
@@ -285,7 +285,7 @@ class Link:
         self._set_status(LinkStatus(LinkState.DISCONNECTED, "closed"))
 
     def _hold_port(self) -> None:
-        """Open the port and talk until it is lost; a board that was only reset is connected to anew at once."""
+        """Open the port and communicate until it is lost; after a reset of the board, connect again at once."""
         port = self._open_port(self._config.url, self._config.baud)
         self._low_latency = port.low_latency
         try:
@@ -311,13 +311,13 @@ class Link:
         )
         client = Client(line)
         client.ask_password = lambda: self._config.password
-        with taken_over(client, self._catalogue):
+        with stopped_at_connection(client, self._catalogue):
             session = connect(client, self._catalogue)
             if session.mismatch is not None:
                 raise session.mismatch
             reader = ScopeReader(client, self.layout, session.variables, self._extender)
             first = reader.first()
-        line.before_request = None  # from here on the last words have to get through
+        line.before_request = None  # the final writes must not be interrupted
         self._session, self._reader = session, reader
         self._connected_once = True
         self._statistics.connected()
@@ -335,8 +335,8 @@ class Link:
     def _loop(self, client: Client, reader: ScopeReader) -> None:
         """Alternate between one job and one sample until the owner requests a stop.
 
-        A sample is handed to the owner while the line carries the request after it; one that shows the effect of a
-        write at once, for there may be a next one.
+        A sample is delivered to the owner while the next request is being transmitted; after a sample that confirms a
+        write the loop pauses, because the owner may send the next write.
         """
         line = client.line
         period = round(1e9 / self._config.rate) if self._config.rate > 0.0 else 0
@@ -346,11 +346,11 @@ class Link:
         silent_ns = 0
         wrote, grace = False, 0.0
         while not self._stop.is_set():
-            left = max(grace, (due - time.monotonic_ns()) * 1e-9)
+            pause = max(grace, (due - time.monotonic_ns()) * 1e-9)
             grace = 0.0
-            if left > 0.0:
+            if pause > 0.0:
                 line.work_off()
-            job = self._queue.take(left)
+            job = self._queue.take(pause)
             if job is not None:
                 self._execute(job, client)
                 wrote |= job.write
@@ -358,10 +358,10 @@ class Link:
                 continue
             due = max(due + period, time.monotonic_ns())
             try:
-                asked_ns = time.monotonic_ns()
+                requested_ns = time.monotonic_ns()
                 sample = reader.next()
             except AnswerTimeoutError:
-                silent_ns = silent_ns if timeouts else asked_ns
+                silent_ns = silent_ns if timeouts else requested_ns
                 timeouts += 1
                 if timeouts >= self._config.lost_after and time.monotonic_ns() - silent_ns >= timeout_ns:
                     raise
@@ -386,7 +386,7 @@ class Link:
         except (TransportError, WrongProtocolError):
             raise
         except Exception:
-            return  # the future tells its owner; the line is in order
+            return  # reported by the future; the line works
 
     def _write_last(self, client: Client) -> None:
         self._queue.close("the link was closed")
@@ -400,7 +400,7 @@ class Link:
             raise _StopError
 
     def _lost(self, error: Exception) -> None:
-        """Report why there is no link and throw away what waits."""
+        """Report the reason and fail the waiting jobs."""
         status = status_of(error, self._config.url, self._config.baud, connected=self._connected_once)
         if not isinstance(error, FreemasterError):
             _LOG.error("unexpected error in the thread of the link", exc_info=error)
@@ -420,7 +420,7 @@ class Link:
 
     @staticmethod
     def _call(function: Callable[[Any], None], argument: object) -> None:
-        """Call into the owner's code, out of which anything may come: the link is not the one to end by it."""
+        """Call a callback; log any exception and continue."""
         try:
             function(argument)
         except Exception:

@@ -1,4 +1,4 @@
-"""Jobs that wait for the link's thread: bounded, ordered, and thrown away when the link is lost. Pure."""
+"""Queue of jobs for the thread of the link: bounded, ordered, discarded at the loss of the link. Pure."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from servo_bridge.freemaster.client import Client
 
 
 class LinkDownError(ConnectionError):
-    """There is no link, or it was lost before the job was done."""
+    """There is no link, or it was lost before the end of the job."""
 
 
 class LinkBusyError(RuntimeError):
-    """More jobs wait than the queue takes."""
+    """The queue is full."""
 
 
 @dataclass(eq=False)
 class Job:
-    """Something to do between two telemetry samples."""
+    """Work between two telemetry samples."""
 
     run: Callable[[Client], Any]  # the work, in the thread of the link
-    key: str = ""  # variable and elements that it writes; it is replaced by a later ``latest_wins`` job of the same key
-    write: bool = False  # writes go before reads
-    retried: bool = True  # whether its unanswered requests are repeated, so that its failure means a lost link
+    key: str = ""  # written variable and elements; a later ``latest_wins`` job with the same key replaces it
+    write: bool = False  # writes precede reads
+    retried: bool = True  # unanswered requests are repeated, so a failure means the loss of the link
     done: Future[Any] = field(default_factory=Future)
 
     def execute(self, client: Client) -> None:
-        """Run and complete the future; whatever `run` raises ends up there and is raised again."""
+        """Run and complete the future; an exception of `run` is stored there and raised again."""
         if not self.done.set_running_or_notify_cancel():
             return
         try:
@@ -42,7 +42,7 @@ class Job:
         self.done.set_result(result)
 
     def fail(self, error: BaseException) -> None:
-        """Complete the future with an error, unless it is complete."""
+        """Complete the future with an error, unless it is done."""
         try:
             self.done.set_exception(error)
         except InvalidStateError:
@@ -50,12 +50,12 @@ class Job:
 
 
 class JobQueue:
-    """Jobs for one thread from any thread: urgent writes first, then writes, then reads.
+    """Jobs from any thread for one thread: urgent writes first, then writes, then reads.
 
     Parameters
     ----------
     limit : int
-        Most jobs of each kind that may wait.
+        Largest number of waiting jobs of each kind.
     """
 
     def __init__(self, limit: int) -> None:
@@ -75,12 +75,12 @@ class JobQueue:
         return self._urgent, self._writes, self._reads
 
     def open(self) -> None:
-        """Take jobs."""
+        """Accept jobs."""
         with self._condition:
             self._closed = None
 
     def close(self, reason: str) -> None:
-        """Take no more jobs and fail those that wait."""
+        """Refuse jobs from now on and fail the waiting ones."""
         with self._condition:
             self._closed = reason
             waiting = [job for queue in self._queues for job in queue]
@@ -90,16 +90,16 @@ class JobQueue:
             job.fail(LinkDownError(reason))
 
     def put(self, job: Job, *, urgent: bool = False, latest_wins: bool = False) -> None:
-        """Queue a job; its future fails at once when the link is down or the queue is full.
+        """Queue a job; its future fails at once if the link is down or the queue is full.
 
         Parameters
         ----------
         job : Job
-            What to do.
+            The job.
         urgent : bool
-            Before every job that is not urgent.
+            Executed before all jobs that are not urgent.
         latest_wins : bool
-            Cancel a waiting job of the same kind and key; the new one goes to the end, behind what was queued since.
+            Cancel waiting jobs of the same kind and key; the new job is queued at the end.
         """
         replaced: list[Job] = []
         error: Exception | None = None
@@ -122,7 +122,7 @@ class JobQueue:
             job.fail(error)
 
     def drop_writes(self) -> int:
-        """Cancel all waiting writes that are not urgent; returns how many."""
+        """Cancel all waiting writes that are not urgent; returns their number."""
         with self._condition:
             dropped = list(self._writes)
             self._writes.clear()
@@ -131,7 +131,7 @@ class JobQueue:
         return len(dropped)
 
     def take(self, timeout: float) -> Job | None:
-        """Take the next job, waiting up to `timeout` [s] for one; `wake` ends the wait."""
+        """Remove the next job, waiting up to `timeout` [s]; `wake` ends the wait."""
         with self._condition:
             if timeout > 0.0 and not any(self._queues):
                 self._condition.wait(timeout)

@@ -1,4 +1,4 @@
-"""States of the link and what to tell the user about them. Pure."""
+"""States of the link, with reason and remedy. Pure."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from servo_bridge.wire.session import BoardMismatchError
 
 
 class LinkState(Enum):
-    """How things stand with the board."""
+    """State of the connection to the board."""
 
     DISCONNECTED = "disconnected"
-    """Not there; may come back by itself."""
+    """No board; the link reconnects automatically."""
     CONNECTING = "connecting"
     CONNECTED = "connected"
     FAILED = "failed"
-    """There is something, but a person has to act before it can be used."""
+    """A device is present, but needs an action of the user."""
 
 
 @dataclass(frozen=True)
@@ -36,20 +36,20 @@ class LinkStatus:
     """State of the link."""
 
     state: LinkState  # of the link
-    reason: str  # why, one line
-    remedy: str = ""  # what the user can do; empty: nothing
+    reason: str  # reason, one line
+    remedy: str = ""  # action of the user; empty: none
 
     def __str__(self) -> str:
         return f"{self.reason}; {self.remedy}" if self.remedy else self.reason
 
 
 def status_of(error: Exception, url: str, baud: int, *, connected: bool) -> LinkStatus:
-    """Put the error that ended a connection, or the attempt at one, into words.
+    """Status for the error that ended a connection, or an attempt to connect.
 
     Parameters
     ----------
     error : Exception
-        What ended it.
+        The error.
     url : str
         Port.
     baud : int
@@ -64,19 +64,19 @@ def status_of(error: Exception, url: str, baud: int, *, connected: bool) -> Link
     if isinstance(error, BoardMismatchError):
         return LinkStatus(LinkState.FAILED, error.reason, error.remedy)
     if isinstance(error, WrongProtocolError):
-        return LinkStatus(LinkState.FAILED, f"{url}: {reason}", "give the port and the baud rate of the servo board")
+        return LinkStatus(LinkState.FAILED, f"{url}: {reason}", "set port and baud rate of the servo board")
     if isinstance(error, StatusError):
         remedy = "flash the firmware of this release"
         if error.code == Status.PASSWORD_NEEDED:
             remedy = (
-                f"put one that opens this level into the environment variable {PASSWORD_VARIABLE}, "
-                "or give it to servo-tool --password"
+                f"set the environment variable {PASSWORD_VARIABLE} to a password of this level, "
+                "or use servo-tool --password"
             )
         elif error.code == Status.WRONG_PASSWORD:
             remedy = "check the password"
         return LinkStatus(LinkState.FAILED, reason, remedy)
     if isinstance(error, BoardResetError):
-        return LinkStatus(LinkState.DISCONNECTED, reason, "enable the axes again when it is back")
+        return LinkStatus(LinkState.DISCONNECTED, reason, "enable the axes again after the reconnection")
     if isinstance(error, BoardStoppedError):
         return LinkStatus(LinkState.FAILED, reason, "reset the board")
     if isinstance(error, TransportError):
@@ -84,14 +84,14 @@ def status_of(error: Exception, url: str, baud: int, *, connected: bool) -> Link
             LinkState.DISCONNECTED, reason, "plug the adapter in again; the link reconnects automatically"
         )
     if isinstance(error, AnswerTimeoutError):
-        what = "the board stopped answering" if connected else f"nothing answers at {baud} baud"
+        problem = "the board has stopped responding" if connected else f"no response at {baud} baud"
         return LinkStatus(
-            LinkState.DISCONNECTED, f"{what} on {url}", "check the supply of the board, its cable and the baud rate"
+            LinkState.DISCONNECTED, f"{problem} on {url}", "check the supply of the board, its cable and the baud rate"
         )
     if isinstance(error, DamagedAnswerError):
         return LinkStatus(
             LinkState.DISCONNECTED,
-            f"the line {url} is disturbed: {reason}",
+            f"the line {url} has errors: {reason}",
             "check the cable, its ground and the baud rate",
         )
     if isinstance(error, FreemasterError):

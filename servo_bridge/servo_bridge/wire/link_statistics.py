@@ -15,29 +15,29 @@ _ROUND_TRIPS: Final = 2000
 
 @dataclass(frozen=True)
 class LinkStatistics:
-    """A look at the link."""
+    """Figures of the link."""
 
     samples: int = 0  # telemetry samples since the start
     connections: int = 0  # times connected since the start
     resets: int = 0  # board resets since the start
-    sample_rate: float = 0.0  # recent [1/s]
-    bytes_out_rate: float = 0.0  # recent, bytes per second on the line
-    bytes_in_rate: float = 0.0  # recent, bytes per second on the line
+    sample_rate: float = 0.0  # over the last 2 s [1/s]
+    bytes_out_rate: float = 0.0  # over the last 2 s [bytes/s]
+    bytes_in_rate: float = 0.0  # over the last 2 s [bytes/s]
     timeouts: int = 0  # unanswered requests
-    crc_errors: int = 0  # answers with a wrong checksum
-    damaged: int = 0  # answers that were not intact for any reason
+    crc_errors: int = 0  # responses with a wrong checksum
+    damaged: int = 0  # damaged responses, for any reason
     retries: int = 0  # repeated requests
     refused: int = 0  # requests that the board refused
     stray_bytes: int = 0  # bytes without a request
-    round_trip_p50: float = 0.0  # time from request to answer of the latest samples, median [s]
-    round_trip_p99: float = 0.0  # the same, 99th percentile [s]
-    round_trip_max: float = 0.0  # the same, maximum [s]
-    writes: int = 0  # that the board has acknowledged
+    round_trip_p50: float = 0.0  # time from request to response of the latest samples, median [s]
+    round_trip_p99: float = 0.0  # 99th percentile of that time [s]
+    round_trip_max: float = 0.0  # maximum of that time [s]
+    writes: int = 0  # acknowledged writes
     waiting: int = 0  # jobs in the queue
 
 
 class StatisticsCollector:
-    """Collects in the thread of the link, reports to any thread."""
+    """Collects in the thread of the link; reports can be requested by any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -51,11 +51,11 @@ class StatisticsCollector:
 
     @property
     def counters(self) -> ClientStatistics:
-        """Counters for the client to add to; they live on when a client is replaced."""
+        """Counters of the client; kept if the client is replaced."""
         return self._counters
 
     def connected(self) -> None:
-        """Count a connection; rates start anew."""
+        """Count a connection and restart the rates."""
         with self._lock:
             self._connections += 1
             self._marks.clear()
@@ -80,12 +80,12 @@ class StatisticsCollector:
                 self._marks.popleft()
 
     def report(self, now_ns: int, waiting: int) -> LinkStatistics:
-        """Figures at this moment.
+        """Present figures.
 
         Parameters
         ----------
         now_ns : int
-            Monotonic time [ns]; rates fall to zero when nothing has come for the length of their window.
+            Monotonic time [ns]; rates are zero without samples for 2 s.
         waiting : int
             Jobs in the queue.
         """
@@ -106,5 +106,5 @@ class StatisticsCollector:
 
 
 def _percentile(ordered: list[int], percent: int) -> float:
-    """Nearest-rank percentile of sorted times [ns], in seconds."""
+    """Percentile of sorted times [ns] by the nearest-rank method, in seconds."""
     return ordered[-(-len(ordered) * percent // 100) - 1] * 1e-9 if ordered else 0.0

@@ -1,4 +1,4 @@
-"""A write that the board refuses because of its value, in the words of the catalogue."""
+"""Text of a write that the board refuses because of its value."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from servo_bridge.freemaster.errors import OutOfRangeError, Status, StatusError
 
 @contextmanager
 def explained(catalogue: Catalogue, variable: Variable, data: bytes, offset: int = 0) -> Iterator[None]:
-    """Around a write of whole neighbouring elements, so many bytes behind the address of a variable.
+    """Explain the refusal of a write of whole elements, `offset` bytes after the address of a variable.
 
     Raises
     ------
     OutOfRangeError
-        In place of the `StatusError` with which the board refuses the value.
+        Replaces the `StatusError` for a refused value.
     """
     try:
         yield
@@ -29,7 +29,7 @@ def explained(catalogue: Catalogue, variable: Variable, data: bytes, offset: int
 
 
 def refusal_text(catalogue: Catalogue, variable: Variable, raw: Sequence[int], first: int) -> str:
-    """Which variable, which value, and what the board takes."""
+    """Text with variable, value and permitted range."""
     low, high = variable.raw_range
     for element, number in enumerate(raw, first):
         if not low <= number <= high:
@@ -40,6 +40,6 @@ def refusal_text(catalogue: Catalogue, variable: Variable, raw: Sequence[int], f
         reach = variable.scale(catalogue.bits["position"]["REACH"])
         return (
             f"{name}: {values} {variable.unit} is more than {reach:g} {variable.unit} away from the shaft; "
-            "go there in steps"
+            "move in steps"
         )
-    return f"{name}: the board does not take {values} {variable.unit}".rstrip()
+    return f"{name}: the board refuses {values} {variable.unit}".rstrip()

@@ -1,4 +1,4 @@
-"""Telemetry samples: which variables they carry and how their bytes are read. Pure."""
+"""Telemetry samples: their variables and decoding. Pure."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ _FORMATS: Final = {(1, False): "B", (2, False): "H", (2, True): "h", (4, False):
 
 
 class ScopeLayout:
-    """Variables of the scope in the order in which a sample carries them.
+    """Variables of the scope in the order of a sample.
 
     Parameters
     ----------
     variables : sequence of Variable
-        Without blocks; every one small enough for a slot.
+        Without blocks; every one must fit a slot.
 
     Raises
     ------
     ValueError
-        If one does not fit a slot of the scope.
+        If a variable does not fit a slot of the scope.
     """
 
     def __init__(self, variables: Sequence[Variable]) -> None:
@@ -33,7 +33,7 @@ class ScopeLayout:
         self.names = tuple(v.name for v in variables)
         for v in variables:
             if v.size not in SCOPE_SIZES:
-                raise ValueError(f"{v.name} has {v.size} bytes; telemetry takes variables of 1, 2, 4 or 8 bytes")
+                raise ValueError(f"{v.name} has {v.size} bytes; telemetry supports variables of 1, 2, 4 or 8 bytes")
         self.size = sum(v.size for v in variables)
         codes = (_FORMATS[v.element_size, v.raw_type.signed] * v.count for v in variables)
         self._struct = struct.Struct("<" + "".join(codes))
@@ -53,14 +53,14 @@ class ScopeLayout:
         Raises
         ------
         KeyError
-            If the sample does not carry it.
+            If the variable is not in the sample.
         """
         variable, where = self._slices[name]
         values = [variable.scale(number) for number in raw[where]]
         return values[0] if variable.count == 1 else values
 
     def raw_of(self, name: str, raw: Sequence[int]) -> int | None:
-        """First element of a variable as integer, None when the sample does not carry it."""
+        """First element of a variable as integer; None if it is not in the sample."""
         found = self._slices.get(name)
         return None if found is None else raw[found[1].start]
 
@@ -69,27 +69,27 @@ class ScopeLayout:
 class Sample:
     """One telemetry sample: all variables from the same tick."""
 
-    tick: int  # PWM periods since reset, extended past 32 bits
-    epoch: int  # board resets seen before
+    tick: int  # PWM periods since reset, extended beyond 32 bits
+    epoch: int  # number of board resets
     request_ns: int  # monotonic host time of the request [ns]
-    response_ns: int  # monotonic host time of the answer [ns]
+    response_ns: int  # monotonic host time of the response [ns]
     data: bytes  # as received
     raw: tuple[int, ...]  # firmware integers of all elements
     layout: ScopeLayout  # of `raw`
 
     @property
     def applied_tick(self) -> int | None:
-        """Extended tick at which the last command write took effect, None when it is not in the telemetry."""
+        """Extended tick at which the last command write took effect; None if it is not in the telemetry."""
         raw = self.layout.raw_of("applied_tick", self.raw)
         return None if raw is None else self.tick - ((self.tick - raw) & 0xFFFF_FFFF)
 
     @property
     def applied_count(self) -> int | None:
-        """Command writes that took effect, modulo 65536; None when it is not in the telemetry."""
+        """Command writes that took effect, modulo 65536; None if it is not in the telemetry."""
         return self.layout.raw_of("applied_count", self.raw)
 
     def value(self, name: str) -> Value:
-        """SI value of one variable; `KeyError` when the sample does not carry it."""
+        """SI value of one variable; `KeyError` if it is not in the sample."""
         return self.layout.value(name, self.raw)
 
     def values(self) -> dict[str, Value]:

@@ -1,4 +1,4 @@
-"""Reads telemetry samples from a connected board and watches that its clock goes on."""
+"""Reads telemetry samples from a connected board, and checks that its clock advances."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ _STANDSTILL_NS: Final = 1_000_000_000
 
 
 class BoardResetError(FreemasterError):
-    """The board has started anew while it was connected."""
+    """The board was reset during the connection."""
 
 
 class BoardStoppedError(FreemasterError):
-    """The board answers, but its control loop does not run."""
+    """The board responds, but its control loop does not run."""
 
 
 class ScopeReader:
-    """Telemetry of one connection.
+    """Reads the telemetry of one connection.
 
     Parameters
     ----------
     client : Client
-        The line to the board.
+        Client of the board.
     layout : ScopeLayout
-        What to read; the first variable is the tick.
+        Variables of a sample; the first is the tick.
     variables : mapping
         Variables of the board.
     extender : TickExtender
-        Outlives the connection, so that a reset in between is noticed.
+        Survives the connection, so that a reset in between is detected.
     """
 
     def __init__(
@@ -53,12 +53,12 @@ class ScopeReader:
         return 0 if self._last is None else self._last.tick
 
     def first(self) -> Sample:
-        """Read until the clock of the board has been seen to advance.
+        """Read until the clock of the board advances.
 
         Raises
         ------
         BoardStoppedError
-            If it does not within a second.
+            If it does not advance within a second.
         """
         self._last = self._read(None)
         while True:
@@ -67,12 +67,12 @@ class ScopeReader:
                 return sample
 
     def next(self, retries: int | None = 0) -> Sample | None:
-        """Read the next sample; None when the board has not taken a new one yet.
+        """Read the next sample; None if the board has not taken a new one yet.
 
         Raises
         ------
         BoardResetError, BoardStoppedError
-            If the clock of the board started again, or stands still.
+            If the clock of the board was restarted, or stands still.
         """
         assert self._last is not None
         sample = self._read(retries)

@@ -1,7 +1,7 @@
 """Serial port as the byte transport of the FreeMASTER client.
 
-Any pyserial URL will do: ``/dev/ttyUSB0``, a pty, ``socket://host:port``, ``loop://``. Real files are read with poll(2)
-and absolute deadlines; pyserial itself would set the terminal up again for every other time-out.
+All pyserial URLs are supported: ``/dev/ttyUSB0``, a pty, ``socket://host:port``, ``loop://``. File descriptors are read
+with poll(2) and absolute deadlines; pyserial would configure the terminal again for every other timeout.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _CHUNK: Final = 4096
 _WRITE_LIMIT_NS: Final = 1_000_000_000
 _SYS_TTY: Final = Path("/sys/class/tty")
 _PSEUDO_TERMINALS: Final = "/dev/pts/"
-_LINK_TOLERANCE: Final = 2.0  # the clocks of two file systems may differ by a tick; people are slower [s]
+_LINK_TOLERANCE: Final = 2.0  # tolerance of the time stamps of two file systems [s]
 
 
 class PortError(TransportError):
@@ -37,21 +37,21 @@ class PortError(TransportError):
 
     def __init__(self, reason: str, remedy: str, *, missing: bool = False) -> None:
         super().__init__(f"{reason}; {remedy}")
-        self.reason = reason  # what is wrong
-        self.remedy = remedy  # what the user can do
-        self.missing = missing  # whether there is just no device yet, so that waiting may help
+        self.reason = reason  # one line
+        self.remedy = remedy  # action of the user
+        self.missing = missing  # no device yet; it may appear later
 
 
 @dataclass(frozen=True)
 class LowLatency:
-    """Whether the adapter hands over bytes at once."""
+    """Whether the adapter passes bytes on immediately."""
 
-    enabled: bool | None  # None: the port has no such mode
-    text: str  # the same in words
+    enabled: bool | None  # None: not supported by the port
+    text: str  # description
 
 
 class SerialPort:
-    """An open port.
+    """Open serial port.
 
     Parameters
     ----------
@@ -63,12 +63,12 @@ class SerialPort:
     Raises
     ------
     PortError
-        If it cannot be opened.
+        If the port cannot be opened.
     """
 
     def __init__(self, url: str, baud: int) -> None:
         self.url = url
-        _refuse_left_over_link(url)
+        _refuse_stale_link(url)
         try:
             self._serial: Any = serial.serial_for_url(
                 url, baudrate=baud, timeout=0, write_timeout=_WRITE_LIMIT_NS * 1e-9, exclusive=True
@@ -91,18 +91,18 @@ class SerialPort:
         self.close()
 
     def close(self) -> None:
-        """Close the port; may be called again."""
+        """Close the port; repeated calls are permitted."""
         self._fd = None
-        with contextlib.suppress(OSError, termios.error):  # gone already: nothing left to close
+        with contextlib.suppress(OSError, termios.error):  # the device is already removed
             self._serial.close()
 
     def write(self, data: bytes) -> None:
-        """Hand all bytes to the port.
+        """Write all bytes to the port.
 
         Raises
         ------
         TransportError
-            If the port is gone or takes no bytes for a second.
+            If the port is lost or accepts no bytes for a second.
         """
         if self._fd is None:
             self._call(self._serial.write, data)
@@ -114,24 +114,24 @@ class SerialPort:
                 view = view[os.write(self._fd, view) :]
             except BlockingIOError:
                 if time.monotonic_ns() >= deadline:
-                    raise TransportError(f"{self.url} takes no more bytes") from None
+                    raise TransportError(f"{self.url} accepts no more bytes") from None
                 self._wait_for_room(self._fd, deadline)
             except OSError as error:
                 raise self._lost(error) from error
 
     def read(self, deadline: int) -> bytes:
-        """Return bytes as soon as there are any, or nothing when `deadline` (monotonic ns) passes first.
+        """Return received bytes as soon as possible, or nothing after `deadline` (monotonic ns).
 
         Raises
         ------
         TransportError
-            If the port is gone.
+            If the port is lost.
         """
         if self._fd is None:
             return self._read_slowly(deadline)
         while True:
-            left = max(0, deadline - time.monotonic_ns())
-            ready = self._poll.poll(-(-left // 1_000_000))
+            remaining = max(0, deadline - time.monotonic_ns())
+            ready = self._poll.poll(-(-remaining // 1_000_000))
             if not ready:
                 return b""
             if ready[0][1] & select.POLLIN:
@@ -151,11 +151,11 @@ class SerialPort:
         room.poll(max(0, deadline - time.monotonic_ns()) // 1_000_000 + 1)
 
     def _read_slowly(self, deadline: int) -> bytes:
-        """Read from a port without file descriptor."""
-        left = max(0, deadline - time.monotonic_ns()) * 1e-9
+        """Read from a port without a file descriptor."""
+        remaining = max(0, deadline - time.monotonic_ns()) * 1e-9
 
         def read() -> bytes:
-            self._serial.timeout = left
+            self._serial.timeout = remaining
             data: bytes = self._serial.read(max(1, min(self._serial.in_waiting, _CHUNK)))
             return data
 
@@ -170,15 +170,15 @@ class SerialPort:
 
     def _lost(self, error: BaseException | None) -> TransportError:
         detail = f" ({error})" if error is not None else ""
-        return TransportError(f"the port {self.url} is gone{detail}")
+        return TransportError(f"the port {self.url} is lost{detail}")
 
 
-def _refuse_left_over_link(url: str) -> None:
-    """Keep away from a terminal that has got the number of one that is gone: another program may use it.
+def _refuse_stale_link(url: str) -> None:
+    """Refuse a stale symbolic link to a pseudo terminal, whose number may have been reused by another program.
 
-    A virtual board that is killed leaves its link behind. All times of a pseudo terminal begin with its making: reading
-    and writing move two of them, a change of its mode the third. A link that is older than all of them, and of several
-    in a row the last one counts, was not made for it.
+    A virtual board that was killed leaves its link. All time stamps of a pseudo terminal start at its creation;
+    reading, writing and changes of its mode advance them. A link that is older than all of them is stale; in a chain of
+    links the last one is checked.
     """
     try:
         link = _last_link(url)
@@ -186,18 +186,18 @@ def _refuse_left_over_link(url: str) -> None:
             return
         terminal, made = os.stat(link), os.lstat(link).st_mtime
     except (OSError, ValueError):
-        return  # opening it tells
+        return  # reported when the port is opened
     if min(terminal.st_atime, terminal.st_mtime, terminal.st_ctime) > made + _LINK_TOLERANCE:
         raise PortError(
-            f"the link {link} is older than the terminal behind it: the program that made it has ended",
-            f"start the virtual board again, make the link anew, or give {os.path.realpath(link)} itself",
+            f"the link {link} is older than its terminal: the program that created it has ended",
+            f"start the virtual board again, create the link again, or use {os.path.realpath(link)}",
             missing=True,
         )
 
 
 def _last_link(path: str) -> str | None:
-    """Of links to links the one that leads to the terminal."""
-    os.stat(path)  # OSError for links that lead in a circle
+    """Last link of a chain of links; None if the path is not a link."""
+    os.stat(path)  # OSError for circular links
     link = None
     while os.path.islink(path):
         link = path
@@ -206,14 +206,14 @@ def _last_link(path: str) -> str | None:
 
 
 def _descriptor(port: Any, url: str) -> int | None:
-    """Find the file descriptor, unless the URL stands for something that must see every byte itself."""
+    """File descriptor of the port; None if pyserial must process the bytes of this URL."""
     if type(port) is serial.Serial or url.startswith("socket://"):
         return int(port.fileno())
     return None
 
 
 def _set_low_latency(port: Any, url: str) -> LowLatency:
-    """Ask driver and adapter to hand over every byte at once; FTDI adapters wait 16 ms otherwise."""
+    """Set driver and adapter to low latency; FTDI adapters wait 16 ms otherwise."""
     if type(port) is not serial.Serial:
         return LowLatency(None, "not a local serial port")
     try:
@@ -236,14 +236,14 @@ def _set_low_latency(port: Any, url: str) -> LowLatency:
 
 
 def _explain(url: str, baud: int, error: BaseException) -> PortError:
-    """Turn what the system says into a reason and a remedy."""
+    """Reason and remedy for an error of the operating system."""
     code = error.errno if isinstance(error, OSError) else None
     text = str(error)
     if isinstance(error, ValueError):
         if "protocol" in text or "URL" in text:
             return PortError(
                 f"{url!r} is not a port",
-                "give a device such as /dev/ttyUSB0, or a pyserial URL such as socket://host:port",
+                "use a device such as /dev/ttyUSB0, or a pyserial URL such as socket://host:port",
             )
         return PortError(f"{url} cannot run at {baud} baud", "choose a rate that the adapter supports, such as 115200")
     if "://" in url:
@@ -251,20 +251,18 @@ def _explain(url: str, baud: int, error: BaseException) -> PortError:
             f"{url} cannot be opened ({text})", "check host and port, and that something listens there", missing=True
         )
     if code == errno.ENOENT:
-        return PortError(f"there is no port {url}", _known_ports(), missing=True)
+        return PortError(f"the port {url} does not exist", _known_ports(), missing=True)
     if code in (errno.EACCES, errno.EPERM):
         return PortError(f"no permission for {url}", _permission_remedy(url))
     if code in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK):
-        return PortError(f"another program uses {url}", "stop it, or give another port")
+        return PortError(f"another program uses {url}", "stop it, or use another port")
     if not _is_character_device(url):
         return PortError(f"{url} is not a serial port", _known_ports())
     if code in (errno.ENXIO, errno.ENODEV, errno.EIO) or "Input/output error" in text:
-        return PortError(
-            f"there is no device behind {url}", "plug the adapter in again, or give another port", missing=True
-        )
+        return PortError(f"no device at {url}", "plug the adapter in again, or use another port", missing=True)
     if "Inappropriate ioctl" in text or code in (errno.ENOTTY, errno.EINVAL):
         return PortError(f"{url} is not a serial port", _known_ports())
-    return PortError(f"{url} cannot be opened ({text})", "plug the adapter in again, or give another port")
+    return PortError(f"{url} cannot be opened ({text})", "plug the adapter in again, or use another port")
 
 
 def _is_character_device(path: str) -> bool:
@@ -282,20 +280,20 @@ def _known_ports() -> str:
 
 
 def _permission_remedy(path: str) -> str:
-    """What opens a port to this user, by its owner, group and mode."""
+    """Command that gives this user access to a port, from its owner, group and mode."""
     try:
         status = os.stat(path)
     except OSError:
-        return f"check the permissions with ls -lL {path} and what is above it"
+        return f"check the permissions with ls -lL {path} and of its directories"
     mode = stat.S_IMODE(status.st_mode)
     group, group_may = _group_name(status.st_gid), mode & 0o060 == 0o060
     facts = f"it has mode {mode:04o}, owner {_user_name(status.st_uid)}, group {group}"
     if status.st_uid == os.geteuid():
-        return f"{facts}, and the mode keeps its owner out: chmod u+rw {path}"
+        return f"{facts}, and the mode denies access to the owner: chmod u+rw {path}"
     if not group_may:
-        return f"{facts}, and the mode keeps its group out: sudo chmod g+rw {path}, for good with a udev rule"
+        return f"{facts}, and the mode denies access to the group: sudo chmod g+rw {path}, permanently by a udev rule"
     if status.st_gid == 0:
-        return f"{facts}: sudo chgrp dialout {path}, for good with a udev rule, and be in the group dialout"
+        return f"{facts}: sudo chgrp dialout {path}, permanently by a udev rule, and join the group dialout"
     return f"{facts}; join its group and log in again: sudo usermod -aG {group} $USER"
 
 

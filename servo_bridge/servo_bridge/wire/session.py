@@ -1,4 +1,4 @@
-"""A board that has been identified: its variables, with their meaning where the catalogue knows them."""
+"""Session with an identified board: its variables, with their meaning in the catalogue."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from functools import partial
 from typing import Final, Protocol, TypeVar
 
 from servo_msgs_py.catalogue import Catalogue, Value, Variable
-from servo_msgs_py.variable_table import texts_of
+from servo_msgs_py.variable_table import texts_by_address
 
 from servo_bridge.freemaster.client import BoardInfo, Client
 from servo_bridge.freemaster.discovery import TableRow, discover
@@ -25,13 +25,13 @@ _SHOWN: Final = 4
 
 
 class BoardMismatchError(FreemasterError):
-    """The variables of the board are not those of the catalogue; nothing may be commanded."""
+    """The variables of the board do not match the catalogue; commands are not permitted."""
 
     def __init__(self, reason: str, remedy: str, *, stranger: bool = False) -> None:
         super().__init__(f"{reason}; {remedy}")
-        self.reason = reason  # what differs
-        self.remedy = remedy  # what the user can do
-        self.stranger = stranger  # whether it is no servo board at all
+        self.reason = reason  # difference
+        self.remedy = remedy  # action of the user
+        self.stranger = stranger  # not a servo board
 
 
 def element_bytes(variable: Variable, raw: Sequence[int], first: int = 0) -> tuple[int, bytes]:
@@ -40,7 +40,7 @@ def element_bytes(variable: Variable, raw: Sequence[int], first: int = 0) -> tup
     Parameters
     ----------
     variable : Variable
-        What to write.
+        Variable to write.
     raw : sequence of int
         Firmware integers, one per element.
     first : int
@@ -49,7 +49,7 @@ def element_bytes(variable: Variable, raw: Sequence[int], first: int = 0) -> tup
     Returns
     -------
     offset, data : int, bytes
-        What to write how far behind the address of the variable.
+        Offset from the address of the variable, and bytes to write.
 
     Raises
     ------
@@ -67,10 +67,10 @@ def element_bytes(variable: Variable, raw: Sequence[int], first: int = 0) -> tup
 
 @dataclass(frozen=True)
 class BoardVariable:
-    """A variable on a board."""
+    """Variable of a board."""
 
     target: TargetVariable  # description by the board
-    contract: Variable | None  # description by the catalogue, when the board is one of ours; then values are SI
+    contract: Variable | None  # description by the catalogue, if the board matches it; values are then in SI units
 
     @property
     def name(self) -> str:
@@ -94,16 +94,16 @@ class BoardVariable:
 
     @property
     def unit(self) -> str:
-        """SI unit, empty for pure numbers and unknown variables."""
+        """SI unit; empty for dimensionless and unknown variables."""
         return "" if self.contract is None else self.contract.unit
 
     @property
     def is_block(self) -> bool:
-        """Whether it is memory without a meaning of its own."""
+        """Whether it is a memory block without a value."""
         return self.target.type.kind is TypeKind.RAW or (self.contract is not None and self.contract.type == "block")
 
     def decode(self, data: bytes) -> Value:
-        """Value of all elements; the bytes themselves of a block."""
+        """Value of all elements; for a block its bytes."""
         if self.is_block:
             return data
         if self.contract is not None:
@@ -111,19 +111,19 @@ class BoardVariable:
         return _as_value(self.target.decode(data))
 
     def encode(self, values: Sequence[Number], first: int = 0) -> tuple[int, bytes]:
-        """Bytes for neighbouring elements.
+        """Encode neighbouring elements.
 
         Parameters
         ----------
         values : sequence of numbers
-            SI where the catalogue knows the variable.
+            SI units if the catalogue has the variable.
         first : int
             Index of the first element.
 
         Returns
         -------
         address, data : int, bytes
-            What to write where.
+            Address, and bytes to write.
 
         Raises
         ------
@@ -142,7 +142,7 @@ class BoardVariable:
         return self.address + first * self.target.type.size, data
 
     def encode_raw(self, raw: Sequence[int], first: int = 0) -> tuple[int, bytes]:
-        """Bytes for neighbouring elements from firmware integers; see `encode`."""
+        """Encode neighbouring elements given as firmware integers; see `encode`."""
         if self.contract is None or not self.target.writable:
             raise ValueError(f"{self.name} can only be read")
         offset, data = element_bytes(self.contract, raw, first)
@@ -151,13 +151,13 @@ class BoardVariable:
 
 @dataclass(frozen=True)
 class Session:
-    """An identified board."""
+    """Session with an identified board."""
 
-    client: Client  # line to the board
-    catalogue: Catalogue  # meaning of its variables if it is one of ours
-    info: BoardInfo  # the board's description of itself
+    client: Client  # client of the board
+    catalogue: Catalogue  # meaning of the variables of matching boards
+    info: BoardInfo  # identification by the board
     variables: Mapping[str, BoardVariable]  # of the board, by name
-    mismatch: BoardMismatchError | None  # why the catalogue does not fit it; then values are raw numbers
+    mismatch: BoardMismatchError | None  # reason if the board does not match the catalogue; values are then raw numbers
 
     def read(self, variable: BoardVariable) -> Value:
         """Read one variable."""
@@ -169,16 +169,16 @@ class Session:
         self.write_bytes(variable, data, address - variable.address)
 
     def write_bytes(self, variable: BoardVariable, data: bytes, offset: int = 0) -> None:
-        """Write whole neighbouring elements, so many bytes behind the address of a variable.
+        """Write whole neighbouring elements, `offset` bytes after the address of a variable.
 
-        In one frame where the catalogue knows the variable; else in as many as the target's buffer asks for.
+        Variables of the catalogue are written in one frame, others in pieces that fit the buffer of the target.
 
         Raises
         ------
         OutOfRangeError
-            If the board refuses a value of a variable that the catalogue knows.
+            If the board refuses a value of a variable of the catalogue.
         """
-        contract = self.variables[variable.name].contract  # also of a variable whose numbers are taken as raw
+        contract = self.variables[variable.name].contract  # also for a variable used with raw numbers
         with nullcontext() if contract is None else explained(self.catalogue, contract, data, offset):
             step = len(data)
             if contract is None:
@@ -189,8 +189,8 @@ class Session:
 
 
 def _known_texts(client: Client, catalogue: Catalogue, rows: Sequence[TableRow]) -> Mapping[int, bytes]:
-    """Texts of the table of a board of this catalogue; to read them takes twice as long as all the rest."""
-    texts = texts_of(catalogue, [row[:2] for row in rows])
+    """Texts of the variable table if the board matches this catalogue; reading them would triple the time."""
+    texts = texts_by_address(catalogue, [row[:2] for row in rows])
     for name, _, address, _ in rows if texts else ():
         if texts[name] == _HASH.encode():
             with suppress(StatusError):
@@ -205,7 +205,7 @@ def connect(client: Client, catalogue: Catalogue) -> Session:
     Raises
     ------
     FreemasterError
-        If nothing answers, or not in this protocol, or without a table of variables.
+        If there is no response, another protocol, or no table of variables.
     """
     info = client.identify()
     targets = {target.name: target for target in discover(client, info, partial(_known_texts, client, catalogue))}
@@ -222,7 +222,7 @@ def connect(client: Client, catalogue: Catalogue) -> Session:
 
 
 class Call(Protocol):
-    """Has the thread of the link call a function with the session of the board, as `Link.call` does."""
+    """Calls a function with the session of the board in the thread of the link, as `Link.call`."""
 
     def __call__(self, function: Callable[[Session], T]) -> Future[T]: ...
 
@@ -230,18 +230,18 @@ class Call(Protocol):
 def check_contract(
     catalogue: Catalogue, info: BoardInfo, targets: Mapping[str, TargetVariable], reported_hash: int | None
 ) -> None:
-    """Make sure that a board means the same as the catalogue by every variable.
+    """Check that all variables of a board match the catalogue.
 
     Raises
     ------
     BoardMismatchError
-        If it does not; names what differs.
+        If they do not match, with the differences.
     """
     name = info.name or info.description or "the board"
     if reported_hash is None:
         raise BoardMismatchError(
             f"{name} has no variable {_HASH}: it does not run the servo firmware",
-            "give the port of the servo board, or flash the firmware of this release",
+            "use the port of the servo board, or flash the firmware of this release",
             stranger=True,
         )
     remedy = "flash the firmware of this release, or use the host software of the board's release"
@@ -260,7 +260,7 @@ def check_contract(
 
 
 def _difference(variable: Variable, target: TargetVariable | None, info: BoardInfo) -> str:
-    """What is wrong with a variable of the board, empty when nothing is."""
+    """Difference between a variable of the board and the catalogue; empty if there is none."""
     if target is None:
         return f"{variable.name} is missing"
     if variable.type == "block":
@@ -285,7 +285,7 @@ def _difference(variable: Variable, target: TargetVariable | None, info: BoardIn
 
 
 def _as_value(decoded: Number | list[Number] | bytes) -> Value:
-    """Narrow the type of a list: all elements of a variable are of one kind."""
+    """Narrow the type of a list, whose elements are of one kind."""
     if isinstance(decoded, list):
         return [float(v) for v in decoded] if isinstance(decoded[0], float) else [int(v) for v in decoded]
     return decoded

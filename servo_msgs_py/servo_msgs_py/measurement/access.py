@@ -14,7 +14,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from servo_msgs_py.axis_config_transfer import BlockMemory, Taken, send_block, take_blocks
+from servo_msgs_py.axis_config_transfer import AppliedBlocks, BlockMemory, send_block, take_blocks
 from servo_msgs_py.catalogue import Catalogue, Variable, axis_name
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
@@ -154,7 +154,7 @@ def element_of(catalogue: Catalogue, name: str) -> tuple[Variable, int]:
     return variable, index
 
 
-def send_configuration(access: BoardAccess, blocks: Mapping[int, Mapping[str, int]]) -> Taken:
+def send_configuration(access: BoardAccess, blocks: Mapping[int, Mapping[str, int]]) -> AppliedBlocks:
     """Let the board take configuration blocks, all with the same slow tick.
 
     Parameters

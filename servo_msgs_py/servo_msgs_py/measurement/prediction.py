@@ -16,7 +16,7 @@ from servo_msgs_py.measurement.access import BoardAccess
 from servo_msgs_py.tuning.linear import Margins, Omega, margins
 from servo_msgs_py.tuning.loops import In, Out, ShaftLoops
 from servo_msgs_py.tuning.reading import parse
-from servo_msgs_py.tuning.restore import restored
+from servo_msgs_py.tuning.restore import restore_table
 from servo_msgs_py.tuning.sensors import EdgeDelay, edge_delay
 from servo_msgs_py.tuning.tuned import Tuned, tuned
 
@@ -27,7 +27,7 @@ _TIMEOUTS: Final = (0.5, 0.5)
 
 def tuned_of_blocks(access: BoardAccess, axis: int, blocks: Sequence[Mapping[str, int]]) -> Tuned:
     """Gains and nominal values of configuration blocks; a `ConfigError` if no configuration gives them."""
-    configuration = parse(restored(blocks, _TIMEOUTS, access.catalogue), access.catalogue)
+    configuration = parse(restore_table(blocks, _TIMEOUTS, access.catalogue), access.catalogue)
     return tuned(configuration.axes[axis], configuration)
 
 

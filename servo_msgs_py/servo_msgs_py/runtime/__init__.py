@@ -1,4 +1,4 @@
-"""What the programs of bridge and twin share while they run: nodes of rclpy and child processes.
+"""Run-time support for the programs of bridge and twin: rclpy nodes and child processes.
 
-The contract, every other module of servo_msgs_py, never imports this package.
+No other module of servo_msgs_py imports this package.
 """

@@ -1,4 +1,4 @@
-"""What every node of the servo has around itself: described parameters, help, an orderly end."""
+"""Common functions of all nodes of the servo: parameters with descriptions, help, orderly shutdown."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
-_SPIN_TIMEOUT: Final = 0.1  # how long a stop may go unnoticed [s]
+_SPIN_TIMEOUT: Final = 0.1  # longest delay until a stop request is processed [s]
 
 
 class ParameterError(ValueError):
-    """A parameter does not make sense; the text names it and says what does."""
+    """A parameter is invalid; the text contains its name and its valid values."""
 
 
 class NameTakenError(RuntimeError):
-    """A node of this name runs already; the text says what to do."""
+    """A node with this name is already running; the text contains the remedy."""
 
 
 @dataclass(frozen=True)
 class Spec:
-    """One parameter: default, description, range, and whether it can change while the node runs.
+    """One parameter: default, description, range, and whether it can change at run time.
 
-    In a managed node `read_only` means: it changes only while the node is unconfigured.
+    In a managed node, a `read_only` parameter can change only while the node is unconfigured.
     """
 
     default: Any
@@ -47,10 +47,10 @@ class Spec:
     read_only: bool = True
 
     def descriptor(self, *, managed: bool = False) -> ParameterDescriptor:
-        """ROS descriptor; of a managed node nothing is read-only to ROS, so the node has to refuse changes itself."""
+        """ROS descriptor; a managed node has no read-only parameters in ROS, so the node has to reject changes."""
         result = ParameterDescriptor(description=self.description, read_only=self.read_only and not managed)
         if self.read_only and managed:
-            result.additional_constraints = "changes only while the node is unconfigured"
+            result.additional_constraints = "can be changed only while the node is unconfigured"
         if self.low is not None and self.high is not None:
             if isinstance(self.default, int):
                 result.integer_range = [IntegerRange(from_value=int(self.low), to_value=int(self.high), step=0)]
@@ -69,7 +69,7 @@ def declare(node: Node, parameters: Mapping[str, Spec], *, managed: bool = False
     parameters : mapping of str to Spec
         What to declare.
     managed : bool
-        The node has a lifecycle; see `Spec`.
+        Their specifications.
 
     Raises
     ------
@@ -81,20 +81,20 @@ def declare(node: Node, parameters: Mapping[str, Spec], *, managed: bool = False
         try:
             values[name] = node.declare_parameter(name, spec.default, spec.descriptor(managed=managed)).value
         except ParameterException as error:
-            raise ParameterError(f"parameter {name}: {error}; it is meant as: {spec.description}") from None
+            raise ParameterError(f"parameter {name}: {error}; description: {spec.description}") from None
     return values
 
 
 def full_name(node: Node) -> str:
-    """Namespace and name without the leading slash: what tells two nodes of one program apart."""
+    """Namespace and name without the leading slash."""
     return str(node.get_fully_qualified_name()).lstrip("/")
 
 
 def claim_name(node: Node) -> None:
-    """Claim the name of a node in its ROS domain on this machine until its context ends.
+    """Reserve the name of a node in its ROS domain on this machine until its context is shut down.
 
-    Two nodes of one name would both obey every command. The claim is a socket in the abstract namespace of Linux: the
-    system takes it back when the process ends, however it ends.
+    Two nodes with the same name would both execute every command. The reservation is a socket in the abstract namespace
+    of Linux; the system releases it when the process ends for any reason.
 
     Raises
     ------
@@ -108,19 +108,20 @@ def claim_name(node: Node) -> None:
     except OSError:
         claim.close()
         raise NameTakenError(
-            f"a node /{name} runs already in ROS domain {domain} on this machine and would obey the same commands; "
-            "end it, or start this one in another namespace (--ros-args -r __ns:=/other, launch: namespace:=other)"
+            f"a node /{name} is already running in ROS domain {domain} on this machine and would execute the same "
+            "commands; end it, or start this one in another namespace (--ros-args -r __ns:=/other, launch: "
+            "namespace:=other)"
         ) from None
-    # Of a bound method the context would not keep the socket.
+    # The context does not keep a reference to a bound method, and thus not to the socket.
     node.context.on_shutdown(lambda: claim.close())
 
 
 @contextlib.contextmanager
-def setting_up(node: Node) -> Iterator[None]:
-    """Take a node apart that cannot be set up.
+def destroyed_on_error(node: Node) -> Iterator[None]:
+    """Destroy a node whose set-up fails.
 
-    Left to the garbage collector it would take the log of the next one of its name in the process with it, whenever it
-    is collected: rcl knows the publisher of a log by the name of the node.
+    If the garbage collector destroyed it later, the log publisher of the next node with the same name in the process
+    would be destroyed with it, because rcl identifies the publisher by the name of the node.
     """
     try:
         yield
@@ -130,17 +131,17 @@ def setting_up(node: Node) -> Iterator[None]:
 
 
 class Runnable(Protocol):
-    """A node that can be ended."""
+    """A node with an orderly shutdown."""
 
-    failure: str  # why it cannot go on; empty while it can
+    failure: str  # cause of an error that ends the node; empty if there is none
 
-    finished: bool  # whether it has ended in order by itself
+    finished: bool  # whether the node has ended without an error
 
     def shutdown(self) -> None: ...
 
 
 def help_text(name: str, purpose: str, parameters: Mapping[str, Spec]) -> str:
-    """What ``--help`` of a node prints."""
+    """Text of ``--help`` of a node."""
     lines = [f"usage: {name} [-h] [--ros-args -p PARAMETER:=VALUE ... -r FROM:=TO ... --params-file FILE]", ""]
     lines += [*textwrap.wrap(purpose, 100), "", "parameters:"]
     for key, spec in parameters.items():
@@ -157,39 +158,39 @@ def run(
     make: Callable[[EventsExecutor], Runnable],
     args: Sequence[str] | None,
 ) -> int:
-    """Run a node until Ctrl-C, SIGTERM, its own end or failure.
+    """Run a node until Ctrl-C, SIGTERM, its end or an error.
 
     Parameters
     ----------
     name, purpose, parameters
         For messages and ``--help``.
     make : callable
-        Makes the node for an executor, once ROS is up.
+        Creates the node for an executor; called after the initialisation of ROS.
     args : sequence of str, optional
-        Arguments without the program's name; those of the process by default.
+        Arguments without the name of the program; by default those of the process.
 
     Returns
     -------
     int
-        0 after an orderly end, 1 when the node could not go on or its name is taken, 2 when a parameter or an argument
-        does not make sense.
+        0 after an orderly end, 1 after an error of the node or if its name is in use, 2 if a parameter or an argument
+        is invalid.
     """
     try:
         own = remove_ros_args([name, *(sys.argv[1:] if args is None else args)])[1:]
     except RuntimeError as error:
-        return _complain(name, _without_places(str(error)), 2)
+        return _print_error(name, _without_source_lines(str(error)), 2)
     if own and own[0] in ("-h", "--help"):
         print(help_text(name, purpose, parameters))
         return 0
     if own:
-        return _complain(name, f"unknown argument {own[0]}; --help lists what there is", 2)
+        return _print_error(name, f"unknown argument {own[0]}; --help lists all arguments", 2)
     stop = threading.Event()
     try:
         rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
-        return _complain(name, _without_places(str(error)), 2)
+        return _print_error(name, _without_source_lines(str(error)), 2)
     if threading.current_thread() is threading.main_thread():
-        # Not rclpy's handlers: ROS has to work on until the node has ended in order.
+        # Not the handlers of rclpy: ROS is needed until the orderly shutdown of the node is complete.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: stop.set())
     executor = EventsExecutor()
@@ -200,11 +201,11 @@ def run(
         while ok() and not stop.is_set() and not node.failure and not node.finished:
             executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
         if node.failure:
-            return _complain(name, node.failure, 1)
+            return _print_error(name, node.failure, 1)
     except ParameterError as error:
-        return _complain(name, str(error), 2)
+        return _print_error(name, str(error), 2)
     except NameTakenError as error:
-        return _complain(name, str(error), 1)
+        return _print_error(name, str(error), 1)
     except (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException):
         return 0
     finally:
@@ -215,11 +216,11 @@ def run(
     return 0
 
 
-def _without_places(text: str) -> str:
-    """First line of an error of rcl without the places in its C sources."""
+def _without_source_lines(text: str) -> str:
+    """First line of an rcl error, without the file names and line numbers of its C sources."""
     return re.sub(r", at \S+:\d+", "", text.splitlines()[0])
 
 
-def _complain(name: str, message: str, status: int) -> int:
+def _print_error(name: str, message: str, status: int) -> int:
     print(f"{name}: {message}", file=sys.stderr, flush=True)
     return status

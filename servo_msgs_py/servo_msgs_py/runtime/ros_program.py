@@ -1,4 +1,4 @@
-"""Starts a program that needs ROS, or says in one sentence what is missing."""
+"""Start of a program that needs ROS, with an error message if rclpy is missing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def run_with_ros(name: str, module: str) -> int:
     Parameters
     ----------
     name : str
-        Of the program, for the message.
+        Name of the program for the message.
     module : str
         Module with ``main``; it imports rclpy.
 

@@ -1,8 +1,8 @@
-"""The tuning tool: from the nominal values of board and motors to the integers that the controller computes with.
+"""The tuning tool: conversion of nominal values of board and motors to the integers of the controller.
 
-`reading` makes a `configuration` of ``servo.toml``: every number by itself as `schema` says, all together as `checks`
-say. `gains` follow from motor data and bandwidths in SI units, `constants` are the same as integers in the `formats`
-of the firmware, and `source` writes them as C. `loops` are the discrete models of the control loops with those very
-integers and one of the `sensors`; `tuned` refuses loops that are unstable, `assessment` computes figures, `findings`
-are warnings, `report` and `picture` show all of it. `command` is the command line.
+`reading` parses ``servo.toml`` into a `configuration`: `schema` has the range of each number, `checks` the relations
+between numbers. `gains` computes gains in SI units from motor data and bandwidths, `constants` converts them to
+integers in the `formats` of the firmware, and `source` writes them as C. `loops` has the discrete models of the control
+loops with these integers and one of the `sensors`; `tuned` refuses unstable loops, `assessment` computes figures,
+`findings` returns warnings, `report` and `picture` show the results. `command` is the command line.
 """

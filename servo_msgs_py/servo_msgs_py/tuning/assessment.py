@@ -1,4 +1,4 @@
-"""What the gains of one axis amount to: margins, poles, the design rule of the reference, moves and loads."""
+"""Figures of the loops of one axis: margins, poles, design rule of the reference, moves and load steps."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from servo_msgs_py.tuning.sensors import edge_delay
 from servo_msgs_py.tuning.tuned import Tuned
 
 INERTIAS: Final = (0.5, 1.0, 2.0, 3.0)
-"""Inertias that are tried, over the nominal one."""
+"""Inertias of the report, over the nominal inertia."""
 
 SPEEDS: Final = (100.0, 10.0, 5.0, 3.0, 2.0, 1.0)
-"""Speeds at which the delay of the M/T method is tried [rad/s]."""
+"""Speeds of the report of the M/T delay [rad/s]."""
 
 _TICKS_MAX: Final = 12_000
 
@@ -31,7 +31,7 @@ class Loop:
 
     name: str  # for people
     in_force: bool  # whether it is enabled after reset
-    wanted: float  # bandwidth that the gains were made for [Hz]
+    wanted: float  # designed bandwidth [Hz]
     margins: Margins  # of the open loop
     tracking: Tracking  # of the closed loop
     poles: tuple[Pole, ...]  # of the closed loop
@@ -39,7 +39,7 @@ class Loop:
 
 @dataclass(frozen=True)
 class DesignRule:
-    """DRM E43..E45, and what holds instead for the tuned speed loop."""
+    """DRM E43..E45, and the corresponding values of the tuned speed loop."""
 
     t_n_rotor: float  # E43 with the inertia of the rotor alone [s]
     t_n_shaft: float  # E43 with the inertia of all that turns [s]
@@ -52,7 +52,7 @@ class DesignRule:
 
 @dataclass(frozen=True)
 class Arrival:
-    """End of a position move."""
+    """Overshoot and lag of a position move."""
 
     bare: float  # overshoot of a step without shaping, over the step
     shaped: float  # overshoot of a move at the speed limit that ramp and path filter shape [counts]
@@ -61,7 +61,7 @@ class Arrival:
 
 @dataclass(frozen=True)
 class LoadStep:
-    """A load that jumps while the position is controlled."""
+    """Step of the load torque in position control."""
 
     torque: float  # the load [N m]
     deflection: float  # largest angle by which it displaces the shaft [rad]
@@ -71,25 +71,25 @@ class LoadStep:
 
 @dataclass(frozen=True)
 class Inertia:
-    """The same gains on a shaft with another inertia."""
+    """Stability of the same gains with another inertia."""
 
     factor: float  # over the nominal one
     observed: bool  # with the speed observer instead of the M/T method
-    stable: bool  # whether speed and position loop are
+    stable: bool  # whether speed and position loop are stable
     margins: Margins  # of the speed loop
     overshoot: float | None  # of a bare position step; None when unstable
 
 
 @dataclass(frozen=True)
 class Reach:
-    """What the limits of the axis allow and ask for."""
+    """Possible speeds, and currents of the set-points."""
 
     speed_idle: float  # voltage limit at the nominal bus without load [rad/s]
     speed_rated: float  # voltage limit at the nominal bus and the rated current [rad/s]
     path_omega_n: float  # of E40 [rad/s]
-    path_acceleration: float  # largest that shaped set-points ask for [rad/s^2]
-    path_current: float  # largest that shaped set-points ask for [A]
-    ramp_current: float  # that the ramp of speed set-points asks for [A]
+    path_acceleration: float  # largest one of shaped set-points [rad/s^2]
+    path_current: float  # largest one of shaped set-points [A]
+    ramp_current: float  # of the ramp of speed set-points [A]
     friction_current: float  # against the friction at the speed limit [A]
 
 
@@ -148,7 +148,7 @@ def _shaft_loops(it: Tuned, observed: bool) -> Iterator[Loop]:
 
 
 def design_rule(it: Tuned, speed: Margins) -> DesignRule:
-    """DRM E43..E45 from rated data, and the tuned speed loop's lag."""
+    """DRM E43..E45 from rated data, and the lag of the tuned speed loop."""
     axis = it.axis
     rated_torque = axis.torque_constant * axis("motor.rated_current")
     t_n = {key: axis("motor.rated_speed") * axis(f"motor.{key}") / rated_torque for key in ("rotor_inertia", "inertia")}
@@ -168,7 +168,7 @@ def design_rule(it: Tuned, speed: Margins) -> DesignRule:
 
 
 def _ticks(it: Tuned, *rates: float) -> int:
-    """Slow ticks until transients of these rates [1/s] are over."""
+    """Slow ticks until transients of these rates [1/s] have decayed."""
     return min(math.ceil(12.0 / min(rates) / it.board.tick), _TICKS_MAX)
 
 
@@ -180,7 +180,7 @@ def _bare_overshoot(position: System, k_v: float) -> float:
 
 
 def _filtered(ramp: NDArray[np.float64], omega_n_ts: float) -> NDArray[np.float64]:
-    """E40."""
+    """Output of the path filter, DRM E40."""
     m = y = 0.0
     result = np.empty_like(ramp)
     for k, x in enumerate(ramp):
@@ -191,7 +191,7 @@ def _filtered(ramp: NDArray[np.float64], omega_n_ts: float) -> NDArray[np.float6
 
 
 def shaped_arrival(it: Tuned) -> tuple[float, float]:
-    """A move that reaches the speed limit.
+    """Simulate a move that reaches the speed limit.
 
     Returns
     -------
@@ -213,9 +213,9 @@ def _load_step(it: Tuned) -> LoadStep:
     corner = 2.0 * math.pi * it.axis("control.speed_bandwidth") / it.axis("control.speed_ratio")
     u = np.zeros((_ticks(it, it.used.position, corner), len(In)))
     u[:, In.LOAD] = torque
-    way = np.abs(it.shaft().position.simulate(u)[:, Out.ANGLE])
-    deflection = float(way.max())
-    outside = np.nonzero(way > 0.1 * deflection)[0]
+    angle = np.abs(it.shaft().position.simulate(u)[:, Out.ANGLE])
+    deflection = float(angle.max())
+    outside = np.nonzero(angle > 0.1 * deflection)[0]
     return LoadStep(torque, deflection, torque / deflection, (int(outside[-1]) + 1) * it.board.tick)
 
 
@@ -232,13 +232,13 @@ def _with_inertia(it: Tuned, factor: float, observed: bool) -> Inertia:
 
 
 def _top_speed(it: Tuned, current: float) -> float:
-    """Where (R i + p psi w)^2 + (p L_q i w)^2 reaches the square of the voltage [rad/s]."""
+    """Speed at which (R i + p psi w)^2 + (p L_q i w)^2 equals the square of the voltage limit [rad/s]."""
     p = it.axis("motor.pole_pairs")
     flux, coupling = p * it.axis("motor.psi_m"), p * it.axis("motor.l_q") * current
     drop, maximum = it.axis("motor.r_s") * current, it.board.voltage_max
     square, half = flux**2 + coupling**2, drop * flux
-    rest = half**2 + square * (maximum**2 - drop**2)
-    return max((math.sqrt(rest) - half) / square, 0.0) if rest > 0.0 else 0.0
+    square_root = half**2 + square * (maximum**2 - drop**2)
+    return max((math.sqrt(square_root) - half) / square, 0.0) if square_root > 0.0 else 0.0
 
 
 def _reach(it: Tuned) -> Reach:

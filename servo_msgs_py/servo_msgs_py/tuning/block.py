@@ -1,4 +1,4 @@
-"""The integers of an axis as a configuration block, and entries of a file that set members of it directly."""
+"""Configuration block of an axis, computed from its constants and back."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ def _raw(value: Field) -> int:
 
 
 def block_of(constants: AxisConstants, name: str) -> dict[str, int]:
-    """The block of an axis.
+    """Return the configuration block of an axis, by member.
 
     Parameters
     ----------
     constants : mapping
         All fields of ``axis_config_t``.
     name : str
-        Of the axis, for the refusal.
+        Name of the axis, for the refusal.
 
     Raises
     ------
     ConfigError
-        If a board would not take a member.
+        If a board would refuse a member.
     """
     found: dict[str, int] = {}
     for path, value in constants.items():
@@ -57,19 +57,19 @@ def block_of(constants: AxisConstants, name: str) -> dict[str, int]:
     try:
         table.check(block)
     except AxisConfigError as error:
-        raise ConfigError(f"{name}: {error}; correct the entries that it follows from") from None
+        raise ConfigError(f"{name}: {error}; correct the entries that it depends on") from None
     return block
 
 
 def constants_of(block: Mapping[str, int], like: AxisConstants) -> AxisConstants:
-    """The same integers in the form that the tuning code computes.
+    """Convert a block to constants, the inverse of `block_of`.
 
     Parameters
     ----------
     block : mapping
-        By member.
+        Raw numbers by member.
     like : mapping
-        Fields of ``axis_config_t`` whose kinds they have.
+        Fields of ``axis_config_t`` with the types of the result.
     """
     features, faults = _masks()
 

@@ -1,4 +1,4 @@
-"""The integers of braking and stopping: brake resistor, fold-back, shorted windings, stop categories, pins."""
+"""Integers of braking and stopping: brake resistor, braking current, shorted windings, stop categories, pins."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN
 
 BUS_END: Final = 0.98
-"""Part of the bus converter's range that can still be told from its end."""
+"""Fraction of the range of the bus ADC above which a voltage counts as saturated."""
 
 _MOTOR: Final = "correct motor.psi_m, motor.pole_pairs or motor.r_s"
 
@@ -24,25 +24,25 @@ def short_speed(axis: Axis) -> float:
     """
     current = axis("stop.short_current")
     inductance = 0.5 * (axis("motor.l_d") + axis("motor.l_q"))
-    rest = axis("motor.psi_m") ** 2 - (current * inductance) ** 2
-    if rest <= 0.0:
+    square = axis("motor.psi_m") ** 2 - (current * inductance) ** 2
+    if square <= 0.0:
         return math.inf
-    return current * axis("motor.r_s") / math.sqrt(rest) / axis("motor.pole_pairs")
+    return current * axis("motor.r_s") / math.sqrt(square) / axis("motor.pole_pairs")
 
 
 def regeneration_speed(axis: Axis) -> float:
-    """Mechanical speed up to which the full current burns in the winding what braking returns [rad/s]."""
+    """Mechanical speed up to which the full current dissipates all returned energy in the winding [rad/s]."""
     return axis("limits.current") * axis("motor.r_s") / (axis("motor.pole_pairs") * axis("motor.psi_m"))
 
 
 def stop_constants(to: Converter) -> dict[str, Field]:
-    """Fields of ``axis_config_t`` that have to do with braking and stopping."""
+    """Fields of ``axis_config_t`` for braking and stopping."""
     axis, s, stops = to.axis, to.s, to.axis.stops
     names = {"shorted": "short", "ramp": "ramp", "hold": "hold"}
     maximum = 1.0 - 2.0**-31
     return {
         **{f"stop.{command}": Category(category) for command, category in stops.commands.items()},
-        **{f"stop.{field}": FaultSet(stops.answered(category)) for field, category in names.items()},
+        **{f"stop.{field}": FaultSet(stops.faults_with(category)) for field, category in names.items()},
         "stop.short_speed": to.of(FRAC32, "speed of the short", min(short_speed(axis) / s.speed, maximum), _MOTOR),
         "stop.short_current": to.at(FRAC16, "stop.short_current", 1.0 / s.i * (1.0 - 2.0**-15)),
         "stop.ticks_max": to.ticks("stop.time_max"),
@@ -55,7 +55,7 @@ def stop_constants(to: Converter) -> dict[str, Field]:
 
 
 def pin_constants(to: Converter) -> dict[str, Field]:
-    """Fields of ``axis_config_t`` that say which pins are fitted, and how fast the holding brake is."""
+    """Fields of ``axis_config_t`` for the fitted pins and the times of the holding brake."""
     return {
         "pins.fitted": sum(to.axis.pins[pin] << bit for bit, pin in enumerate(PINS)),
         "pins.open_ticks": to.ticks("pins.open_time"),
@@ -64,12 +64,12 @@ def pin_constants(to: Converter) -> dict[str, Field]:
 
 
 def brake_constants(configuration: Configuration) -> Mapping[str, int]:
-    """Every field of the ``brake_config_t``.
+    """Fields of ``brake_config_t``.
 
     Raises
     ------
     ConfigError
-        If one does not fit its format, or vanishes in it.
+        If a value does not fit its format, or is rounded to 0.
     """
     board, s = configuration.board, configuration.scales
     if not board.complete:
@@ -88,5 +88,5 @@ def brake_constants(configuration: Configuration) -> Mapping[str, int]:
         "cooling": FRAC32.raw("board.brake.power", power * board.tick / energy, "raise it, or lower energy", power),
         "start": volts("regeneration.start_voltage"),
         "full": volts("regeneration.full_voltage"),
-        "u_dc_max_able": FRAC16.raw("board: end of the bus converter", BUS_END, "none"),
+        "u_dc_max_braking": FRAC16.raw("board: end of the bus converter", BUS_END, "none"),
     }

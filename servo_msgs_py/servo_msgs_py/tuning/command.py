@@ -24,19 +24,19 @@ from servo_msgs_py.tuning.source import c_source
 FOLDER: Final = Path(__file__).resolve().parents[3] / "firmware" / "config"
 
 _ABOUT: Final = """\
-Tune the two axes: from motor data, inertia and wanted bandwidths in a configuration (servo.toml) to the integers that
-the firmware computes with. A configuration that cannot work is refused with the entry, the reason and a way out."""
+Tune the two axes: convert motor data, inertia and bandwidths of a configuration (servo.toml) to the integers of the
+firmware. A configuration that cannot work is refused with the entry, the reason and a remedy."""
 
 _EPILOG: Final = """\
-exit status: 0 done; 1 the configuration is refused, or with --check the C file is out of date; 2 wrong usage.
-Warnings go to standard error and do not change it.
+exit status: 0 done; 1 the configuration is refused, or with --check the C file is out of date; 2 wrong arguments.
+Warnings are printed to standard error and do not change the exit status.
 
-another motor: edit servo.toml (or a copy of it), look at `tune.py report`, then `make generate` and `make build`;
-README.md beside this tool has the details."""
+another motor: edit servo.toml (or a copy), check it with `tune.py report`, then `make generate` and `make build`;
+README.md in the directory of this tool has the details."""
 
 
 def parser() -> argparse.ArgumentParser:
-    """Command line; without a command it is ``generate``."""
+    """Parser of the command line; the default command is ``generate``."""
     layout = argparse.RawDescriptionHelpFormatter
     result = argparse.ArgumentParser(prog="tune.py", description=_ABOUT, epilog=_EPILOG, formatter_class=layout)
     common = argparse.ArgumentParser(add_help=False)
@@ -48,7 +48,7 @@ def parser() -> argparse.ArgumentParser:
         help="configuration (default: %(default)s)",
     )
     verbs = result.add_subparsers(dest="verb", required=True, metavar="COMMAND")
-    about = "write the C file of the firmware (what happens without a command)"
+    about = "write the C file of the firmware (the default command)"
     generate = verbs.add_parser("generate", parents=[common], help=about, description=about)
     target = FOLDER / "servo_config_gen.c"
     generate.add_argument("--output", type=Path, default=target, metavar="FILE", help="C file (default: %(default)s)")
@@ -85,7 +85,7 @@ def _report(args: argparse.Namespace, configuration: Configuration) -> int:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the tool and return its exit status."""
+    """Run the tool; return its exit status."""
     given = list(sys.argv[1:] if argv is None else argv)
     if not given or (given[0].startswith("-") and given[0] not in ("-h", "--help")):
         given.insert(0, "generate")

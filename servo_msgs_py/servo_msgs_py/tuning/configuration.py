@@ -23,10 +23,10 @@ from servo_msgs_py.tuning.stops import Stops
 from servo_msgs_py.tuning.temperature import Temperature
 
 FEEDBACKS: Final = ("encoder", "observer")
-"""Where an axis may take its angle and speed from; the first one unless the file says otherwise."""
+"""Sources of angle and speed; the first is the default."""
 
 PINS: Final = ("home", "limit_min", "limit_max", "enable", "brake")
-"""Pins that an axis may have, in the order of the bits of ``pins.fitted``."""
+"""Pins that can be fitted, in the order of the bits of ``pins.fitted``."""
 
 
 @dataclass(frozen=True)
@@ -51,42 +51,42 @@ class Scales:
 
 @dataclass(frozen=True)
 class Board:
-    """The group [board]; ``board("dead_time")`` and ``board("brake.power")`` are two of its values."""
+    """The group [board]; values by key, such as ``board("dead_time")`` and ``board("brake.power")``."""
 
     values: Mapping[str, float]  # by key, or by group and key
     temperature: Temperature  # of the heat sinks
     brake: bool  # whether there is a brake resistor
     passwords: Mapping[str, str]  # entry of each level that has one: a hash, or the name of an environment variable
     complete: bool = True
-    """Whether the groups are there that no configuration block of an axis depends on, [board.brake] and
-    [board.regeneration]; both or neither."""
+    """Whether [board.brake] and [board.regeneration] are present: both or neither. No configuration block of an axis
+    depends on them."""
 
     def __call__(self, key: str) -> float:
         return self.values[key]
 
     @property
     def period(self) -> float:
-        """Fast loop [s]."""
+        """Period of the fast loop [s]."""
         return 1.0 / self("pwm_frequency")
 
     @property
     def tick(self) -> float:
-        """Slow loop [s]."""
+        """Period of the slow loop [s]."""
         return self("slow_divider") * self.period
 
     @property
     def voltage_max(self) -> float:
-        """Longest stator voltage at the nominal bus [V]: what the modulation is allowed of u_dc / sqrt 3."""
+        """Largest stator voltage at the nominal bus voltage: ``voltage_use`` times u_dc / sqrt 3 [V]."""
         return self("nominal_voltage") / math.sqrt(3.0) * self("voltage_use")
 
     @classmethod
     def of(cls, table: object) -> Board:
-        """Check the numbers of the group, each by itself.
+        """Check each number of the group by itself.
 
         Raises
         ------
         ConfigError
-            If an entry is missing, unknown or cannot make sense.
+            If an entry is missing, unknown or out of range.
         """
         plain = dict(check_table("board", table))
         temperature = Temperature.of(plain.pop("temperature", {}))
@@ -111,29 +111,29 @@ class Board:
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis with the defaults merged in; ``axis("motor.r_s")`` is one of its values."""
+    """One axis with the defaults merged in; values by path, such as ``axis("motor.r_s")``."""
 
     name: str  # ``axis1`` or ``axis2``
     groups: Mapping[str, Mapping[str, float]]  # numbers by group and key
-    features: Mapping[str, bool]  # what is enabled after reset
+    features: Mapping[str, bool]  # state after reset, by name
     stops: Stops  # stop category by command and fault
     inherited: frozenset[str]  # entries that come from [defaults]
     feedback: str  # source of angle and speed after reset, ``encoder`` or ``observer``
     pins: Mapping[str, bool]  # which of `PINS` are fitted
     exact: Mapping[str, int] = field(default_factory=dict)
-    """Raw numbers of members of the configuration block, by C path, in the place of what is computed."""
+    """Raw numbers of members of the configuration block, by C path, that replace the computed ones."""
 
     def __call__(self, path: str) -> float:
         group, key = path.split(".")
         return self.groups[group][key]
 
     def given(self, path: str) -> bool:
-        """Whether an entry that may be left out is there."""
+        """Whether an optional entry is present."""
         group, key = path.split(".")
         return key in self.groups[group]
 
     def entry(self, path: str) -> str:
-        """Full name of an entry, and where it stands."""
+        """Full name of an entry, with its group if it is in [defaults]."""
         return _place(self.name, path, self.inherited)
 
     def refused(self, path: str, reason: str, remedy: str) -> ConfigError:
@@ -159,10 +159,10 @@ class Axis:
         Raises
         ------
         ConfigError
-            If an entry is missing, unknown or cannot make sense by itself.
+            If an entry is missing, unknown or out of range.
         """
         if name not in table:
-            raise ConfigError(f"[{name}.motor] is missing; every axis needs its motor")
+            raise ConfigError(f"[{name}.motor] is missing; every axis needs a motor")
         groups: dict[str, dict[str, Any]] = {group: {} for group in (*AXIS_GROUPS, "features")}
         inherited: set[str] = set()
         feedback = FEEDBACKS[0]
@@ -183,7 +183,7 @@ class Axis:
                 inherited = inherited | paths if owner == "defaults" else inherited - paths
         features = check_switches(f"{name}.features", groups.pop("features"), feature_names)
         origin = frozenset(inherited)
-        stops = Stops.taken_from(
+        stops = Stops.extract(
             groups["stop"], fault_names, lambda key: _place(name, f"stop.{key}", origin), AXIS_GROUPS["stop"]
         )
         switches = {key: groups["pins"].pop(key) for key in PINS if key in groups["pins"]}
@@ -205,13 +205,15 @@ def _exact(where: str, value: object) -> dict[str, int]:
             raise unknown_name(f"{where}.{path}", path, members)
         if isinstance(raw, bool) or not isinstance(raw, int) or not members[path].accepts(raw):
             low, high = members[path].minimum, members[path].maximum
-            raise refused(f"{where}.{path}", repr(raw), "not what a board takes", f"write one of {low} .. {high}")
+            raise refused(
+                f"{where}.{path}", repr(raw), "not accepted by a board", f"write an integer in {low} .. {high}"
+            )
     return dict(found)
 
 
 def _feedback(where: str, value: object) -> str:
     if not isinstance(value, str) or value not in FEEDBACKS:
-        raise refused(where, repr(value), "no source of angle and speed", f"write one of {', '.join(FEEDBACKS)}")
+        raise refused(where, repr(value), "not a source of angle and speed", f"write one of {', '.join(FEEDBACKS)}")
     return value
 
 
@@ -222,7 +224,7 @@ def _place(axis: str, path: str, inherited: Collection[str]) -> str:
 
 @dataclass(frozen=True)
 class Configuration:
-    """All of ``servo.toml``; `tuning.reading` makes it."""
+    """Contents of ``servo.toml``; created by `tuning.reading`."""
 
     board: Board
     axes: tuple[Axis, ...]

@@ -16,12 +16,12 @@ from servo_msgs_py.tuning.winding import winding_constants
 ANGLE32: Final = Format("uint32_t, 2^32 a turn", 32, 1, 2**32 - 1)
 COUNTS: Final = Format("int32_t counts", 0, 1, 2**30)
 PATH_OMEGA: Final = Format("omega_n Ts of DRM E40", 16, 1, 2**14)
-"""A quarter: faster, E40's difference equations no longer follow the filter that they stand for."""
+"""At most a quarter: above it the difference equations of E40 deviate from the filter."""
 OBSERVER: Final = Format("int32_t with 22 fraction bits", 22, 1, 2**31 - 1)
 RECIPROCAL: Final = Format("int32_t with 31 fraction bits", 31, 1, 2**31 - 1)
 FLUX: Final = Format("int32_t, voltage summed over PWM periods", 15, 1, 2**31 - 1)
 PI_SUM: Final = Format("one sum of a PI controller and its decoupling", 24, 0, 255 * 2**24)
-"""pi_sum_t holds +-256: these gains, each times a fraction, and the integral part."""
+"""pi_sum_t holds +-256: the sum of these gains, each times a fraction, and the integral part."""
 SEARCH_TURN: Final = Format("an eighth of a turn", 0, 1, 2**13)
 TURN_STEP: Final = Format("an eighth of a turn per slow tick", 16, 1, 2**13)
 TURN_TICKS: Final = Format("uint16_t slow ticks", 0, 1, 2**15 - 1)
@@ -34,12 +34,12 @@ _SLOWER: Final = "lower control.speed_bandwidth, or correct motor.inertia or mot
 
 
 def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> AxisConstants:
-    """Every field of one ``axis_config_t`` but those of the sensorless part.
+    """Compute every field of one ``axis_config_t`` except those of the sensorless part.
 
     Raises
     ------
     ConfigError
-        If one does not fit its format, or vanishes in it.
+        If a value does not fit its format, or is rounded to 0.
     """
     to = Converter(axis, configuration.board, configuration.scales)
     return {
@@ -50,7 +50,7 @@ def axis_constants(axis: Axis, gains: Gains, configuration: Configuration) -> Ax
         **_feed_forward(to),
         **_limits(to),
         **_supervision(to),
-        **_watches(to),
+        **_monitor_constants(to),
         **winding_constants(to),
         **stop_constants(to),
         **field_weakening_constants(to),
@@ -64,10 +64,10 @@ def _current_loop(to: Converter, gains: Gains) -> dict[str, Field]:
     omega_e = axis("motor.pole_pairs") * s.speed
     admittance = s.i / s.u_s
     slower = "lower control.current_bandwidth, or correct motor.r_s, motor.l_d or motor.l_q"
-    drop = to.board_at(FRAC16, "switch_drop", 1.0 / s.u_dc, "write volts, some 0.7")
-    use = to.board_at(FRAC16, "voltage_use", math.sqrt(0.75), "write a part, some 0.94")
+    drop = to.board_at(FRAC16, "switch_drop", 1.0 / s.u_dc, "write volts, about 0.7")
+    use = to.board_at(FRAC16, "voltage_use", math.sqrt(0.75), "write a fraction, about 0.94")
     coupling, flux = "correct motor.pole_pairs, motor.l_d or motor.l_q", "correct motor.pole_pairs or motor.psi_m"
-    duty = to.board_at(FRAC16, "dead_time", 1.0 / board.period, "write seconds, some 1e-6")
+    duty = to.board_at(FRAC16, "dead_time", 1.0 / board.period, "write seconds, about 1e-6")
     step = to.of(GAIN, "angle step", omega_e * board.period / math.pi, "fewer motor.pole_pairs")
     to.of(PI_SUM, "gains added in u_d", (gains.current_d.kp + omega_e * axis("motor.l_q")) * admittance, slower)
     emf = omega_e * axis("motor.psi_m") / s.u_s
@@ -91,7 +91,7 @@ def _current_loop(to: Converter, gains: Gains) -> dict[str, Field]:
 def _sensing(to: Converter) -> dict[str, Field]:
     axis, board, s = to.axis, to.board, to.s
     p, counts = axis("motor.pole_pairs"), axis.counts
-    # ratio() multiplies it with up to half a turn of counts, in 32 bits
+    # the firmware multiplies the ratio by up to half a turn of counts, in 32 bits
     ratio = Format("the product with half a turn of counts in 32 bits", 16, 1, int(2**32 // (counts / 2.0)))
     per_ratio = board("timer_clock") * 2.0 * math.pi / counts / s.speed
     search = "rotor_search"
@@ -103,12 +103,12 @@ def _sensing(to: Converter) -> dict[str, Field]:
         f"{search}.current_step": FRAC32.raw(
             axis.entry("rotor_search.ramp_time") + ": current per slow tick",
             axis("rotor_search.current") / s.i * board.tick / axis("rotor_search.ramp_time"),
-            f"write at least {board.tick:g} s, and less than minutes",
+            f"write at least {board.tick:g} s and less than a minute",
         ),
         f"{search}.current_slew": to.of(
             FRAC32,
             "change of the search current per slow tick",
-            min(_search_slew(axis, board) / s.i, 0.5),  # faster than any search needs
+            min(_search_slew(axis, board) / s.i, 0.5),  # larger than any search needs
             _SLOWER_CURRENT,
         ),
         f"{search}.current_limit": to.at(FRAC16, "rotor_search.current", 1.0 / s.i),
@@ -118,7 +118,7 @@ def _sensing(to: Converter) -> dict[str, Field]:
         f"{search}.verify_angle": to.at(SEARCH_TURN, "rotor_search.verify_angle", 65536.0 / 360.0),
         f"{search}.verify_step": to.of(
             TURN_STEP,
-            "verifying turn of the vector per slow tick",
+            "rotation of the vector per slow tick in the verification",
             axis("rotor_search.verify_angle") / 360.0 * board.tick / axis("rotor_search.verify_time"),
             "lower rotor_search.verify_time",
         ),
@@ -129,33 +129,35 @@ def _sensing(to: Converter) -> dict[str, Field]:
 
 
 def _search_slew(axis: Axis, board: Board) -> float:
-    """Change of the search current that takes half of the voltage through the current controllers' gains [A]."""
+    """Change of the search current that takes half of the voltage, with the gain of the current controllers [A]."""
     voltage = board("nominal_voltage") / math.sqrt(3.0) * board("voltage_use")
     inductance = max(axis("motor.l_d"), axis("motor.l_q"))
     return 0.5 * voltage / (2.0 * math.pi * axis("control.current_bandwidth") * inductance)
 
 
 def _follow(to: Converter) -> dict[str, Field]:
-    """The turn of the vector that tells a held shaft from an encoder that does not count."""
+    """Rotation of the vector that distinguishes a blocked shaft from an encoder that does not count."""
     axis, board, s = to.axis, to.board, to.s
     turn, time = math.radians(axis("rotor_search.turn_angle")), axis("rotor_search.turn_time")
-    inductance = 0.5 * (axis("motor.l_d") + axis("motor.l_q"))  # of a rotor that stays, on average over the turn
+    inductance = 0.5 * (axis("motor.l_d") + axis("motor.l_q"))  # of a blocked rotor, mean over the rotation
     inductive = turn / time * inductance * axis("rotor_search.current") / s.u_s
     flux = axis("rotor_search.follow_flux") * axis("motor.psi_m") * turn / s.u_s / board.period
     slower = "raise rotor_search.turn_time"
     follow = "rotor_search.follow"
     return {
-        f"{follow}.ticks": to.of(TURN_TICKS, "slow ticks of rotor_search.turn_time", time / board.tick, "some 0.04 s"),
-        f"{follow}.step": to.of(
-            TURN_STEP, "turn of the vector per slow tick", turn * board.tick / time / 2 / math.pi, slower
+        f"{follow}.ticks": to.of(
+            TURN_TICKS, "slow ticks of rotor_search.turn_time", time / board.tick, "write about 0.04 s"
         ),
-        f"{follow}.inductive": to.of(FRAC16, "inductive voltage of the turning vector", inductive, slower),
-        f"{follow}.flux_min": to.of(FLUX, "flux of a rotor that follows", flux, "correct motor.psi_m"),
+        f"{follow}.step": to.of(
+            TURN_STEP, "rotation of the vector per slow tick", turn * board.tick / time / 2 / math.pi, slower
+        ),
+        f"{follow}.inductive": to.of(FRAC16, "inductive voltage of the rotating vector", inductive, slower),
+        f"{follow}.flux_min": to.of(FLUX, "flux of a following rotor", flux, "correct motor.psi_m"),
     }
 
 
 def _speed_observer(to: Converter) -> dict[str, Field]:
-    """Fading-memory gains: the three poles of the observer's error at the same place."""
+    """Gains of a fading-memory filter: the three poles of the observer error are equal."""
     axis, tick, s = to.axis, to.board.tick, to.s
     per_rad = axis.counts / (2.0 * math.pi)
     torque = axis.torque_constant * s.i / axis("motor.inertia") * tick**2 * per_rad
@@ -252,8 +254,8 @@ def _home(to: Converter) -> dict[str, Field]:
     }
 
 
-def _watches(to: Converter) -> dict[str, Field]:
-    """What the checks of phases, converters, encoder and heat sink compare with."""
+def _monitor_constants(to: Converter) -> dict[str, Field]:
+    """Thresholds of the monitors of phases, current sensing, encoder and heat sink."""
     axis, board, s = to.axis, to.board, to.s
     sign = axis("sensing.sign_current") / s.i
     dead = 0.5 * board("dead_time") / board.period * board("nominal_voltage")
@@ -262,11 +264,15 @@ def _watches(to: Converter) -> dict[str, Field]:
     hot, cool = board.temperature.codes()
     inductance = max(axis("motor.l_d"), axis("motor.l_q")) * s.i / s.u_s / board.tick
     return {
-        "winding.silent": to.of(FRAC16, "silence of a phase, twice sensing.sign_current", 2.0 * sign, "lower it"),
-        "winding.direction_min": to.of(FRAC16, "least current of a direction", sign, "raise sensing.sign_current"),
+        "winding.current_min": to.of(
+            FRAC16, "current of a silent phase, twice sensing.sign_current", 2.0 * sign, "lower it"
+        ),
+        "winding.direction_current_min": to.of(
+            FRAC16, "smallest current with a direction", sign, "raise sensing.sign_current"
+        ),
         "winding.resistance": to.of(GAIN, "voltage drop", axis("motor.r_s") * s.i / s.u_s, "correct motor.r_s"),
-        "winding.inductance": to.of(GAIN, "voltage of a change of current", inductance, "correct motor.l_q"),
-        "winding.turn_per_voltage": to.of(INT32_Q16, "turn per back-EMF", turn, "correct motor.psi_m"),
+        "winding.inductance": to.of(GAIN, "inductive voltage", inductance, "correct motor.l_q"),
+        "winding.rotation_per_voltage": to.of(INT32_Q16, "rotation per back-EMF", turn, "correct motor.psi_m"),
         "winding.emf_floor": to.of(FRAC16, "unexplained voltage", floor, "lower board.switch_drop"),
         "heat.hot": hot,
         "heat.cool": cool,
@@ -274,7 +280,7 @@ def _watches(to: Converter) -> dict[str, Field]:
 
 
 def time_outs(board: Board) -> dict[str, int]:
-    """Defaults of the writable time-outs [slow ticks]."""
+    """Defaults of the writable timeouts [slow ticks]."""
     return {
         name: UINT16.raw(f"board.{name}", board(name) / board.tick, "write seconds", board(name))
         for name in ("host_timeout", "command_timeout")

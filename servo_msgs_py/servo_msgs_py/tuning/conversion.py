@@ -1,4 +1,4 @@
-"""From SI units to the integers of ``axis_config_t``; every refusal names the entry."""
+"""Conversion of SI units to the integers of ``axis_config_t``; refusals name the entry."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from servo_msgs_py.tuning.formats import GAIN, Format
 from servo_msgs_py.tuning.gains import Pi
 
 TICKS: Final = Format("uint16_t slow ticks", 0, 0, 2**16 - 2)
-"""A counter of 16 bits has to be able to go beyond it."""
+"""The 16-bit counter must be able to count beyond the largest value."""
 
 
 class PiRaw(NamedTuple):
@@ -23,7 +23,7 @@ class PiRaw(NamedTuple):
 
 
 class FaultSet(tuple[str, ...]):
-    """Faults, by their names in the contract, lower case."""
+    """Names of faults in the contract, lower case."""
 
 
 class Category(str):
@@ -31,7 +31,7 @@ class Category(str):
 
 
 class Switches(tuple[str, ...]):
-    """Features that are on, by their names in the contract."""
+    """Names of the features that are on, as in the contract."""
 
 
 Field = int | tuple[int, ...] | PiRaw | Switches | FaultSet | Category
@@ -40,7 +40,7 @@ AxisConstants = Mapping[str, Field]
 
 
 def pi_raw(axis: Axis, name: str, gains: Pi, scale: float, remedy: str) -> PiRaw:
-    """Raw gains of a PI controller; `scale` turns gains in SI into full scale over full scale."""
+    """Raw gains of a PI controller; `scale` converts SI gains to full scale per full scale."""
     entry = f"{axis.name}: {name}"
     return PiRaw(
         GAIN.raw(f"{entry} Kp", gains.kp * scale, remedy),
@@ -51,25 +51,25 @@ def pi_raw(axis: Axis, name: str, gains: Pi, scale: float, remedy: str) -> PiRaw
 
 @dataclass(frozen=True)
 class Converter:
-    """Shorthand for one axis: every method names the entry in its refusal."""
+    """Conversion of the values of one axis."""
 
     axis: Axis
     board: Board
     s: Scales
 
     def at(self, format_: Format, path: str, scale: float, remedy: str = "correct it") -> int:
-        """An entry of the configuration times `scale`."""
+        """Raw number of an entry of the axis times `scale`."""
         return format_.raw(self.axis.entry(path), self.axis(path) * scale, remedy, self.axis(path))
 
     def board_at(self, format_: Format, key: str, scale: float, remedy: str) -> int:
-        """An entry of [board] times `scale`."""
+        """Raw number of an entry of [board] times `scale`."""
         return format_.raw(f"board.{key}", self.board(key) * scale, remedy, self.board(key))
 
     def ticks(self, path: str) -> int:
-        """A time in slow ticks."""
+        """Raw number of a time, in slow ticks."""
         tick = self.board.tick
         return self.at(TICKS, path, 1.0 / tick, f"write seconds, {tick:g} .. {TICKS.high * tick:g}")
 
     def of(self, format_: Format, name: str, value: float, remedy: str) -> int:
-        """Raw number of a value of full scale that follows from several entries."""
+        """Raw number of a value that depends on several entries, in units of full scale."""
         return format_.raw(f"{self.axis.name}: {name}", value, remedy)

@@ -1,4 +1,4 @@
-"""Field weakening: the integers of its controller, the stability of its loops, and the torque that is left."""
+"""Field weakening: integers of its controller, stability of its loops, and the available torque."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from servo_msgs_py.tuning.conversion import Converter, Field
 from servo_msgs_py.tuning.formats import FRAC16, INT16_Q8
 from servo_msgs_py.tuning.layout import notes, table
 
-_STEPS: Final = 201  # values of i_d that are tried
+_STEPS: Final = 201  # values of i_d in the search for the largest torque
 _SHARE_MAX: Final = 1.0 - 2.0**-15
 _SPEEDS: Final = (0.6, 0.7, 0.8, 0.9, 1.0)  # of the rated speed, in the report
 
 
 def i_d_max(axis: Axis) -> float:
-    """Largest current against the flux [A]: what current limit and magnets allow."""
+    """Largest current against the flux, limited by the current limit and the magnets [A]."""
     share = axis("field_weakening.current_use") * axis("limits.current")
     return min(share, axis("field_weakening.magnet_current"))
 
 
 def _voltage_per_current(axis: Axis, board: Board) -> tuple[float, float]:
-    """Change of the voltage by i_d and by i_q, at most [V/A], at the speed whose back-EMF is the whole voltage."""
+    """Largest change of the voltage by i_d and by i_q, at the speed whose back-EMF equals the voltage limit [V/A]."""
     omega = board.voltage_max / axis("motor.psi_m")
     across = omega * axis("motor.l_q")
-    leaning = min(across * axis("limits.current") / board.voltage_max, 1.0)  # part of the voltage in the d axis
+    leaning = min(across * axis("limits.current") / board.voltage_max, 1.0)  # fraction of the voltage in the d axis
     return omega * axis("motor.l_d"), axis("motor.r_s") + across * leaning
 
 
 def field_weakening_constants(to: Converter) -> dict[str, Field]:
-    """Fields of the ``field_weakening_config_t``.
+    """Fields of ``field_weakening_config_t``.
 
-    The integral gain makes the bandwidth at the speed whose back-EMF is the whole voltage; below, the loop is slower in
-    proportion to the speed. An extreme motor gets the end of the format, which the report shows.
+    The integral gain gives the bandwidth at the speed whose back-EMF equals the voltage limit; below it the loop is
+    slower in proportion to the speed. The gain is limited to the range of its format; the report shows the result.
     """
     axis, board, s = to.axis, to.board, to.s
     by_d, by_q = _voltage_per_current(axis, board)
@@ -57,11 +57,11 @@ def field_weakening_constants(to: Converter) -> dict[str, Field]:
     }
 
 
-# ---- what voltage and current leave ----------------------------------------------------------------------------------
+# ---- torque within the limits of voltage and current -----------------------------------------------------------------
 
 
 class Motor(Protocol):
-    """What the voltage equations need; a plant of the twin has it, too."""
+    """Motor data of the voltage equations; the plant of the twin has them, too."""
 
     @property
     def r_s(self) -> float:
@@ -81,11 +81,11 @@ class Motor(Protocol):
 
     @property
     def pole_pairs(self) -> float:
-        """Electrical turns per mechanical turn."""
+        """Pole pairs."""
 
 
 class _Nominal(NamedTuple):
-    """The motor of the configuration."""
+    """Motor data of the configuration."""
 
     r_s: float  # resistance of a phase [ohm]
     l_d: float  # inductance, d axis [H]
@@ -98,29 +98,29 @@ class _Nominal(NamedTuple):
         return cls(*(axis(f"motor.{name}") for name in cls._fields))
 
 
-class Reserve(NamedTuple):
-    """The most motoring torque at one speed."""
+class LargestTorque(NamedTuple):
+    """Largest motoring torque at one speed."""
 
     i_d: float  # [A]
     i_q: float  # [A]
-    torque: float  # of the air gap [N m]; 0 where the voltage does not suffice at any current
+    torque: float  # of the air gap [N m]; 0 if the voltage is too low for any current
 
 
-def reserve_at(motor: Motor, limit: float, speed: float, voltage: float, i_d_min: float) -> Reserve:
-    """The most torque at a speed: ``|u| <= voltage``, ``|i| <= limit`` and ``i_d_min <= i_d <= 0``.
+def largest_torque(motor: Motor, limit: float, speed: float, voltage: float, i_d_min: float) -> LargestTorque:
+    """Largest torque at a speed with ``|u| <= voltage``, ``|i| <= limit`` and ``i_d_min <= i_d <= 0``.
 
     Parameters
     ----------
     motor : Motor
-        Its data.
+        Motor data.
     limit : float
-        Longest current vector [A].
+        Largest magnitude of the current vector [A].
     speed : float
-        Mechanical [rad/s].
+        Mechanical speed [rad/s].
     voltage : float
-        Longest stator voltage [V].
+        Largest stator voltage [V].
     i_d_min : float
-        At most 0 [A]; 0: without field weakening.
+        Smallest i_d, at most 0 [A]; 0: without field weakening.
     """
     p, psi, r_s, l_d, l_q = motor.pole_pairs, motor.psi_m, motor.r_s, motor.l_d, motor.l_q
     omega = p * speed
@@ -135,15 +135,15 @@ def reserve_at(motor: Motor, limit: float, speed: float, voltage: float, i_d_min
     q[(square < 0.0) | (q < 0.0)] = 0.0
     torque = 1.5 * p * q * (psi + (l_d - l_q) * d)
     best = int(torque.argmax())
-    return Reserve(float(d[best]), float(q[best]), float(torque[best]))
+    return LargestTorque(float(d[best]), float(q[best]), float(torque[best]))
 
 
 def top_speed(motor: Motor, limit: float, voltage: float, i_d_min: float, torque: Callable[[float], float]) -> float:
-    """Highest speed at which more than a torque is left, which may depend on the speed [rad/s], to 0.1 %."""
+    """Highest speed at which the available torque exceeds `torque(speed)` [rad/s], to 0.1 %."""
     low, high = 0.0, 2.0 * voltage / (motor.pole_pairs * motor.psi_m)
     while high - low > 1e-3 * high:
         middle = 0.5 * (low + high)
-        if reserve_at(motor, limit, middle, voltage, i_d_min).torque > torque(middle):
+        if largest_torque(motor, limit, middle, voltage, i_d_min).torque > torque(middle):
             low = middle
         else:
             high = middle
@@ -151,7 +151,7 @@ def top_speed(motor: Motor, limit: float, voltage: float, i_d_min: float, torque
 
 
 def idle_speed(axis: Axis, board: Board) -> float:
-    """Highest speed without load at the nominal bus [rad/s], with field weakening where it is on after reset."""
+    """Highest no-load speed at the nominal bus voltage, with field weakening if it is on after reset [rad/s]."""
     flux, voltage = axis("motor.psi_m"), board.voltage_max
     if axis.features["field_weakening"]:
         flux = max(flux - axis("motor.l_d") * i_d_max(axis), 0.5 * flux)
@@ -164,9 +164,9 @@ def idle_speed(axis: Axis, board: Board) -> float:
 
 @dataclass(frozen=True)
 class Loop:
-    """``K z^-1 / (z - 1)``: an integrator, and a tick until a change shows in the voltage."""
+    """Integrator with one tick of delay, ``K z^-1 / (z - 1)``."""
 
-    gain: float  # of the whole loop per tick, K
+    gain: float  # K, of the open loop per tick
     tick: float  # [s]
 
     @property
@@ -180,19 +180,19 @@ class Loop:
 
     @property
     def crossover(self) -> float:
-        """[Hz]."""
+        """Crossover frequency [Hz]."""
         return self.turn / self.tick / (2.0 * math.pi)
 
     @property
     def phase(self) -> float:
-        """Margin [deg]."""
+        """Phase margin [deg]."""
         return 90.0 - math.degrees(1.5 * self.turn)
 
 
 def field_weakening_loops(axis: Axis, board: Board, block: Mapping[str, int]) -> dict[str, Loop]:
-    """The loops as the integers give them: by i_d, by i_d while i_q rides on the current circle, and by i_q.
+    """Return the loops with the integer gains: by i_d, by i_d while i_q is on the current circle, and by i_q.
 
-    On the circle i_q gives way by i_d / i_q of what i_d gains; most of all where i_d is at its end.
+    On the circle i_q decreases by i_d / i_q of the increase of i_d, most at the largest i_d.
     """
     by_d, by_q = _voltage_per_current(axis, board)
     s = Scales.of(Catalogue.load())
@@ -205,35 +205,35 @@ def field_weakening_loops(axis: Axis, board: Board, block: Mapping[str, int]) ->
 
 
 def field_weakening_text(axis: Axis, board: Board, block: Mapping[str, int]) -> Iterator[str]:
-    """The part of the report: loop, and torque over speed. `block` are the integers of the axis."""
+    """Yield the lines of the report: loops, and torque over speed. `block` has the integers of the axis."""
     yield "  field weakening"
     maximum, margin = i_d_max(axis), axis("field_weakening.margin")
     rows = [
         (
-            "i_d at most",
+            "largest i_d",
             f"{maximum:.2f} A",
             f"lowers the back-EMF by {_lowered(axis, maximum):.2f} V at the rated speed",
         ),
-        ("voltage kept free", f"{margin:g} V", f"of {board.voltage_max:.2f} V at {board('nominal_voltage'):g} V"),
+        ("voltage reserve", f"{margin:g} V", f"of {board.voltage_max:.2f} V at {board('nominal_voltage'):g} V"),
     ]
     for name, loop in field_weakening_loops(axis, board, block).items():
         state = f"phase margin {loop.phase:.1f} deg, gain margin {1.0 / loop.gain:.1f}" if loop.stable else "UNSTABLE"
         rows.append((f"loop {name}", f"{loop.crossover:.4g} Hz", state))
     yield from notes(rows)
-    yield from table(_reserves(axis, board))
+    yield from table(_torque_table(axis, board))
 
 
 def _lowered(axis: Axis, current: float) -> float:
     return axis("motor.pole_pairs") * axis("motor.rated_speed") * axis("motor.l_d") * current
 
 
-def _reserves(axis: Axis, board: Board) -> list[tuple[str, ...]]:
+def _torque_table(axis: Axis, board: Board) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = [("speed", "torque without", "torque with", "i_d", "i_q")]
     motor, limit = _Nominal.of(axis), axis("limits.current")
     for part in _SPEEDS:
         speed = part * axis("motor.rated_speed")
-        without = reserve_at(motor, limit, speed, board.voltage_max, 0.0)
-        best = reserve_at(motor, limit, speed, board.voltage_max - axis("field_weakening.margin"), -i_d_max(axis))
+        without = largest_torque(motor, limit, speed, board.voltage_max, 0.0)
+        best = largest_torque(motor, limit, speed, board.voltage_max - axis("field_weakening.margin"), -i_d_max(axis))
         cells = (f"{1e3 * without.torque:.1f} mN m", f"{1e3 * best.torque:.1f} mN m")
         rows.append((f"{speed:.4g} rad/s", *cells, f"{best.i_d:.2f} A", f"{best.i_q:.2f} A"))
     return rows

@@ -1,4 +1,4 @@
-"""What is wrong with an axis that can run: each finding one sentence with the entry and a way out."""
+"""Warnings about an axis that can run: one sentence each, with the entry and a remedy."""
 
 from __future__ import annotations
 
@@ -13,53 +13,53 @@ from servo_msgs_py.tuning.sensorless_figures import SensorlessFigures
 from servo_msgs_py.tuning.tuned import Tuned
 
 PHASE_MIN: Final = 45.0
-"""Phase margin that current and speed loop should have [degrees]."""
+"""Recommended phase margin of current and speed loop [degrees]."""
 
 GAIN_MIN: Final = 2.0
-"""Gain margin that they should have."""
+"""Recommended gain margin of current and speed loop."""
 
 K_V_T_MAX: Final = 0.25
-"""K_v T up to which a first-order speed loop gives a position loop that does not overshoot."""
+"""Largest K_v T without overshoot of the position loop, if the speed loop is of first order."""
 
 OVERSHOOT_MAX: Final = 0.01
-"""Of a bare position step."""
+"""Largest overshoot of a position step without shaping, over the step."""
 
-ARRIVAL_MAX: Final = 2.0
-"""Overshoot of a shaped move at the speed limit [counts]."""
+MOVE_OVERSHOOT_MAX: Final = 2.0
+"""Largest overshoot of a shaped move at the speed limit [counts]."""
 
 ROUNDING_MAX: Final = 0.01
-"""Part of a gain that may be lost by rounding it to an integer."""
+"""Largest relative error of a gain by rounding to an integer."""
 
-SIGN: Final = 1.33
-"""Current from which on its direction counts as certain, over what it changes by in a dead time."""
+SIGN_FACTOR: Final = 1.33
+"""Recommended `sensing.sign_current` over the change of the current in a dead time, used in the remedy."""
 
-TORQUE_MAX: Final = 0.8
-"""Part of the start-up current's torque that the ramp and the friction should take."""
+START_UP_TORQUE_MAX: Final = 0.8
+"""Largest torque of ramp and friction, as a fraction of the torque of the start-up current."""
 
-BLIND_MAX: Final = 0.2
-"""Part of the speed limit below which an axis without an encoder may be blind while it brakes."""
+BLIND_SPEED_MAX: Final = 0.2
+"""Largest speed, as a fraction of the speed limit, below which the back-EMF may be hidden during braking."""
 
-SIZE_MAX: Final = 4.0
-"""`observer.pll_size` [Hz] times the part of the speed limit by which `emf_check.floor` lets the size of the back-EMF
-be off: the speed loop answers to that. With twice as much the observed speed of a light shaft was too noisy to be
-used."""
+PLL_SIZE_MAX: Final = 4.0
+"""Largest product of `observer.pll_size` [Hz] and the relative speed error (speed error that `emf_check.floor` permits
+over the speed limit): the speed loop responds to this error. At twice this product the observed speed of a light shaft
+was too noisy."""
 
-SIZE: Final = 2.0
-"""What may be written without trying."""
+PLL_SIZE_RECOMMENDED: Final = 2.0
+"""Recommended product, used in the remedy [Hz]."""
 
-UNEXPLAINED_MAX: Final = 1.25
-"""Speed that dead time and switches look like, over `start_up.minimum_speed`. On the switching plant a tiny motor was
-always lost at 2.7 and 1.2 and often at 0.91, without a warning there: heavier ones were not at 1.1."""
+SPEED_ERROR_MAX: Final = 1.25
+"""Largest speed error by dead time and switch drops, over `start_up.minimum_speed`. On the switching plant a tiny motor
+always lost synchronism at 2.7 and 1.2 and often at 0.91 (no warning there: heavier motors did not at 1.1)."""
 
-UNEXPLAINED: Final = 0.68
-"""What may be written without trying: the tiny one was not lost then."""
+SPEED_ERROR_RECOMMENDED: Final = 0.68
+"""Recommended ratio, used in the remedy; the tiny motor did not lose synchronism at it."""
 
-FOLLOWS_MIN: Final = 0.03
-"""Mean voltage that tells a rotor that follows the search's turn from one that is held [V]. On the switching plant
-0.019 V were lost in drops and dead time, 0.036 V were not."""
+FOLLOW_VOLTAGE_MIN: Final = 0.03
+"""Smallest mean voltage by which the rotor search distinguishes a following rotor from a blocked one [V]. On the
+switching plant 0.019 V were hidden by switch drops and dead time, 0.036 V were not."""
 
-FOLLOWS: Final = 0.075
-"""That of the motors of the reference design [V]."""
+FOLLOW_VOLTAGE_RECOMMENDED: Final = 0.075
+"""Recommended voltage, used in the remedy [V]; the motors of the reference design have 0.087 V or more."""
 
 _ENTRIES: Final = {
     "current d": "control.current_bandwidth",
@@ -70,7 +70,7 @@ _ENTRIES: Final = {
 
 
 def findings(it: Tuned, figures: Assessment) -> list[str]:
-    """Everything that deserves a warning."""
+    """All warnings of one axis."""
     return [
         *_margins(it, figures),
         *_inertias(it, figures),
@@ -104,7 +104,7 @@ def _inertias(it: Tuned, figures: Assessment) -> Iterator[str]:
     for case in figures.inertias:
         if not case.stable and case.observed == it.observed:
             entry = _entry(it, "motor.inertia")
-            yield f"{entry}: unstable on a shaft with {case.factor:g} times that; lower control.speed_bandwidth"
+            yield f"{entry}: unstable with {case.factor:g} times this inertia; lower control.speed_bandwidth"
 
 
 def _position(it: Tuned, figures: Assessment) -> Iterator[str]:
@@ -112,8 +112,8 @@ def _position(it: Tuned, figures: Assessment) -> Iterator[str]:
     if rule.k_v_t > K_V_T_MAX:
         yield f"{entry}: K_v T = {rule.k_v_t:.2f} > {K_V_T_MAX:g}, the shaft may overshoot; lower it"
     if arrival.bare > OVERSHOOT_MAX:
-        yield f"{entry}: a step that nothing shapes overshoots by {100.0 * arrival.bare:.1f} %; lower it"
-    if arrival.shaped > ARRIVAL_MAX:
+        yield f"{entry}: a step without shaping overshoots by {100.0 * arrival.bare:.1f} %; lower it"
+    if arrival.shaped > MOVE_OVERSHOOT_MAX:
         yield f"{entry}: a shaped move overshoots by {arrival.shaped:.1f} counts; lower it or control.path_current_use"
 
 
@@ -121,12 +121,12 @@ def _reach(it: Tuned, figures: Assessment) -> Iterator[str]:
     reach, limit = figures.reach, it.axis("limits.current")
     if it.axis("limits.speed") > reach.speed_rated:
         entry = _entry(it, "limits.speed")
-        yield f"{entry}: with the rated current the voltage ends at {reach.speed_rated:.4g} rad/s; lower it"
-    asked = {"control.path_current_use": reach.path_current, "limits.acceleration": reach.ramp_current}
-    for path, current in asked.items():
+        yield f"{entry}: above the speed possible with the rated current, {reach.speed_rated:.4g} rad/s; lower it"
+    required = {"control.path_current_use": reach.path_current, "limits.acceleration": reach.ramp_current}
+    for path, current in required.items():
         if current + reach.friction_current > limit:
-            sums = f"asks for {current:.2f} A besides {reach.friction_current:.2f} A of friction"
-            yield f"{_entry(it, path)}: {sums}, and the limit is {limit:g} A; lower it"
+            sums = f"requires {current:.2f} A, with friction {current + reach.friction_current:.2f} A"
+            yield f"{_entry(it, path)}: {sums}; the limit is {limit:g} A; lower it"
 
 
 def _field_weakening(it: Tuned) -> Iterator[str]:
@@ -145,40 +145,40 @@ def _rounding(it: Tuned) -> Iterator[str]:
         lost = abs(row.used / row.designed - 1.0)
         if lost > ROUNDING_MAX:
             value = f"{it.axis.name}: {row.name} = {row.designed:g} {row.unit}".rstrip()
-            yield f"{value}: rounded to an integer it is off by {100.0 * lost:.0f} %; choose it larger"
+            yield f"{value}: rounding to an integer changes it by {100.0 * lost:.0f} %; choose a larger value"
 
 
 def _sign(it: Tuned) -> Iterator[str]:
-    """While both switches are open the bus alone drives the current: below that its direction may change meanwhile."""
+    """Warn if a current can reverse during the dead time, in which only the bus voltage drives it."""
     axis, board = it.axis, it.board
     minimum = board("nominal_voltage") * board("dead_time") / min(axis("motor.l_d"), axis("motor.l_q"))
     if axis("sensing.sign_current") < minimum:
-        what = f"a dead time lets the current of this winding change by {minimum:.3g} A and turn its sign"
-        yield f"{_entry(it, 'sensing.sign_current')}: {what}; write some {SIGN * minimum:.2g}"
+        what = f"the current of this winding can change by {minimum:.3g} A during a dead time and reverse"
+        yield f"{_entry(it, 'sensing.sign_current')}: {what}; write about {SIGN_FACTOR * minimum:.2g}"
 
 
 def _follows(it: Tuned) -> Iterator[str]:
     axis = it.axis
     flux = axis("rotor_search.follow_flux") * axis("motor.psi_m") * math.radians(axis("rotor_search.turn_angle"))
     seen = flux / axis("rotor_search.turn_time")
-    if seen < FOLLOWS_MIN:
-        what = f"a rotor that follows the turn shows in {1e3 * seen:.2g} mV, less than dead time and switches hide"
-        yield f"{_entry(it, 'rotor_search.turn_time')}: {what}; write some {flux / FOLLOWS:.2g}"
+    if seen < FOLLOW_VOLTAGE_MIN:
+        what = f"a following rotor gives {1e3 * seen:.2g} mV, below the error by dead time and switch drops"
+        yield f"{_entry(it, 'rotor_search.turn_time')}: {what}; write about {flux / FOLLOW_VOLTAGE_RECOMMENDED:.2g}"
 
 
 def _sensorless(it: Tuned, figures: Assessment) -> Iterator[str]:
     found, start_up = figures.sensorless, it.sensorless.start_up
     if found.trouble is not None:
-        yield f"{it.axis.name}.feedback: cannot do without its encoder: {found.trouble}"
+        yield f"{it.axis.name}.feedback: operation without encoder is not possible: {found.trouble}"
         return
-    if start_up.torque > TORQUE_MAX:
+    if start_up.torque > START_UP_TORQUE_MAX:
         entry = _entry(it, "start_up.current_first")
-        share = f"{100.0 * start_up.torque:.0f} % of the current's torque"
-        yield f"{entry}: the start-up takes {share}; raise start_up.swings"
+        share = f"{100.0 * start_up.torque:.0f} % of the torque of its current"
+        yield f"{entry}: the start-up needs {share}; raise start_up.swings"
     yield from _back_emf(it, found)
     for case in found.poles:
         if any(abs(pole.z) >= 1.0 for pole in case.poles):
-            what = f"with R x {case.r_s:g} and L x {case.inductance:g} the observer's gains are unstable"
+            what = f"with R x {case.r_s:g} and L x {case.inductance:g} the gains of the observer are unstable"
             yield f"{it.axis.name}.observer at {case.speed:g} rad/s: {what}; lower observer.bandwidth"
     if needs_observer(it.axis):
         yield from _observed_speed(it, figures)
@@ -186,18 +186,18 @@ def _sensorless(it: Tuned, figures: Assessment) -> Iterator[str]:
 
 def _back_emf(it: Tuned, found: SensorlessFigures) -> Iterator[str]:
     limit = it.axis("limits.speed")
-    if found.blind_speed > BLIND_MAX * limit:
+    if found.blind_speed > BLIND_SPEED_MAX * limit:
         hidden = (
-            f"below {found.blind_speed:.3g} rad/s limits.current in a warm winding hides the back-EMF while it brakes"
+            f"below {found.blind_speed:.3g} rad/s the drop of limits.current in a warm winding exceeds the back-EMF"
         )
-        yield f"{_entry(it, 'motor.r_s')}: without its encoder {hidden}; lower the limit, or keep the encoder"
+        yield f"{_entry(it, 'motor.r_s')}: sensorless, {hidden} during braking; lower that limit, or use the encoder"
     part = found.unexplained_speed / limit
-    if it.axis("observer.pll_size") * part > SIZE_MAX:
-        what = f"dead time and switches make the back-EMF look like {found.unexplained_speed:.3g} rad/s more or less"
-        yield f"{_entry(it, 'observer.pll_size')}: {what}; write some {SIZE / part:.2g}"
-    if found.unexplained_speed > UNEXPLAINED_MAX * it.sensorless.start_up.minimum_speed:
-        what = f"dead time and switches look like {found.unexplained_speed:.3g} rad/s without an encoder"
-        yield f"{_entry(it, 'start_up.minimum_speed')}: {what}; write some {part / UNEXPLAINED:.2g}"
+    if it.axis("observer.pll_size") * part > PLL_SIZE_MAX:
+        what = f"dead time and switch drops give a speed error of {found.unexplained_speed:.3g} rad/s"
+        yield f"{_entry(it, 'observer.pll_size')}: {what}; write about {PLL_SIZE_RECOMMENDED / part:.2g}"
+    if found.unexplained_speed > SPEED_ERROR_MAX * it.sensorless.start_up.minimum_speed:
+        what = f"dead time and switch drops give a speed error of {found.unexplained_speed:.3g} rad/s, sensorless"
+        yield f"{_entry(it, 'start_up.minimum_speed')}: {what}; write about {part / SPEED_ERROR_RECOMMENDED:.2g}"
 
 
 def _observed_speed(it: Tuned, figures: Assessment) -> Iterator[str]:
@@ -208,5 +208,5 @@ def _observed_speed(it: Tuned, figures: Assessment) -> Iterator[str]:
             yield f"{_entry(it, 'observer.speed_part')}: {what}, less than {PHASE_MIN:g}; lower it"
     lock = figures.sensorless.locks[0]
     if lock.back_emf < it.axis("emf_check.spin_floor"):
-        what = f"{lock.speed:.3g} rad/s give {lock.back_emf:.2g} V, less than emf_check.spin_floor leaves unexplained"
+        what = f"the back-EMF of {lock.back_emf:.2g} V at {lock.speed:.3g} rad/s is below emf_check.spin_floor"
         yield f"{_entry(it, 'start_up.minimum_speed')}: {what}; raise it"

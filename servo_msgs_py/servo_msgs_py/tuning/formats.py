@@ -1,4 +1,4 @@
-"""Integers with a fixed number of fraction bits, as the firmware declares them."""
+"""Fixed-point integer formats of the firmware."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from servo_msgs_py.tuning.errors import refused
 
 @dataclass(frozen=True)
 class Format:
-    """Raw numbers ``low .. high``, each worth ``2 ** -fraction_bits``."""
+    """Raw numbers ``low .. high`` in units of ``2 ** -fraction_bits``."""
 
     name: str  # for messages
     fraction_bits: int  # of the value
@@ -19,36 +19,36 @@ class Format:
     high: int  # largest raw number
 
     def raw(self, entry: str, value: float, remedy: str, given: float | None = None) -> int:
-        """Nearest raw number.
+        """Return the nearest raw number.
 
         Parameters
         ----------
         entry : str
-            For the refusal: full name of the entry, or of what follows from several.
+            Full name of the entry, or of the quantity computed from several entries; for the refusal.
         value : float
-            What the number has to stand for.
+            Value to convert.
         remedy : str
-            For the refusal: what to do.
+            Correction; for the refusal.
         given : float, optional
-            What stands in the configuration, where that is not `value` itself.
+            Value in the configuration, if it is not `value` itself.
 
         Raises
         ------
         ConfigError
-            If it does not fit, or if a value that is not 0 would vanish.
+            If the value does not fit, or is rounded to 0 although it is not 0.
         """
         scaled = math.ldexp(value, self.fraction_bits)
         raw = round(scaled)
         shown, result = (value, "") if given is None else (given, f"{value:g} ")
         if raw == 0 and value != 0.0:
-            raise refused(entry, shown, f"{result}is too small for {self.name} and would vanish", remedy)
+            raise refused(entry, shown, f"{result}is too small for {self.name} and would vanish in rounding", remedy)
         if not self.low <= raw <= self.high:
             low, high = (math.ldexp(bound, -self.fraction_bits) for bound in (self.low, self.high))
             raise refused(entry, shown, f"{result}does not fit {self.name} ({low:g} .. {high:g})", remedy)
         return raw
 
     def value(self, raw: int) -> float:
-        """Part of the full scale that a raw number is."""
+        """Value of a raw number, as a fraction of full scale."""
         return math.ldexp(raw, -self.fraction_bits)
 
 

@@ -20,7 +20,7 @@ class Pi:
 
 @dataclass(frozen=True)
 class Gains:
-    """What follows from the configuration of one axis."""
+    """Gains of one axis."""
 
     current_d: Pi  # ampere to volt, per fast loop
     current_q: Pi  # ampere to volt, per fast loop
@@ -29,7 +29,7 @@ class Gains:
     path_omega_n: float  # of E40 [rad/s]
 
     def named(self) -> Iterator[tuple[str, str, float]]:
-        """Name, unit and value of each."""
+        """Name, unit and value of each gain."""
         for name, pi in (("current d", self.current_d), ("current q", self.current_q)):
             yield f"{name} Kp", "V/A", pi.kp
             yield f"{name} Kp Ki Ts", "V/A", pi.ki
@@ -49,19 +49,19 @@ class Gains:
             current_q=_current(axis, axis("motor.l_q"), board),
             speed=speed_pi(axis, board, axis("control.speed_bandwidth")),
             position=axis("control.position_gain"),
-            # E40: a speed step v asks for at most v omega_n / e
+            # E40: a speed step v needs an acceleration of at most v omega_n / e
             path_omega_n=math.e * acceleration / axis("limits.speed"),
         )
 
 
 def _current(axis: Axis, inductance: float, board: Board) -> Pi:
-    """Pole-zero cancellation: the open loop is omega / s."""
+    """Pole-zero cancellation; the open loop is omega / s."""
     omega = 2.0 * math.pi * axis("control.current_bandwidth")
     return Pi(omega * inductance, omega * axis("motor.r_s") * board.period, axis("control.anti_windup"))
 
 
 def speed_pi(axis: Axis, board: Board, bandwidth: float) -> Pi:
-    """The open loop crosses 1 at the bandwidth [Hz]; the integral part acts below bandwidth / speed_ratio."""
+    """Gains for a crossover at the bandwidth [Hz]; the integral part acts below bandwidth / speed_ratio."""
     omega = 2.0 * math.pi * bandwidth
     kp = omega * axis("motor.inertia") / axis.torque_constant
     return Pi(kp, kp * omega / axis("control.speed_ratio") * board.tick, axis("control.anti_windup"))

@@ -1,4 +1,4 @@
-"""Parts of the report: tables and numbers."""
+"""Tables and numbers of the report."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from servo_msgs_py.tuning.linear import Margins
 
 
 def table(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Columns below their heads, the first to the left and the others to the right."""
+    """Table with headings; the first column left-aligned, the others right-aligned."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     for row in rows:
         cells = (cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))
@@ -22,7 +22,7 @@ def hertz(value: float | None) -> str:
 
 
 def phase(margins: Margins) -> str:
-    """A phase margin."""
+    """Text of a phase margin [deg]."""
     return "-" if margins.phase is None else f"{margins.phase:.1f} deg"
 
 
@@ -32,7 +32,7 @@ def factor(value: float | None) -> str:
 
 
 def notes(rows: Sequence[tuple[str, str, str]]) -> Iterator[str]:
-    """Names, values and what there is to say about them."""
+    """Table of names, values and notes."""
     widths = [max(len(row[k]) for row in rows) for k in range(2)]
     for name, value, note in rows:
         yield f"    {name.ljust(widths[0])}  {value.rjust(widths[1])}  {note}".rstrip()

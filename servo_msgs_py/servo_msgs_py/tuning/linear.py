@@ -1,4 +1,4 @@
-"""Linear systems in discrete time: held inputs, frequency response, margins, poles, simulation."""
+"""Linear discrete-time systems: zero-order hold, frequency response, margins, poles, simulation."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LOWEST: Final = 1e-4  # of half the sampling frequency
 
 
 def expm(a: Matrix) -> Matrix:
-    """Exponential of a square matrix: the Taylor series of a part of it, squared again and again."""
+    """Matrix exponential: Taylor series of the scaled matrix, then repeated squaring."""
     norm = float(np.abs(a).sum(axis=1).max(initial=0.0))
     squarings = max(math.ceil(math.log2(norm)) + 1, 0) if norm > 0.0 else 0
     part = np.ldexp(a, -squarings)
@@ -64,7 +64,7 @@ class System:
 
     @classmethod
     def of(cls, step: Callable[[Matrix, Matrix], tuple[Matrix, Matrix]], states: int, inputs: int, dt: float) -> System:
-        """The matrices of a linear function ``step(x, u) -> (x next, y)``, which takes columns side by side."""
+        """Return the matrices of a linear function ``step(x, u) -> (x next, y)`` that accepts matrices of columns."""
         x = np.hstack([np.eye(states), np.zeros((states, inputs))])
         u = np.hstack([np.zeros((inputs, states)), np.eye(inputs)])
         x_next, y = step(x, u)
@@ -76,7 +76,7 @@ class System:
         return math.pi / self.dt
 
     def channel(self, output: int, input_: int) -> System:
-        """One input to one output."""
+        """Return the system from one input to one output."""
         return System(
             self.a,
             self.b[:, input_ : input_ + 1],
@@ -86,15 +86,15 @@ class System:
         )
 
     def scaled(self, input_: int, gain: float) -> System:
-        """The system with a gain in front of one input."""
+        """Return the system with a gain in series with one input."""
         gains = np.ones(self.b.shape[1])
         gains[input_] = gain
         return System(self.a, self.b * gains, self.c, self.d * gains, self.dt)
 
     def fed_back(self, output: int, input_: int, gain: float = 1.0) -> System:
-        """The loop closed from an output to an input, ``u = r - gain y``; r takes the place of u.
+        """Close the loop from an output to an input, ``u = r - gain y``; the input becomes r.
 
-        The output must not depend on its own input within the same sample.
+        The output must have no direct feed-through from this input.
         """
         c, d = self.c[output : output + 1], self.d[output : output + 1]
         assert d[0, input_] == 0.0
@@ -115,7 +115,7 @@ class System:
         return np.asarray((self.c[:1] @ states)[:, 0, 0] + self.d[0, 0])
 
     def tracking(self) -> Tracking:
-        """How well the first output of a closed loop follows its first input."""
+        """Bandwidth and peak of the first output over the first input of a closed loop."""
         grid = np.geomspace(_LOWEST * self.nyquist, self.nyquist, _GRID)
         gains = np.abs(self.response(grid))
         lost = np.nonzero(gains < math.sqrt(0.5))[0]
@@ -137,33 +137,33 @@ class System:
 
 @dataclass(frozen=True)
 class Tracking:
-    """How a closed loop follows its set-point."""
+    """Bandwidth and peak of a closed loop."""
 
-    bandwidth: float | None  # frequency above which less than 1 / sqrt 2 comes through [Hz]; None: there is none
+    bandwidth: float | None  # -3 dB frequency [Hz]; None: not below half the sampling frequency
     peak: float  # largest gain
 
 
 @dataclass(frozen=True)
 class Margins:
-    """How far an open loop is from instability."""
+    """Stability margins of an open loop."""
 
-    crossover: float | None  # frequency at which the gain is 1 [Hz]; None: there is none
-    phase: float | None  # phase margin there [degrees]; the smallest one of several crossings
-    gain: float | None  # factor by which the gain may still grow; None: without limit
+    crossover: float | None  # frequency at which the gain is 1 [Hz]; None: no crossover
+    phase: float | None  # phase margin [degrees]; the smallest of several crossovers
+    gain: float | None  # gain margin as a factor; None: infinite
 
 
 def _root(f: Callable[[Omega], NDArray[np.float64]], low: float, high: float) -> float:
-    """Where `f` changes its sign between two frequencies."""
+    """Frequency between `low` and `high` at which `f` changes its sign."""
     for _ in range(_ROUNDS):
         grid = np.geomspace(low, high, _FINER)
         positive = f(grid) > 0.0
-        first = int(np.argmax(positive[1:] != positive[0]))  # the last step may hide the sign in its rounding
+        first = int(np.argmax(positive[1:] != positive[0]))  # in the last round, rounding may hide the sign
         low, high = float(grid[first]), float(grid[first + 1])
     return math.sqrt(low * high)
 
 
 def _changes(grid: Omega, flags: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Neighbours on the grid between which a flag changes."""
+    """Pairs of adjacent grid frequencies between which a flag changes."""
     return [(float(grid[k]), float(grid[k + 1])) for k in np.nonzero(flags[:-1] != flags[1:])[0]]
 
 
@@ -173,17 +173,17 @@ def margins(response: Callable[[Omega], NDArray[np.complex128]], nyquist: float)
     Parameters
     ----------
     response : callable
-        Open-loop frequency response at angular frequencies.
+        Open-loop frequency response at angular frequencies [rad/s].
     nyquist : float
-        Highest one [rad/s].
+        Highest frequency [rad/s].
     """
     grid = np.geomspace(_LOWEST * nyquist, nyquist, _GRID)
     values = response(grid)
-    sizes, turned = np.abs(values) > 1.0, np.imag(values) > 0.0
-    crossings = [_root(lambda w: np.abs(response(w)) - 1.0, *edges) for edges in _changes(grid, sizes)]
-    candidates = [_root(lambda w: np.imag(response(w)), *edges) for edges in _changes(grid, turned)]
+    above_one, positive = np.abs(values) > 1.0, np.imag(values) > 0.0
+    crossings = [_root(lambda w: np.abs(response(w)) - 1.0, *edges) for edges in _changes(grid, above_one)]
+    candidates = [_root(lambda w: np.imag(response(w)), *edges) for edges in _changes(grid, positive)]
     real = [complex(value) for value in response(np.array(candidates)) if value.real < 0.0]
-    real.append(complex(values[-1]))  # at half the sampling frequency every response is real
+    real.append(complex(values[-1]))  # the response at half the sampling frequency is real
     gains = [1.0 / abs(value) for value in real if -1.0 < value.real < 0.0]
     phases = [
         (math.degrees(cmath.phase(-value)), w)
@@ -195,29 +195,29 @@ def margins(response: Callable[[Omega], NDArray[np.complex128]], nyquist: float)
 
 
 def spectral_radius(a: Matrix) -> float:
-    """Magnitude of the largest eigenvalue: a discrete system is stable below 1. Infinite where numbers overflow."""
+    """Largest magnitude of the eigenvalues: a discrete system is stable below 1. Infinite for a non-finite matrix."""
     return float(np.abs(np.linalg.eigvals(a)).max()) if np.isfinite(a).all() else math.inf
 
 
 @dataclass(frozen=True)
 class Pole:
-    """One pole of a discrete system and the continuous one that decays alike."""
+    """Pole of a discrete system, with frequency and damping of the equivalent continuous pole."""
 
-    z: complex  # in the z plane; of a pair the one with the positive imaginary part
+    z: complex  # in the z plane; for a conjugate pair with the positive imaginary part
     frequency: float  # magnitude of ln(z) / Ts over 2 pi [Hz]
-    damping: float  # ratio, of the same ln(z)
-    pair: bool  # whether it has a conjugate one
+    damping: float  # damping ratio of ln(z) / Ts
+    pair: bool  # whether it is one of a conjugate pair
 
 
 def poles(a: Matrix, dt: float) -> tuple[Pole, ...]:
-    """Eigenvalues of a discrete system of step `dt` [s], the slowest first, without those of abs(z) < 0.02."""
+    """Eigenvalues of a discrete system of step `dt` [s], the slowest first; those with abs(z) < 0.02 are omitted."""
     found = [complex(z) for z in np.linalg.eigvals(a)]
     kept = sorted((z for z in found if z.imag >= 0.0 and abs(z) >= 0.02), key=abs, reverse=True)
     return tuple(pole_of(z, dt) for z in kept)
 
 
 def pole_of(z: complex, dt: float) -> Pole:
-    """A place in the z plane as a pole; `dt` [s] is the step."""
+    """Return the pole at `z`; `dt` is the sampling time [s]."""
     s = cmath.log(z) / dt
     size = abs(s)
     return Pole(z, size / (2.0 * math.pi), -s.real / size if size > 0.0 else 1.0, z.imag != 0.0)

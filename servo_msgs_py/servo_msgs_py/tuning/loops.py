@@ -1,10 +1,10 @@
-"""The control loops as they run: sampled, delayed, with the integers of the firmware.
+"""Models of the control loops: sampled, with delays, with the integer gains of the firmware.
 
-Fast loop, from one sample of the currents to the next (DRM F34): the duties computed from a sample are loaded half a
-period later and held for a whole one. Slow loop: its set-point is used by the fast loop half a period later, eight
-times; the speed comes from one of the `sensors`.
+Fast loop, between two samples of the currents (DRM F34): the duties computed from a sample are loaded half a period
+later and held for one period. Slow loop: the fast loop uses its set-point half a period later, for eight periods; the
+speed comes from one of the `sensors`.
 
-All currents and speeds are small signals: no limit is active, the direction of motion does not change, i_d is 0.
+Currents and speeds are small signals: no limit is active, the direction of motion does not change, i_d is 0.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from servo_msgs_py.tuning.sensors import EdgeDelay, SpeedSensor
 
 @dataclass(frozen=True)
 class CurrentLoop:
-    """One current controller with its winding at standstill."""
+    """One current controller and the winding at standstill."""
 
     resistance: float  # of the winding [ohm]
     inductance: float  # of the winding [H]
@@ -34,7 +34,7 @@ class CurrentLoop:
 
     @property
     def open(self) -> System:
-        """From the error to the current, both at the sampling instants. States: current, voltage, integral."""
+        """Open loop from error to current, both at the sampling instants. States: current, voltage, integral."""
         a, b = np.array([[-self.resistance / self.inductance]]), np.array([[1.0 / self.inductance]])
         f, g = (float(m[0, 0]) for m in held(a, b, 0.5 * self.period))
 
@@ -50,7 +50,7 @@ class CurrentLoop:
 
     @property
     def closed(self) -> System:
-        """From the set-point to the current."""
+        """Closed loop from the set-point to the current."""
         return self.open.fed_back(0, 0)
 
     def margins(self) -> Margins:
@@ -59,29 +59,29 @@ class CurrentLoop:
 
 
 class In(IntEnum):
-    """Inputs of the loops around the shaft."""
+    """Inputs of the speed and position loops."""
 
     CURRENT = 0
-    """Current set-point that reaches the motor in an open loop, or is added in a closed one [A]."""
+    """Current set-point [A]: open loop, the one of the motor; closed loop, an added disturbance."""
     SET_POINT = 1
-    """Speed [rad/s] or angle [rad]."""
+    """Speed [rad/s] or angle [rad] set-point."""
     LOAD = 2
-    """Torque against the motion [N m]."""
+    """Load torque against the motion [N m]."""
 
 
 class Out(IntEnum):
-    """Their outputs, at the slow ticks."""
+    """Outputs of the loops, at the slow ticks."""
 
     CURRENT = 0
-    """What the speed controller asks for [A]."""
+    """Output of the speed controller [A]."""
     PROPORTIONAL = 1
-    """Its proportional part [A]."""
+    """Proportional part of that output [A]."""
     MEASURED = 2
-    """Speed that the controller sees [rad/s]."""
+    """Measured speed [rad/s]."""
     SPEED = 3
-    """Speed of the shaft [rad/s]."""
+    """True speed of the shaft [rad/s]."""
     ANGLE = 4
-    """Its angle [rad]."""
+    """Angle of the shaft [rad]."""
 
 
 @dataclass(frozen=True)
@@ -91,12 +91,12 @@ class ShaftLoops:
     axis: Axis  # of the configuration
     board: Board  # of the configuration
     gains: Gains  # after rounding to integers
-    back_emf: float  # decoupling of the controller [V s/rad]
-    inertia: float  # of the shaft [kg m^2]; it may differ from that of the design
+    back_emf: float  # gain of the back-EMF decoupling [V s/rad]
+    inertia: float  # of the shaft [kg m^2]; may differ from the nominal inertia
     sensor: SpeedSensor  # source of the speed
 
     def _motor(self) -> tuple[Matrix, Matrix]:
-        """Half a PWM period: states current, speed, angle; inputs voltage, load torque."""
+        """Motor over half a PWM period: states current, speed, angle; inputs voltage, load torque."""
         r, l_q = self.axis("motor.r_s"), self.axis("motor.l_q")
         k_t, psi = self.axis.torque_constant, self.axis("motor.pole_pairs") * self.axis("motor.psi_m")
         a = np.array(
@@ -111,10 +111,10 @@ class ShaftLoops:
 
     @cached_property
     def open(self) -> System:
-        """The speed loop, opened at the current set-point: what the controller asks for does not reach the motor.
+        """Speed loop, opened between the output of the speed controller and the current set-point.
 
-        Inputs are those of `In`, outputs those of `Out`. States: angle, speed, current, voltage, integrals of current
-        and speed controller, movement and current set-point of the last slow period, and those of the sensor.
+        Inputs: `In`. Outputs: `Out`. States: angle, speed, current, voltage, integrals of current and speed controller,
+        movement and current set-point of the last slow period, states of the sensor.
         """
         f, g = self._motor()
         tick, pi, gains = self.board.tick, self.gains.current_q, self.gains.speed
@@ -124,7 +124,7 @@ class ShaftLoops:
             angle, speed, current, voltage, integral, speed_integral, moved, reference = x[:8]
             injected, set_point, load = u
             measured, sensor = self.sensor.step(x[8:], moved, reference, tick)
-            # The integral part sums the way that the encoder has counted.
+            # The integral part uses the counted movement, not the measured speed.
             speed_integral = speed_integral + gains.ki * (set_point - moved / tick)
             proportional = gains.kp * (set_point - measured)
             outputs = np.vstack([proportional + speed_integral, proportional, measured, speed, angle])
@@ -145,21 +145,21 @@ class ShaftLoops:
 
     @cached_property
     def speed(self) -> System:
-        """Speed loop closed; the set-point is a speed [rad/s]."""
+        """Closed speed loop; the set-point is a speed [rad/s]."""
         return self.open.fed_back(Out.CURRENT, In.CURRENT, -1.0)
 
     @cached_property
     def position(self) -> System:
-        """Position loop closed around it; the set-point is an angle [rad]."""
+        """Closed position loop; the set-point is an angle [rad]."""
         return self.speed.scaled(In.SET_POINT, self.gains.position).fed_back(Out.ANGLE, In.SET_POINT)
 
     @property
     def speed_alone(self) -> Matrix:
-        """Matrix of the speed loop without the angle, which nothing holds while only the speed is controlled."""
+        """State matrix of the closed speed loop without the angle, which is not controlled there."""
         return self.speed.a[1:, 1:]
 
     def speed_open(self, omega: Omega, delay: EdgeDelay | None = None) -> NDArray[np.complex128]:
-        """Open-loop frequency response at `omega` [rad/s]; `delay` replaces that of M/T while edges are frequent."""
+        """Open-loop frequency response at `omega` [rad/s]; `delay` replaces the M/T delay with frequent edges."""
         loop = self.open
         whole = -loop.channel(Out.CURRENT, In.CURRENT).response(omega)
         if delay is None:
@@ -169,7 +169,7 @@ class ShaftLoops:
         return whole + part * (delay.response(omega) / frequent.response(omega) - 1.0)
 
     def position_open(self, omega: Omega) -> NDArray[np.complex128]:
-        """Open-loop frequency response of the position loop at `omega` [rad/s], the speed loop closed."""
+        """Open-loop frequency response of the position loop at `omega` [rad/s], with the speed loop closed."""
         return self.gains.position * self.speed.channel(Out.ANGLE, In.SET_POINT).response(omega)
 
     def speed_margins(self, delay: EdgeDelay | None = None) -> Margins:

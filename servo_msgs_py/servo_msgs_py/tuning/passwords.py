@@ -1,4 +1,4 @@
-"""The group [board.passwords]: what a client on the serial line needs to know before it may do something."""
+"""The group [board.passwords]: passwords of the access levels of the serial line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from servo_msgs_py.tuning.errors import refused
 from servo_msgs_py.tuning.schema import check_table, unknown_name
 
 LEVELS: Final = ("view", "command", "tune")
-"""Names of the levels, from the lowest, in the order of ``ACCESS_VIEW``."""
+"""Access levels, from the lowest, in the order of ``ACCESS_VIEW``."""
 
 _HASH: Final = re.compile(r"sha1:([0-9a-fA-F]{40})")
 _VARIABLE: Final = re.compile(r"env:(\w+)")
@@ -20,12 +20,12 @@ _FORM: Final = 'write "sha1:" and the 40 digits of its SHA-1, or "env:" and the 
 
 
 def password_entries(value: object) -> Mapping[str, str]:
-    """Entry of each level that has a password; what an environment variable holds does not matter yet.
+    """Check the entries of the levels that have a password; environment variables are not evaluated yet.
 
     Raises
     ------
     ConfigError
-        If a level is unknown, or its entry can give no password.
+        If a level is unknown, or its entry has no valid form.
     """
     entries: dict[str, str] = {}
     for level, entry in check_table("board.passwords", value).items():
@@ -33,16 +33,16 @@ def password_entries(value: object) -> Mapping[str, str]:
         if level not in LEVELS:
             raise unknown_name(where, level, LEVELS)
         if not isinstance(entry, str):
-            raise refused(where, repr(entry), "no text", _FORM)
+            raise refused(where, repr(entry), "not a string", _FORM)
         if not _HASH.fullmatch(entry) and not _VARIABLE.fullmatch(entry):
-            # It may be the password itself: a message must not show it.
+            # The entry may be the password itself: the message must not show it.
             raise refused(where, "...", "neither a hash nor an environment variable", _FORM)
         entries[level] = entry
     return entries
 
 
 def password_constants(entries: Mapping[str, str]) -> dict[str, tuple[int, ...]]:
-    """Fields of ``servo_config_t``; a level that is left out has no password of its own.
+    """Fields of ``servo_config_t``; an omitted level has no password.
 
     Raises
     ------
@@ -59,5 +59,5 @@ def _digest(level: str, entry: str) -> bytes:
     password = os.environ.get(entry.removeprefix("env:"), "")
     if not password:
         where = f"board.passwords.{level}"
-        raise refused(where, entry, "the environment variable is not set, or empty", "put the password there")
+        raise refused(where, entry, "the environment variable is not set, or empty", "set it to the password")
     return hashlib.sha1(password.encode("utf-8"), usedforsecurity=False).digest()

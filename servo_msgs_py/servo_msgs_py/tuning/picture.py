@@ -1,4 +1,4 @@
-"""The report as a picture; needs matplotlib."""
+"""Plot of the report; requires matplotlib."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from servo_msgs_py.tuning.tuned import Tuned
 
 
 class PictureError(RuntimeError):
-    """The picture cannot be made; the message says why."""
+    """The plot failed; the message has the reason."""
 
 
 def draw(reports: Sequence[AxisReport], path: Path) -> None:
-    """One column per axis: open loops, closed loops, steps of speed and of load, observer and start-up.
+    """Plot one column per axis: open loops, closed loops, speed step, load step, observer poles, start-up.
 
     Raises
     ------
     PictureError
-        If matplotlib is missing or does not know the format.
+        If matplotlib is missing or does not support the format.
     OSError
         If the file cannot be written.
     """
     try:
         from matplotlib.figure import Figure
     except ImportError:
-        raise PictureError("a picture needs matplotlib: pip install matplotlib, or leave --plot out") from None
+        raise PictureError("--plot needs matplotlib: pip install matplotlib, or omit --plot") from None
     panels = (_open_gain, _open_phase, _closed_gain, _speed_step, _load_step, _observer_poles, _start_up)
     figure = Figure(figsize=(7.0 * len(reports), 3.2 * len(panels)), dpi=100, layout="constrained")
     plots = figure.subplots(len(panels), len(reports), squeeze=False)

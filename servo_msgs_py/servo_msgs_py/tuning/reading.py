@@ -1,4 +1,4 @@
-"""Reading ``servo.toml``."""
+"""Read ``servo.toml``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def load(path: Path, catalogue: Catalogue) -> Configuration:
     Raises
     ------
     ConfigError
-        If it is not TOML or cannot work.
+        If it is not valid TOML or the configuration cannot work.
     OSError
         If it cannot be read.
     """
@@ -43,7 +43,7 @@ def loads(text: str, catalogue: Catalogue) -> Configuration:
     Raises
     ------
     ConfigError
-        If it is not TOML or cannot work.
+        If it is not valid TOML or the configuration cannot work.
     """
     try:
         table = tomllib.loads(text)
@@ -58,7 +58,7 @@ def parse(table: Mapping[str, Any], catalogue: Catalogue) -> Configuration:
     Raises
     ------
     ConfigError
-        If it cannot work.
+        If the configuration cannot work.
     """
     known = ("board", "defaults", *AXIS_NAMES)
     for name in table:

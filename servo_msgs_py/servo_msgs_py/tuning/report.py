@@ -1,4 +1,4 @@
-"""The report: what the tool computes, for people and for programs."""
+"""Report of the tuning tool, as text and as JSON."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from servo_msgs_py.tuning.tuned import Tuned, tuned
 from servo_msgs_py.tuning.winding import Winding
 
 MODEL: Final = """\
-Model: the loops as they are sampled, with the integer gains and the nominal motor.
-Duties are loaded half a PWM period after their sample and hold for a whole one. M/T: the controller sees the mean speed
-of a slow period whose middle is 1.5 slow periods old; below some 10 rad/s its age changes with the speed, as the last
-table says. Observer: errors of more than a count. Small signals: no limit active, no change of direction."""
+Model: sampled loops with the integer gains and the nominal motor.
+Duties are loaded half a PWM period after their sample and held for one period. M/T: the measured speed is the mean over
+a slow period whose middle is 1.5 slow periods old; below about 10 rad/s this delay depends on the speed (last table).
+Observer: errors of more than a count. Small signals: no limit active, no change of direction."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class AxisReport:
 
 
 def axis_reports(configuration: Configuration) -> list[AxisReport]:
-    """Compute everything.
+    """Compute the report of every axis.
 
     Raises
     ------
@@ -48,11 +48,11 @@ def axis_reports(configuration: Configuration) -> list[AxisReport]:
     return result
 
 
-# ---- for programs ---------------------------------------------------------------------------------------------------
+# ---- JSON -----------------------------------------------------------------------------------------------------------
 
 
 def _plain(value: Any) -> Any:
-    """Complex numbers as pairs, tuples as lists."""
+    """Value for JSON: complex numbers as pairs, tuples as lists."""
     if isinstance(value, complex):
         return [value.real, value.imag]
     if isinstance(value, dict):
@@ -74,11 +74,11 @@ def as_dict(reports: Iterable[AxisReport]) -> dict[str, Any]:
     }
 
 
-# ---- for people -----------------------------------------------------------------------------------------------------
+# ---- text -----------------------------------------------------------------------------------------------------------
 
 
 def text(reports: Iterable[AxisReport]) -> str:
-    """All figures as a page."""
+    """All figures as text."""
     pages = ["\n".join(_axis(report)) for report in reports]
     return "\n\n".join([*pages, MODEL]) + "\n"
 
@@ -87,7 +87,7 @@ def _axis(report: AxisReport) -> Iterator[str]:
     it, figures = report.tuned, report.figures
     speed = "the speed observer" if it.observed else "M/T"
     yield f"{figures.name}: {len(report.findings) or 'no'} warning{'' if len(report.findings) == 1 else 's'}"
-    yield f"    speed from {speed} after reset; the position gain, moves and loads below are with that"
+    yield f"    speed from {speed} after reset; position gain, moves and loads below use it"
     yield from (f"    WARNING {finding}" for finding in report.findings)
     yield "  gains"
     yield from _gains(it)
@@ -103,9 +103,9 @@ def _axis(report: AxisReport) -> Iterator[str]:
     yield "  winding"
     yield from _winding(it)
     for observed, how in ((False, "M/T"), (True, "speed observer")):
-        yield f"  the same gains on another shaft, {how}"
+        yield f"  same gains with other inertias, {how}"
         yield from _inertias(figures, observed)
-    yield "  speed loop while encoder edges are rare, M/T"
+    yield "  speed loop at low speed (rare encoder edges), M/T"
     yield from _edges(figures)
     yield from field_weakening_text(it.axis, it.board, it.block)
     yield from sensorless_text(it, figures.sensorless)
@@ -118,7 +118,7 @@ def _gains(it: Tuned) -> Iterator[str]:
 
 
 def _loops(figures: Assessment) -> Iterator[str]:
-    rows = [("", "wanted", "crossover", "phase margin", "gain margin", "-3 dB", "peak")]
+    rows = [("", "designed", "crossover", "phase margin", "gain margin", "-3 dB", "peak")]
     for loop in figures.loops:
         rows.append(
             (
@@ -147,7 +147,7 @@ def _poles(figures: Assessment, name: str) -> Iterator[str]:
 def _rule(figures: Assessment) -> Iterator[str]:
     rule = figures.rule
     verdict = "no overshoot" if rule.k_v_t <= K_V_T_MAX else "will overshoot"
-    maximum = f"at most {K_V_T_MAX / rule.t_n_tuned:.4g} 1/s keep K_v T <= {K_V_T_MAX:g}"
+    maximum = f"largest for K_v T <= {K_V_T_MAX:g}: {K_V_T_MAX / rule.t_n_tuned:.4g} 1/s"
     rows = [
         ("T_N of E43, rotor alone", f"{1e3 * rule.t_n_rotor:.2f} ms", "speed from 0 to rated at rated torque"),
         ("T_N of E43, whole shaft", f"{1e3 * rule.t_n_shaft:.2f} ms", ""),
@@ -165,17 +165,25 @@ def _moves(it: Tuned, figures: Assessment) -> Iterator[str]:
     limit, speed = axis("limits.current"), axis("limits.speed")
     feature = ", ".join(key for key, on in axis.features.items() if on)
     rows = [
-        ("path omega_n", f"{reach.path_omega_n:.4g} rad/s", f"asks for at most {reach.path_acceleration:.4g} rad/s^2"),
-        ("its current", f"{reach.path_current:.2f} A", f"of {limit:g} A"),
+        (
+            "path omega_n",
+            f"{reach.path_omega_n:.4g} rad/s",
+            f"largest acceleration {reach.path_acceleration:.4g} rad/s^2",
+        ),
+        ("current of the path", f"{reach.path_current:.2f} A", f"of {limit:g} A"),
         ("current of the speed ramp", f"{reach.ramp_current:.2f} A", f"{axis('limits.acceleration'):g} rad/s^2"),
         ("current against friction", f"{reach.friction_current:.3f} A", f"at {speed:g} rad/s"),
         ("top speed, no load", f"{reach.speed_idle:.4g} rad/s", f"at {it.board('nominal_voltage'):g} V"),
         ("top speed, rated current", f"{reach.speed_rated:.4g} rad/s", f"{axis('motor.rated_current'):g} A"),
         ("lag at the speed limit", f"{arrival.lag:.3f} rad", f"at {speed:g} rad/s, without speed_forward"),
-        ("overshoot, bare step", f"{100.0 * arrival.bare:.2f} %", "of a position step that nothing shapes"),
+        ("overshoot, bare step", f"{100.0 * arrival.bare:.2f} %", "of a position step without shaping"),
         ("overshoot, shaped move", f"{arrival.shaped:.2f} counts", f"from {speed:g} rad/s, limits not reached"),
-        ("load step", f"{load.torque:.4g} N m", f"moves the shaft by {load.deflection * counts:.0f} counts"),
-        ("stiffness", f"{load.stiffness:.3g} N m/rad", f"back within a tenth after {1e3 * load.recovery:.0f} ms"),
+        ("load step", f"{load.torque:.4g} N m", f"displaces the shaft by {load.deflection * counts:.0f} counts"),
+        (
+            "stiffness",
+            f"{load.stiffness:.3g} N m/rad",
+            f"within a tenth of the displacement after {1e3 * load.recovery:.0f} ms",
+        ),
         ("on after reset", "", feature or "nothing"),
     ]
     return notes(rows)
@@ -191,26 +199,26 @@ def _winding(it: Tuned) -> Iterator[str]:
         ("time constant", _time(model.resistance * model.capacity), f"of {model.capacity:g} J/K"),
         ("full current until derating", _time(model.time_to(model.derating, model.current)), full),
         ("rated current continuously", _celsius(model.equilibrium(model.rated)), f"{model.rated:g} A"),
-        ("all the current there is", _celsius(celsius), f"ends at {current:.3g} A, with the feature winding_model"),
+        ("largest current continuously", _celsius(celsius), f"derated to {current:.3g} A by the feature winding_model"),
     ]
     return notes(rows)
 
 
 def _time(seconds: float) -> str:
-    return f"{seconds:.3g} s" if math.isfinite(seconds) else "for ever"
+    return f"{seconds:.3g} s" if math.isfinite(seconds) else "unlimited"
 
 
 def _celsius(celsius: float) -> str:
-    return f"{celsius:.4g} deg C" if math.isfinite(celsius) else "no end"
+    return f"{celsius:.4g} deg C" if math.isfinite(celsius) else "unlimited"
 
 
 def _inertias(figures: Assessment, observed: bool) -> Iterator[str]:
     rows = [("inertia", "speed crossover", "phase margin", "gain margin", "position step overshoots")]
     for case in (case for case in figures.inertias if case.observed == observed):
-        rest = ("UNSTABLE", "-", "-")
+        cells = ("UNSTABLE", "-", "-")
         if case.stable and case.overshoot is not None:
-            rest = (phase(case.margins), factor(case.margins.gain), f"{100.0 * case.overshoot:.1f} %")
-        rows.append((f"x {case.factor:g}", hertz(case.margins.crossover), *rest))
+            cells = (phase(case.margins), factor(case.margins.gain), f"{100.0 * case.overshoot:.1f} %")
+        rows.append((f"x {case.factor:g}", hertz(case.margins.crossover), *cells))
     return table(rows)
 
 
@@ -218,6 +226,6 @@ def _edges(figures: Assessment) -> Iterator[str]:
     rows = [("speed", "phase margin", "gain margin")]
     for speed, margins in figures.edges:
         steady = margins.phase is not None and margins.phase > 0.0
-        rest = (phase(margins), factor(margins.gain)) if steady else ("none: it hunts", "-")
-        rows.append((f"{speed:g} rad/s", *rest))
+        cells = (phase(margins), factor(margins.gain)) if steady else ("none: unstable", "-")
+        rows.append((f"{speed:g} rad/s", *cells))
     return table(rows)

@@ -1,8 +1,8 @@
-"""From configuration blocks back to a file: SI entries of which the tuning code makes the same blocks, bit for bit.
+"""Restore a configuration file from configuration blocks: the tuning code computes the same bits from it.
 
-Many entries follow from a member by its scale. The others are found by the tuning code itself: an entry is changed
-until the member that it determines is the one of the block. What is left different then - a block may come from
-elsewhere, and rounding is not always undone - is written as a raw number into the group ``[axisN.exact]``.
+Many entries are computed from a member by its scale. The others are searched: an entry is changed until the tuning code
+computes the member of the block from it. Members that still differ (blocks of another origin, rounding) are written as
+raw numbers to the group ``[axisN.exact]``.
 """
 
 from __future__ import annotations
@@ -33,66 +33,66 @@ _CODES: Final = 4096
 
 
 @dataclass(frozen=True)
-class _Found:
-    """An entry that the tuning code finds."""
+class _SearchedEntry:
+    """An entry that is searched with the tuning code."""
 
-    entry: str  # that is changed
-    member: str  # that the entry determines
-    start: float  # where the search begins
-    power: int = 1  # 1 where the member grows with the entry, -1 where it falls
+    entry: str  # changed by the search
+    member: str  # determined by the entry
+    start: float  # start value of the search
+    power: int = 1  # 1: the member rises with the entry; -1: it falls
 
 
-_FOUND: Final = (
-    _Found("control.current_bandwidth", "current_loop.d.kp", 1000.0),
-    _Found("control.speed_bandwidth", "speed.kp", 75.0),
-    _Found("control.speed_ratio", "speed.ki", 5.0, -1),
-    _Found("control.path_current_use", "path_omega_n_ts", 0.5),
-    _Found("rotor_search.follow_flux", "rotor_search.follow.flux_min", 0.3),
-    _Found("observer.k_1", "observer.k1", -5000.0),
-    _Found("observer.k_2", "observer.k2", 5000.0),
-    _Found("observer.pll_i", "pll.ki", 6e6),
-    _Found("observer.pll_damping", "pll.kp", 1.0),
-    _Found("observer.pll_torque", "pll.acceleration", 1.0),
-    _Found("observer.pll_size", "pll.follow", 75.0),
-    _Found("observer.pll_load", "pll.load", 0.125),
-    _Found("observer.speed_part", "observed_speed.kp", 0.6),
-    _Found("start_up.swings", "startup.speed_step", 6.0, -1),
-    _Found("start_up.current_time", "startup.current_step", 0.1, -1),
-    _Found("start_up.swing_damping", "startup.damping", 0.7),
-    _Found("field_weakening.bandwidth", "field_weakening.gain", 80.0),
-    _Found("start_up.fade_time", "startup.fade_step", 0.02, -1),
-    _Found("winding.heat_capacity", "winding_model.heating", 25.0, -1),
-    _Found("winding.thermal_resistance", "winding_model.cooling", 20.0, -1),
+_SEARCHED: Final = (
+    _SearchedEntry("control.current_bandwidth", "current_loop.d.kp", 1000.0),
+    _SearchedEntry("control.speed_bandwidth", "speed.kp", 75.0),
+    _SearchedEntry("control.speed_ratio", "speed.ki", 5.0, -1),
+    _SearchedEntry("control.path_current_use", "path_omega_n_ts", 0.5),
+    _SearchedEntry("rotor_search.follow_flux", "rotor_search.follow.flux_min", 0.3),
+    _SearchedEntry("observer.k_1", "observer.k1", -5000.0),
+    _SearchedEntry("observer.k_2", "observer.k2", 5000.0),
+    _SearchedEntry("observer.pll_i", "pll.ki", 6e6),
+    _SearchedEntry("observer.pll_damping", "pll.kp", 1.0),
+    _SearchedEntry("observer.pll_torque", "pll.acceleration", 1.0),
+    _SearchedEntry("observer.pll_size", "pll.amplitude_gain", 75.0),
+    _SearchedEntry("observer.pll_load", "pll.load_gain", 0.125),
+    _SearchedEntry("observer.speed_part", "observed_speed.kp", 0.6),
+    _SearchedEntry("start_up.swings", "startup.speed_step", 6.0, -1),
+    _SearchedEntry("start_up.current_time", "startup.current_step", 0.1, -1),
+    _SearchedEntry("start_up.swing_damping", "startup.damping", 0.7),
+    _SearchedEntry("field_weakening.bandwidth", "field_weakening.gain", 80.0),
+    _SearchedEntry("start_up.fade_time", "startup.fade_step", 0.02, -1),
+    _SearchedEntry("winding.heat_capacity", "winding_model.heating", 25.0, -1),
+    _SearchedEntry("winding.thermal_resistance", "winding_model.cooling", 20.0, -1),
 )
-"""In an order in which none depends on a later one."""
+"""In the order of the search: no entry depends on a later one."""
 
 
 _NOT_ON_A_BOARD: Final = {"motor.rotor_inertia": "motor.inertia", "motor.rated_speed": "limits.speed"}
-"""Entries that only serve a report, and what stands for them."""
+"""Entries that are used in a report only, and the entries that replace them."""
 
 
-def restored(blocks: Sequence[Block], timeouts: tuple[float, float], catalogue: Catalogue) -> dict[str, Any]:
-    """The file as TOML has it.
+def restore_table(blocks: Sequence[Block], timeouts: tuple[float, float], catalogue: Catalogue) -> dict[str, Any]:
+    """Return the contents of the configuration file.
 
     Parameters
     ----------
     blocks : sequence of mapping
-        Of both axes, raw numbers by member.
+        Configuration blocks of both axes, raw numbers by member.
     timeouts : tuple of float
-        Of the host and of commands [s]; they are no part of a block.
+        Timeouts of host and commands [s]; they are not part of a block.
     catalogue : Catalogue
         The contract.
 
     Returns
     -------
     dict
-        A table that `tuning.reading.parse` takes; without [board.brake] and [board.regeneration], which are none of an
+        A table for `tuning.reading.parse`, without [board.brake] and [board.regeneration], which do not belong to an
         axis.
 
     Raises
     ------
     ConfigError
-        If no file gives these blocks: the tuning code refuses what comes nearest.
+        If no file gives these blocks: the tuning code refuses the closest one.
     """
     scales = Scales.of(catalogue)
     board = _board(blocks[0], timeouts, scales)
@@ -137,14 +137,14 @@ def _board(block: Block, timeouts: tuple[float, float], s: Scales) -> dict[str, 
 
 
 def _nearest(path: str, block: Block, factor: float) -> float:
-    """The shortest number within half a raw unit of a member times a factor."""
+    """Shortest number within half a raw unit of a member times a factor."""
     lsb = AxisConfigTable.load().members[path].lsb
     exact = block[path] * lsb * factor
     return _shortest(exact, lambda x: abs(x - exact) < 0.49 * lsb * factor)
 
 
 def _shortest(exact: float, fits: Callable[[float], bool]) -> float:
-    """A number rounded to as few digits as fit."""
+    """Number with the fewest digits that `fits`."""
     return next((x for n in _DIGITS if fits(x := _short(exact, n))), exact)
 
 
@@ -153,7 +153,7 @@ def _short(value: float, digits: int) -> float:
 
 
 class _Restorer:
-    """One axis."""
+    """Restores the entries of one axis."""
 
     def __init__(self, name: str, block: Block, board: Mapping[str, Any], catalogue: Catalogue) -> None:
         self._name, self._block, self._catalogue = name, block, catalogue
@@ -165,7 +165,7 @@ class _Restorer:
         return _nearest(path, self._block, factor)
 
     def table(self) -> dict[str, Any]:
-        """Everything below ``[axisN]``."""
+        """Contents of ``[axisN]``."""
         stop = {
             "disable": CATEGORIES[self._block["stop.disable"]],
             "quick_stop": CATEGORIES[self._block["stop.quick_stop"]],
@@ -187,7 +187,7 @@ class _Restorer:
             feedback=FEEDBACKS[self._block["feedback"]],
             pins={pin: bool(self._block["pins.fitted"] >> bit & 1) for bit, pin in enumerate(PINS)},
         )
-        for found in _FOUND:
+        for found in _SEARCHED:
             axis = self._find(axis, found)
         axis = self._shorten(axis)
         for entry, same in _NOT_ON_A_BOARD.items():
@@ -202,7 +202,7 @@ class _Restorer:
             result["exact"] = exact
         return result
 
-    # ---- entries that a member gives by its scale
+    # ---- entries computed from a member by its scale
     def _start(self) -> dict[str, dict[str, float]]:
         b, s, at = self._block, self._scales, self._at
         p = b["encoder.pole_pairs"]
@@ -217,7 +217,7 @@ class _Restorer:
         step, ticks = b["rotor_search.follow.step"], b["rotor_search.follow.ticks"]
         turn_time = at("rotor_search.follow.ticks")
         degrees = 360.0 / 65536.0
-        left = (1.0 - _value("speed_observer.l_position", b)) ** (1.0 / 3.0)
+        decay = (1.0 - _value("speed_observer.l_position", b)) ** (1.0 / 3.0)
         first = {"current_loop.omega_l_d": "l_d", "current_loop.omega_l_q": "l_q"}
         ramp = _value("rotor_search.current_step", b) / _TICK
         final, resistance = b["startup.final_current"], _value("winding.resistance", b)
@@ -249,7 +249,7 @@ class _Restorer:
             "control": {
                 "anti_windup": at("speed.kc"),
                 "position_gain": at("position_gain", 1.0 / per_count),
-                "observer_bandwidth": -math.log(max(left, 1e-9)) / (2.0 * math.pi * _TICK),
+                "observer_bandwidth": -math.log(max(decay, 1e-9)) / (2.0 * math.pi * _TICK),
             },
             "rotor_search": {
                 "current": at("rotor_search.current_limit"),
@@ -331,10 +331,10 @@ class _Restorer:
                 "offset_duty": at("offset_duty_min"),
             },
         }
-        for found in _FOUND:
+        for found in _SEARCHED:
             group, key = found.entry.split(".")
             groups[group][key] = found.start if b[found.member] or found.power < 0 or group == "control" else 0.0
-        if not b["observer.drive"]:  # the motor cannot be observed: nothing tells what was wanted
+        if not b["observer.drive"]:  # the motor cannot be observed: the entries are unknown
             for key in ("k_1", "k_2"):
                 del groups["observer"][key]
             groups["observer"] |= {"bandwidth": 500.0, "damping": 1.0, "pll_i": 6026968.0, "pll_damping": 1.0}
@@ -343,37 +343,37 @@ class _Restorer:
         return groups
 
     def _wait(self) -> float:
-        """What the start-up lasts longer than its ramp [s]."""
+        """Duration of the start-up after its ramp [s]."""
         b = self._block
         ramp = b["startup.final_speed"] / b["startup.speed_step"] if b["startup.speed_step"] else 0.0
         return max(b["startup.duration_ticks"] - ramp, 1.0) * _TICK
 
-    # ---- entries that the tuning code finds
+    # ---- searched entries
     def _computed(self, axis: Axis) -> dict[str, int] | None:
-        """The block of the entries as they stand, None if they do not make sense."""
+        """Block computed from the present entries; None if they are refused."""
         configuration = Configuration(self._board, (axis,), self._scales)
         try:
             return block_of(integers(axis, configuration)[2], axis.name)
         except (ConfigError, ArithmeticError, ValueError):
             return None
 
-    def _find(self, axis: Axis, found: _Found) -> Axis:
-        wanted = self._block[found.member]
+    def _find(self, axis: Axis, found: _SearchedEntry) -> Axis:
+        target = self._block[found.member]
         group, key = found.entry.split(".")
-        if key not in axis.groups[group] or wanted == 0:
+        if key not in axis.groups[group] or target == 0:
             return axis
         for _ in range(_ROUNDS):
             got = self._computed(axis)
-            if got is None or got[found.member] == wanted or not got[found.member]:
+            if got is None or got[found.member] == target or not got[found.member]:
                 break
-            factor = wanted / got[found.member]
+            factor = target / got[found.member]
             if factor <= 0.0:
                 break
             axis = _with(axis, found.entry, axis(found.entry) * factor**found.power)
         return axis
 
     def _shorten(self, axis: Axis) -> Axis:
-        """Entries with as few digits as give the same block."""
+        """Reduce the digits of the entries as far as the block stays the same."""
         best = self._mistakes(axis)
         for group, entries in axis.groups.items():
             for key, value in entries.items():
@@ -401,7 +401,7 @@ def _with(axis: Axis, path: str, value: float) -> Axis:
 
 
 def toml_text(table: Mapping[str, Any], heading: str) -> str:
-    """TOML of the table, with the unit of every entry."""
+    """Text of the table as TOML, with the unit of every entry."""
     lines = [f"# {line}" for line in heading.splitlines()]
     _write(lines, "", table)
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""What cannot work without an encoder, as far as the configuration is to blame and not the motor."""
+"""Refusals of sensorless configurations that do not depend on the gains."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.sensorless import BackEmfObserver, Pll, StartUp
 
 SPEEDS: Final = 64
-"""Length of the FIFO of observed speeds."""
+"""Samples in the FIFO of observed speeds."""
 
-FASTER: Final = 2.0
-"""Times the phase-locked loop that the observer before it has to be as fast."""
+OBSERVER_TO_PLL_MIN: Final = 2.0
+"""Smallest ratio of the observer bandwidth to the natural frequency of the PLL."""
 
 LAG_MAX: Final = math.radians(30.0)
-"""By which the phase-locked loop may trail the ramp of the start-up."""
+"""Largest lag of the PLL behind the ramp of the start-up [rad, electrical]."""
 
 
 def check_sensorless(axis: Axis, board: Board) -> None:
-    """Observer, phase-locked loop, reliability and start-up.
+    """Check observer, phase-locked loop (PLL), reliability and start-up.
 
     Raises
     ------
     ConfigError
-        If they cannot work.
+        If the axis cannot work without an encoder.
     """
     _which_gains(axis)
     pll, start_up = Pll.of(axis), StartUp.of(axis)
@@ -37,23 +37,23 @@ def check_sensorless(axis: Axis, board: Board) -> None:
 
 
 def _top(axis: Axis) -> float:
-    """Electrical speed at the limit [rad/s]."""
+    """Electrical speed at limits.speed [rad/s]."""
     return axis("motor.pole_pairs") * axis("limits.speed")
 
 
 def _which_gains(axis: Axis) -> None:
-    """Either bandwidth and damping, or K1 and K2."""
+    """Check that either bandwidth and damping or K1 and K2 are given."""
     poles, gains = (("bandwidth", "damping"), ("k_1", "k_2"))
     for one, other in (gains, gains[::-1], *(() if axis.given("observer.k_1") else (poles, poles[::-1]))):
         if axis.given(f"observer.{one}") and not axis.given(f"observer.{other}"):
-            raise axis.refused(f"observer.{one}", f"nothing without {other}", f"write observer.{other}, too")
+            raise axis.refused(f"observer.{one}", f"observer.{other} is missing", f"write observer.{other}, too")
     if not axis.given("observer.k_1") and not axis.given("observer.bandwidth"):
         raise ConfigError(f"{axis.name}.observer.bandwidth is missing; add it with damping, or k_1 and k_2")
     if axis.given("observer.k_1") and axis.given("observer.bandwidth"):
         own = {key: key not in axis.inherited for key in ("observer.k_1", "observer.bandwidth")}
         if own["observer.k_1"] == own["observer.bandwidth"]:
             reason = f"observer.bandwidth = {axis('observer.bandwidth'):g} Hz specifies the same quantity"
-            raise axis.refused("observer.k_1", reason, "leave one of them out")
+            raise axis.refused("observer.k_1", reason, "remove one of them")
 
 
 def _observer(axis: Axis, board: Board, pll: Pll) -> None:
@@ -61,37 +61,39 @@ def _observer(axis: Axis, board: Board, pll: Pll) -> None:
     if axis.given("observer.k_1"):
         _signs(axis, board)
     elif axis("observer.bandwidth") >= 0.25 * nyquist:
-        reason = f"{board('pwm_frequency'):g} Hz sample nothing so fast, and noise would be all that is left"
-        raise axis.refused("observer.bandwidth", reason, "write some 500 Hz")
-    elif axis("observer.bandwidth") < FASTER * locked:
-        reason = f"the phase-locked loop behind it has {locked:.3g} Hz at limits.speed and needs {FASTER:g} times that"
+        reason = f"too fast for a sampling rate of {board('pwm_frequency'):g} Hz"
+        raise axis.refused("observer.bandwidth", reason, "write about 500 Hz")
+    elif axis("observer.bandwidth") < OBSERVER_TO_PLL_MIN * locked:
+        reason = (
+            f"below {OBSERVER_TO_PLL_MIN:g} times the natural frequency of the PLL, {locked:.3g} Hz at limits.speed"
+        )
         raise axis.refused("observer.bandwidth", reason, "raise it")
     _poles(axis, board, locked)
 
 
 def _signs(axis: Axis, board: Board) -> None:
-    """K1 and K2 where the file gives them as numbers."""
+    """Check K1 and K2 given as numbers."""
     k1, k2, rate = axis("observer.k_1"), axis("observer.k_2"), board("pwm_frequency")
     if k1 >= 0.0:
-        reason = "not below 0: the estimated current would leave the measured one"
+        reason = "not below 0: the estimate of the current would be unstable"
         raise axis.refused(
             "observer.k_1", reason, f"write -{0.3 * rate:.0f} .. -{0.1 * rate:.0f}, or observer.bandwidth"
         )
     if k1 < -rate:
-        reason = f"beyond -{rate:g} 1/s the estimated current jumps past the measured one with every sample"
-        raise axis.refused("observer.k_1", reason, "write a smaller one, or observer.bandwidth")
+        reason = f"below -{rate:g} 1/s (-1/T): the estimate overshoots the measured current at every sample"
+        raise axis.refused("observer.k_1", reason, "write a smaller magnitude, or observer.bandwidth")
     if k2 <= 0.0:
-        reason = "not above 0: the observed back-EMF would run away from the true one"
-        raise axis.refused("observer.k_2", reason, "write a positive one, or observer.bandwidth")
+        reason = "not above 0: the estimate of the back-EMF would be unstable"
+        raise axis.refused("observer.k_2", reason, "write a positive value, or observer.bandwidth")
 
 
 def _poles(axis: Axis, board: Board, locked: float) -> None:
-    """Of the sampled observer, at standstill and at the top."""
+    """Check the poles of the sampled observer at standstill and at limits.speed."""
     typed = axis.given("observer.k_1")
     entry = "observer.k_2" if typed else "observer.damping"
-    remedy = "lower it, or k_1 in size" if typed else "write 1"
+    remedy = "lower it, or the magnitude of k_1" if typed else "write 1"
     it = BackEmfObserver.of(axis, board)
-    slowest = math.exp(-2.0 * math.pi * FASTER * locked * board.period)
+    slowest = math.exp(-2.0 * math.pi * OBSERVER_TO_PLL_MIN * locked * board.period)
     for where, omega_e in (("standstill", 0.0), (f"{axis('limits.speed'):g} rad/s", _top(axis))):
         radius = it.radius(omega_e)
         if not radius < 1.0:
@@ -99,9 +101,11 @@ def _poles(axis: Axis, board: Board, locked: float) -> None:
             raise axis.refused(entry, reason, remedy)
         if radius > slowest and (typed or omega_e == 0.0):
             reason = f"at {where} a pole of the observer has the magnitude {radius:.4f}, too near to the unit circle"
-            way = f"above {slowest:.4f} it is slower than {FASTER:g} times the phase-locked loop's {locked:.3g} Hz"
+            way = f"above {slowest:.4f} it is slower than {OBSERVER_TO_PLL_MIN:g} times the PLL ({locked:.3g} Hz)"
             remedy = (
-                "raise it, or k_1 in size, or write observer.bandwidth" if typed else "lower it, or raise bandwidth"
+                "raise it, or the magnitude of k_1, or write observer.bandwidth"
+                if typed
+                else "lower it, or raise bandwidth"
             )
             raise axis.refused(entry, f"{reason}: {way}", remedy)
 
@@ -109,34 +113,32 @@ def _poles(axis: Axis, board: Board, locked: float) -> None:
 def _pll(axis: Axis, board: Board, pll: Pll, start_up: StartUp) -> None:
     if 2.0 * pll.damping * pll.omega_n(_top(axis)) * board.period >= 0.5:
         reason = (
-            f"at limits.speed the loop has {pll.omega_n(_top(axis)) / 2.0 / math.pi:.4g} Hz, too fast for its samples"
+            f"at limits.speed the PLL has {pll.omega_n(_top(axis)) / 2.0 / math.pi:.4g} Hz, too fast for its sampling"
         )
-        raise axis.refused("observer.pll_i", reason, "write 1506742, the slide's")
+        raise axis.refused("observer.pll_i", reason, "write 1506742, the value of the ST document")
     if pll.load >= pll.damping:
-        reason = (
-            f"with observer.pll_damping = {pll.damping:g} the loop oscillates, and from twice that on without decay"
-        )
+        reason = f"not below observer.pll_damping = {pll.damping:g}: the PLL oscillates, undamped at twice that value"
         raise axis.refused("observer.pll_load", reason, "write 0.125")
     p = axis("motor.pole_pairs")
     lag = p * start_up.acceleration / pll.omega_n(p * start_up.speed_final) ** 2
     if lag > LAG_MAX:
-        reason = f"the loop would trail the start-up by {math.degrees(min(lag, 1e3)):.3g} degrees"
+        reason = f"the PLL would lag the start-up ramp by {math.degrees(min(lag, 1e3)):.3g} degrees"
         raise axis.refused("observer.pll_i", reason, "raise it, or start_up.swings")
 
 
 def _reliability(axis: Axis) -> None:
     if axis("reliability.variance_threshold") >= 0.5:
-        reason = "a speed that swings between 0 and twice its mean has half of its square and would pass"
-        raise axis.refused("reliability.variance_threshold", reason, "write some 0.06")
+        reason = "not below 0.5, the normalised variance of a speed that oscillates between 0 and twice its mean"
+        raise axis.refused("reliability.variance_threshold", reason, "write about 0.06")
 
 
 def _ramps(axis: Axis, it: StartUp) -> None:
-    """The motor has to be able to carry the current, and the rotor to follow it."""
+    """Check the current limit, and that the rotor can follow the ramp."""
     along = max(axis(f"start_up.current_{key}") for key in ("first", "final"))
     across = axis("start_up.current_final") * axis("start_up.swing_current")
     if math.hypot(along, across) > 1.0:
         total = math.hypot(along, across) * axis("limits.current")
-        reason = f"with the current along the vector {total:.3g} A, more than limits.current"
+        reason = f"the largest start-up current is {total:.3g} A, more than limits.current"
         remedy = "lower it, or start_up.current_first and current_final"
         raise axis.refused("start_up.swing_current", reason, remedy)
     entry = "start_up.speed_time" if axis.given("start_up.speed_time") else "start_up.swings"
@@ -147,25 +149,27 @@ def _ramps(axis: Axis, it: StartUp) -> None:
         reason = f"its torque of {minimum:.3g} N m does not overcome the friction, {friction:.3g} N m"
         raise axis.refused(f"start_up.current_{key}", reason, "raise it, or limits.current, or correct friction")
     if it.torque >= 1.0:
-        asked = f"{it.speed_final:.3g} rad/s in {it.speed_time:.3g} s ask for {it.acceleration:.4g} rad/s^2"
-        reason = f"{asked}, with the friction {it.torque:.3g} times the torque of the start-up current"
+        asked = f"{it.speed_final:.3g} rad/s in {it.speed_time:.3g} s require {it.acceleration:.4g} rad/s^2"
+        reason = f"{asked}, with friction {it.torque:.3g} times the torque of the start-up current"
         remedy = "raise it or the start_up currents, or correct motor.inertia"
         raise axis.refused(entry, reason, remedy)
 
 
 def _criterion(axis: Axis, board: Board, it: StartUp) -> None:
-    """Its conditions must not contradict each other."""
+    """Check that the conditions of the start-up criterion do not contradict each other."""
     if axis("start_up.mean_max") <= 1.0:
-        reason = "the mean of a rotor that follows lies at 1, and so it would pass by chance"
-        raise axis.refused("start_up.mean_max", reason, "write some 1.2")
+        reason = "not above 1, the value of a following rotor"
+        raise axis.refused("start_up.mean_max", reason, "write about 1.2")
     if axis("start_up.mean_min") >= 1.0:
-        reason = "a rotor that follows perfectly would not pass"
-        raise axis.refused("start_up.mean_min", reason, "write 0.8, the slide's")
+        reason = "not below 1, the value of a following rotor"
+        raise axis.refused("start_up.mean_min", reason, "write 0.8, the value of the ST document")
     if axis("start_up.minimum_speed") >= axis("start_up.mean_min") * axis("start_up.speed_final"):
         passing = axis("start_up.mean_min") * it.speed_final
-        reason = f"{it.minimum_speed:.4g} rad/s, but the ramp's end lets a mean of {passing:.4g} rad/s pass"
+        reason = (
+            f"{it.minimum_speed:.4g} rad/s, not below start_up.mean_min at the end of the ramp, {passing:.4g} rad/s"
+        )
         raise axis.refused("start_up.minimum_speed", reason, "lower it, or raise start_up.speed_final")
     whole = (SPEEDS + axis("start_up.consecutive_tests")) * axis("reliability.period") * board.tick
     if whole > it.time_max:
-        reason = f"{SPEEDS} speeds and the tests take {whole:.3g} s, and the start-up fails after {it.time_max:.3g} s"
+        reason = f"{SPEEDS} speeds and the tests take {whole:.3g} s; the start-up fails after {it.time_max:.3g} s"
         raise axis.refused("start_up.wait_max", reason, "raise it, or lower reliability.period")

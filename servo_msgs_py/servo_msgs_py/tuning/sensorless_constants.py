@@ -1,4 +1,4 @@
-"""The integers of the sensorless part of ``axis_config_t``, and back."""
+"""Integers of the sensorless part of ``axis_config_t``, and their conversion back to SI units."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from servo_msgs_py.tuning.conversion import TICKS, AxisConstants, Converter, Fie
 from servo_msgs_py.tuning.errors import ConfigError
 from servo_msgs_py.tuning.formats import FRAC16, FRAC32, GAIN, UINT16, UINT16_Q14, Format
 from servo_msgs_py.tuning.sensorless import BackEmfObserver, Pll, Sensorless, StartUp
-from servo_msgs_py.tuning.sensors import FORGET
+from servo_msgs_py.tuning.sensors import AMPLITUDE_OFFSET_TIME
 
 F2: Final = 11
-"""Fraction bits of the observed back-EMF beyond 15; F1 of the observed current is at most the same."""
+"""Fraction bits of the observed back-EMF beyond 15; F1 of the observed current is at most F2."""
 F1_MIN: Final = 6
 
 LOSS: Final = Format("1 - a below 1/2, 32 fraction bits", 32, 1, 2**31 - 1)
@@ -35,19 +35,19 @@ _MOTOR: Final = "correct motor.psi_m or motor.pole_pairs"
 
 
 def needs_observer(axis: Axis) -> bool:
-    """Whether the axis cannot do without after reset."""
+    """Whether the axis needs the back-EMF observer after reset."""
     return axis.feedback == "observer" or axis.features.get("angle_check", False)
 
 
 def sensorless_constants(
     axis: Axis, design: Sensorless, configuration: Configuration
 ) -> tuple[AxisConstants, ConfigError | None]:
-    """Fields of ``axis_config_t``, and why they are all 0 if this motor cannot be observed and need not be.
+    """Fields of ``axis_config_t``; all 0, with the reason, if the motor cannot be observed and the axis has an encoder.
 
     Raises
     ------
     ConfigError
-        If it cannot be observed, and the configuration asks for it.
+        If the motor cannot be observed and the configuration needs the observer.
     """
     to = Converter(axis, configuration.board, configuration.scales)
     try:
@@ -72,18 +72,20 @@ def _constants(to: Converter, design: Sensorless) -> dict[str, Field]:
 
 
 def _off(axis: Axis) -> dict[str, Field]:
-    """Without an observer: nothing that could be taken for an angle."""
+    """Fields without an observer: all 0 except F2 and the feedback."""
     fields: dict[str, Field] = dict.fromkeys(FIELDS, 0)
-    fields["observer.f2"] = F2  # shifts are made with it
+    fields["observer.f2"] = F2  # used as a shift count
     return fields | {"feedback": FEEDBACKS.index(axis.feedback), "observed_speed": PiRaw(0, 0, 0)}
 
 
 def _observer(to: Converter, it: BackEmfObserver) -> dict[str, Field]:
     admittance = to.s.u_s / to.s.i
-    loss = to.of(LOSS, "R T / L of the observer", 1.0 - it.a, f"the current is gone between two samples: {_WINDING}")
-    f1 = min(F2, math.ceil(F2 - 1 - math.log2(it.b * admittance)) - 1)  # the largest that leaves the factor below 1/2
+    loss = to.of(
+        LOSS, "R T / L of the observer", 1.0 - it.a, f"the current decays within one sampling period: {_WINDING}"
+    )
+    f1 = min(F2, math.ceil(F2 - 1 - math.log2(it.b * admittance)) - 1)  # the largest with a factor below 1/2
     if f1 < F1_MIN:
-        name = f"{to.axis.name}: current of full voltage in a period"
+        name = f"{to.axis.name}: current by full voltage in one period"
         raise ConfigError(f"{name} = {it.b * admittance:g} full scales: the observer cannot follow; {_WINDING}")
     return {
         "observer.f1": f1,
@@ -98,7 +100,7 @@ def _observer(to: Converter, it: BackEmfObserver) -> dict[str, Field]:
 def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
     axis, board, s, pll = to.axis, to.board, to.s, design.pll
     p = axis("motor.pole_pairs")
-    omega_n = pll.omega_n(s.u_s / axis("motor.psi_m"))  # where the back-EMF has the full scale
+    omega_n = pll.omega_n(s.u_s / axis("motor.psi_m"))  # at a back-EMF of full scale
     turn = p * s.speed * board.period / (2.0 * math.pi)  # at full-scale speed
     quicker = "raise observer.pll_i"
     acceleration = pll.acceleration * s.i * p * board.tick * board.period / (2.0 * math.pi)
@@ -107,23 +109,25 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
     follow, follow_load = pll.size_gains(board.tick)
     slower = "lower observer.pll_size"
     return {
-        "pll.follow": GAIN.raw(axis.entry("observer.pll_size") + ": speed", follow * per_emf, slower),
-        "pll.follow_load": GAIN.raw(axis.entry("observer.pll_size") + ": load", follow_load * per_emf, slower),
-        "pll.forget": to.of(GAIN, "back-EMF per step of the PLL", board.tick / FORGET / per_emf, _MOTOR),
+        "pll.amplitude_gain": GAIN.raw(axis.entry("observer.pll_size") + ": speed", follow * per_emf, slower),
+        "pll.amplitude_load_gain": GAIN.raw(axis.entry("observer.pll_size") + ": load", follow_load * per_emf, slower),
+        "pll.offset_gain": to.of(
+            GAIN, "back-EMF per step of the PLL", board.tick / AMPLITUDE_OFFSET_TIME / per_emf, _MOTOR
+        ),
         "pll.kp": to.of(GAIN, "PLL Kp", _pll_gain(2.0 * pll.damping * omega_n * board.period), "lower observer.pll_i"),
         "pll.ki": to.of(GAIN, "PLL Ki", _pll_gain((omega_n * board.period) ** 2), quicker),
-        "pll.e_min": to.of(FRAC16, "half the back-EMF at start_up.minimum_speed", e_min, f"raise that, or {_MOTOR}"),
-        "pll.step_max": to.of(STEP, "turn per period beyond the full speed", 1.25 * turn, "fewer motor.pole_pairs"),
+        "pll.e_min": to.of(FRAC16, "half the back-EMF at start_up.minimum_speed", e_min, f"raise it, or {_MOTOR}"),
+        "pll.step_max": to.of(STEP, "rotation per period, above full speed", 1.25 * turn, "fewer motor.pole_pairs"),
         "pll.speed_per_step": to.of(SPEED_PER_STEP, "speed per step of the PLL", 0.5 / turn, "more motor.pole_pairs"),
-        "pll.step_per_speed": to.of(STEP, "turn per period at full speed", turn, "fewer motor.pole_pairs"),
+        "pll.step_per_speed": to.of(STEP, "rotation per period at full speed", turn, "fewer motor.pole_pairs"),
         "pll.counts_per_turn": to.of(TURN_COUNTS, "counts per electrical turn", axis.counts / p, _MOTOR),
         "pll.acceleration": STEP_GAIN.raw(
-            axis.entry("observer.pll_torque") + ": turn per period gained in a tick",
+            axis.entry("observer.pll_torque") + ": change of the rotation per period in a tick",
             acceleration,
             "lower it, or correct motor.inertia or motor.psi_m",
         ),
-        "pll.load": LOAD.raw(
-            axis.entry("observer.pll_load") + ": learnt in a tick",
+        "pll.load_gain": LOAD.raw(
+            axis.entry("observer.pll_load") + ": change in a tick",
             pll.load * omega_n**3 * _steps_per_acceleration(board) * board.tick,
             "lower it",
         ),
@@ -131,7 +135,7 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
 
 
 def _step_per_emf(axis: Axis, board: Board, s: Scales) -> float:
-    """Angle per PWM period, 2^32 a turn, of the speed whose back-EMF is the least of 23 fraction bits."""
+    """Angle per PWM period (2^32 a turn) of the speed whose back-EMF is one unit of 23 fraction bits."""
     return math.ldexp(s.u_s / axis("motor.psi_m") * board.period / (2.0 * math.pi), 32 - 23)
 
 
@@ -139,7 +143,7 @@ LOAD: Final = Format("int32_t", 0, 0, 2**31 - 1)
 
 
 def _steps_per_acceleration(board: Board) -> float:
-    """Of the angle per PWM period, 2^32 a turn, gained in a slow tick per rad/s^2."""
+    """Change of the angle per PWM period (2^32 a turn) in a slow tick, per rad/s^2."""
     return math.ldexp(board.tick * board.period / (2.0 * math.pi), 32)
 
 
@@ -147,7 +151,7 @@ STEP_GAIN: Final = Format("int32_t, 2^32 a turn", 32, 0, 2**31 - 1)
 
 
 def _pll_gain(radians: float) -> float:
-    """Step per error: 2^32 is a turn, and errors have 14 + F2 fraction bits."""
+    """Step (2^32 a turn) per error; errors have 14 + F2 fraction bits."""
     return math.ldexp(radians / (2.0 * math.pi), 32 - 14 - F2)
 
 
@@ -158,8 +162,8 @@ def _reliability(to: Converter) -> dict[str, Field]:
         "reliability.period": to.at(UINT16, "reliability.period", 1.0),
         "reliability.variance_threshold": to.at(THRESHOLD, "reliability.variance_threshold", 1.0),
         "reliability.hysteresis": to.at(UINT16, "reliability.hysteresis", 1.0),
-        "emf_check.floor": to.at(FRAC16, "emf_check.floor", 1.0 / s.u_s, "write volts, some 0.4"),
-        "emf_check.floor_spin": to.at(FRAC16, "emf_check.spin_floor", 1.0 / s.u_s, "write volts, some 0.1"),
+        "emf_check.floor": to.at(FRAC16, "emf_check.floor", 1.0 / s.u_s, "write volts, about 0.4"),
+        "emf_check.floor_spin": to.at(FRAC16, "emf_check.spin_floor", 1.0 / s.u_s, "write volts, about 0.1"),
         "emf_check.resistance": to.of(GAIN, "resistance of the back-EMF check", resistance, "correct motor.r_s"),
         "emf_check.part": to.at(PART, "emf_check.part", 1.0),
         "emf_check.ticks_spin": to.ticks("emf_check.spin_time"),
@@ -174,7 +178,7 @@ def _start_up(to: Converter, it: StartUp) -> dict[str, Field]:
     speed_step = it.speed_final / s.speed * board.tick / it.speed_time
     across = it.current_final * axis("start_up.swing_current") / s.i
     fade = axis("limits.current") / s.i * board.tick / axis("start_up.fade_time")
-    current, ramp = "write a part of limits.current", "write a shorter ramp of the speed"
+    current, ramp = "write a fraction of limits.current", "write a shorter ramp of the speed"
     gentler = "lower start_up.swing_damping"
     return {
         "startup.first_current": to.of(FRAC16, "start_up.current_first", it.current_first / s.i, current),
@@ -189,8 +193,10 @@ def _start_up(to: Converter, it: StartUp) -> dict[str, Field]:
         "startup.minimum_speed": to.of(FRAC32, "start_up.minimum_speed", it.minimum_speed / s.speed, "raise it"),
         "startup.mean_min": to.at(UINT16_Q14, "start_up.mean_min", 1.0),
         "startup.mean_max": to.at(UINT16_Q14, "start_up.mean_max", 1.0),
-        "startup.damping": to.of(GAIN, "damping of the swing", it.damping * s.u_s / s.i, gentler),
-        "startup.damping_limit": to.of(FRAC16, "start_up.swing_current", across, "write a part of the final current"),
+        "startup.damping": to.of(GAIN, "damping of the oscillation", it.damping * s.u_s / s.i, gentler),
+        "startup.damping_limit": to.of(
+            FRAC16, "start_up.swing_current", across, "write a fraction of the final current"
+        ),
         "startup.catch_ticks": to.ticks("start_up.catch_time"),
         "startup.fade_step": to.of(SLEW, "start_up.fade_time: current per slow tick", fade, "write a longer time"),
     }
@@ -200,10 +206,10 @@ FIELDS: Final = (
     *(f"observer.{key}" for key in ("f1", "f2", "loss", "drive", "k1", "k2")),
     *(f"pll.{key}" for key in ("kp", "ki", "e_min", "step_max", "speed_per_step", "step_per_speed", "counts_per_turn")),
     "pll.acceleration",
-    "pll.load",
-    "pll.follow",
-    "pll.follow_load",
-    "pll.forget",
+    "pll.load_gain",
+    "pll.amplitude_gain",
+    "pll.amplitude_load_gain",
+    "pll.offset_gain",
     *(f"reliability.{key}" for key in ("period", "variance_threshold", "hysteresis")),
     *(
         f"emf_check.{key}"
@@ -213,7 +219,7 @@ FIELDS: Final = (
     *(f"startup.{key}" for key in ("duration_ticks", "tests", "minimum_speed", "mean_min", "mean_max")),
     *(f"startup.{key}" for key in ("damping", "damping_limit", "catch_ticks", "fade_step")),
 )
-"""What is 0 without an observer, F2 apart."""
+"""Fields that are 0 without an observer, except F2."""
 
 
 def _integer(constants: Mapping[str, Field], field: str) -> int:
@@ -223,7 +229,7 @@ def _integer(constants: Mapping[str, Field], field: str) -> int:
 
 
 def used_observer(constants: Mapping[str, Field], design: BackEmfObserver, scales: Scales) -> BackEmfObserver:
-    """The observer as the integers make it."""
+    """Observer in SI units, computed from the integers."""
     raw = {key: _integer(constants, f"observer.{key}") for key in ("f1", "f2", "loss", "drive", "k1", "k2")}
     admittance = scales.u_s / scales.i
     a = 1.0 - LOSS.value(raw["loss"])
@@ -234,15 +240,15 @@ def used_observer(constants: Mapping[str, Field], design: BackEmfObserver, scale
 
 
 def used_pll(constants: Mapping[str, Field], axis: Axis, board: Board, scales: Scales) -> Pll:
-    """The phase-locked loop as the integers make it."""
+    """PLL in SI units, computed from the integers."""
     full = scales.u_s / axis("motor.psi_m")
     kp, ki = (
         math.ldexp(GAIN.value(_integer(constants, f"pll.{key}")), 14 + F2 - 32) * 2.0 * math.pi for key in ("kp", "ki")
     )
     omega_n = math.sqrt(ki) / board.period
-    gained = STEP_GAIN.value(_integer(constants, "pll.acceleration"))
-    per_current = gained * 2.0 * math.pi / (scales.i * axis("motor.pole_pairs") * board.tick * board.period)
-    learnt = _integer(constants, "pll.load") / (_steps_per_acceleration(board) * board.tick) / omega_n**3
-    follow = GAIN.value(_integer(constants, "pll.follow")) / _step_per_emf(axis, board, scales)
+    per_tick = STEP_GAIN.value(_integer(constants, "pll.acceleration"))
+    per_current = per_tick * 2.0 * math.pi / (scales.i * axis("motor.pole_pairs") * board.tick * board.period)
+    load = _integer(constants, "pll.load_gain") / (_steps_per_acceleration(board) * board.tick) / omega_n**3
+    follow = GAIN.value(_integer(constants, "pll.amplitude_gain")) / _step_per_emf(axis, board, scales)
     size = -0.5 * math.log(1.0 - follow) / board.tick
-    return Pll(omega_n**2 / full, kp / (2.0 * omega_n * board.period), per_current, learnt, size)
+    return Pll(omega_n**2 / full, kp / (2.0 * omega_n * board.period), per_current, load, size)

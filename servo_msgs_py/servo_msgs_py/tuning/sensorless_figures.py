@@ -1,4 +1,4 @@
-"""What the sensorless part of one axis amounts to: poles, angle errors, the loop over speed, the start-up."""
+"""Figures of sensorless operation of one axis: poles, angle errors, PLL and speed loop over speed, start-up."""
 
 from __future__ import annotations
 
@@ -10,36 +10,36 @@ from typing import Final
 import numpy as np
 
 from servo_msgs_py.tuning.linear import Margins, Pole, pole_of, spectral_radius
-from servo_msgs_py.tuning.sensorless import angle_error, slide_damping
+from servo_msgs_py.tuning.sensorless import angle_error, st_damping
 from servo_msgs_py.tuning.tuned import Tuned
 
 WINDINGS: Final = ((1.0, 1.0), (0.5, 1.0), (1.5, 1.0), (1.0, 0.5), (1.0, 1.5))
-"""Resistance and inductance that are tried, over the nominal values."""
+"""Ratios of resistance and inductance to their nominal values, in the report."""
 
 SPEEDS: Final = (1.0, 2.0, 4.0, 8.0)
-"""Of the minimum speed, as far as they lie below the limit, which comes last."""
+"""Speeds of the report over the minimum speed, those below the speed limit; the limit is added as the last."""
 
 
 WARM: Final = 1.25
-"""Resistance of a winding that is 60 K warmer, over the cold one."""
+"""Ratio of the resistance of a winding that is 60 K warmer."""
 
-GONE: Final = 1e-9
-"""A pole so near to 0 has no time constant any more."""
+POLE_MIN: Final = 1e-9
+"""Poles of a smaller magnitude are set to it: they have no time constant."""
 
 
 @dataclass(frozen=True)
 class ObserverPoles:
     """Poles of the sampled observer."""
 
-    r_s: float  # resistance of the winding in its equations over the nominal value; K1 and K2 stay
-    inductance: float  # inductance of the winding, likewise
+    r_s: float  # resistance in the equations of the observer, over the nominal value; same K1 and K2
+    inductance: float  # inductance in the equations of the observer, over the nominal value
     speed: float  # mechanical [rad/s]
-    poles: tuple[Pole, ...]  # the slower first; they rotate with the stator frame: none has a conjugate one
+    poles: tuple[Pole, ...]  # the slower first; complex vectors: they are not conjugate
 
 
 @dataclass(frozen=True)
 class AngleError:
-    """Steady error of the observed angle at the rated current, when the winding is not the nominal one."""
+    """Steady-state error of the observed angle at the rated current, with a winding that is not nominal."""
 
     r_s: float  # true resistance over the nominal one
     inductance: float  # true inductance over the nominal one
@@ -49,13 +49,13 @@ class AngleError:
 
 @dataclass(frozen=True)
 class Lock:
-    """The phase-locked loop and the speed loop behind it at one speed."""
+    """PLL and sensorless speed loop at one speed."""
 
     speed: float  # mechanical [rad/s]
     back_emf: float  # [V]
-    frequency: float  # natural frequency of the phase-locked loop [Hz]
-    damping: float  # damping ratio of the phase-locked loop
-    slide_damping: float  # damping ratio with the P gain of the slide
+    frequency: float  # natural frequency of the PLL [Hz]
+    damping: float  # damping ratio of the PLL
+    slide_damping: float  # damping ratio with the P gain of the ST document
     speed_margins: Margins  # of the sensorless speed loop
     half_inertia: bool  # whether it is stable with half the inertia
     twice_inertia: bool  # whether it is stable with twice the inertia
@@ -63,17 +63,17 @@ class Lock:
 
 @dataclass(frozen=True)
 class SensorlessFigures:
-    """All figures of one axis."""
+    """Figures of sensorless operation of one axis."""
 
     feedback: str  # after reset
-    trouble: str | None  # why the motor cannot be observed; then the other figures are missing
+    trouble: str | None  # reason if the motor cannot be observed; the other figures are then empty
     poles: tuple[ObserverPoles, ...]
     errors: tuple[AngleError, ...]
     locks: tuple[Lock, ...]
     unexplained_speed: float = 0.0  # speed of the back-EMF of `emf_check.floor`, mechanical [rad/s]
     blind_speed: float = 0.0
-    """Mechanical [rad/s]; below it `limits.current` takes more voltage in a warm winding, besides the nominal one, than
-    there is back-EMF: during braking the observed angle turns round."""
+    """Mechanical speed below which the additional drop of `limits.current` in a warm winding exceeds the back-EMF
+    [rad/s]: during braking the observed angle reverses."""
 
 
 def sensorless_figures(it: Tuned) -> SensorlessFigures:
@@ -105,7 +105,9 @@ def _poles(it: Tuned) -> Iterator[ObserverPoles]:
     for r_s, inductance in WINDINGS:
         observer = it.sensorless.observer.winding(r_s, inductance)
         for speed in (0.0, top):
-            found = tuple(pole_of(z if abs(z) > GONE else GONE, it.board.period) for z in observer.poles(p * speed))
+            found = tuple(
+                pole_of(z if abs(z) > POLE_MIN else POLE_MIN, it.board.period) for z in observer.poles(p * speed)
+            )
             yield ObserverPoles(r_s, inductance, speed, found)
 
 
@@ -126,7 +128,7 @@ def _lock(it: Tuned, speed: float) -> Lock:
         back_emf=it.axis("motor.psi_m") * omega_e,
         frequency=pll.omega_n(omega_e) / (2.0 * np.pi),
         damping=pll.damping,
-        slide_damping=slide_damping(omega_e),
+        slide_damping=st_damping(omega_e),
         speed_margins=it.sensorless_shaft(speed).speed_margins(),
         half_inertia=stable[0],
         twice_inertia=stable[1],

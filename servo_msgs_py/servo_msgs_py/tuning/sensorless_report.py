@@ -1,4 +1,4 @@
-"""The sensorless part of the report."""
+"""Report of sensorless operation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from servo_msgs_py.tuning.tuned import Tuned
 
 
 def sensorless_text(it: Tuned, figures: SensorlessFigures) -> Iterator[str]:
-    """Sections about the observer of the back-EMF, its loop and the start-up."""
+    """Sections about the observer of the back-EMF, the PLL and the start-up."""
     yield f"  without an encoder (feedback after reset: {figures.feedback})"
     if figures.trouble is not None:
         yield f"    NOT POSSIBLE {figures.trouble}"
@@ -21,17 +21,21 @@ def sensorless_text(it: Tuned, figures: SensorlessFigures) -> Iterator[str]:
     rates = [value / it.board.period for value in (observer.k1, observer.k2)]
     yield from notes(
         [
-            ("K1, K2", f"{rates[0]:.4g} 1/s, {rates[1]:.4g} V/(A s)", "of the slide's differential equations"),
+            (
+                "K1, K2",
+                f"{rates[0]:.4g} 1/s, {rates[1]:.4g} V/(A s)",
+                "of the differential equations of the ST document",
+            ),
             ("F1, F2", f"2^{constants['observer.f1']}, 2^{constants['observer.f2']}", "scales of current and back-EMF"),
         ]
     )
-    blind = f"below {figures.blind_speed:.4g} rad/s a warm winding hides it while limits.current brakes"
+    blind = f"below {figures.blind_speed:.4g} rad/s the drop of limits.current in a warm winding exceeds it (braking)"
     yield from notes([("back-EMF", f"{it.axis('motor.pole_pairs') * it.axis('motor.psi_m'):.4g} V s", blind)])
-    yield "  observer poles; K1 and K2 as above in equations with another winding"
+    yield "  observer poles; K1 and K2 as above, other windings"
     yield from _poles(figures)
-    yield f"  error of the observed angle at {it.axis('motor.rated_current'):g} A when the winding is another"
+    yield f"  error of the observed angle at {it.axis('motor.rated_current'):g} A with other windings"
     yield from _errors(figures)
-    yield "  phase-locked loop, and the speed loop behind it"
+    yield "  phase-locked loop and sensorless speed loop"
     yield from _locks(figures)
     yield "  start-up"
     yield from _start_up(it)
@@ -53,7 +57,7 @@ def _size(pole: Pole) -> float:
 
 
 def _poles(figures: SensorlessFigures) -> Iterator[str]:
-    rows = [("winding", "speed", "z", "|z|", "decays like", "z", "|z|", "decays like")]
+    rows = [("winding", "speed", "z", "|z|", "decay rate", "z", "|z|", "decay rate")]
     for entry in figures.poles:
         slow, fast = (_pole(pole) for pole in entry.poles)
         last = fast[2] if all(abs(pole.z) < 1.0 for pole in entry.poles) else "UNSTABLE"
@@ -64,7 +68,7 @@ def _poles(figures: SensorlessFigures) -> Iterator[str]:
 
 def _errors(figures: SensorlessFigures) -> Iterator[str]:
     speeds = sorted({entry.speed for entry in figures.errors})
-    rows = [("what is there", *(f"{speed:.4g} rad/s" for speed in speeds))]
+    rows = [("winding", *(f"{speed:.4g} rad/s" for speed in speeds))]
     windings = dict.fromkeys((entry.r_s, entry.inductance) for entry in figures.errors)
     for winding in windings:
         found = {entry.speed: entry.degrees for entry in figures.errors if (entry.r_s, entry.inductance) == winding}
@@ -73,12 +77,12 @@ def _errors(figures: SensorlessFigures) -> Iterator[str]:
 
 
 def _error(degrees: float) -> str:
-    """Beyond a right angle the torque turns round."""
+    """Text of an angle error; above 90 deg the torque is reversed."""
     return f"{degrees:+.2f} deg" if abs(degrees) < 90.0 else "LOST"
 
 
 def _locks(figures: SensorlessFigures) -> Iterator[str]:
-    head = ("speed", "back-EMF", "omega_n", "damping", "with slide's P", "crossover", "phase margin", "gain margin")
+    head = ("speed", "back-EMF", "omega_n", "damping", "with ST's P", "crossover", "phase margin", "gain margin")
     rows = [(*head, "half and twice J")]
     for lock in figures.locks:
         stable = (lock.half_inertia, lock.twice_inertia)
@@ -100,7 +104,7 @@ def _locks(figures: SensorlessFigures) -> Iterator[str]:
 
 def _start_up(it: Tuned) -> Iterator[str]:
     s = it.sensorless.start_up
-    share = f"with friction {100.0 * s.torque:.0f} % of the current's torque at most"
+    share = f"with friction {100.0 * s.torque:.0f} % of the torque of the current, at most"
     mean = [it.axis(f"start_up.mean_{key}") * s.speed_final for key in ("min", "max")]
     fifo = 64.0 * it.axis("reliability.period") * it.board.tick
     tests = f"{it.axis('start_up.consecutive_tests'):g} tests in a row"
@@ -109,8 +113,12 @@ def _start_up(it: Tuned) -> Iterator[str]:
             ("current", f"{s.current_first:.3g} .. {s.current_final:.3g} A", f"in {s.current_time:.3g} s"),
             ("speed", f"0 .. {s.speed_final:.4g} rad/s", f"in {s.speed_time:.3g} s"),
             ("acceleration", f"{s.acceleration:.4g} rad/s^2", share),
-            ("swing of the rotor", hertz(s.swing / 2.0 / math.pi), f"damped by {s.damping:.3g} A/V across the current"),
-            ("passes at", f"{mean[0]:.4g} .. {mean[1]:.4g} rad/s", f"above {s.minimum_speed:.4g} rad/s, {tests}"),
+            ("rotor oscillation", hertz(s.swing / 2.0 / math.pi), f"damped by {s.damping:.3g} A/V across the vector"),
+            (
+                "success at a mean of",
+                f"{mean[0]:.4g} .. {mean[1]:.4g} rad/s",
+                f"above {s.minimum_speed:.4g} rad/s, {tests}",
+            ),
             ("mean and variance of", f"{1e3 * fifo:.4g} ms", "64 speeds"),
             ("fails after", f"{s.time_max:.3g} s", ""),
         ]

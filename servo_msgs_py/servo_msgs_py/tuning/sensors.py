@@ -1,4 +1,4 @@
-"""How the controllers come to know the speed: linear models of the M/T method and of the speed observer."""
+"""Linear models of the speed measurement: M/T method, speed observer, PLL on the back-EMF."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from servo_msgs_py.tuning.linear import Matrix, Omega, held
 
-FORGET: Final = 0.128
-"""Time constant with which the phase-locked loop learns what the size of the back-EMF is off by [s]."""
+AMPLITUDE_OFFSET_TIME: Final = 0.128
+"""Time constant of the estimate of the amplitude offset of the back-EMF in the PLL [s]."""
 
 
 class SpeedSensor(Protocol):
-    """One speed measurement per slow tick."""
+    """Speed measurement of one slow tick."""
 
     @property
     def states(self) -> int:
-        """Numbers that are remembered from tick to tick."""
+        """Number of states."""
 
     def step(self, x: Matrix, moved: Matrix, reference: Matrix, tick: float) -> tuple[Matrix, Sequence[Matrix]]:
         """One slow tick.
@@ -29,28 +29,28 @@ class SpeedSensor(Protocol):
         Parameters
         ----------
         x : ndarray, shape (states, ...)
-            What is remembered.
+            States.
         moved : ndarray
-            Movement of the shaft in the slow period that has just ended [rad].
+            Movement of the shaft in the last slow period [rad].
         reference : ndarray
             Current set-point of that period [A].
         tick : float
-            Its length [s].
+            Length of the period [s].
 
         Returns
         -------
         speed : ndarray
-            What the controllers get [rad/s].
+            Measured speed [rad/s].
         x : sequence of ndarray
-            State to keep.
+            New states.
         """
 
 
 @dataclass(frozen=True)
 class MtSpeed:
-    """M/T at a speed at which edges are frequent (DRM 2.4.4, F17).
+    """M/T method at speeds with frequent edges (DRM 2.4.4, F17).
 
-    The first edge after each tick is timed and read at the next one: the mean speed of the period before the last.
+    The first edge after each tick is timed and read at the next tick: the mean speed of the period before the last.
     """
 
     states: int = 1
@@ -62,9 +62,9 @@ class MtSpeed:
 
 @dataclass(frozen=True)
 class Observer:
-    """The speed observer, as far as it is linear: where an error is larger than a count.
+    """Speed observer in its linear range: errors of more than one count.
 
-    Smaller ones it leaves alone; then the speed is what the current has driven.
+    It does not correct smaller errors; the speed then follows the current.
     """
 
     torque: float  # nominal acceleration per current [rad/s^2/A]
@@ -89,44 +89,44 @@ class Observer:
 
 @dataclass(frozen=True)
 class PllSpeed:
-    """The phase-locked loop on the observed back-EMF, as long as it is locked: its integral part.
+    """Locked PLL on the observed back-EMF: its integral part.
 
-    It knows the torque of the current, and learns from the angle and from the size of the back-EMF what torque it does
-    not know. Where size and angle disagree for long, the angle is right.
+    Acceleration by i_q is fed forward; the load is estimated from the angle and from the amplitude of the back-EMF. An
+    offset of the amplitude is estimated from the angle.
 
-    The observer before it and the period of the fast loop are short against it.
+    The delays of the observer and of the fast loop are neglected.
     """
 
     omega_n: float  # natural frequency at the speed of the shaft [rad/s]
     damping: float  # damping ratio at the speed of the shaft
     acceleration: float  # expected per q current [rad/s^2/A]
-    load: float  # learned per angle and time, over omega_n^3
-    follow: float  # increase of the speed per slow tick, per excess of the speed by the back-EMF's magnitude
-    follow_load: float  # increase of the load, likewise
+    load: float  # gain of the load acceleration estimate, over omega_n^3
+    follow: float  # correction of the speed per slow tick, per speed error of the back-EMF amplitude
+    follow_load: float  # correction of the load, in the same manner
     states: int = 5
 
     def step(self, x: Matrix, moved: Matrix, reference: Matrix, tick: float) -> tuple[Matrix, Sequence[Matrix]]:
         """One slow tick; see `SpeedSensor.step`."""
         behind, speed, unknown, bias, size = (
-            x  # angle of the shaft less its own, speed, acceleration; back-EMF as speed
+            x  # angle error, speed, load acceleration; offset and amplitude of the back-EMF as speeds
         )
         kp, ki = 2.0 * self.damping * self.omega_n, self.omega_n**2
         f, g = held(np.array([[-kp, -1.0], [ki, 0.0]]), np.array([[1.0], [0.0]]), tick)
         more = size - bias - speed
         unknown = unknown + self.load * self.omega_n**3 * tick * behind + self.follow_load / tick * more
-        told = speed + tick * (self.acceleration * reference + unknown) + self.follow * more
-        after, speed = f @ np.vstack([behind, told]) + g @ (moved[None, :] / tick)
+        predicted = speed + tick * (self.acceleration * reference + unknown) + self.follow * more
+        after, speed = f @ np.vstack([behind, predicted]) + g @ (moved[None, :] / tick)
         size = moved / tick
-        bias = bias + tick / FORGET * (speed - (size - (after - behind) / tick))
+        bias = bias + tick / AMPLITUDE_OFFSET_TIME * (speed - (size - (after - behind) / tick))
         return speed, (after, speed, unknown, bias, size)
 
 
 @dataclass(frozen=True)
 class EdgeDelay:
-    """What M/T does to a slow signal."""
+    """Transfer function of the M/T method for small signals."""
 
     window: float  # length of the mean [s]
-    delay: float  # from the middle of the window to its use [s]
+    delay: float  # from the middle of the window to the use of the mean [s]
 
     def response(self, omega: Omega) -> NDArray[np.complex128]:
         """Frequency response at `omega` [rad/s], of the same shape."""
@@ -134,10 +134,10 @@ class EdgeDelay:
 
 
 def edge_delay(lines: float, tick: float, speed: float) -> EdgeDelay:
-    """M/T at some speed [rad/s], in the mean over all places of the edges between the ticks.
+    """M/T method at a speed [rad/s], averaged over the phase of the edges relative to the ticks.
 
-    There are two B edges per line. While several come per slow period the first one after a tick is timed, half an
-    interval after it. When they are rarer than ticks every one is timed, and it waits for half an interval.
+    There are two B edges per line. With several edges per slow period the first one after a tick is timed, on average
+    half an interval after the tick. With rarer edges each one is timed, and is on average half an interval old.
     """
     interval = 2.0 * math.pi / (2.0 * lines * speed)
     if interval < tick:

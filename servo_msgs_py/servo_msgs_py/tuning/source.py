@@ -1,4 +1,4 @@
-"""``servo_config_gen.c``: the integers as a C initialiser."""
+"""The integers as a C initialiser, ``servo_config_gen.c``."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _axis(constants: AxisConstants) -> str:
 
 
 def c_source(axes: Sequence[AxisConstants], brake: Mapping[str, int], board: Mapping[str, Field]) -> str:
-    """Text of the file; the same numbers give the same text."""
+    """Return the text of the file."""
     body = "\n".join(_axis(axis) for axis in axes)
     rest = "\n".join(f"    .{name} = {_literal(value)}," for name, value in board.items())
     bus = "\n".join(f"        .{name} = {value}," for name, value in brake.items())

@@ -1,4 +1,4 @@
-"""Stop categories: how an axis comes to rest on a command or a fault, and which of them cannot work."""
+"""Stop categories of commands and faults, and the combinations that are refused."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from servo_msgs_py.tuning.errors import refused
 from servo_msgs_py.tuning.schema import unknown_name
 
 CATEGORIES: Final = ("coast", "short", "ramp", "hold")
-"""From the harshest; one that the moment does not permit gives way to the one before it."""
+"""From the harshest to the gentlest. A category that is not possible at the moment is replaced by the previous one."""
 
 COMMANDS: Final = ("disable", "quick_stop")
-"""Commands that bring an axis to rest; both have to be in the file."""
+"""Commands that stop an axis; the file must have a category for each."""
 
 _SWITCHES: Final = "the hardware has opened the switches, or one of them may be broken"
-_ANGLE: Final = "the angle of the rotor is not to be trusted"
-_CURRENT: Final = "the currents are not to be trusted"
-_SPEED: Final = "the speed is not known, on which the current of the short depends"
-_IDLE: Final = "it occurs while the shaft is not under control"
-_LATE: Final = "the control itself is in trouble"
-_BUS: Final = "braking would return energy to a bus that has too much of it"
-_WEAK: Final = "the bus does not carry gate drivers and current control any more"
-_HEAT: Final = "holding goes on heating"
-_HELD: Final = "the shaft is held fast, or its encoder is dead"
+_ANGLE: Final = "the angle of the rotor is not valid"
+_CURRENT: Final = "the measured currents are not valid"
+_SPEED: Final = "the speed is not known, which determines the current of the short circuit"
+_IDLE: Final = "the shaft is not under control when this fault occurs"
+_LATE: Final = "the control loops do not run reliably"
+_BUS: Final = "regeneration would raise the bus voltage further"
+_WEAK: Final = "the bus voltage is too low for gate drivers and current control"
+_HEAT: Final = "position hold heats the winding further"
+_HELD: Final = "the shaft is blocked, or its encoder has failed"
 
 _CONTROLLED: Final = ("ramp", "hold")
 _BRAKING: Final = ("short", *_CONTROLLED)
@@ -56,7 +56,7 @@ REFUSED: Final[Mapping[str, Mapping[str, str]]] = {
     "late_loop": _because(_LATE, _BRAKING),
     "watchdog": _because(_LATE, _BRAKING),
 }
-"""Why a fault must not be answered so; any other fault may be answered by anything."""
+"""Refused categories by fault, each with the reason; any other combination is permitted."""
 
 
 @dataclass(frozen=True)
@@ -67,25 +67,25 @@ class Stops:
     faults: Mapping[str, str]  # category by fault, lower case; a fault without one coasts
 
     @classmethod
-    def taken_from(
+    def extract(
         cls,
         group: MutableMapping[str, Any],
         fault_names: Collection[str],
         place: Callable[[str], str],
         numbers: Collection[str],
     ) -> Stops:
-        """Take the categories out of the group, so that its numbers are left.
+        """Remove the categories from the group, so that only its numbers remain.
 
         Parameters
         ----------
         group : mutable mapping
-            What TOML has found.
+            Parsed group; modified.
         fault_names : collection of str
-            Of the contract, lower case.
+            Faults of the contract, lower case.
         place : callable
-            Full name of an entry for messages.
+            Returns the full name of an entry, for messages.
         numbers : collection of str
-            Keys that are no categories.
+            Keys that are not categories.
 
         Raises
         ------
@@ -100,12 +100,12 @@ class Stops:
             found[key] = _category(place(key), key, group.pop(key))
         for command in COMMANDS:
             if command not in found:
-                raise refused(place(command), "nothing", "every command needs its category", _remedy(CATEGORIES))
+                raise refused(place(command), "nothing", "every command needs a category", _remedy(CATEGORIES))
         commands = {key: found.pop(key) for key in COMMANDS}
         return cls(commands, found)
 
-    def answered(self, category: str) -> list[str]:
-        """Faults that are answered by a category, lower case."""
+    def faults_with(self, category: str) -> list[str]:
+        """Faults with this category, lower case, sorted."""
         return sorted(fault for fault, how in self.faults.items() if how == category)
 
 
@@ -115,7 +115,7 @@ def _remedy(categories: Collection[str]) -> str:
 
 def _category(entry: str, key: str, value: object) -> str:
     if not isinstance(value, str) or value not in CATEGORIES:
-        raise refused(entry, repr(value), "no stop category", _remedy(CATEGORIES))
+        raise refused(entry, repr(value), "not a stop category", _remedy(CATEGORIES))
     no = REFUSED.get(key, {})
     if value in no:
         raise refused(entry, value, no[value], _remedy([one for one in CATEGORIES if one not in no]))

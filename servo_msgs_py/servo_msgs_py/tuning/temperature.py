@@ -1,4 +1,4 @@
-"""The group [board.temperature]: the sensor on the heat sinks, and when they are too hot."""
+"""The group [board.temperature]: characteristic of the heat sink sensors and fault threshold."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ _POINT: Final = 2
 
 @dataclass(frozen=True)
 class Temperature:
-    """Limit of the heat sinks and the curve of their sensor."""
+    """Fault threshold of the heat sinks, and characteristic of their sensors."""
 
     threshold: float  # [deg C]
     hysteresis: float  # [K]
     table: Sequence[tuple[float, float]]
-    """Temperature [deg C] and code of the converter; linear between the points, and the codes only rise or only fall
-    (an NTC in a divider)."""
+    """Temperature [deg C] and ADC code: linear interpolation, codes strictly monotonic (falling for an NTC in a
+    divider)."""
 
     @classmethod
     def of(cls, value: object) -> Temperature:
-        """Check the group; what it leaves out has a default.
+        """Check the group; omitted entries have defaults.
 
         Raises
         ------
         ConfigError
-            If an entry is unknown or cannot make sense.
+            If an entry is unknown or out of range.
         """
         given = check_table("board.temperature", value)
         for name in given:
@@ -43,7 +43,7 @@ class Temperature:
         entries = {**_DEFAULTS, **given}
         threshold, hysteresis = (_number(key, entries[key]) for key in ("threshold_c", "hysteresis_c"))
         if hysteresis <= 0.0:
-            raise refused("board.temperature.hysteresis_c", hysteresis, "not above 0", "write some 15 K")
+            raise refused("board.temperature.hysteresis_c", hysteresis, "not above 0", "write about 15 K")
         table = _points(entries["table"])
         for celsius in (threshold, threshold - hysteresis):
             if not table[0][0] <= celsius <= table[-1][0]:
@@ -51,7 +51,7 @@ class Temperature:
                     "board.temperature.threshold_c",
                     threshold,
                     f"{celsius:g} deg C is outside the table of the sensor",
-                    f"stay within {table[0][0]:g} .. {table[-1][0]:g} deg C, hysteresis included",
+                    f"keep threshold and threshold minus hysteresis within {table[0][0]:g} .. {table[-1][0]:g} deg C",
                 )
         result = cls(threshold, hysteresis, table)
         hot, cool = result.codes()
@@ -60,7 +60,7 @@ class Temperature:
         return result
 
     def codes(self) -> tuple[int, int]:
-        """Codes at the limit, and at the end of the hysteresis."""
+        """ADC codes of the threshold and of the threshold minus the hysteresis."""
         return self._code(self.threshold), self._code(self.threshold - self.hysteresis)
 
     def _code(self, celsius: float) -> int:
@@ -79,8 +79,7 @@ def _number(key: str, value: object) -> float:
 def _points(value: object) -> Sequence[tuple[float, float]]:
     where = "board.temperature.table"
     wrong = ConfigError(
-        f"{where}: write [[celsius, code], ...] with rising temperatures and codes 0 .. {_CODES} that "
-        "only rise or only fall"
+        f"{where}: write [[celsius, code], ...] with rising temperatures and strictly monotonic codes 0 .. {{_CODES}}"
     )
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) < _POINT:
         raise wrong

@@ -1,4 +1,4 @@
-"""One axis with its gains, designed and as the integers give them; loops that are unstable are refused."""
+"""Gains of one axis, as designed and as used after rounding; unstable loops are refused."""
 
 from __future__ import annotations
 
@@ -33,26 +33,26 @@ class GainRow(NamedTuple):
 
 @dataclass(frozen=True)
 class Tuned:
-    """One axis and what follows from its configuration."""
+    """One axis with its gains and integers."""
 
     axis: Axis  # of the configuration
     board: Board  # of the configuration
     designed: Gains  # before rounding to integers
     used: Gains  # after rounding to integers
     constants: AxisConstants  # the integers
-    back_emf: float  # of the decoupling, as the integer gives it [V s/rad]
-    observer: Observer  # the speed observer, as the integers give it
-    sensorless: Sensorless  # observer of the back-EMF, phase-locked loop and start-up, as the integers give them
-    designed_sensorless: Sensorless  # the same before rounding
-    trouble: ConfigError | None  # why this motor cannot be observed, where the axis does without
+    back_emf: float  # gain of the back-EMF decoupling after rounding [V s/rad]
+    observer: Observer  # the speed observer after rounding
+    sensorless: Sensorless  # observer of the back-EMF, PLL and start-up after rounding
+    designed_sensorless: Sensorless  # `sensorless` before rounding
+    trouble: ConfigError | None  # reason if the motor cannot be observed and the axis has an encoder
 
     @property
     def block(self) -> dict[str, int]:
-        """The integers as the configuration block of a board."""
+        """The configuration block of a board, raw numbers by member."""
         return block_of(self.constants, self.axis.name)
 
     def rows(self) -> Iterator[GainRow]:
-        """Every gain."""
+        """All gains."""
         d, q, speed = (self.constants[field] for field in ("current_loop.d", "current_loop.q", "speed"))
         assert isinstance(d, PiRaw)
         assert isinstance(q, PiRaw)
@@ -86,7 +86,7 @@ class Tuned:
         yield GainRow("sensorless speed Kp Ki Ts", "A s/rad", designed.speed.ki, used.speed.ki, speed.ki)
 
     def current_loop(self, which: str) -> CurrentLoop:
-        """The loop of the ``d`` or ``q`` axis."""
+        """Current loop of the ``d`` or ``q`` axis."""
         gains = self.used.current_d if which == "d" else self.used.current_q
         return CurrentLoop(self.axis("motor.r_s"), self.axis(f"motor.l_{which}"), gains, self.board.period)
 
@@ -96,21 +96,21 @@ class Tuned:
         return self.axis.features["speed_observer"]
 
     def shaft(self, inertia: float = 1.0, observed: bool | None = None) -> ShaftLoops:
-        """Models of the speed and the position loop.
+        """Models of speed and position loop.
 
         Parameters
         ----------
         inertia : float
-            Of the shaft, over the nominal value.
+            Inertia of the shaft, over the nominal value.
         observed : bool
-            With the speed observer or with the M/T method; without a word, as after reset.
+            True: with the speed observer; False: with the M/T method; None: as after reset.
         """
         sensor = self.observer if (self.observed if observed is None else observed) else MtSpeed()
         whole = inertia * self.axis("motor.inertia")
         return ShaftLoops(self.axis, self.board, self.used, self.back_emf, whole, sensor)
 
     def sensorless_shaft(self, speed: float, inertia: float = 1.0) -> ShaftLoops:
-        """Speed loop without an encoder around a mechanical speed [rad/s]; `inertia` as in `shaft`."""
+        """Sensorless speed loop at a mechanical speed [rad/s]; `inertia` as in `shaft`."""
         pll = self.sensorless.pll
         omega_n = pll.omega_n(self.axis("motor.pole_pairs") * speed)
         sensor = PllSpeed(omega_n, pll.damping, pll.acceleration, pll.load, *pll.size_gains(self.board.tick))
@@ -119,7 +119,7 @@ class Tuned:
 
 
 def tuned(axis: Axis, configuration: Configuration) -> Tuned:
-    """Gains and integers of one axis.
+    """Compute gains and integers of one axis.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def tuned(axis: Axis, configuration: Configuration) -> Tuned:
 
 
 def integers(axis: Axis, configuration: Configuration) -> tuple[Gains, Sensorless, AxisConstants, ConfigError | None]:
-    """Gains as designed, their integers, and why the motor cannot be observed, where the axis does without.
+    """Return designed gains, integers, and the reason if the motor cannot be observed and the axis has an encoder.
 
     Raises
     ------
@@ -162,7 +162,7 @@ def integers(axis: Axis, configuration: Configuration) -> tuple[Gains, Sensorles
 
 @dataclass(frozen=True)
 class _Used:
-    """Integers back to SI."""
+    """Conversion of the integers to SI units."""
 
     constants: AxisConstants
     scales: Scales
@@ -216,11 +216,11 @@ def _refuse_unstable(it: Tuned) -> None:
     if it.trouble is None:
         for turning in (it.sensorless.start_up.minimum_speed, it.axis("limits.speed")):
             radius = spectral_radius(it.sensorless_shaft(turning).speed_alone)
-            how = f"at {turning:.3g} rad/s the speed loop without an encoder"
+            how = f"at {turning:.3g} rad/s the sensorless speed loop"
             _refuse_radius(it, "observer.speed_part", radius, how)
 
 
 def _refuse_radius(it: Tuned, path: str, radius: float, how: str) -> None:
     if radius >= 1.0:
         reason = f"{how} is unstable, its largest pole has the magnitude {radius:.3f}"
-        raise it.axis.refused(path, reason, "lower it, or correct the motor's data")
+        raise it.axis.refused(path, reason, "lower it, or correct the motor data")

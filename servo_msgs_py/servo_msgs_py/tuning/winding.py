@@ -1,6 +1,6 @@
-"""The thermal model of a winding: its integers, what goes together, and what it leads to.
+"""Thermal model of a winding: integers, checks, and steady-state values.
 
-One heat capacity C and one thermal resistance R_th to the surroundings (``firmware/diagnosis/winding_model.h``)::
+One heat capacity C and one thermal resistance R_th to ambient (``firmware/diagnosis/winding_model.h``)::
 
     C dT/dt = P(T) - (T - T_ambient) / R_th,    P = 3/2 R_s (1 + 0.00393/K (T - 25 deg C)) I^2
 """
@@ -17,18 +17,18 @@ from servo_msgs_py.tuning.conversion import Converter, Field
 from servo_msgs_py.tuning.formats import FRAC16, Format
 
 COPPER: Final = 3.93e-3
-"""Rise of copper's resistance, over that at `COLD` [1/K]."""
+"""Temperature coefficient of the resistance of copper, relative to the resistance at `COLD` [1/K]."""
 
 COLD: Final = 25.0
-"""Temperature that `motor.r_s` is given for [deg C]."""
+"""Temperature of the value `motor.r_s` [deg C]."""
 
 FULL: Final = 256.0
-"""Full scale of the firmware's temperatures [K]."""
+"""Full scale of the temperatures in the firmware [K]."""
 
 STEP_TICKS: Final = 64
 """Slow ticks per step of the model."""
 
-_FIT: Final = 1.01  # a rated current may lead that much further than to the maximum: a data sheet rounds
+_FIT: Final = 1.01  # tolerance of the temperature rise by the rated current: data sheets are rounded
 _HEAT: Final = Format("q32", 32, 1, 2**30 - 1)
 
 
@@ -37,17 +37,17 @@ class Winding:
     """Nominal values of a winding."""
 
     r_s: float  # resistance of a phase at `COLD` [ohm]
-    resistance: float  # thermal, to the surroundings [K/W]
-    capacity: float  # thermal [J/K]
-    ambient: float  # temperature of the surroundings [deg C]
-    derating: float  # temperature from which the current limit falls [deg C]
-    maximum: float  # temperature to which it falls [deg C]
+    resistance: float  # thermal, to ambient [K/W]
+    capacity: float  # heat capacity [J/K]
+    ambient: float  # ambient temperature [deg C]
+    derating: float  # temperature where the derating begins [deg C]
+    maximum: float  # temperature where the derating ends [deg C]
     current: float  # current limit at `derating` [A]
     rated: float  # current limit at `maximum` [A]
 
     @classmethod
     def of(cls, axis: Axis) -> Winding:
-        """That of an axis. Without a thermal resistance the rated current leads to the maximum, as in a data sheet."""
+        """Winding of an axis. If the thermal resistance is omitted, the rated current heats to the maximum."""
         low, high = axis("winding.ambient"), axis("winding.maximum")
         given = axis.given("winding.thermal_resistance")
         rated_loss = _loss(axis("motor.r_s"), axis("motor.rated_current"), high)
@@ -63,34 +63,34 @@ class Winding:
         )
 
     def loss(self, current: float, temperature: float) -> float:
-        """Copper losses of a current vector [W]."""
+        """Copper losses of a current vector of this magnitude [W]."""
         return _loss(self.r_s, current, temperature)
 
     def limit(self, temperature: float) -> float:
-        """Current that is left [A]."""
+        """Derated current limit at a temperature [deg C] [A]."""
         part = (self.maximum - temperature) / (self.maximum - self.derating)
         return min(self.current, self.rated + (self.current - self.rated) * min(max(part, 0.0), 1.0))
 
     def equilibrium(self, current: float) -> float:
-        """Temperature that a current leads to, infinite where its own heating never ends [deg C]."""
+        """Steady-state temperature at a constant current; infinite if it does not settle [deg C]."""
         cold = self.resistance * self.loss(current, COLD)
         growth = 1.0 - COPPER * cold
         return math.inf if growth <= 0.0 else self.ambient + cold * (1.0 + COPPER * (self.ambient - COLD)) / growth
 
     def time_to(self, temperature: float, current: float) -> float:
-        """How long a current takes to a temperature, from that of the surroundings [s]; may be infinite."""
+        """Time from ambient to a temperature at constant current [s]; may be infinite."""
         loss = self.loss(current, COLD)
-        rate = (1.0 / self.resistance - COPPER * loss) / self.capacity  # [1/s], below 0 where it runs away
+        rate = (1.0 / self.resistance - COPPER * loss) / self.capacity  # [1/s], below 0: thermal runaway
         slope = loss * (1.0 + COPPER * (self.ambient - COLD)) / self.capacity
-        way = temperature - self.ambient
-        if way <= 0.0:
+        rise = temperature - self.ambient
+        if rise <= 0.0:
             return 0.0
-        if slope <= 0.0 or (rate > 0.0 and rate * way >= slope):
+        if slope <= 0.0 or (rate > 0.0 and rate * rise >= slope):
             return math.inf
-        return way / slope if rate == 0.0 else -math.log1p(-rate * way / slope) / rate
+        return rise / slope if rate == 0.0 else -math.log1p(-rate * rise / slope) / rate
 
     def settled(self) -> tuple[float, float]:
-        """Current and temperature where a demand for all the current there is ends [A], [deg C]."""
+        """Steady-state current and temperature at the derated current limit [A], [deg C]."""
         low, high = self.ambient, max(self.maximum, self.equilibrium(self.rated))
         if self.equilibrium(self.current) <= self.derating:
             return self.current, self.equilibrium(self.current)
@@ -108,12 +108,12 @@ def _loss(r_s: float, current: float, temperature: float) -> float:
 
 
 def check_winding(axis: Axis) -> None:
-    """Whether the temperatures come in their order, and the rated current leads no further than the last of them.
+    """Check the order of the temperatures, and that the rated current does not heat beyond the maximum.
 
     Raises
     ------
     ConfigError
-        If not.
+        If a check fails.
     """
     for lower, higher in itertools.pairwise(("ambient", "derating", "maximum", "fault")):
         if axis(f"winding.{lower}") >= axis(f"winding.{higher}"):
@@ -121,13 +121,13 @@ def check_winding(axis: Axis) -> None:
             raise axis.refused(f"winding.{lower}", reason, "write ambient, derating, maximum, fault in ascending order")
     if axis("winding.initial") > axis("winding.maximum"):
         reason = f"above winding.maximum = {axis('winding.maximum'):g} deg C"
-        raise axis.refused("winding.initial", reason, "write that, or what the motor has at most after a reset")
+        raise axis.refused("winding.initial", reason, "write the highest temperature of the motor at a reset")
     if not axis.given("winding.thermal_resistance"):
         return
     it = Winding.of(axis)
-    end = it.equilibrium(it.rated)
-    if end - it.ambient > _FIT * (it.maximum - it.ambient):
-        reason = f"for ever it heats the winding to {end:.4g} deg C, beyond winding.maximum = {it.maximum:g}"
+    steady = it.equilibrium(it.rated)
+    if steady - it.ambient > _FIT * (it.maximum - it.ambient):
+        reason = f"continuously it heats the winding to {steady:.4g} deg C, above winding.maximum = {it.maximum:g}"
         remedy = "use a lower value, or omit winding.thermal_resistance if it is not known"
         raise axis.refused("motor.rated_current", reason, remedy)
 

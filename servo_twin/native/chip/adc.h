@@ -18,11 +18,11 @@
 typedef struct {
     bool scanning;         /* CIP */
     bool converting;       /* between a sync pulse and the last result of the row */
-    unsigned pair;         /* to be held next */
-    uint64_t sample_clock; /* when it is held */
-    uint64_t ready_clock;  /* when its result is ready */
-    uint64_t end_clock;    /* of the last result of the row; CHIP_NEVER while more pairs follow */
-    uint64_t sync_clock;   /* of the last sync pulse */
+    unsigned pair;         /* pair to be sampled next */
+    uint64_t sample_clock; /* time of sampling */
+    uint64_t ready_clock;  /* time of its result */
+    uint64_t end_clock;    /* time of the last result of the row; CHIP_NEVER while more pairs follow */
+    uint64_t sync_clock;   /* time of the last sync pulse */
 } adc_converter_t;
 
 typedef struct {

@@ -18,15 +18,15 @@
 #include "chip/sim.h"
 #include "chip/xbar.h"
 
-#define CHIP_PAGES 128u /* of 16 words, from E000 on */
+#define CHIP_PAGES 128u /* pages of 16 words, from E000 on */
 
 typedef struct {
     chip_wiring_t wiring;
-    double baud;              /* of the host [bit/s] */
+    double baud;              /* baud rate of the host [bit/s] */
     unsigned crossbar_clocks; /* delay of a trigger through a crossbar */
     core_speed_t core;
     const uint8_t *flash; /* image of the data flash; NULL: erased */
-    uint64_t seed;        /* of the bits that a command leaves when power fails */
+    uint64_t seed;        /* seed of the flash contents after a power failure */
 } chip_config_t;
 
 typedef struct chip {

@@ -11,19 +11,19 @@
 
 #include "chip/intc.h"
 
-#define CORE_BACKGROUND (-1) /* level of the software that every interrupt interrupts */
-#define CORE_STACK 0x40000   /* of the software and the host's code that it calls [bytes] */
+#define CORE_BACKGROUND (-1) /* level of the background software, below all interrupts */
+#define CORE_STACK 0x40000   /* stack of the software and of the host code called by it [bytes] */
 
 typedef struct {
     double cycles_per_instruction; /* [1] */
-    unsigned entry_clocks; /* of an interrupt: vector, registers saved and restored */
+    unsigned entry_clocks; /* overhead of an interrupt: vector, registers saved and restored */
 } core_speed_t;
 
 typedef struct {
     bus_t bus; /* embedded, as each step reads it */
     intc_t *intc;
     core_speed_t speed;
-    int level;            /* of the handler that runs */
+    int level;            /* level of the running handler */
     bool running;         /* the software of this core runs in the present thread */
     bool booting;         /* accesses take time, interrupts are masked */
     bool masked;          /* all interrupts of peripherals */
@@ -51,7 +51,7 @@ void core_run(core_t *core, uint64_t until);
 /* Let the time pass that the software has been charged with up to here. */
 void core_settle(core_t *core);
 
-/* The software runs for so many clocks; handlers that interrupt it come on top. */
+/* Execute software for a number of clocks; interrupting handlers take additional clocks. */
 void core_busy(core_t *core, uint64_t clocks);
 
 /* Charge the software with the time until the next event. */

@@ -26,7 +26,7 @@ typedef struct {
 } event_handler_t;
 
 typedef struct {
-    uint64_t key[EVENT_SOURCES];  /* of the next event of each source */
+    uint64_t key[EVENT_SOURCES];  /* key of the next event of each source */
     uint64_t first[EVENT_GROUPS]; /* smallest key of each group */
     uint64_t first_rare;          /* smallest key of the groups behind the frequent ones */
     event_handler_t handler[EVENT_SOURCES];

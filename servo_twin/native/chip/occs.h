@@ -10,9 +10,9 @@
 typedef struct {
     bus_t *bus;
     uint16_t ctrl, divby, osctl1, osctl2, prot; /* registers */
-    uint64_t lock_clock;                        /* at which the PLL is locked */
-    uint64_t switch_clock;                      /* at which ZSRCS equals ZSRC */
-    uint64_t crystal_clock;                     /* of OSC_OK */
+    uint64_t lock_clock;                        /* time at which the PLL is locked */
+    uint64_t switch_clock;                      /* time at which ZSRCS equals ZSRC */
+    uint64_t crystal_clock;                     /* time of OSC_OK */
 } occs_t;
 
 uint16_t occs_read(void *occs, uint32_t address);

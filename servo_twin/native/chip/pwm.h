@@ -55,42 +55,42 @@ typedef struct {
     bool stuck;                    /* a cycle of a single clock: VAL1 == INIT, the state after reset */
     uint64_t origin;               /* clock of distance 0 */
     uint16_t base;                 /* count at distance 0 */
-    uint32_t distance[PWM_EVENTS]; /* of each event [counts] */
+    uint32_t distance[PWM_EVENTS]; /* distance of each event [counts] */
     int64_t done;                  /* events up to this distance are handled [counts] */
-    pwm_order_t order;             /* of the list of events */
-    uint32_t event[PWM_EVENTS + 1]; /* of a cycle: PWM_EVENT(distance, number), rising; ends with PWM_NO_EVENT */
-    const uint32_t *next;          /* the first that is not handled */
-    int64_t settled;               /* flags up to this distance are found [counts] */
-    unsigned plain;                /* bit k: VALk only switches the pair */
-    unsigned eventful;              /* bit k: VALk is an event */
-    uint64_t next_clock;           /* of the counter's next event */
-    uint64_t sync_clock;           /* at which a pulse at EXT_SYNC acts; CHIP_NEVER without one */
+    pwm_order_t order;             /* order of the list of events */
+    uint32_t event[PWM_EVENTS + 1]; /* events of a cycle: PWM_EVENT(distance, number), rising; ends with PWM_NO_EVENT */
+    const uint32_t *next; /* first event that is not handled */
+    int64_t settled; /* flags up to this distance are found [counts] */
+    unsigned plain; /* bit k: VALk only switches the pair */
+    unsigned eventful; /* bit k: VALk is an event */
+    uint64_t next_clock; /* time of the next event of the counter */
+    uint64_t sync_clock; /* time at which a pulse at EXT_SYNC takes effect; CHIP_NEVER: none */
     /* outputs, bit 0 A and bit 1 B; generated, followed and given: bit 0 PWM23, bit 1 PWM45 */
     unsigned generated;
-    unsigned followed;   /* DTSRCSEL in force: which of them the outputs follow, ... */
-    unsigned given;      /* ... and what inverts them: inverted, or SWCOUT in force */
-    unsigned mask;       /* MASK in force */
-    bool from_45;        /* IPOL: the pair follows PWM45 */
-    bool pair;           /* input of the dead-time unit */
-    unsigned out;        /* its outputs, or those of an independent submodule */
+    unsigned followed; /* DTSRCSEL in force: generated signals that the outputs follow */
+    unsigned given; /* DTSRCSEL in force: inversion, or SWCOUT */
+    unsigned mask; /* MASK in force */
+    bool from_45; /* IPOL: the pair follows PWM45 */
+    bool pair; /* input of the dead-time unit */
+    unsigned out; /* outputs of the dead-time unit, or of an independent submodule */
     uint64_t dead_clock; /* end of the dead time in progress; CHIP_NEVER without one */
-    unsigned blocked;    /* bit per fault that disables the outputs */
-    unsigned live;       /* pins that follow the outputs, ... */
-    unsigned fixed;      /* ... and the levels of the others, or inversion */
-    unsigned levels;     /* of the pins: bit 0 the upper, bit 1 the lower switch */
+    unsigned blocked; /* bit per fault that disables the outputs */
+    unsigned live; /* pins that follow the outputs */
+    unsigned fixed; /* levels of the other pins, or inversion */
+    unsigned levels; /* levels of the pins: bit 0 upper, bit 1 lower switch */
 } pwm_submodule_t;
 
 typedef struct {
     pwm_submodule_t sub[PWM_SUBMODULES];
-    uint16_t reg[14];             /* OUTEN to FTST1; those of faults 4-7 are stored only */
-    uint16_t ldok, run, ipol;     /* fields of MCTRL, bit per submodule */
+    uint16_t reg[14]; /* OUTEN to FTST1; those of faults 4-7 are stored only */
+    uint16_t ldok, run, ipol; /* fields of MCTRL, bit per submodule */
     uint16_t fsts_full, fsts_half; /* fields of FSTS0, bit per fault */
-    unsigned fault_flag;              /* FFLAG */
-    unsigned fault_pin;               /* levels of the inputs, bit per input */
-    unsigned fault_filtered;          /* levels behind the filters */
+    unsigned fault_flag; /* FFLAG */
+    unsigned fault_pin; /* levels of the inputs, bit per input */
+    unsigned fault_filtered; /* levels behind the filters */
     uint64_t fault_clock[PWM_FAULTS]; /* at which a new level passes its filter; CHIP_NEVER without one */
-    unsigned fault_active;            /* bit per input: filtered level means a fault */
-    uint32_t locked_writes;           /* lost because LDOK was set */
+    unsigned fault_active; /* bit per input: filtered level means a fault */
+    uint32_t locked_writes; /* lost because LDOK was set */
 } pwm_module_t;
 
 typedef struct {

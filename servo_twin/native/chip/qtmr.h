@@ -25,25 +25,25 @@ typedef struct {
     qtmr_channel_t channel[QTMR_CHANNELS];
     unsigned module;                      /* 0: A, 1: B */
     uint16_t enable;                      /* ENBL */
-    unsigned holds;                       /* channels on the bus clock whose HOLD is not computed yet, ... */
-    uint64_t hold_clock;                  /* ... and the clock that it is to be computed for */
+    unsigned holds;                       /* channels on the bus clock whose HOLD is not computed yet */
+    uint64_t hold_clock;                  /* clock for which HOLD is to be computed */
     unsigned raw;                         /* levels at the inputs, bit per input */
     unsigned in;                          /* levels behind the filters */
     uint64_t
-        change_clock[QTMR_CHANNELS]; /* at which a new level passes the filter of an input; CHIP_NEVER without one */
-    uint32_t delay[QTMR_CHANNELS];        /* of that filter [clocks] */
+        change_clock[QTMR_CHANNELS]; /* time at which a new level passes the filter of an input; CHIP_NEVER: none */
+    uint32_t delay[QTMR_CHANNELS];        /* delay of the filter of an input [clocks] */
     uint64_t quiet_clock;                 /* the first change_clock, if that edge is deferrable; else CHIP_NEVER */
-    unsigned deferrable_edges;            /* number of coming edges of which nothing but a count follows */
+    unsigned deferrable_edges;            /* number of coming edges whose only effect is a count */
     /* derived from the registers: masks of channels */
     unsigned on_bus;                      /* count the bus clock */
-    unsigned eventful;                    /* those of them whose compares and rollovers have a consequence */
+    unsigned eventful;                    /* channels on the bus clock whose compares and rollovers have an effect */
     unsigned cascade;                     /* count compares of another channel, in either direction */
     unsigned decodes[QTMR_CHANNELS];      /* decode quadrature from this input and another one */
     unsigned counts_edges[QTMR_CHANNELS]; /* count edges of this input */
     unsigned follows[QTMR_CHANNELS];      /* count the output of this channel */
-    unsigned captures[QTMR_CHANNELS];     /* capture at this input, ... */
-    unsigned captured; /* ... those whose IEF is set: no further capture until software clears it */
-    unsigned cleared_by[QTMR_CHANNELS]; /* whose OFLAG this input clears */
+    unsigned captures[QTMR_CHANNELS];     /* channels that capture at this input */
+    unsigned captured; /* channels with IEF set: no further capture until software clears it */
+    unsigned cleared_by[QTMR_CHANNELS]; /* channels whose OFLAG this input clears */
 } qtmr_module_t;
 
 typedef struct {

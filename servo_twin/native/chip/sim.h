@@ -10,7 +10,7 @@
 
 typedef struct {
     bus_t *bus;
-    reset_cause_t cause;                                           /* of the last reset */
+    reset_cause_t cause;                                           /* cause of the last reset */
     uint16_t ctrl, rstat, scr[4], sd[4], prot, misc0, pwrmode; /* registers */
 } sim_t;
 

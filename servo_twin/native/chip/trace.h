@@ -16,13 +16,13 @@ typedef enum {
     TRACE_SAMPLE,    /* a channel is held: a = sample, b = channel */
     TRACE_SCAN_END,  /* a scan is complete: a = converter */
     TRACE_ENTER,     /* a handler starts: a = vector, b = level */
-    TRACE_LEAVE,     /* and ends: a = vector */
+    TRACE_LEAVE,     /* a handler ends: a = vector */
     TRACE_WRITE,     /* a register: a = address, b = value */
     TRACE_CAPTURE,   /* a timer captures: a = 4 module + channel, b = value */
 } trace_kind_t;
 
 typedef struct { /* without padding: the same run gives the same bytes */
-    uint64_t clock; /* of 10 ns since power-on */
+    uint64_t clock; /* clocks of 10 ns since power-on */
     uint16_t kind, a;
     uint32_t b;
 } trace_entry_t;

@@ -28,7 +28,7 @@ typedef struct {
     unsigned feeds[XBARB_INPUTS];   /* bit per input of the AOI */
     /* levels, bit per input */
     unsigned aoi_in;
-    uint64_t level; /* of crossbar A */
+    uint64_t level; /* levels of crossbar A */
     uint32_t b_level;
 } xbar_t;
 

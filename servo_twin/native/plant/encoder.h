@@ -27,9 +27,9 @@ typedef struct {
     double edges_per_rad; /* negative: A and B are swapped [1/rad] */
     bool connected[PLANT_ENCODER_LINES]; /* lines that switch */
     bool stuck[PLANT_ENCODER_LINES]; /* level of a line that does not switch */
-    bool eccentric; /* the disc is */
+    bool eccentric; /* the disc is eccentric */
     int64_t edge; /* edges passed since angle 0 */
-    int64_t slipped; /* of these by a slip of the disc */
+    int64_t slipped; /* edges passed by a slip of the disc */
     uint16_t count; /* TMRx0 */
     uint16_t index; /* TMRx2 */
     bool oflag; /* output of TMRx0 */
@@ -37,7 +37,7 @@ typedef struct {
     bool latched; /* an edge has not been read yet */
     uint16_t captured_count; /* at the latched edge [counts] */
     uint64_t captured_ns; /* time of the latched edge [ns] */
-    double eccentricity, phase; /* of the disc: a [rad], phase [rad] */
+    double eccentricity, phase; /* disc: a [rad], phase [rad] */
 } plant_encoder_t;
 
 /* Motion of the shaft over one step, with a speed linear in time. */
@@ -71,7 +71,7 @@ static inline bool plant_encoder_leaves(const plant_encoder_t *encoder, double t
 /* Follow the shaft; `reference_ns` is the simulated time to which start_ns refers. */
 void plant_encoder_move(plant_encoder_t *encoder, const plant_movement_t *movement, uint64_t reference_ns);
 
-/* The same for an encoder that is not armed: no edge is captured, so only the final angle is needed. */
+/* plant_encoder_move for an encoder that is not armed: no edge is captured, so only the final angle is needed. */
 void plant_encoder_count(plant_encoder_t *encoder, double theta);
 
 /* Connect or disconnect both lines. A disconnected encoder does not count; edges missed are lost. */
@@ -80,7 +80,7 @@ void plant_encoder_connect(plant_encoder_t *encoder, bool connected, double thet
 /* Stick one line at a level, or release it. The decoder then counts the edges of the other line alternately up and down. */
 void plant_encoder_stick(plant_encoder_t *encoder, plant_line_t line, bool stuck, bool level);
 
-/* Slip of the disc on the shaft by so many edges, which pass at the next step. */
+/* Slip of the disc on the shaft by a number of edges, which pass at the next step. */
 void plant_encoder_slip(plant_encoder_t *encoder, int edges);
 
 /* Short pulse on a line: one count forwards and back, and on B an edge to capture. */

@@ -39,17 +39,17 @@ typedef struct {
     double load;         /* external torque against positive motion [N m] */
     bool locked;         /* shaft */
     double low, high;    /* end stops, inelastic, mechanical [rad] */
-    bool obstructed;     /* by end stops */
+    bool obstructed;     /* motion limited by end stops */
     bool fine;           /* needs shorter steps than the plant (shaft.h) */
     bool single;         /* obstructed or fine: excluded from the pair of both axes (motor_pair.h) */
-    bool saturates;      /* the iron does */
+    bool saturates;      /* the iron saturates */
     /* state */
     double i_d, i_q;     /* [A] */
     double omega;        /* mechanical [rad/s] */
     double theta;        /* mechanical, not wrapped [rad] */
     /* derived from the state */
-    double sine, cosine; /* of the electrical angle [1] */
-    unsigned steps;      /* since these two were evaluated */
+    double sine, cosine; /* electrical angle [1] */
+    unsigned steps;      /* steps since sine and cosine were evaluated */
     double phase[3];     /* phase currents into the motor [A] */
     saturation_t iron_d, iron_q; /* parameters */
 } plant_motor_t;

@@ -48,9 +48,9 @@ typedef struct {
     motor_pair_t pair;
     double codes_per_volt; /* [1/V] */
     uint64_t step_ns; /* half a PWM period [ns] */
-    double step, steps_per_second; /* the same [s], and its inverse [1/s] */
+    double step, steps_per_second; /* step_ns in seconds [s], and its inverse [1/s] */
     double u_step; /* bus voltage at the beginning of the last step [V] */
-    unsigned steps; /* since the last step of the temperatures */
+    unsigned steps; /* steps since the last step of the temperatures */
 } plant_t;
 
 void plant_init(plant_t *plant, const board_config_t *config);

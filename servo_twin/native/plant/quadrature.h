@@ -24,12 +24,12 @@ typedef struct {
     double jitter; /* standard deviation of an edge [pitches] */
     double early; /* lead of a rising edge, lag of a falling one, by the duty error [pitches] */
     double hysteresis; /* [rad] */
-    double eccentricity, phase; /* of the disc, as in encoder.h [rad] */
+    double eccentricity, phase; /* disc, as in encoder.h [rad] */
     int64_t position; /* edges passed since angle 0 */
-    int64_t slipped; /* of these by a slip of the disc */
+    int64_t slipped; /* edges passed by a slip of the disc */
     bool upwards; /* present or last direction of motion */
     double edge[2]; /* angles of the next edges downwards and upwards [rad] */
-    bool level[QUADRATURE_LINES]; /* of the encoder's outputs */
+    bool level[QUADRATURE_LINES]; /* levels of the encoder outputs */
     bool cut[QUADRATURE_LINES]; /* the line is stuck at the level `stuck` */
     bool stuck[QUADRATURE_LINES];
     bool flipped[QUADRATURE_LINES]; /* inverted by a disturbance */

@@ -31,7 +31,7 @@ typedef struct {
 typedef struct {
     double from;                 /* beginning of the present parabola, at the last zero crossing [s] */
     lanes_t i, di, ddi;          /* at `from` [A], [A/s], [A/s^2] */
-    double end;                  /* of the segment [s] */
+    double end;                  /* end of the segment [s] */
     lanes_t last;                /* current at `end` [A] */
     unsigned positive, negative; /* sets of legs by the sign of their current */
     int floating;                /* leg without current, -1: none known */
@@ -149,7 +149,7 @@ PLANT_INLINE bool cross_zero(trajectory_t *c, zero_crossing_t *crossing, const s
     const unsigned leg = INVERTER_LEG(k);
     const bool falls = (c->positive & leg) != 0u;
     const bool open = (inv->gates & INVERTER_BOTH_GATES(leg)) == 0u;
-    const double width = 2.0 * inv->v_drop + (open ? u : 0.0); /* of the leg's voltage interval */
+    const double width = 2.0 * inv->v_drop + (open ? u : 0.0); /* width of the leg's voltage interval */
     const double rest = (c->end - c->from) - h;
     const lanes_t di = c->di + all(h) * c->ddi;
     const lanes_t needed = load_lanes(f->minus_l_leg) * di; /* voltage step that makes the slope zero */

@@ -21,18 +21,18 @@
 typedef struct {
     bool fine; /* needs shorter steps than the plant: second mass, cogging or saturation */
     bool two_masses;
-    double stiffness; /* of the shaft [N m/rad] */
-    double damping; /* of the shaft [N m s] */
+    double stiffness; /* shaft stiffness [N m/rad] */
+    double damping; /* shaft damping [N m s] */
     double half_gap; /* half the backlash [rad] */
-    double inv_inertia; /* of the second mass [1/(kg m^2)] */
+    double inv_inertia; /* second mass [1/(kg m^2)] */
     double friction; /* Coulomb friction of the second mass [N m] */
     double load; /* external torque on the second mass [N m] */
-    double cogging; /* amplitude [N m] */
-    double periods, phase; /* of the cogging: per turn, [rad] */
-    double theta, omega; /* of the second mass at the end of the step [rad], [rad/s] */
-    double accel; /* of the second mass in the step [rad/s^2] */
-    double speed; /* of the twist at the beginning of the step [rad/s] */
-    double torque; /* of the shaft in the step [N m] */
+    double cogging; /* amplitude of the cogging torque [N m] */
+    double periods, phase; /* cogging: periods per turn [1], phase [rad] */
+    double theta, omega; /* second mass at the end of the step [rad], [rad/s] */
+    double accel; /* acceleration of the second mass in the step [rad/s^2] */
+    double speed; /* speed of the twist at the beginning of the step [rad/s] */
+    double torque; /* shaft torque in the step [N m] */
 } shaft_t;
 
 /* New parameters; a new second mass starts with the rotor's theta [rad] and omega [rad/s]. */

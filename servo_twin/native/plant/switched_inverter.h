@@ -95,7 +95,7 @@ typedef struct {
     double i_squared[2], energy_in[2]; /* integrals of 3/2 i^2 [A^2 s] and of v i [V A s], alpha and beta */
     double energy_drawn; /* from the bus, less the energy saved by zero crossings [J] */
     double floating_slope; /* voltage slope of the floating leg in the present segment [V/s] */
-    double duration_max; /* of the interval, without its last segment [s] */
+    double duration_max; /* duration of the interval, without its last segment [s] */
     double segment_max[2]; /* longest segment with a voltage across the motor, and without [s] */
     double reluctance_torque; /* at the beginning [N m] */
     double elapsed; /* since the beginning; angle, speed and flux are those of the beginning [s] */
@@ -134,11 +134,11 @@ typedef struct {
     double leg_mean; /* mean of the leg voltages above the negative rail [V] */
     double dtorque; /* slope of the torque [N m/s] */
     double jerk; /* [rad/s^3] */
-    double direction; /* of motion: 1, -1; 0: standstill [1] */
+    double direction; /* direction of motion: 1, -1; 0: standstill [1] */
     double k_max, emf_term_max; /* bounds of K and e' of i'' = K i' + e' [1/s], [A/s^2] */
     bool trajectory_changed; /* motion of the shaft no longer as extrapolated; cleared by the reader */
     /* derived from the state */
-    double cosine, sine; /* of the electrical angle [1] */
+    double cosine, sine; /* electrical angle [1] */
     symmetric_matrix_t inverse; /* L^-1 in the stator reference frame [1/H] */
     double torque; /* air gap [N m] */
     unsigned rotations; /* incremental updates of cosine and sine since they were evaluated */
@@ -221,7 +221,7 @@ static inline unsigned switched_inverter_gates_with(const switched_inverter_t *i
     return (inverter->gates & ~(INVERTER_BOTH_GATES(1u) << lane)) | (unsigned)pair[gates] << lane;
 }
 
-/* True if the bus voltage has changed so much that the slopes of the present segment are out of date. */
+/* True if the slopes of the present segment are invalid because of the change of the bus voltage. */
 static inline bool switched_inverter_bus_changed(const switched_inverter_t *inverter, double u)
 {
     return u > inverter->u + INVERTER_BUS_CHANGE_MAX || u < inverter->u - INVERTER_BUS_CHANGE_MAX;

@@ -23,7 +23,7 @@ static const plant_vector_t phase_axis[3] = {{1.0, 0.0}, {-0.5, HALF_SQRT3}, {-0
 typedef struct {
     plant_vector_t psi, i, charge; /* flux linkage [V s], current [A], integral of the current over the step [A s] */
     double theta, omega;           /* mechanical [rad], [rad/s] */
-    double cosine, sine;           /* of the electrical angle [1] */
+    double cosine, sine;           /* electrical angle [1] */
     symmetric_matrix_t inverse;    /* L^-1 [1/H] */
     double phase[3];               /* [A] */
     double torque;                 /* [N m] */

@@ -9,11 +9,11 @@
 /* Why a step ends. */
 typedef enum {
     STEP_COMPLETE,
-    STEP_CURRENT_ZERO, /* of `phase` */
+    STEP_CURRENT_ZERO, /* the current of `phase` reaches zero */
     STEP_LEG_LIMIT, /* a floating leg has reached a limit of its voltage: a current of this sign begins in `phase` */
     STEP_SHAFT_STOPPED,
     STEP_SHAFT_STARTED,
-    STEP_END_STOP, /* sign 1: the upper one */
+    STEP_END_STOP, /* the shaft reaches an end stop; sign 1: the upper one */
 } step_reason_t;
 
 typedef struct {

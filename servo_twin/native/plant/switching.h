@@ -67,16 +67,16 @@ typedef struct {
     thermal_t winding, sink;
     plant_random_t noise;
     plant_faults_t faults;
-    uint64_t clock; /* up to which the axis has been advanced */
+    uint64_t clock; /* clock up to which the axis has been advanced */
     uint64_t edge_clock; /* next encoder edge */
-    uint64_t report_clock; /* the same if it is an event, never if it is deferred */
+    uint64_t report_clock; /* edge_clock if the edge is an event, never if it is deferred */
     quadrature_trajectory_t trajectory; /* extrapolated motion of the shaft */
-    uint64_t trajectory_clock; /* reference of its time .. */
-    double trajectory_time; /* .. and the time since its beginning there [s] */
-    unsigned deferrable_edges; /* so many encoder edges may still be deferred */
+    uint64_t trajectory_clock; /* clock at which `trajectory_time` was computed */
+    double trajectory_time; /* time since the beginning of the trajectory at trajectory_clock [s] */
+    unsigned deferrable_edges; /* number of encoder edges that may still be deferred */
     bool defers; /* all edges of the present trajectory are deferred */
-    uint8_t deferred_first, deferred_count; /* of `deferred`: first edge not taken, number of edges */
-    uint64_t shown_clock; /* of `shown` */
+    uint8_t deferred_first, deferred_count; /* indices of `deferred`: first edge not processed, number of edges */
+    uint64_t shown_clock; /* clock of `shown` */
     double shown[INVERTER_LANES]; /* outputs of the current amplifiers [A] */
     uint64_t trip_clock; /* earliest clock at which a current may reach the comparator's threshold */
     uint64_t next_clock; /* earliest of report_clock, trip_clock and the horizon */
@@ -94,7 +94,7 @@ typedef struct {
     double square_break; /* its square; a current vector below has no phase beyond the threshold [A^2] */
     double square_far; /* a current vector below cannot reach the threshold within the horizon [A^2] */
     double codes_per_ampere; /* [1/A] */
-    double i_offset[3], i_noise; /* of a current sample [A]; standard deviation [A] */
+    double i_offset[3], i_noise; /* current sample: offset [A], standard deviation [A] */
     double r_s; /* winding at the reference temperature [ohm] */
     double e_copper, e_switch; /* losses that the temperatures already include [J] */
     terminal_integral_t window; /* terminal voltages at the beginning of the present window */
@@ -115,16 +115,16 @@ typedef struct {
     uint64_t now; /* present clock */
     uint64_t next; /* clock of the next event, unless `stale` */
     bool stale; /* `next` has to be found again */
-    uint64_t supply_clock; /* up to which the bus has been advanced */
+    uint64_t supply_clock; /* clock up to which the bus has been advanced */
     double i_bus[BOARD_AXES], di_bus[BOARD_AXES]; /* current that an axis draws at supply_clock, its slope [A], [A/s] */
     double
         charge_booked[BOARD_AXES]; /* charge that the bus has given at this current since the axis was advanced [A s] */
     double u_h[BOARD_AXES]; /* integral of the bus voltage since then [V s] */
     uint64_t window, window_clock; /* length and end of the present window [clocks] */
-    unsigned windows; /* since the last step of the temperatures */
+    unsigned windows; /* windows since the last step of the temperatures */
     uint64_t other_clock; /* next event but encoder edges and trips: window, shaft, short, disturbance */
     switching_event_t event[SWITCHING_EVENTS];
-    unsigned first, pending; /* of `event`: the oldest, their number */
+    unsigned first, pending; /* indices of `event`: oldest event, number of events */
     plant_axis_t parameters[BOARD_AXES]; /* as last configured */
 } switching_t;
 

@@ -24,7 +24,7 @@ void switching_schedule_glitch(switching_t *plant, int axis, int line);
 /* A disturbance begins or ends. */
 void switching_toggle_glitch(switching_t *plant, int axis, int line);
 
-/* Let the disc slip by so many edges; call switching_update_other_clock afterwards. */
+/* Slip of the disc by a number of edges; call switching_update_other_clock afterwards. */
 void switching_start_slip(switching_t *plant, int axis, int32_t edges);
 
 /* Pass an edge of a slipping disc. */

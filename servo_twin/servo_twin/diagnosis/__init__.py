@@ -1,1 +1,1 @@
-"""What has changed: estimates from the difference of board and twin, and which change explains it. Pure."""
+"""Estimates of the plant from the difference of board and twin, and detection of changes. Pure."""

@@ -1,4 +1,4 @@
-"""``servo-sim diagnose`` and ``calibrate``: how well the twin finds what has changed, over many virtual pairs."""
+"""``servo-sim diagnose`` and ``calibrate``: detection of plant changes, measured with many virtual pairs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from servo_twin.runner import Runner, run_in_order
 _DEFAULT: Final = tuple(
     Change(name, size) for name in PLANT_VALUES for size in ((1e-3, -1e-3) if name == "load" else (1.15, 0.85))
 )
-"""By 15 %; a load of 1 mN m is 1 % of the rated torque."""
+"""15 %; a load of 1 mN m is 1 % of the rated torque."""
 
 
 def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.ArgumentParser) -> None:
@@ -37,7 +37,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     parser = verbs.add_parser(
         "diagnose",
         parents=[common, levelled],
-        help="does the twin find what has changed? Many pairs of board and twin in ordinary motion",
+        help="measure the detection of plant changes by the twin with many virtual pairs",
     )
     parser.add_argument(
         "--trials", type=argument.count, default=60, metavar="N", help="number of trials (default: %(default)s)"
@@ -56,28 +56,28 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         metavar="S",
         help="time after the change, or of a trial without one (default: 10)",
     )
-    parser.add_argument("--loss", type=float, default=0.0, metavar="PART", help="samples that do not arrive, 0 .. 0.9")
+    parser.add_argument("--loss", type=float, default=0.0, metavar="PART", help="fraction of lost samples, 0 .. 0.9")
     parser.add_argument(
         "--thresholds", type=Path, metavar="FILE", help="file of `servo_twin calibrate` (default: packaged)"
     )
     Runner.add_options(parser)
     parser.set_defaults(run=_run)
-    learner = verbs.add_parser(
+    calibrator = verbs.add_parser(
         "calibrate",
         parents=[common, levelled],
-        help="what does a healthy pair show? Thresholds of the diagnosis from virtual pairs",
+        help="calibrate the thresholds of the diagnosis with virtual pairs",
     )
-    learner.add_argument(
+    calibrator.add_argument(
         "--runs", type=argument.count, default=10, metavar="N", help="number of runs (default: %(default)s)"
     )
-    learner.add_argument(
-        "--time", type=float, default=120.0, metavar="S", help="time of each run (default: %(default)s)"
+    calibrator.add_argument(
+        "--time", type=float, default=120.0, metavar="S", help="duration of each run (default: %(default)s)"
     )
-    learner.add_argument(
+    calibrator.add_argument(
         "--out", type=Path, default=Path("thresholds.toml"), metavar="FILE", help="default: %(default)s"
     )
-    Runner.add_options(learner)
-    learner.set_defaults(run=_calibrate)
+    Runner.add_options(calibrator)
+    calibrator.set_defaults(run=_calibrate)
 
 
 def _changes(texts: Sequence[str] | None) -> tuple[Change, ...]:
@@ -88,7 +88,7 @@ def _changes(texts: Sequence[str] | None) -> tuple[Change, ...]:
 
 def _run(args: argparse.Namespace) -> int:
     if not 0.0 <= args.loss <= 0.9 or not args.time > 0.0:
-        raise ValueError("--loss is a part from 0 to 0.9, --time is above 0")
+        raise ValueError("--loss must be 0 .. 0.9, --time above 0")
     level = chosen_level(args.level, default=FAST_LEVEL)
     trials = Trials(
         PlantConfig.load(args.plant),
@@ -113,20 +113,21 @@ def _calibrate(args: argparse.Namespace) -> int:
     runs = HealthyRuns(PlantConfig.load(args.plant), args.seed, args.time, level)
     first, *others = run_in_order(Runner.of(args), runs, range(args.runs), "calibrate")
     for other in others:
-        first.join(other)
-    learned = first.thresholds()
-    args.out.write_text(learned.text(), encoding="utf-8")
+        first.merge(other)
+    calibrated = first.thresholds()
+    args.out.write_text(calibrated.text(), encoding="utf-8")
     print(
-        f"{args.out}: a change is one from a log likelihood ratio of {learned.detect:.1f}, "
-        f"once in {learned.false_alarm_hours:g} h of motion by the tail of {learned.run_hours:.2f} h"
+        f"{args.out}: detection threshold of the log likelihood ratio {calibrated.detect:.1f}, "
+        f"one false alarm in {calibrated.false_alarm_hours:g} h of motion, extrapolated from "
+        f"{calibrated.run_hours:.2f} h"
     )
     return 0
 
 
 def summary(answers: Sequence[Answer]) -> str:
-    """Table of confusion, times and errors, and the false alarms."""
+    """Confusion table with delays and coverage, and the false alarms."""
     lines = [
-        f"{'changed':12}{'trials':>7}{'right':>7}{'delay [s]: median, 95 %, most':>32}{'interval holds':>16}  else"
+        f"{'changed':12}{'trials':>7}{'right':>7}{'delay [s]: median, 95 %, max':>32}{'interval right':>16}  other"
     ]
     for name, said in confusion(answers).items():
         mine = [answer for answer in answers if answer.truth.rpartition(" ")[2] == name and not answer.problem]

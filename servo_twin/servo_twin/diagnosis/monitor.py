@@ -1,4 +1,4 @@
-"""The diagnosis of a twin: pairs in, findings and estimates out. Pure."""
+"""Diagnosis of plant changes: findings and estimates from the pairs of board and twin. Pure."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import PERIOD_NS
 
-from servo_twin.diagnosis.channel import Channel, Estimate, Finding, Kind
-from servo_twin.diagnosis.hypotheses import Unknowns
-from servo_twin.diagnosis.signal_watch import SignalWatch
+from servo_twin.diagnosis.change_detector import ChangeDetector, Estimate, Finding, Kind
+from servo_twin.diagnosis.likelihood_ratio import Unknowns
+from servo_twin.diagnosis.signal_monitor import SignalMonitor
 from servo_twin.diagnosis.signals import CHANGES, NEEDED, AxisEquations, AxisSignals, BusSignal
 from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.lockstep.twin import Pair
@@ -28,48 +28,48 @@ PLANT_VALUES: Final[Mapping[str, str]] = {
     "load": "load_torque",
     SUPPLY: "bus.u_source",
 }
-"""Name in the plant file of what can change, of an axis but for the supply."""
+"""Key in the plant file per change: of the axis, except for the supply."""
 
 MARGINS: Final = (0.02, 0.01, 0.02, 0.02, 1e-4, 0.01)
-"""Per change of an axis, see `Unknowns.margins`."""
-BURSTS: Final = (1, 2, 2, 2, 2, 5)
-"""Per change of an axis, see `Unknowns.bursts`. A beat of the ripple in voltage d lasts up to 0.5 s; a resistance shows
-only in the few blocks with an acceleration."""
+"""Per entry of `CHANGES`, see `Unknowns.margins`."""
+TRANSIENT_BLOCKS: Final = (1, 2, 2, 2, 2, 5)
+"""Per entry of `CHANGES`, see `Unknowns.transient_blocks`. A beat of the ripple in voltage d lasts up to 0.5 s; a
+resistance is observable only in the few blocks with an acceleration."""
 
 _SPEED_MAX: Final = 260.0
-"""Beyond the speeds of calibration nothing is judged: voltages come to their limit, which no equation has [rad/s]."""
-_BUS_MARGIN: Final = 0.02  # the resistance of the supply is not known well
-_SURE: Final = 1.5  # for which something has been found before the twin takes it over [s]
-_REMAINDER_MIN: Final = 0.05  # part of a value that is left at least
-_GAP: Final = 0.05  # longest time that one sample stands for [s]
+"""No evaluation above the calibrated speed range: the equations do not include the voltage limit [rad/s]."""
+_BUS_MARGIN: Final = 0.02  # uncertainty of the supply resistance
+_ADOPT_TIME: Final = 1.5  # duration of a finding before it is adopted [s]
+_FACTOR_MIN: Final = 0.05  # smallest factor of an adopted value
+_GAP: Final = 0.05  # longest time that one sample represents [s]
 _NEEDED: Final = ("u_dc", *(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in NEEDED))
 
 
 @dataclass(frozen=True)
-class Located:
-    """A finding and where it is."""
+class LocatedFinding:
+    """A finding and its axis."""
 
     axis: int | None  # index; None: the bus
     finding: Finding
 
 
 class DiagnosisMonitor:
-    """Follows the pairs of a twin.
+    """Evaluates the pairs of board and twin.
 
     Parameters
     ----------
     plant : PlantConfig
         The twin's model of the plant.
     thresholds : Thresholds
-        What a healthy pair shows.
+        Noise, model error and thresholds of a healthy pair.
     """
 
     def __init__(self, plant: PlantConfig, thresholds: Thresholds) -> None:
         self.thresholds = thresholds
-        self.missing = ""  # variables that the telemetry lacks, so that no diagnosis is possible; empty: none
+        self.missing = ""  # required variables missing in the telemetry; if not empty, there is no diagnosis
         self.axes = [
-            Channel(
-                Unknowns(CHANGES, np.array(MARGINS), np.array(noise.spread), BURSTS),
+            ChangeDetector(
+                Unknowns(CHANGES, np.array(MARGINS), np.array(noise.spread), TRANSIENT_BLOCKS),
                 thresholds.detect,
                 np.array(noise.unexplained),
                 noise.prior,
@@ -78,34 +78,34 @@ class DiagnosisMonitor:
             for noise in thresholds.axes
         ]
         bus = Unknowns((SUPPLY,), np.array([_BUS_MARGIN]), np.ones(1), (1,))
-        self.bus = Channel(bus, thresholds.detect, np.array([np.inf]), np.empty(0), thresholds.bus_rows)
-        self.watch = SignalWatch([noise.means for noise in thresholds.axes])  # of signals without an equation
+        self.bus = ChangeDetector(bus, thresholds.detect, np.array([np.inf]), np.empty(0), thresholds.bus_rows)
+        self.signals = SignalMonitor([noise.means for noise in thresholds.axes])
         self.set_plant(plant)
 
     def set_plant(self, plant: PlantConfig) -> None:
-        """The twin has another plant from now on."""
+        """Restart with a changed plant of the twin."""
         self.plant = plant  # the twin's model
-        self.watch.interrupt()
+        self.signals.interrupt()
         self._signals = [AxisSignals(axis, entry) for axis, entry in enumerate(plant.axes)]
         self._bus_signal = BusSignal(plant.bus)
         self._tick: int | None = None
-        for _, channel in self._places():
-            channel.clear()
+        for _, detector in self._detectors():
+            detector.clear()
 
     def interrupt(self) -> None:
-        """The next pair does not follow on the last one; what is known stays."""
+        """Restart the filters: the next pair does not continue the last one. Findings remain."""
         self._tick = None
-        self.watch.interrupt()
+        self.signals.interrupt()
         for signals in self._signals:
             signals.interrupt()
         self._bus_signal.interrupt()
 
     def update(self, pair: Pair) -> bool:
-        """Take a pair; returns whether findings or estimates may have changed."""
+        """Evaluate a pair; True if findings or estimates may have changed."""
         if pair.difference or pair.fault:
             self.interrupt()
-            return self._leave_to_the_board(pair)
-        self.watch.update(pair)
+            return self._discard_faulted_axes(pair)
+        self.signals.update(pair)
         self.missing = ", ".join(name for name in _NEEDED if name not in pair.real)
         if self.missing:
             return False
@@ -125,53 +125,59 @@ class DiagnosisMonitor:
             changed |= self.bus.add(pair.tick, seconds, voltage)
         return changed
 
-    def _leave_to_the_board(self, pair: Pair) -> bool:
-        """Forget what was found of axes with a fault: the board has named the cause. Returns whether there was any."""
+    def _discard_faulted_axes(self, pair: Pair) -> bool:
+        """Discard the findings of axes whose board reports a fault; True if there were any."""
         faulty = [self.axes[axis] for axis in range(AXES) if pair.real.get(f"{axis_name(axis)}.faults", 0.0)]
-        known = any(channel.finding is not None for channel in faulty)
-        for channel in faulty:
-            channel.clear()
-        return known
+        had_finding = any(detector.finding is not None for detector in faulty)
+        for detector in faulty:
+            detector.clear()
+        return had_finding
 
-    def findings(self) -> list[Located]:
-        """What has changed; empty if nothing has."""
-        return [Located(axis, channel.finding) for axis, channel in self._places() if channel.finding is not None]
+    def findings(self) -> list[LocatedFinding]:
+        """Detected changes."""
+        return [
+            LocatedFinding(axis, detector.finding)
+            for axis, detector in self._detectors()
+            if detector.finding is not None
+        ]
 
-    def _places(self) -> list[tuple[int | None, Channel[AxisEquations] | Channel[float]]]:
+    def _detectors(self) -> list[tuple[int | None, ChangeDetector[AxisEquations] | ChangeDetector[float]]]:
         return [*enumerate(self.axes), (None, self.bus)]
 
     def estimates(self) -> dict[str, Estimate]:
-        """Every estimate by its name, such as ``axis1.inertia`` or ``supply``."""
+        """Estimates by name, such as ``axis1.inertia`` or ``supply``."""
         named = {
             f"{axis_name(axis)}.{one.name}": one
-            for axis, channel in enumerate(self.axes)
-            for one in channel.estimates()
+            for axis, detector in enumerate(self.axes)
+            for one in detector.estimates()
         }
         return named | {SUPPLY: self.bus.estimates()[0]}
 
     def adapted(self, tick: int) -> PlantConfig | None:
-        """The plant with what has been found for some time; None if there is nothing to take over."""
+        """Plant of the twin with all findings that are older than `_ADOPT_TIME`; None if nothing is to be adopted."""
         plant = self.plant
         for one in self.findings():
             finding = one.finding
-            if finding.kind not in (Kind.SINGLE, Kind.SEVERAL) or tick - finding.detected < _SURE / (PERIOD_NS * 1e-9):
+            if finding.kind not in (Kind.SINGLE, Kind.SEVERAL) or tick - finding.detected < _ADOPT_TIME / (
+                PERIOD_NS * 1e-9
+            ):
                 continue
-            channel = self.bus if one.axis is None else self.axes[one.axis]
+            detector = self.bus if one.axis is None else self.axes[one.axis]
             values = {finding.changes[0]: finding.value}
             if finding.kind is Kind.SEVERAL:
-                values = {e.name: e.value for e in channel.estimates() if abs(e.value) > e.half_width}
+                values = {e.name: e.value for e in detector.estimates() if abs(e.value) > e.half_width}
             for name, value in values.items():
                 plant = _with_change(plant, one.axis, name, value)
         return None if plant == self.plant else plant
 
 
 def _with_change(plant: PlantConfig, axis: int | None, name: str, value: float) -> PlantConfig:
-    """The plant after a change that a finding has; one that is no value of a plant leaves it as it is."""
+    """Plant after a change; unchanged if the change is not a parameter of the plant."""
     if name not in PLANT_VALUES:
         return plant
     if axis is None:
         return plant.with_bus(u_source=plant.bus.u_source * (1.0 + value))
     entry = PLANT_VALUES[name]
     old = getattr(plant.axes[axis], entry)
-    new = old + value if name == "load" else old * max(1.0 + value, _REMAINDER_MIN)
+    new = old + value if name == "load" else old * max(1.0 + value, _FACTOR_MIN)
     return plant.with_axis(axis, **{entry: new})

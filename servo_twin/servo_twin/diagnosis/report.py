@@ -1,4 +1,4 @@
-"""Findings and estimates in words. Pure."""
+"""Findings and estimates as text. Pure."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Final
 
 from servo_msgs_py.units import PERIOD_NS
 
-from servo_twin.diagnosis.channel import Estimate, Finding, Kind
-from servo_twin.diagnosis.monitor import SUPPLY, Located
+from servo_twin.diagnosis.change_detector import Estimate, Finding, Kind
+from servo_twin.diagnosis.monitor import SUPPLY, LocatedFinding
 
 NOTHING_CHANGED: Final = "nothing has changed"
 
@@ -24,7 +24,7 @@ _WORDS: Final = {
     SUPPLY: "supply voltage",
 }
 _ABSOLUTE: Final = {"load": (1e3, "mN m"), "encoder_angle": (180.0 / math.pi, "deg electrical")}
-"""Changes that are no factors: scale and unit."""
+"""Changes that are not factors: scale and unit."""
 
 
 def _size(name: str, value: float, low: float, high: float) -> str:
@@ -37,35 +37,35 @@ def _size(name: str, value: float, low: float, high: float) -> str:
 
 
 def _rounded(value: float, width: float, *, sign: bool = True) -> str:
-    """With the digits that an interval of this width leaves."""
+    """Value with the significant digits for an interval of this width."""
     digits = min(max(-math.floor(math.log10(max(width, 1e-9))), 0), 4)
     return f"{value:+.{digits}f}" if sign else f"{value:.{digits}f}"
 
 
 def finding_text(finding: Finding, tick: int, stamp_ns: int) -> str:
-    """A finding in words.
+    """A finding as text.
 
     Parameters
     ----------
     finding : Finding
     tick, stamp_ns : int
-        Of any sample, to give ticks a time of day.
+        Tick and time stamp of any sample, to convert ticks to time of day.
     """
     since = datetime.fromtimestamp((stamp_ns - (tick - finding.since) * PERIOD_NS) * 1e-9)
     delay = (finding.detected - finding.since) * PERIOD_NS * 1e-9
     when = f"since {since:%H:%M:%S}, detected after {delay:.1f} s"
     names = [_WORDS[name] for name in finding.changes]
     if finding.kind is Kind.UNKNOWN:
-        return f"nothing known explains the residual, {when}"
+        return f"unknown cause of the residual, {when}"
     if finding.kind is Kind.SEVERAL:
-        return f"several things have changed, {' and '.join(names)} among them, {when}"
+        return f"several changes, {' and '.join(names)} among them, {when}"
     size = _size(finding.changes[0], finding.value, finding.low, finding.high)
     if finding.kind is Kind.ONE_OF:
-        return f"{' or '.join(names)}: this motion does not tell them apart; as {names[0]} {size}, {when}"
+        return f"{' or '.join(names)}, not distinguishable with this motion; as {names[0]} {size}, {when}"
     return f"{names[0]} {size} {when}"
 
 
-def located_text(findings: Sequence[Located], joints: Sequence[str], tick: int, stamp_ns: int) -> str:
+def findings_text(findings: Sequence[LocatedFinding], joints: Sequence[str], tick: int, stamp_ns: int) -> str:
     """All findings in one line."""
     if not findings:
         return NOTHING_CHANGED
@@ -76,7 +76,7 @@ def located_text(findings: Sequence[Located], joints: Sequence[str], tick: int, 
 
 
 def estimate_text(estimate: Estimate) -> str:
-    """A value and its interval; or that nothing has shown it yet."""
+    """Value and interval; "not excited yet" without excitation."""
     if not math.isfinite(estimate.half_width):
         return "not excited yet"
     value, half = estimate.value, estimate.half_width
@@ -84,7 +84,7 @@ def estimate_text(estimate: Estimate) -> str:
 
 
 def estimate_numbers(estimate: Estimate) -> dict[str, float]:
-    """Value, low and high: a factor, or [N m], or [rad]; empty where nothing has shown it yet."""
+    """``value``, ``low`` and ``high``: a factor, or [N m], or [rad]; empty without excitation."""
     if not math.isfinite(estimate.half_width):
         return {}
     value = estimate.value + (0.0 if estimate.name in _ABSOLUTE else 1.0)

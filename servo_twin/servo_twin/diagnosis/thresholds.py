@@ -1,7 +1,7 @@
-"""What a healthy pair shows: noise and model error of every signal, and the thresholds that follow. Pure.
+"""Thresholds of the diagnosis: noise and model error of every signal of a healthy pair, detection threshold. Pure.
 
-`servo_twin calibrate` learns them from a healthy board and writes a file; ``servo-sim calibrate`` has made the packaged
-ones from virtual pairs, ``thresholds.toml`` at register level and ``thresholds_ideal.toml`` at the level ideal.
+`servo_twin calibrate` measures them with a healthy board and writes a file. The packaged files are from ``servo-sim
+calibrate`` with virtual pairs: ``thresholds.toml`` at level registers, ``thresholds_ideal.toml`` at level ideal.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
-from servo_twin.diagnosis.signal_watch import WATCHED
+from servo_twin.diagnosis.signal_monitor import MONITORED
 from servo_twin.diagnosis.signals import ALIASES, CHANGES, EQUATIONS, RESISTANCE, VOLTAGE_Q, AxisEquations
 from servo_twin.diagnosis.window import Rows
 from servo_twin.level import DEFAULT_LEVEL, Level
@@ -34,42 +34,41 @@ _PACKAGED: Final[Mapping[Level, Path]] = {
 
 CURRENTS: Final = (0.1, 0.3, 0.6)
 SPEEDS: Final = (30.0, 60.0, 100.0, 150.0)
-"""Limits of the bins of the noise of a voltage [A], [rad/s]: dead time and switch drops are compensated badly at a
-current near zero, and the ripple that is left of them grows with the speed."""
-
+"""Limits of the bins of the voltage noise [A], [rad/s]: the residual error of the dead-time compensation is largest at
+small currents and causes a ripple that increases with the speed."""
 
 _Array = NDArray[np.float64]
 
 _RIPPLE: Final = 0.3
-"""Part of an independent sample that the voltage d is, and the voltage q at a small current: the ripple of the dead
-time, six times per electrical turn, is aliased to beats of some samples."""
+"""Effective number of independent samples per sample of u_d, and of u_q at small currents: the dead-time ripple (six
+periods per electrical revolution) is aliased to beats over several samples."""
 
 
 class ThresholdsError(ValueError):
-    """A file of thresholds is not usable; the message names the value."""
+    """Invalid threshold file; the message contains the name of the value."""
 
 
 @dataclass(frozen=True)
 class AxisNoise:
-    """Of the equations of one axis (`servo_twin.diagnosis.signals`), with a healthy board."""
+    """Noise and model error of the equations of one axis (`servo_twin.diagnosis.signals`), with a healthy board."""
 
-    alias: tuple[float, ...]  # its coefficients, per entry of `ALIASES`
+    alias: tuple[float, ...]  # coefficients of the aliasing error, per entry of `ALIASES`
     torque: float  # standard deviation of the torque equation [N m]
     voltage_q: tuple[float, ...]  # standard deviation by bin of `CURRENTS`, within it of `SPEEDS` [V]
-    voltage_d: tuple[float, ...]  # the same of the other voltage equation [V]
-    baseline: tuple[float, ...]  # estimates of the unknowns without a change: the error of the twin's model
-    spread: tuple[float, ...]  # standard deviation of an estimate over that of white noise, per unknown
-    unexplained: tuple[float, ...]  # by equation, largest mean square of residual over variance after all known changes
-    means: tuple[float, ...]  # largest running mean of every signal of `servo_twin.diagnosis.signal_watch.WATCHED`
+    voltage_d: tuple[float, ...]  # standard deviation by bin, as `voltage_q` [V]
+    baseline: tuple[float, ...]  # estimates of the unknowns without a change: model error of the twin
+    spread: tuple[float, ...]  # standard deviation of an estimate relative to white noise, per unknown
+    unexplained: tuple[float, ...]  # largest mean square of the residual relative to its variance, per equation
+    means: tuple[float, ...]  # largest running mean, per signal of `servo_twin.diagnosis.signal_monitor.MONITORED`
 
     @property
     def prior(self) -> _Array:
-        """What is known of the coefficients of the alias: they are right to once their own size."""
+        """Inverse variances of the alias coefficients: standard deviation of 100 % of the coefficient."""
         size = np.maximum(np.abs(np.array(self.alias)), 1e-9)
         return np.asarray(1.0 / size**2)
 
     def rows(self, samples: Sequence[AxisEquations]) -> Rows:
-        """Equations without alias and without the error of the model, with their weights; the alias is a nuisance."""
+        """Weighted equations without aliasing and model error; the alias coefficients remain as nuisance unknowns."""
         y, phi, alias, share, current, speed, error = (np.array(part) for part in zip(*samples, strict=True))
         voltages = np.array([self.voltage_q, self.voltage_d])[:, bin_of(current, speed)]
         part = np.where(phi[:, VOLTAGE_Q, RESISTANCE] != 0.0, 1.0, _RIPPLE)
@@ -80,7 +79,7 @@ class AxisNoise:
 
 
 def bin_of(current: _Array, speed: _Array) -> NDArray[np.int64]:
-    """Indices of the bins of a voltage's noise at currents [A] and speeds [rad/s]."""
+    """Indices of the bins of the voltage noise for currents [A] and speeds [rad/s]."""
     return np.searchsorted(CURRENTS, current) * (len(SPEEDS) + 1) + np.searchsorted(SPEEDS, speed)
 
 
@@ -93,44 +92,44 @@ _LENGTHS: Final = {
     "baseline": len(CHANGES),
     "spread": len(CHANGES),
     "unexplained": len(EQUATIONS),
-    "means": len(WATCHED),
+    "means": len(MONITORED),
 }
 
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Everything that was learned."""
+    """Results of a calibration."""
 
     axes: tuple[AxisNoise, ...]
-    bus_noise: float  # of the bus voltage in a block of motion: relative standard deviation
-    bus_baseline: float  # the mean of the same, relative
-    detect: float  # logarithm of the likelihood ratio from which a change counts
-    false_alarm_hours: float  # mean time between false alarms at `detect`, by the tail of the run [h of motion]
+    bus_noise: float  # relative standard deviation of the difference of the bus voltages
+    bus_baseline: float  # relative mean of the difference of the bus voltages
+    detect: float  # detection threshold of the log likelihood ratio
+    false_alarm_hours: float  # mean time between false alarms at `detect`, extrapolated [h of motion]
     run_hours: float  # duration of the run [h]
 
     def bus_rows(self, voltages: Sequence[float]) -> Rows:
-        """Equations of relative differences of the bus voltage."""
+        """Equations of relative differences of the bus voltages."""
         y = np.array(voltages)[:, None] - self.bus_baseline
         ones = np.ones_like(y)
         return Rows(y, ones[:, :, None], ones * self.bus_noise**-2, ones)
 
     @classmethod
     def load(cls, path: Path | str | None = None, level: Level = DEFAULT_LEVEL) -> Thresholds:
-        """Read a file; by default the packaged one of a virtual pair at this level.
+        """Read a file; by default the packaged file of this level.
 
         Raises
         ------
         ThresholdsError
-            If something is missing or no number.
+            If a value is missing or not a number.
         OSError
-            If it cannot be read.
+            If the file cannot be read.
         """
         return _packaged(level) if not path else _load(Path(path))
 
     def text(self) -> str:
-        """As the text of a file."""
+        """Contents of a threshold file."""
         lines = [
-            "# From a healthy run, by `servo_twin calibrate` or `servo-sim calibrate`; units: diagnosis/thresholds.py",
+            "# Written by `servo_twin calibrate` or `servo-sim calibrate`; units: diagnosis/thresholds.py",
             "",
         ]
         lines += _lines({k: v for k, v in asdict(self).items() if k != "axes"})
@@ -163,9 +162,7 @@ def _load(path: Path) -> Thresholds:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, TypeError) as error:
         raise ThresholdsError(f"{path}: {error}") from None
     except KeyError as error:
-        raise ThresholdsError(
-            f"{path}: {error.args[0]} is missing; write it anew with `servo_twin calibrate`"
-        ) from None
+        raise ThresholdsError(f"{path}: {error.args[0]} is missing; repeat `servo_twin calibrate`") from None
     except ThresholdsError as error:
         raise ThresholdsError(f"{path}: {error}") from None
 

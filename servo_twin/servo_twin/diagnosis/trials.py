@@ -1,4 +1,4 @@
-"""Trials of the diagnosis: ordinary motion of a virtual pair, a change of the real plant, what is said of it."""
+"""Trials of the diagnosis: random motion of a virtual pair, and a change of the plant of the real board."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from typing import Final
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.board import SimulationError
-from servo_twin.diagnosis.channel import Kind
-from servo_twin.diagnosis.learning import Learner
-from servo_twin.diagnosis.monitor import PLANT_VALUES, SUPPLY, DiagnosisMonitor, Located
-from servo_twin.diagnosis.pair import BoardPair, Motion
+from servo_twin.diagnosis.board_pair import BoardPair, Motion
+from servo_twin.diagnosis.calibration import Calibrator
+from servo_twin.diagnosis.change_detector import Kind
+from servo_twin.diagnosis.monitor import PLANT_VALUES, SUPPLY, DiagnosisMonitor, LocatedFinding
 from servo_twin.diagnosis.thresholds import Thresholds
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 
 NOTHING: Final = "nothing"
 
-_BEFORE: Final = (3.0, 6.0)  # of motion, until the change comes [s]
+_BEFORE: Final = (3.0, 6.0)  # motion before the change, minimum and maximum [s]
 
 
 @dataclass(frozen=True)
@@ -30,16 +30,16 @@ class Change:
     """A change of the real plant."""
 
     name: str  # key of `PLANT_VALUES`
-    size: float  # factor; of a load the additional torque [N m]
+    size: float  # factor; for a load the additional torque [N m]
 
     @classmethod
     def parse(cls, text: str) -> Change:
-        """From ``NAME=FACTOR``, such as ``friction=1.15``; a load is a torque [N m].
+        """Parse ``NAME=FACTOR``, such as ``friction=1.15``; a load is a torque [N m].
 
         Raises
         ------
         ValueError
-            If it is none.
+            If the text has another form.
         """
         name, sign, number = text.partition("=")
         if name not in PLANT_VALUES or not sign:
@@ -54,26 +54,26 @@ class Change:
         return PLANT_VALUES[self.name] if self.name == SUPPLY else f"{axis_name(axis)}.{PLANT_VALUES[self.name]}"
 
     def place(self, axis: int) -> str:
-        """Name as an answer has it."""
+        """Name in `Answer.truth`."""
         return SUPPLY if self.name == SUPPLY else f"{axis_name(axis)} {self.name}"
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a trial has shown."""
+    """Result of a trial."""
 
     number: int
     truth: str  # true change, such as ``axis1 friction``; `NOTHING` if there was none
-    said: str  # result of the diagnosis at the end
-    delay: float | None  # from the change until it was named for good [s]; None: it was not
-    value: float  # estimate of the change, relative or [N m]
-    covered: bool  # whether its interval holds the truth
-    false_alarms: tuple[str, ...]  # results before the change
-    seconds: float  # time without a change [s]
-    problem: str = ""  # why the trial could not be run; empty if it could
+    said: str  # finding at the end of the trial
+    delay: float | None  # from the change to the first report of the final, right finding [s]; None: wrong
+    value: float  # estimated change, relative or [N m]
+    covered: bool  # true if the interval contains the true value
+    false_alarms: tuple[str, ...]  # findings before the change
+    seconds: float  # duration before the change [s]
+    problem: str = ""  # error that ended the trial; empty: none
 
 
-def _said(findings: Sequence[Located]) -> str:
+def _said(findings: Sequence[LocatedFinding]) -> str:
     if not findings:
         return NOTHING
     if len(findings) > 1:
@@ -86,18 +86,18 @@ def _said(findings: Sequence[Located]) -> str:
 
 @dataclass(frozen=True)
 class Trials:
-    """All trials of a run, to be run anywhere."""
+    """All trials of a run; can be pickled."""
 
     plant: PlantConfig  # of the twin, and of the board before the change
     thresholds: Thresholds
-    changes: tuple[Change, ...]  # one after the other, trial by trial; empty: nothing changes
+    changes: tuple[Change, ...]  # one per trial, cyclic; empty: no change
     seed: int
-    seconds: float  # after the change; without a change of the whole trial [s]
-    loss: float  # part of the samples that are lost
+    seconds: float  # duration after the change; without a change, of the trial [s]
+    loss: float  # fraction of lost samples
     level: Level
 
     def run(self, number: int) -> Answer:
-        """One trial."""
+        """Run one trial."""
         seed = self.seed * 1_000_003 + number
         draw = random.Random(f"trial {seed}")
         change = self.changes[number % len(self.changes)] if self.changes else None
@@ -140,7 +140,7 @@ class Trials:
 def _follow(
     monitor: DiagnosisMonitor, motion: Motion, seconds: float, pair: BoardPair
 ) -> tuple[float, tuple[str, ...], str]:
-    """Since when the last thing is said [s], all that was said on the way, and that last thing."""
+    """Time of the last new finding [s], all findings, and the last finding."""
     said, since, all_said = _said(monitor.findings()), pair.time, []
     for one in motion.run(seconds):
         if monitor.update(one):
@@ -154,27 +154,27 @@ def _follow(
 
 @dataclass(frozen=True)
 class HealthyRuns:
-    """Runs of virtual pairs in which nothing changes, to learn from."""
+    """Runs of virtual pairs without a change, for the calibration."""
 
     plant: PlantConfig  # of both boards
     seed: int
     seconds: float  # of each run [s]
     level: Level
 
-    def run(self, number: int) -> Learner:
-        """One run."""
+    def run(self, number: int) -> Calibrator:
+        """Run one pair."""
         seed = self.seed * 1_000_003 + number
-        learner = Learner(self.plant)
+        calibrator = Calibrator(self.plant)
         with BoardPair(self.plant, self.plant, seed=seed, level=self.level) as pair:
             pair.enable()
             for one in Motion(pair, seed).run(self.seconds):
-                learner.add(one)
-        learner.interrupt()
-        return learner
+                calibrator.add(one)
+        calibrator.interrupt()
+        return calibrator
 
 
 def confusion(answers: Sequence[Answer]) -> dict[str, Counter[str]]:
-    """How often what was said of each change, without the number of the axis where that is right."""
+    """Number of findings per true change; a right finding is counted without the number of the axis."""
     table: dict[str, Counter[str]] = {}
     for answer in answers:
         name = answer.truth.rpartition(" ")[2]

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
-from servo_msgs_py.tuning.field_weakening import reserve_at
+from servo_msgs_py.tuning.field_weakening import largest_torque
 from servo_msgs_py.tuning.field_weakening import top_speed as speed_left
 
 from servo_twin.board import Board
@@ -161,7 +161,7 @@ def _load_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
     curves: list[Curve] = []
     for weak, how in ((False, "without"), (True, "with")):
         voltage = MODULATION * volts - (MARGIN if weak else 0.0)
-        torques = [reserve_at(axis, CURRENT, w, voltage, -I_D_MAX if weak else 0.0).torque for w in grid]
+        torques = [largest_torque(axis, CURRENT, w, voltage, -I_D_MAX if weak else 0.0).torque for w in grid]
         rest = np.maximum(np.array(torques) - axis.friction - axis.viscous * grid, 0.0)
         curves.append(Curve(f"{how}, on paper", grid / RPM, 1e3 * rest))
         curves.append(Curve(f"{how}, measured", np.array(speeds[weak]) / RPM, 1e3 * np.array(LOADS), "o"))

@@ -21,7 +21,7 @@ from servo_twin.experiments.pins import fit
 from servo_twin.experiments.plant_limits import ripple
 from servo_twin.experiments.rig import COUNT, TICK_NS, Recording
 from servo_twin.lockstep.replica import Replica
-from servo_twin.plant import STIFFEST, PlantConfig
+from servo_twin.plant import STOP_STIFFNESS_MAX, PlantConfig
 
 NAME: Final = "homing"
 HELP: Final = """\
@@ -112,7 +112,7 @@ def stops_of(plant: PlantConfig, seed: int, kind: str, trial: int) -> tuple[Plan
     stops: list[Stop] = []
     for axis, entry in enumerate(plant.axes):
         assert not isinstance(entry.theta_start, str)
-        stiffness = min(math.exp(rnd.uniform(low, high)), STIFFEST * entry.inertia * plant.pwm_frequency**2)
+        stiffness = min(math.exp(rnd.uniform(low, high)), STOP_STIFFNESS_MAX * entry.inertia * plant.pwm_frequency**2)
         damping = 2.0 * rnd.uniform(*DAMPING) * math.sqrt(stiffness * entry.inertia)
         stops.append(Stop(rnd.uniform(*AWAY), stiffness, damping))
         plant = plant.with_axis(

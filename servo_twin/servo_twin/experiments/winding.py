@@ -16,7 +16,7 @@ from servo_twin.board import Board
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.rig import SETTLED, TICK, fresh_board, set_up, word
 from servo_twin.firmware_build import as_toml, servo_table
-from servo_twin.lockstep.blocks import blocks_of_file, bring
+from servo_twin.lockstep.blocks import blocks_of_file, write_blocks
 from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import enable
@@ -133,7 +133,7 @@ def configured(plant: PlantConfig, motors: Sequence[Motor]) -> tuple[PlantConfig
 def courses(plant: PlantConfig, seed: int, text: str, seconds: float = SECONDS) -> list[Course]:
     """Cold motors for so many seconds, with all the current there is from the beginning."""
     with fresh_board(plant, seed) as board:
-        bring(Replica(board), blocks_of_file(text, board.catalogue))
+        write_blocks(Replica(board), blocks_of_file(text, board.catalogue))
         enable(board)
         board.run(SETTLED)
         for axis in range(AXES):

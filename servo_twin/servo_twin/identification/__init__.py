@@ -1,1 +1,1 @@
-"""Motor, shaft and inverter from measurements: refinement by simulation, files, random motors, command line."""
+"""Identification of motor, shaft and inverter: refinement by simulation, files, random motors, command line."""

@@ -21,7 +21,7 @@ from servo_twin.board import Board
 from servo_twin.firmware_build import SERVO_TOML, servo_table
 from servo_twin.identification.files import draw, report_lines, write_estimates, write_plant, write_servo
 from servo_twin.identification.motors import random_motor
-from servo_twin.identification.refine import CLOSE
+from servo_twin.identification.refine import DETAILED_MODEL
 from servo_twin.identification.session import Identified, identified, measure_virtual, tuned_table
 from servo_twin.identification.trials import Trial, Trials, summary
 from servo_twin.level import FAST_LEVEL, Level, chosen_level
@@ -30,27 +30,27 @@ from servo_twin.runner import Runner
 from servo_twin.simulation import SimulationError
 
 _HELP: Final = """\
-Find out what motor is there: resistance, inductances, flux, pole pairs, inertia, friction, load, the voltage that dead
-time and switches take, delay, with 95 % intervals. The axis moves by itself, within the limits. Nothing has to be known
-but the voltage of the bus and the current that the motor bears.
+Identify the motor: resistance, inductances, flux, pole pairs, inertia, friction, load, voltage error of dead time and
+switches, delay, with 95 % intervals. The axis moves automatically, within the limits. Required data: voltage of the bus
+and permitted motor current.
 
   servo-sim identify --axis 1 --voltage 24 --current 4          a virtual board, with the motor of --plant
-  servo-sim identify --motor 17                                 .. with a random motor
-  servo-sim identify --recording out/identify/measurement.npz   what servo-tool identify has recorded
-  servo-sim identify --trials 200 --level registers             random motors against the truth
+  servo-sim identify --motor 17                                 a virtual board with a random motor
+  servo-sim identify --recording out/identify/measurement.npz   a recording of servo-tool identify
+  servo-sim identify --trials 200 --level registers             errors for random motors
 
-The folder gets measurement.npz, estimates.json, identify.png, and if all is determined plant.toml for the twin and
-servo.toml for the controller. Exit status 1, with the reason, if something is not."""
+Output files: measurement.npz, estimates.json, identify.png, and, if all values are determined, plant.toml for the twin
+and servo.toml for the controller; otherwise exit status 1 and the reason."""
 
 _OUT: Final = Path("out/identify")
 
 
 def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.ArgumentParser) -> None:
-    """Add ``identify`` to the commands of ``servo-sim``; parameters as in `servo_twin.sweep.command.add_parser`."""
+    """Add ``identify`` to the commands of ``servo-sim``; parameters: see `servo_twin.sweep.command.add_parser`."""
     parser = verbs.add_parser(
         "identify",
         parents=[common, levelled],
-        help="find out what motor is there",
+        help="identify motor, shaft and inverter of an axis",
         description=_HELP,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -58,33 +58,33 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     parser.add_argument("--axis", type=int, choices=range(1, AXES + 1), default=1, help="default: %(default)s")
     parser.add_argument("--voltage", type=float, default=24.0, help="voltage of the bus [V] (default: %(default)s)")
     parser.add_argument(
-        "--current", type=float, default=4.0, help="current that the motor bears [A, peak] (default: %(default)s)"
+        "--current", type=float, default=4.0, help="permitted motor current [A, peak] (default: %(default)s)"
     )
     for name, text in (
         ("speed", "largest speed [rad/s]"),
-        ("turns", "turns to both sides within which the shaft stays"),
-        ("energy", "energy that the bus takes from a braking shaft [J]"),
+        ("turns", "largest travel to both sides [revolutions]"),
+        ("energy", "permitted braking energy returned to the bus [J]"),
     ):
         parser.add_argument(f"--{name}-max", type=float, default=defaults[name], help=f"{text} (default: %(default)s)")
     parser.add_argument(
         "--r-on",
         type=float,
-        help="resistance of a switch [ohm], which counts to the winding otherwise (default: that of the plant file)",
+        help="on resistance of a switch [ohm]; if wrong, the error is added to r_s (default: plant file)",
     )
-    parser.add_argument("--config", type=Path, metavar="FILE", help="servo.toml for the rest (default: the firmware's)")
-    parser.add_argument("--recording", type=Path, metavar="FILE", help="estimate from this measurement; nothing moves")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="servo.toml with other entries (default: firmware)")
+    parser.add_argument("--recording", type=Path, metavar="FILE", help="use this recording, without a measurement")
     parser.add_argument(
         "--model",
         choices=get_args(Level),
-        help="how closely the refinement imitates the board (default: as the virtual board; of a recording registers)",
+        help="level of the boards in the refinement (default: of the virtual board; for a recording registers)",
     )
-    parser.add_argument("--no-refinement", action="store_true", help="only the closed-form estimates")
+    parser.add_argument("--no-refinement", action="store_true", help="closed-form estimates only")
     parser.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="default: %(default)s")
-    real = parser.add_argument_group("what is really there, on a virtual board")
+    real = parser.add_argument_group("plant of the virtual board")
     real.add_argument("--motor", type=int, metavar="K", help="a random motor")
     real.add_argument("--load", type=float, default=0.0, help="constant torque [N m]")
-    real.add_argument("--locked", action="store_true", help="the shaft is held fast")
-    parser.add_argument("--trials", type=argument.count, metavar="N", help="so many random motors against the truth")
+    real.add_argument("--locked", action="store_true", help="lock the shaft")
+    parser.add_argument("--trials", type=argument.count, metavar="N", help="identify N random motors, print the errors")
     Runner.add_options(parser)
     parser.set_defaults(run=_run)
 
@@ -100,7 +100,7 @@ def _prepare(axis: int, load: float, locked: bool, board: Board) -> None:
         board.lock_shaft(axis)
 
 
-def _say(text: str) -> None:
+def _report(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
@@ -127,12 +127,14 @@ def _run(args: argparse.Namespace) -> int:
             level=chosen_level(args.level, default=FAST_LEVEL),
             seed=args.seed,
             prepare=functools.partial(_prepare, axis, args.load, args.locked),
-            report=_say,
+            report=_report,
         )
         log.notes["problem"] = problem
         log.save(args.out / "measurement.npz")
-    model = args.model or (CLOSE if args.recording is not None else chosen_level(args.level, default=FAST_LEVEL))
-    result = identified(log, plant, problem, refined=not args.no_refinement, level=model, report=_say)
+    model = args.model or (
+        DETAILED_MODEL if args.recording is not None else chosen_level(args.level, default=FAST_LEVEL)
+    )
+    result = identified(log, plant, problem, refined=not args.no_refinement, level=model, report=_report)
     return _write(args, result, plant, base, limits)
 
 
@@ -151,7 +153,7 @@ def _write(
         write_plant(args.out / "plant.toml", result, plant)
     else:
         for name in ("plant.toml", "servo.toml"):
-            (args.out / name).unlink(missing_ok=True)  # of a run before
+            (args.out / name).unlink(missing_ok=True)  # files of a previous run
     write_estimates(args.out / "estimates.json", result, lines)
     if result.log.recordings:
         draw(args.out / "identify.png", result)
@@ -175,6 +177,6 @@ def _trials(args: argparse.Namespace, plant: PlantConfig, base: Mapping[str, Any
         found = sorted([*found, one], key=lambda pair: pair[0])
         content = [{"motor": args.seed + number, **dataclasses.asdict(trial)} for number, trial in found]
         text = json.dumps(content, indent=2, default=float) + "\n"
-        (args.out / "trials.json").write_text(text, encoding="utf-8")  # each time: a run that is ended loses nothing
+        (args.out / "trials.json").write_text(text, encoding="utf-8")  # after every trial
     print(text if args.json else "\n".join(summary(found)))
     return 1 if any(trial.false_success for _, trial in found) else 0

@@ -1,4 +1,4 @@
-"""What identify writes: plant file for the twin, ``servo.toml`` for the controller, estimates as JSON, a picture."""
+"""Output files of identify: plant file for the twin, ``servo.toml`` for the controller, estimates, picture."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _PLANT: Final = ("r_s", "l_d", "l_q", "psi_m", "pole_pairs", "inertia", "frictio
 
 
 def report_lines(result: Identified) -> list[str]:
-    """Table of the estimates, and how well a simulation with them agrees."""
+    """Table of the estimates, and of the differences to a simulation with them."""
     lines = ["                    value   95 % interval"]
     for name, estimate, unit in rows_of(result.estimates):
         low, high = estimate.interval
@@ -32,7 +32,7 @@ def report_lines(result: Identified) -> list[str]:
         lines.append(f"{name:13} {estimate.value:12.5g}   {span:26} {unit}".rstrip())
     bias = result.log.notes.get("bias")
     if bias is not None and "l_d" in result.estimates.values:
-        lines.append(f"l_d holds at {bias['l_d']:.2g} A along the flux, l_q without current across it")
+        lines.append(f"l_d is valid at {bias['l_d']:.2g} A along the flux, l_q without q current")
     if result.refinement is not None:
         lines.append("difference to the simulation (root mean square)   before    after")
         for column, before in result.refinement.before.items():
@@ -41,7 +41,7 @@ def report_lines(result: Identified) -> list[str]:
 
 
 def write_plant(path: Path, result: Identified, plant: PlantConfig) -> None:
-    """A plant file that names what has been identified."""
+    """Write a plant file with the identified values."""
     values = {name: estimate.value for name, estimate in result.estimates.values.items()}
     limits: Mapping[str, float] = result.log.notes["limits"]
     own = plant_of(plant, result.log.axis, values, limits).axes[result.log.axis]
@@ -50,17 +50,17 @@ def write_plant(path: Path, result: Identified, plant: PlantConfig) -> None:
     load = result.estimates.values.get("load")
     if load is not None and not load.interval[0] <= 0.0 <= load.interval[1]:
         entries["load_torque"] = float(f"{load.value:.6g}")
-    head = "# Identified by servo-sim identify. dead_time and r_on were given; r_s and v_drop are what they leave.\n"
+    head = "# Identified by servo-sim identify. dead_time and r_on are given; r_s and v_drop are the remainders.\n"
     path.write_text(head + as_toml({axis_name(result.log.axis): entries}), encoding="utf-8")
 
 
 def write_servo(path: Path, table: Mapping[str, Any]) -> None:
-    """``servo.toml`` for ``servo-tool tune`` and ``make tune``."""
-    path.write_text("# Made by servo-sim identify.\n" + as_toml(table), encoding="utf-8")
+    """Write a ``servo.toml`` for ``servo-tool tune`` and ``make tune``."""
+    path.write_text("# Written by servo-sim identify.\n" + as_toml(table), encoding="utf-8")
 
 
 def write_estimates(path: Path, result: Identified, lines: Sequence[str]) -> None:
-    """Everything as JSON."""
+    """Write all results as JSON."""
     refinement = result.refinement
     content = {
         "axis": axis_name(result.log.axis),
@@ -80,37 +80,37 @@ def write_estimates(path: Path, result: Identified, lines: Sequence[str]) -> Non
 
 
 def draw(path: Path, result: Identified) -> None:
-    """Picture: resistance, spectra, runs and torque over speed, each measured and simulated, and the estimates."""
+    """Draw resistance, swept sines, speed runs and friction, measured and simulated, and the intervals."""
     figure = new_figure(13.0, 8.0, 110)
     plots = figure.subplots(2, 3)
     name, log = axis_name(result.log.axis), result.log
-    shown = None if result.refinement is None else result.refinement.simulated
-    sides = [("measured", log.recordings, "o", "tab:blue")]
-    if shown is not None:
-        sides.append(("simulated", shown, "x", "tab:orange"))
-    for label, recordings, mark, colour in sides:
-        chosen = list(zip(log.labels, recordings, strict=True))
-        levels = [one.columns for kind, one in chosen if kind == "level"]
+    simulated = None if result.refinement is None else result.refinement.simulated
+    sources = [("measured", log.recordings, "o", "tab:blue")]
+    if simulated is not None:
+        sources.append(("simulated", simulated, "x", "tab:orange"))
+    for label, recordings, mark, colour in sources:
+        labelled = list(zip(log.labels, recordings, strict=True))
+        levels = [one.columns for kind, one in labelled if kind == "level"]
         current, voltage = ([mean_of(one[f"{name}.{key}"])[0] for one in levels] for key in ("i_d", "u_d"))
         plots[0, 0].plot(current, voltage, mark, color=colour, label=label)
         for point, style in (("d", "-"), ("q", "--")):
-            sweep = next((one for kind, one in chosen if kind == f"sweep_{point}"), None)
+            sweep = next((one for kind, one in labelled if kind == f"sweep_{point}"), None)
             if sweep is not None:
                 plots[0, 1].plot(
                     1e3 * sweep.time[:400], sweep.columns[f"{name}.i_{point}"][:400], style, color=colour, lw=0.8
                 )
         begin = 0.0
-        for kind, one in chosen:
+        for kind, one in labelled:
             if kind == "speed":
                 time = begin + one.time
                 begin = float(time[-1])
                 plots[0, 2].plot(time, one.columns[f"{name}.speed"], color=colour, lw=1.0)
                 plots[1, 0].plot(time, one.columns[f"{name}.i_q"], color=colour, lw=0.8)
-        held = [one for kind, one in chosen if kind == "plain"]
+        held = [one for kind, one in labelled if kind == "plain"]
         speeds = [float(np.polyfit(one.time, np.nan_to_num(one.columns[f"{name}.position"]), 1)[0]) for one in held]
         plots[1, 1].plot(speeds, [mean_of(one.columns[f"{name}.i_q"])[0] for one in held], mark, color=colour)
     for plot, title, x, y in (
-        (plots[0, 0], "resistance and lost voltage", "i_d [A]", "u_d [V]"),
+        (plots[0, 0], "resistance and voltage error", "i_d [A]", "u_d [V]"),
         (plots[0, 1], "swept sine, d and q (dashed)", "time [ms]", "current [A]"),
         (plots[0, 2], "runs", "time [s]", "speed [rad/s]"),
         (plots[1, 0], "runs", "time [s]", "i_q [A]"),

@@ -1,4 +1,4 @@
-"""Random motors to identify."""
+"""Random motors for the identification."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from servo_twin.plant import PlantConfig
 
 PAIRS: Final = (1, 2, 2, 3, 4, 4, 5, 7)
 R_S: Final = (0.15, 3.0)  # [ohm]
-TIME_CONSTANT: Final = (0.3e-3, 3e-3)  # L_d over R [s]
-SALIENCY: Final = (1.0, 1.8)  # L_q over L_d
+TIME_CONSTANT: Final = (0.3e-3, 3e-3)  # L_d / R [s]
+SALIENCY: Final = (1.0, 1.8)  # L_q / L_d
 INDUCTANCE: Final = (0.1e-3, 5e-3)  # [H]
-IDLE_SPEED: Final = (120.0, 450.0)  # at 24 V [rad/s]
-TIME_TO_SPEED: Final = (0.02, 0.4)  # to half the idle speed with 2 A [s]
-FRICTION: Final = (0.01, 0.08)  # Coulomb, of the torque of 2 A
-VISCOUS: Final = (0.005, 0.08)  # at the idle speed, of the same
+NO_LOAD_SPEED: Final = (120.0, 450.0)  # no-load speed at 24 V [rad/s]
+TIME_TO_SPEED: Final = (0.02, 0.4)  # acceleration time to half the no-load speed with 2 A [s]
+FRICTION: Final = (0.01, 0.08)  # Coulomb friction, relative to the torque of 2 A
+VISCOUS: Final = (0.005, 0.08)  # viscous friction at the no-load speed, relative to the torque of 2 A
 DEAD_TIME: Final = (0.8e-6, 1.2e-6)  # [s]
 DROP: Final = (0.5, 0.9)  # [V]
 CURRENT: Final = 2.0  # [A]
 
 
 def random_motor(plant: PlantConfig, axis: int, seed: int) -> PlantConfig:
-    """Copy of a plant with a random motor at an axis; the same seed gives the same one."""
+    """Copy of a plant with a random motor at an axis; the motor depends on the seed only."""
     source = random.Random(f"motor {axis} {seed}")
 
     def spread(span: tuple[float, float]) -> float:
@@ -32,7 +32,7 @@ def random_motor(plant: PlantConfig, axis: int, seed: int) -> PlantConfig:
     pairs = source.choice(PAIRS)
     r_s = spread(R_S)
     l_d = min(max(r_s * spread(TIME_CONSTANT), INDUCTANCE[0]), INDUCTANCE[1])
-    idle = spread(IDLE_SPEED)
+    idle = spread(NO_LOAD_SPEED)
     psi = 24.0 / math.sqrt(3.0) / (pairs * idle)
     torque = 1.5 * pairs * psi * CURRENT
     friction = torque * spread(FRICTION)

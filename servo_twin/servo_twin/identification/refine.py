@@ -1,7 +1,7 @@
-"""All values together, by simulation: what was done to the board is done to virtual boards until they answer the same.
+"""Refinement by simulation (output-error method): the test is repeated on virtual boards to fit the motor data.
 
-The plant is that of the twin, the firmware the same C with the same configuration blocks, written at the same times.
-The differences of currents, voltages and speeds are minimised over the values of the motor (output error).
+The virtual boards have the plant model of the twin and the same firmware, with the same configuration blocks, written
+at the same times. The differences of currents, voltages and speeds are minimised over the values of the motor.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from servo_twin.plant import PlantConfig, PlantError
 Floats = NDArray[np.float64]
 
 REFINED: Final = ("r_s", "l_d", "l_q", "psi_m", "inertia", "friction", "viscous", "load", "dead_voltage")
-"""What is refined, in the order of the parameters."""
+"""Refined values, in the order of the parameters."""
 
 MODEL_ERROR: Final[Mapping[str, float]] = {
     "r_s": 0.0015,
@@ -42,29 +42,29 @@ MODEL_ERROR: Final[Mapping[str, float]] = {
     "friction": 0.01,
     "dead_voltage": 0.004,
 }
-"""Relative standard uncertainty that the residuals do not show: what the errors of random motors spread beyond the
-jackknife's (doc/identify.md)."""
+"""Additional relative standard uncertainty: spread of the errors of random motors in excess of the jackknife estimate
+(doc/identify.md)."""
 
 BIAS_ERROR: Final[Mapping[str, float]] = {"friction": 0.1, "viscous": 0.1}
-"""Part of a bias that its correction may miss: ripple that the converters sample, as much as half the friction."""
+"""Uncertainty of a bias correction, relative to it; sampled current ripple can amount to half the friction."""
 
-BATCH: Final = 4  # neighbouring samples whose residuals are not independent
+BATCH: Final = 4  # number of adjacent samples with correlated residuals
 STEP: Final = 0.04
-"""Of a numerical derivative: encoder and converters make simulated signals rough, so a small one shows nothing else."""
-FRICTION_MIN: Final = 0.002  # of simulations, part of the torque of the current limit
+"""Relative step of the numerical derivatives, larger than the quantisation of encoder and ADC."""
+FRICTION_MIN: Final = 0.002  # friction in simulations, relative to the torque of the current limit
 
-QUICK: Final[Level] = "ideal"
-CLOSE: Final[Level] = "registers"
-"""A board whose switching is simulated, too: its current converters sample the ripple, not the mean."""
+FAST_MODEL: Final[Level] = "ideal"
+DETAILED_MODEL: Final[Level] = "registers"
+"""A board with simulated switching, whose current samples include the ripple."""
 
 CURRENT_ERROR: Final = 0.5e-3
-"""Standard uncertainty of a mean current at constant speed: an eighth of a step of the converter [A]."""
+"""Standard uncertainty of a mean current at constant speed: an eighth of an LSB of the ADC [A]."""
 
 VOLTAGE_ERROR: Final = 5e-3
-"""The same of a mean voltage: less than a step of the duty at 24 V [V]."""
+"""Standard uncertainty of a mean voltage at constant speed: less than an LSB of the duty at 24 V [V]."""
 
 ITERATIONS: Final = 4
-FARTHEST: Final = 8.0  # a residual counts for no more than about so many times the usual one
+RESIDUAL_MAX: Final = 8.0  # limit of a residual in the covariance, in standard deviations
 
 _COMPARED: Final[Mapping[str, Sequence[str]]] = {
     "level": ("u_d",),
@@ -72,11 +72,11 @@ _COMPARED: Final[Mapping[str, Sequence[str]]] = {
     "plain": ("i_q",),
     "hold": ("u_q",),
 }
-"""Columns that are compared, by the purpose of a recording; of swept sines the spectra are."""
+"""Compared columns by label of the recording; swept sines are compared by their spectra."""
 
 _AVERAGED: Final[Mapping[str, float]] = {"level": 1e3, "speed": 0.02, "plain": 1e3, "hold": 1e3}
-"""Means over so many seconds count [s]: dead time makes a ripple of six periods per electrical turn, whose phase says
-nothing about the motor."""
+"""Averaging time by label [s]; averaging removes the dead-time ripple of six periods per electrical revolution, whose
+phase does not depend on the motor data."""
 
 _DEPENDS: Final[Mapping[str, Sequence[str]]] = {
     "level": ("r_s", "dead_voltage"),
@@ -86,7 +86,7 @@ _DEPENDS: Final[Mapping[str, Sequence[str]]] = {
     "plain": ("psi_m", "friction", "viscous", "load"),
     "hold": ("r_s", "l_d", "l_q", "psi_m", "friction", "viscous", "load", "dead_voltage"),
 }
-"""What a signal depends on; all else in a numerical derivative is roughness."""
+"""Parameters that a signal depends on; other numerical derivatives are set to zero."""
 
 _SIGMA_MIN: Final[Mapping[tuple[str, str], float]] = {
     ("level", "u_d"): 1e-3,
@@ -95,25 +95,24 @@ _SIGMA_MIN: Final[Mapping[tuple[str, str], float]] = {
     ("plain", "i_q"): 0.5e-3,
     ("hold", "u_q"): 2e-3,
 }
-"""Noise that is assumed at least [SI]: while the speed changes, controllers that hunt by a count do so at other moments
-in the simulation."""
+"""Smallest assumed noise [SI]: during speed changes, limit cycles of one count have another phase in the simulation."""
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """What came of it."""
+    """Result of the refinement."""
 
     estimates: MotorEstimates  # unchanged where not refined
-    before: Mapping[str, float]  # root mean square of each signal's difference before [SI]
-    after: Mapping[str, float]  # the same after the refinement [SI]
+    before: Mapping[str, float]  # RMS difference of each signal before the refinement [SI]
+    after: Mapping[str, float]  # RMS difference of each signal after the refinement [SI]
     simulated: list[Recording]  # recordings of a board with the refined values
 
 
 def plant_of(plant: PlantConfig, axis: int, values: Mapping[str, float], limits: Mapping[str, float]) -> PlantConfig:
-    """A plant file's values with those of a motor [SI], by name.
+    """Plant with the values of a motor [SI], by name.
 
-    The lost voltage of a leg is dead time and drop together: the dead time stays that of `plant`, the drop takes the
-    rest.
+    ``dead_voltage`` of a leg is the sum of dead time and drop: the dead time is that of `plant`, the drop is the
+    remainder.
     """
     own = plant.axes[axis]
     changes: dict[str, Any] = {
@@ -134,21 +133,21 @@ def plant_of(plant: PlantConfig, axis: int, values: Mapping[str, float], limits:
 
 
 def simulated(log: MeasurementLog, plant: PlantConfig, load: float, level: Level = "ideal") -> list[Recording]:
-    """What a virtual board with this plant and load [N m] shows when treated as the real one was.
+    """Recordings of a virtual board with this plant and load [N m] in the same test.
 
     Raises
     ------
     MeasurementError
-        If it cannot be done.
+        If the simulation fails.
     """
     plant = plant.with_axis(log.axis, theta_start=0.0)
-    if level == QUICK:
+    if level == FAST_MODEL:
         plant = plant.with_axis(log.axis, i_noise=0.0).with_bus(u_noise=0.0)
     try:
         with Board(plant, seed=1, level=level) as board:
             board.set_load(log.axis, load)
             board.run(float(log.notes.get("boot", 0.05)))
-            # the real board has watched the motor; with values not yet right a monitor would end the simulation
+            # disable the monitors: with preliminary values they could end the simulation
             board.write_raw("param.faults_enabled", [0] * AXES)
             return repeat(log, VirtualBoardAccess(board), (TURN, PULSES, PROTECTION))
     except BoardError as error:
@@ -157,22 +156,22 @@ def simulated(log: MeasurementLog, plant: PlantConfig, load: float, level: Level
 
 @dataclass(frozen=True)
 class _Part:
-    """What is compared of one recording."""
+    """A compared column of one recording."""
 
-    number: int  # of the recording
+    number: int  # index of the recording
     label: str
     column: str
-    usable: NDArray[np.bool_]  # which samples are valid
-    group: NDArray[np.int64]  # of each usable sample: those of one number are averaged
+    usable: NDArray[np.bool_]  # valid samples
+    group: NDArray[np.int64]  # averaging group of each usable sample
 
     def means(self, samples: Floats) -> Floats:
-        _, place, counts = np.unique(self.group, return_inverse=True, return_counts=True)
-        result: Floats = np.bincount(place, samples) / counts
+        _, index, counts = np.unique(self.group, return_inverse=True, return_counts=True)
+        result: Floats = np.bincount(index, samples) / counts
         return result
 
 
 class _Difference:
-    """Differences of two sets of recordings as one vector; weighted by their noise, and without missing samples."""
+    """Differences of two sets of recordings as one vector, weighted by noise, without missing samples."""
 
     def __init__(self, log: MeasurementLog) -> None:
         self._name = axis_name(log.axis)
@@ -181,102 +180,102 @@ class _Difference:
         first_run = True
         for k, (label, recording) in enumerate(zip(log.labels, log.recordings, strict=True)):
             if label == "speed" and first_run:
-                first_run = False  # the rotor search before it does not end at the same time
+                first_run = False  # the end of the preceding rotor search differs
                 continue
             for column in _COMPARED.get(label, ()):
                 usable = np.isfinite(recording.columns[f"{self._name}.{column}"])
-                if label == "hold":  # the current along the flux has to grow first
+                if label == "hold":  # the d current must settle first
                     usable[: usable.size // 2] = False
                 every = max(round(_AVERAGED[label] / recording.step), 1)
                 if usable.any():
                     self._parts.append(_Part(k, label, column, usable, np.arange(usable.size)[usable] // every))
         self._sigma: dict[tuple[str, str], float] = {}
 
-    def _raw(self, shown: Sequence[Recording]) -> list[tuple[_Part, Floats]]:
+    def _raw(self, recordings: Sequence[Recording]) -> list[tuple[_Part, Floats]]:
         result = []
         for part in self._parts:
             key = f"{self._name}.{part.column}"
-            there, here = self._log.recordings[part.number].columns[key], shown[part.number].columns[key]
+            there, here = self._log.recordings[part.number].columns[key], recordings[part.number].columns[key]
             if part.label == "speed":
-                here = self._aligned(part.number, shown[part.number], here, there)
+                here = self._aligned(part.number, recordings[part.number], here, there)
             result.append((part, part.means((here - there)[part.usable])))
         return result
 
-    def _aligned(self, number: int, shown: Recording, column: Floats, measured: Floats) -> Floats:
-        """A simulated column, moved to where the measured set-point changes; before that the measured one."""
+    def _aligned(self, number: int, recordings: Recording, column: Floats, measured: Floats) -> Floats:
+        """Simulated column, shifted to the measured change of the set-point; before it the measured column."""
         key = f"{self._name}.speed_ref"
-        late = _half_way(self._log.recordings[number].columns[key]) - _half_way(shown.columns[key])
+        late = _ramp_centre(self._log.recordings[number].columns[key]) - _ramp_centre(recordings.columns[key])
         at = np.arange(column.size, dtype=np.float64)
-        moved: Floats = np.where(at < late, measured, np.interp(at - late, at, column))
-        return moved
+        shifted: Floats = np.where(at < late, measured, np.interp(at - late, at, column))
+        return shifted
 
-    def _sweeps(self, shown: Sequence[Recording]) -> list[tuple[str, Floats]]:
-        """Spectra in terms of the test signal, all sweeps of one kind together."""
+    def _sweeps(self, recordings: Sequence[Recording]) -> list[tuple[str, Floats]]:
+        """Differences of the spectra relative to the test signal, all sweeps of an axis (d, q) together."""
         result = []
         for point in "dq":
             names = (f"{self._name}.i_{point}", f"{self._name}.u_{point}", f"{self._name}.test_signal")
             numbers = [k for k, label in enumerate(self._log.labels) if label == f"sweep_{point}"]
             there, here = (
                 spectra([recordings[k] for k in numbers], names, BAND[point])
-                for recordings in (self._log.recordings, shown)
+                for recordings in (self._log.recordings, recordings)
             )
             for quantity in (1, 2):
                 difference = here[quantity] - there[quantity]
                 result.append((f"{point}{quantity}", np.concatenate([difference.real, difference.imag])))
         return result
 
-    def weigh(self, shown: Sequence[Recording]) -> None:
-        """Noise of every signal: of what changes from one mean to the next, or of the one mean."""
+    def weigh(self, recordings: Sequence[Recording]) -> None:
+        """Estimate the noise of every signal, from the differences of successive means or from the single mean."""
         noise: dict[tuple[str, str], list[float]] = {}
-        for part, values in self._raw(shown):
+        for part, values in self._raw(recordings):
             if values.size > 4:
-                sigma = _usual(np.diff(values)) / math.sqrt(2.0)
+                sigma = _robust_deviation(np.diff(values)) / math.sqrt(2.0)
             else:
-                # of the difference: what both do alike is no noise
+                # from the difference, so that common changes do not count as noise
                 column = f"{self._name}.{part.column}"
-                there, here = self._log.recordings[part.number].columns[column], shown[part.number].columns[column]
+                there, here = self._log.recordings[part.number].columns[column], recordings[part.number].columns[column]
                 _, sigma = mean_of((here - there)[part.usable])
             noise.setdefault((part.label, part.column), []).append(sigma)
         for key, sigmas in noise.items():
             self._sigma[key] = max(float(np.median(sigmas)), _SIGMA_MIN[key])
-        for name, values in self._sweeps(shown):
-            self._sigma["sweep", name] = max(_usual(np.diff(values)) / math.sqrt(2.0), 1e-9)
+        for name, values in self._sweeps(recordings):
+            self._sigma["sweep", name] = max(_robust_deviation(np.diff(values)) / math.sqrt(2.0), 1e-9)
 
-    def vector(self, shown: Sequence[Recording]) -> Floats:
-        plain = [values / self._sigma[part.label, part.column] for part, values in self._raw(shown)]
-        return np.concatenate(plain + [values / self._sigma["sweep", key] for key, values in self._sweeps(shown)])
+    def vector(self, recordings: Sequence[Recording]) -> Floats:
+        plain = [values / self._sigma[part.label, part.column] for part, values in self._raw(recordings)]
+        return np.concatenate(plain + [values / self._sigma["sweep", key] for key, values in self._sweeps(recordings)])
 
     def depends(self, names: Sequence[str]) -> NDArray[np.bool_]:
-        """Whether a residual of `vector` depends on a parameter, shape (residuals, parameters)."""
+        """True if a residual of `vector` depends on a parameter, shape (residuals, parameters)."""
 
         def row(label: str) -> list[bool]:
             return [name in _DEPENDS[label] for name in names]
 
-        shown = self._log.recordings
-        rows = [row(part.label) for part, values in self._raw(shown) for _ in values]
-        rows += [row(f"sweep {key[0]}") for key, values in self._sweeps(shown) for _ in values]
+        recordings = self._log.recordings
+        rows = [row(part.label) for part, values in self._raw(recordings) for _ in values]
+        rows += [row(f"sweep {key[0]}") for key, values in self._sweeps(recordings) for _ in values]
         return np.array(rows)
 
     @property
     def batches(self) -> NDArray[np.int64]:
-        """Which residuals of `vector` may depend on each other."""
+        """Batch of each residual of `vector`; residuals within a batch may be correlated."""
         sizes = [np.unique(part.group).size for part in self._parts]
         rest = sum(np.asarray(values).size for _, values in self._sweeps(self._log.recordings))
         together = [np.arange(size) // BATCH + 10_000 * n for n, size in enumerate(sizes)]
         return np.concatenate([*together, 1_000_000 + np.arange(rest)])
 
-    def rms(self, shown: Sequence[Recording]) -> dict[str, float]:
-        """Root mean square of each signal's differences."""
+    def rms(self, recordings: Sequence[Recording]) -> dict[str, float]:
+        """RMS of the differences of each signal."""
         found: dict[str, list[Floats]] = {}
-        for part, values in self._raw(shown):
+        for part, values in self._raw(recordings):
             found.setdefault(part.column, []).append(values)
-        for key, values in self._sweeps(shown):
+        for key, values in self._sweeps(recordings):
             found.setdefault(f"sweep {key}", []).append(values)
         return {column: float(np.sqrt((np.concatenate(parts) ** 2).mean())) for column, parts in found.items()}
 
 
-def _half_way(set_point: Floats) -> float:
-    """Sample at which a ramp is half over."""
+def _ramp_centre(set_point: Floats) -> float:
+    """Sample index at half of a ramp."""
     usable = np.isfinite(set_point)
     at = np.arange(set_point.size, dtype=np.float64)[usable]
     values = set_point[usable]
@@ -284,7 +283,7 @@ def _half_way(set_point: Floats) -> float:
     return float(np.interp(0.5, np.maximum.accumulate(part), at))
 
 
-def _usual(differences: Floats) -> float:
+def _robust_deviation(differences: Floats) -> float:
     """Robust standard deviation."""
     return 1.4826 * float(np.median(np.abs(differences)))
 
@@ -293,28 +292,28 @@ def refine(
     log: MeasurementLog,
     first: MotorEstimates,
     plant: PlantConfig,
-    level: Level = CLOSE,
+    level: Level = DETAILED_MODEL,
     report: Callable[[str], None] = lambda text: None,
 ) -> Refinement:
-    """Values of the motor from all recordings together.
+    """Fit the values of the motor to all recordings.
 
     Parameters
     ----------
     log : MeasurementLog
-        Of a motor test.
+        Recordings of a motor test.
     first : MotorEstimates
         Closed-form estimates.
     plant : PlantConfig
-        For all that is not estimated: bus, sensors.
+        Values that are not estimated: bus, sensors.
     level : {"registers", "ideal"}
-        The close model: how the measured board is to be imitated. Derivatives come from the quick one.
+        Detailed model of the measured board. Derivatives are calculated with the fast model.
     report : callable, optional
-        Gets a line.
+        Called with a line of text.
 
     Raises
     ------
     MeasurementError
-        If it cannot be simulated.
+        If the simulation fails.
     """
     limits: Mapping[str, float] = log.notes["limits"]
     names = [name for name in REFINED if name in first.values]
@@ -329,7 +328,7 @@ def refine(
     corrected = _corrected(log, start, base, names, level)
     start = corrected.values
     difference = _Difference(log)
-    shown: dict[bytes, list[Recording]] = {}
+    recordings: dict[bytes, list[Recording]] = {}
 
     depends = difference.depends(names)
 
@@ -338,32 +337,32 @@ def refine(
 
     def show(x: Floats) -> list[Recording]:
         key = x.tobytes()
-        if key not in shown:
+        if key not in recordings:
             values = values_of(x)
             try:
                 found = simulated(log, plant_of(base, log.axis, values, limits), values.get("load", 0.0))
             except PlantError as error:
-                raise MeasurementError(f"the estimates are no motor: {error}") from None
-            shown[key] = found
-        return shown[key]
+                raise MeasurementError(f"the estimates are invalid for a motor: {error}") from None
+            recordings[key] = found
+        return recordings[key]
 
     def jacobian(x: Floats, *_: object) -> Floats:
         middle = difference.vector(show(x))
         columns = []
         for k in range(x.size):
-            moved = x.copy()
-            moved[k] += STEP
-            columns.append((difference.vector(show(moved)) - middle) / STEP)
+            shifted = x.copy()
+            shifted[k] += STEP
+            columns.append((difference.vector(show(shifted)) - middle) / STEP)
         return np.where(depends, np.column_stack(columns), 0.0)
 
     x = np.zeros(len(names))
-    before = difference.rms(corrected.close)
+    before = difference.rms(corrected.detailed)
     difference.weigh(show(x))
-    # what the close model shows beyond the quick one
-    beyond = difference.vector(corrected.close) - difference.vector(corrected.quick)
+    # difference between detailed and fast model
+    model_difference = difference.vector(corrected.detailed) - difference.vector(corrected.fast)
 
     def vector(y: Floats) -> Floats:
-        result: Floats = difference.vector(show(y)) + beyond
+        result: Floats = difference.vector(show(y)) + model_difference
         return result
 
     result = least_squares(
@@ -378,27 +377,29 @@ def refine(
     x = np.asarray(result.x, dtype=np.float64)
     report(f"refined by simulation: {', '.join(f'{name} {values_of(x)[name]:.4g}' for name in names)}")
     spread = covariance(np.asarray(result.jac), vector(x), difference.batches)
-    floor = _floor(start, top)
+    quantisation = _quantisation_errors(start, top)
     found = dict(first.values)
     for k, name in enumerate(names):
         value = start[name] + x[k] * scale[name]
         sigma = math.sqrt(max(spread[k, k], 0.0)) * scale[name]
-        missed = BIAS_ERROR.get(name, 0.0) * (start[name] - first.values[name].value)
+        bias_error = BIAS_ERROR.get(name, 0.0) * (start[name] - first.values[name].value)
         part = MODEL_ERROR.get(name, 0.0) * value
-        found[name] = Estimate(value, math.hypot(sigma, part, floor.get(name, 0.0), missed))
+        found[name] = Estimate(value, math.hypot(sigma, part, quantisation.get(name, 0.0), bias_error))
     final = values_of(x)
-    shown_close = simulated(log, plant_of(base, log.axis, final, limits), final.get("load", 0.0), level)
-    return Refinement(MotorEstimates(found, first.undetermined), before, difference.rms(shown_close), shown_close)
+    detailed_recordings = simulated(log, plant_of(base, log.axis, final, limits), final.get("load", 0.0), level)
+    return Refinement(
+        MotorEstimates(found, first.undetermined), before, difference.rms(detailed_recordings), detailed_recordings
+    )
 
 
-def _floor(values: Mapping[str, float], top: float) -> dict[str, float]:
-    """Standard uncertainty that steps of converters and duties leave: of the flux, and of torques at each speed."""
+def _quantisation_errors(values: Mapping[str, float], top: float) -> dict[str, float]:
+    """Standard uncertainties by quantisation of ADC and duties: of the flux, and of the torques at each speed."""
     pairs, psi = values["pole_pairs"], values["psi_m"]
     torque = CURRENT_ERROR * 1.5 * pairs * psi
-    line = np.array([[way, way * part * top, 1.0] for part in SPEEDS for way in (1.0, -1.0)])
+    line = np.array([[direction, direction * part * top, 1.0] for part in SPEEDS for direction in (1.0, -1.0)])
     spread = torque * np.sqrt(np.diag(np.linalg.inv(line.T @ line)))
     flux = VOLTAGE_ERROR / (pairs * top)
-    # torque is measured in terms of the flux
+    # the error of the flux scales the torque
     return {
         "psi_m": flux,
         "inertia": flux / psi * values["inertia"],
@@ -410,81 +411,81 @@ def _floor(values: Mapping[str, float], top: float) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class _Start:
-    """Where the minimisation begins."""
+    """Start of the minimisation."""
 
-    values: dict[str, float]  # estimates without their bias
-    close: list[Recording]  # recordings of the close model at about these values
-    quick: list[Recording]  # the same of the quick model; the difference is added to it
+    values: dict[str, float]  # bias-corrected estimates
+    detailed: list[Recording]  # recordings of the detailed model near these values
+    fast: list[Recording]  # recordings of the fast model at the values of `detailed`
 
 
 def _corrected(
     log: MeasurementLog, first: Mapping[str, float], plant: PlantConfig, names: Sequence[str], level: Level
 ) -> _Start:
-    """Estimates without their bias: what the same estimators make of a simulation with them shows it."""
+    """Bias-corrected estimates; the bias is determined by the same estimators with simulated recordings."""
     values, limits = dict(first), log.notes["limits"]
 
     def show(at: Level) -> list[Recording]:
         return simulated(log, plant_of(plant, log.axis, values, limits), values.get("load", 0.0), at)
 
-    close: list[Recording] = []
-    # without friction a simulated shaft would swing about the vector for ever
+    detailed: list[Recording] = []
+    # without friction a simulated shaft would oscillate about the vector without decay
     minimum = FRICTION_MIN * 1.5 * first["pole_pairs"] * first["psi_m"] * limits["current"]
     values["friction"], values["viscous"] = max(values["friction"], minimum), max(values["viscous"], 0.0)
-    begun = dict(values)
-    for at in (QUICK, level, level, level):
-        begun = dict(values)
-        close = show(at)
-        again = estimates_of(dataclasses.replace(log, recordings=_with_gaps(close, log.recordings)))
+    previous = dict(values)
+    for at in (FAST_MODEL, level, level, level):
+        previous = dict(values)
+        detailed = show(at)
+        again = estimates_of(dataclasses.replace(log, recordings=_with_gaps(detailed, log.recordings)))
         for name in names:
             if name not in again.values:
                 reason = again.undetermined.get(name, "")
-                raise MeasurementError(f"{name} of a simulation cannot be estimated: {reason}")
-            seen = again.values[name].value
+                raise MeasurementError(f"{name} cannot be estimated from the simulation: {reason}")
+            estimate = again.values[name].value
             if name in ("load", "viscous", "friction"):
-                values[name] += first[name] - seen
+                values[name] += first[name] - estimate
             else:
-                values[name] *= min(max(first[name] / seen, 0.8), 1.25) if seen > 0.0 else 1.0
+                values[name] *= min(max(first[name] / estimate, 0.8), 1.25) if estimate > 0.0 else 1.0
         values["friction"], values["viscous"] = max(values["friction"], minimum), max(values["viscous"], 0.0)
-    if level == QUICK:
-        return _Start(values, close, close)
-    values, refined = begun, values
-    quick = show(QUICK)
-    return _Start(refined, close, quick)
+    if level == FAST_MODEL:
+        return _Start(values, detailed, detailed)
+    values, refined = previous, values
+    fast = show(FAST_MODEL)
+    return _Start(refined, detailed, fast)
 
 
-def _with_gaps(shown: Sequence[Recording], like: Sequence[Recording]) -> list[Recording]:
-    """Recordings in which the same samples are missing."""
+def _with_gaps(recordings: Sequence[Recording], like: Sequence[Recording]) -> list[Recording]:
+    """Recordings with the same missing samples as `like`."""
     return [
         Recording(
             one.step,
             {name: np.where(np.isfinite(there.columns[name]), one.columns[name], np.nan) for name in one.columns},
         )
-        for one, there in zip(shown, like, strict=True)
+        for one, there in zip(recordings, like, strict=True)
     ]
 
 
 def covariance(jacobian: Floats, residual: Floats, batches: NDArray[np.int64]) -> Floats:
-    """Of fitted parameters: jackknife over batches, within which residuals depend on each other.
+    """Covariance of fitted parameters: jackknife over batches of correlated residuals.
 
     Parameters
     ----------
     jacobian : ndarray, shape (residuals, parameters)
     residual : ndarray, shape (residuals,)
-        After the fit.
+        Residuals of the fit.
     batches : ndarray of int, shape (residuals,)
-        Residuals of one number depend on each other.
+        Batch of each residual.
 
     Returns
     -------
     ndarray, shape (parameters, parameters)
     """
-    limited = np.clip(residual, -FARTHEST, FARTHEST)
+    limited = np.clip(residual, -RESIDUAL_MAX, RESIDUAL_MAX)
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     scores = []
     for batch in np.unique(batches):
         rows = batches == batch
         part = jacobian[rows]
-        # a batch draws the fit to itself: its residuals without that
+        # residuals of a batch for a fit without this batch
         alone = np.linalg.lstsq(np.eye(len(part)) - part @ inverse @ part.T, limited[rows], rcond=1e-6)[0]
         scores.append(part.T @ alone)
     result: Floats = inverse @ (np.array(scores).T @ np.array(scores)) @ inverse

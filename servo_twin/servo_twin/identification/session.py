@@ -1,4 +1,4 @@
-"""One axis from measurement to files: estimates, refinement, consistency, plant file, ``servo.toml``, picture."""
+"""Identification of one axis: measurement, estimates, refinement, checks, ``servo.toml``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from servo_msgs_py.tuning.errors import ConfigError
 
 from servo_twin.board import Board, SimulationError
 from servo_twin.board_access import VirtualBoardAccess
-from servo_twin.identification.refine import CLOSE, Refinement, refine
+from servo_twin.identification.refine import DETAILED_MODEL, Refinement, refine
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 
@@ -36,13 +36,13 @@ NEEDED: Final[Mapping[str, float]] = {
     "inertia": 0.15,
     "friction": 0.5,
 }
-"""Half the width of the 95 % interval up to which a value counts as determined, over the value."""
+"""Largest half width of the 95 % interval of a determined value, relative to the value."""
 
 FRICTION_SMALL: Final = 0.005
-"""Of the torque of the current limit: so little friction need not be known any better."""
+"""Friction below this fraction of the torque of the current limit needs no accurate value."""
 
 SATURATED: Final = 0.03
-"""Relative difference of the inductances at full and at half the current from which on the iron saturates."""
+"""Relative difference of the inductances at full and half current that indicates saturation."""
 
 EXPLAINED: Final[Mapping[str, tuple[float, float]]] = {
     "i_d": (0.02, 0.02),
@@ -51,19 +51,19 @@ EXPLAINED: Final[Mapping[str, tuple[float, float]]] = {
     "u_q": (0.05, 0.03),
     "speed": (1.0, 0.02),
 }
-"""Root mean square of a difference that still counts as explained: so much, and so much of the signal [SI]."""
+"""Largest RMS difference of an explained signal: absolute part [SI], and part relative to the signal."""
 
 Report = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Identified:
-    """What a measurement gives."""
+    """Result of a measurement."""
 
     log: MeasurementLog
-    estimates: MotorEstimates  # refined if there is a refinement
+    estimates: MotorEstimates  # refined, if there is a refinement
     refinement: Refinement | None
-    problems: tuple[str, ...]  # what is not determined or not explained; empty: success
+    problems: tuple[str, ...]  # undetermined values and unexplained differences; empty: success
 
 
 def measure_virtual(
@@ -82,14 +82,14 @@ def measure_virtual(
     Parameters
     ----------
     prepare : callable, optional
-        What is done to the board before: a load, a locked shaft.
+        Set-up of the board before the test: a load, a locked shaft.
 
     Returns
     -------
     log : MeasurementLog
-        As far as it goes.
+        Recordings until the end or the error.
     problem : str
-        Why it does not go further; empty otherwise.
+        Error that ended the test; empty: none.
     """
     with Board(plant, seed=seed, level=level) as board:
         if prepare is not None:
@@ -114,19 +114,19 @@ def identified(
     problem: str = "",
     *,
     refined: bool = True,
-    level: Level = CLOSE,
+    level: Level = DETAILED_MODEL,
     report: Report = lambda text: None,
 ) -> Identified:
-    """Estimates from a measurement, and whether they are reliable.
+    """Estimates from a measurement, with checks.
 
     Parameters
     ----------
     problem : str
-        Why the measurement has ended early.
+        Error that ended the measurement; empty: none.
     refined : bool
-        Whether they are refined by simulation.
+        Refine the estimates by simulation.
     level : {"registers", "ideal"}
-        Of the boards that are simulated for that.
+        Level of the simulated boards.
     """
     first = estimates_of(log)
     problems = [problem] if problem else []
@@ -153,7 +153,7 @@ def _undetermined(estimates: MotorEstimates, log: MeasurementLog) -> list[str]:
     for name, part in NEEDED.items():
         if name not in values:
             if name not in estimates.undetermined:
-                found.append(f"{name}: the measurement has not come to it")
+                found.append(f"{name}: not measured")
             continue
         estimate = values[name]
         if name == "friction" and "psi_m" in values:
@@ -161,28 +161,27 @@ def _undetermined(estimates: MotorEstimates, log: MeasurementLog) -> list[str]:
             if estimate.interval[1] < small * float(log.notes["limits"]["current"]):
                 continue
         if not math.isfinite(estimate.value) or (estimate.value <= 0.0 and name != "friction"):
-            found.append(f"{name}: {estimate.value:.3g} {UNITS[name]} cannot be: the data do not determine it")
+            found.append(f"{name}: {estimate.value:.3g} {UNITS[name]} is implausible: not determined by the data")
         elif estimate.part > part > 0.0:
-            low, high = estimate.interval
+            half, high = estimate.interval
             found.append(
-                f"{name}: {low:.3g} .. {high:.3g} {UNITS[name]} is all that the data tell; measure with more current"
-                " or speed"
+                f"{name}: the interval {half:.3g} .. {high:.3g} {UNITS[name]} is too wide; use more current or speed"
             )
     return found
 
 
 def _saturated(first: MotorEstimates, log: MeasurementLog) -> list[str]:
-    """Whether an inductance depends on the current."""
+    """Message if an inductance depends on the current."""
     if "l_d" not in first.values or "r_s" not in first.values or "bias" not in log.notes:
         return []
-    low = inductance_at_less(log, first["r_s"] + float(log.notes["limits"]["r_on"]))
-    there = first.values["l_d"]
-    if low is None or abs(low.value / there.value - 1.0) < SATURATED + math.hypot(low.part, there.part):
+    half = inductance_at_less(log, first["r_s"] + float(log.notes["limits"]["r_on"]))
+    full = first.values["l_d"]
+    if half is None or abs(half.value / full.value - 1.0) < SATURATED + math.hypot(half.part, full.part):
         return []
     less, more = (log.notes["bias"][name] for name in ("l_d_low", "l_d"))
     text = (
-        f"l_d: {low.value:.4g} H at {less:.2g} A and {there.value:.4g} H at {more:.2g} A along the flux: the iron"
-        " saturates, which the model does not have; the values hold near these currents only"
+        f"l_d: {half.value:.4g} H at {less:.2g} A and {full.value:.4g} H at {more:.2g} A along the flux: the iron"
+        " saturates, which is not modelled; the values are valid near these currents only"
     )
     return [text]
 
@@ -198,8 +197,8 @@ def _unexplained(log: MeasurementLog, refinement: Refinement) -> list[str]:
         size = float(np.nanstd(np.concatenate(runs)))
         if rms > fixed + part * size:
             found.append(
-                f"{column}: with the best values the simulation still differs by {rms:.3g}: something acts on this axis"
-                " that the model does not have"
+                f"{column}: with the best values the simulation still differs by {rms:.3g}: an effect on this axis is"
+                " not modelled"
             )
     return found
 
@@ -207,10 +206,10 @@ def _unexplained(log: MeasurementLog, refinement: Refinement) -> list[str]:
 def tuned_table(
     base: Mapping[str, Any], result: Identified, limits: Limits
 ) -> tuple[dict[str, Any] | None, Sequence[str]]:
-    """``servo.toml`` with the motor, bandwidths that it bears, and lines that show the margins; None: with a reason."""
+    """``servo.toml`` with feasible bandwidths, and lines with the margins; None and a reason if refused."""
     values = {name: estimate.value for name, estimate in result.estimates.values.items()}
     motor = {name: values[name] for name in ("l_d", "l_q", "psi_m", "pole_pairs", "inertia")}
-    # what the controller drives is winding and switches
+    # the resistance for the controller includes the switches
     motor |= {"r_s": values["r_s"] + limits.r_on, "friction": max(values["friction"], 0.0)}
     motor["viscous"] = max(values.get("viscous", 0.0), 0.0)
     motor = {name: float(f"{value:.5g}") for name, value in motor.items()}
@@ -218,7 +217,7 @@ def tuned_table(
         table = fitted(base, result.log.axis, limits, motor)
         it = tuned_axis(table, result.log.axis)
     except ConfigError as error:
-        return None, (f"no configuration works: {error}",)
+        return None, (f"no feasible configuration: {error}",)
     lines = []
     for name, margins in (
         ("current d", it.current_loop("d").margins()),

@@ -1,4 +1,4 @@
-"""``servo-sim identify --trials``: random motors, each from unknown to identified, against the truth."""
+"""``servo-sim identify --trials``: identification of random motors, with errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from servo_twin.identification.session import identified, measure_virtual, tuned
 from servo_twin.level import Level
 from servo_twin.plant import PlantConfig
 
-AIMS: Final[Mapping[str, float]] = {
+TARGETS: Final[Mapping[str, float]] = {
     "r_s": 0.03,
     "l_d": 0.03,
     "l_q": 0.03,
@@ -22,36 +22,38 @@ AIMS: Final[Mapping[str, float]] = {
     "inertia": 0.05,
     "friction": 0.10,
 }
-"""Relative errors that 95 % of the motors should stay within."""
+"""Target of the relative errors for 95 % of the motors."""
 
 TIME_MAX: Final = 60.0  # board time per axis [s]
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One motor."""
+    """Result for one motor."""
 
     errors: Mapping[str, float]  # relative errors by name
-    covered: Mapping[str, bool]  # whether the 95 % interval holds the truth, by name
-    seconds: float  # time of the board [s]
-    problems: tuple[str, ...]  # why it was not identified; empty: success
-    tuned: str  # why no configuration works; empty: one does
+    covered: Mapping[str, bool]  # true if the 95 % interval contains the true value, by name
+    seconds: float  # board time [s]
+    problems: tuple[str, ...]  # reasons for no identification; empty: success
+    tuned: str  # reason for no feasible configuration; empty: feasible
 
     @property
     def false_success(self) -> bool:
-        """Whether success was reported with a value that is far off."""
-        return not self.problems and any(abs(self.errors.get(name, 1.0)) > 3.0 * aim for name, aim in AIMS.items())
+        """True if success was reported with an error above three times the target."""
+        return not self.problems and any(
+            abs(self.errors.get(name, 1.0)) > 3.0 * target for name, target in TARGETS.items()
+        )
 
 
 @dataclass(frozen=True)
 class Trials:
-    """Numbered random motors, to be run anywhere."""
+    """Numbered random motors; can be pickled."""
 
-    plant: PlantConfig  # for all but the motor
+    plant: PlantConfig  # all values except those of the motor
     base: Mapping[str, Any]  # parsed ``servo.toml``
     axis: int
     limits: Limits
-    level: Level  # of the boards that are measured
+    level: Level  # level of the measured boards
     seed: int
 
     def run(self, number: int) -> Trial:
@@ -61,7 +63,7 @@ class Trials:
         log, problem = measure_virtual(plant, self.axis, self.limits, self.base, level=self.level, seed=seed)
         result = identified(log, self.plant, problem, level=self.level)
         errors, covered = {}, {}
-        for name in (*AIMS, "viscous", "pole_pairs"):
+        for name in (*TARGETS, "viscous", "pole_pairs"):
             if name in result.estimates.values:
                 estimate, true = result.estimates.values[name], float(getattr(truth, name))
                 errors[name] = estimate.value / true - 1.0
@@ -75,28 +77,26 @@ class Trials:
 
 
 def summary(trials: Sequence[tuple[int, Trial]]) -> list[str]:
-    """Lines about all of them."""
+    """Summary as lines of text."""
     done = [trial for _, trial in trials if not trial.problems]
-    lines = [f"{len(trials)} motors: {len(done)} identified, {len(trials) - len(done)} not, with a reason"]
-    lines.append("              within aim    |error| 50 %     95 %      max   interval covers")
-    for name in (*AIMS, "viscous"):
+    lines = [f"{len(trials)} motors: {len(done)} identified, {len(trials) - len(done)} not identified, with a reason"]
+    lines.append("           within target    |error| 50 %     95 %      max   interval covers")
+    for name in (*TARGETS, "viscous"):
         errors = np.array([abs(trial.errors[name]) for trial in done if name in trial.errors])
         if not errors.size:
             continue
         covered = np.mean([trial.covered[name] for trial in done if name in trial.covered])
-        aim = AIMS.get(name)
-        within = "" if aim is None else f"{100 * np.mean(errors <= aim):.1f} % < {100 * aim:g} %"
+        target = TARGETS.get(name)
+        within = "" if target is None else f"{100 * np.mean(errors <= target):.1f} % < {100 * target:g} %"
         half, maximum = np.percentile(errors, (50, 95))
         figures = f"{100 * half:12.2f} % {100 * maximum:7.2f} % {100 * errors.max():7.2f} % {100 * covered:10.1f} %"
         lines.append(f"{name:10} {within:>15}  {figures}")
     seconds = np.array([trial.seconds for _, trial in trials])
-    lines.append(
-        f"time of the board: median {np.median(seconds):.1f} s, longest {seconds.max():.1f} s (at most {TIME_MAX:g} s)"
-    )
+    lines.append(f"board time: median {np.median(seconds):.1f} s, maximum {seconds.max():.1f} s (limit {TIME_MAX:g} s)")
     false = [number for number, trial in trials if trial.false_success]
     lines.append(f"false success: {len(false)}" + (f" (motors {', '.join(map(str, false))})" if false else ""))
     refused = [(number, trial.tuned) for number, trial in trials if trial.tuned]
-    lines.append(f"identified, but no configuration works: {len(refused)}")
+    lines.append(f"identified, but no feasible configuration: {len(refused)}")
     lines += [f"  motor {number}: {reason}" for number, reason in refused]
     lines += [f"not identified, motor {number}: {trial.problems[0]}" for number, trial in trials if trial.problems]
     return lines

@@ -1,1 +1,1 @@
-"""The twin itself: the same commands at the same ticks as the board, compared at the board's own instants. Pure."""
+"""Digital twin: executes the commands of the board at the same ticks and compares both boards per sample. Pure."""

@@ -1,4 +1,4 @@
-"""Configuration blocks of the real board on that of the twin: at the same tick, and again when it begins anew. Pure."""
+"""Transfers the configuration blocks of the real board to the twin's board. Pure."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ Blocks = Mapping[int, tuple[int, ...]]
 
 
 def blocks_of(command: AppliedCommand) -> dict[int, tuple[int, ...]]:
-    """Blocks that a command has brought into force.
+    """Blocks that a command has activated.
 
     Raises
     ------
     AxisConfigError
-        If they are none.
+        If the contents are invalid.
     """
     table, size = AxisConfigTable.load(), len(AxisConfigTable.load())
     axes = [axis for axis in range(AXES) if command.mask >> axis & 1]
@@ -37,43 +37,43 @@ def blocks_of(command: AppliedCommand) -> dict[int, tuple[int, ...]]:
 
 
 def blocks_of_file(text: str, catalogue: Catalogue) -> dict[int, tuple[int, ...]]:
-    """Blocks that the tuning code makes of a configuration file, given as its text.
+    """Blocks for a configuration file, given as text.
 
     Raises
     ------
     ConfigError
-        If the configuration cannot work.
+        If the configuration is invalid.
     """
     return blocks_of_configuration(loads(text, catalogue))
 
 
 def blocks_of_configuration(configuration: Configuration) -> dict[int, tuple[int, ...]]:
-    """Blocks that the tuning code makes of a configuration; a `ConfigError` says why it cannot work."""
+    """Blocks for a configuration. Raises `ConfigError` if it is invalid."""
     table = AxisConfigTable.load()
     return {k: tuple(table.words(tuned(axis, configuration).block)) for k, axis in enumerate(configuration.axes)}
 
 
 def checksums_of(blocks: Blocks) -> dict[int, int]:
-    """Checksum of each block, as the board has it in ``config.checksum``."""
+    """Checksum of each block, as in ``config.checksum`` of a board."""
     table = AxisConfigTable.load()
     return {axis: table.checksum(axis, table.block(words)) for axis, words in blocks.items()}
 
 
-def repeat(replica: Replica, command: AppliedCommand) -> None:
-    """Write what a command has brought, so that it takes effect with the next slow tick."""
+def repeat_blocks(replica: Replica, command: AppliedCommand) -> None:
+    """Write the blocks of a command; effective with the next slow tick."""
     table = AxisConfigTable.load()
     for axis, words in blocks_of(command).items():
         send_block(replica, axis, table.block(words))
     replica.write_words(TAKE, [command.mask])
 
 
-def bring(replica: Replica, blocks: Blocks) -> None:
-    """Give a board at rest these blocks.
+def write_blocks(replica: Replica, blocks: Blocks) -> None:
+    """Write these blocks to a board at standstill, if it has others.
 
     Raises
     ------
     BlockRefusedError
-        If it does not take them.
+        If the board refuses them.
     """
     table, in_force = AxisConfigTable.load(), replica.read_words("config.checksum")
     others = [axis for axis, checksum in checksums_of(blocks).items() if checksum != in_force[axis]]

@@ -1,8 +1,8 @@
-"""The bursts of the real board's recorder on the twin: the same variables at the same ticks, and the difference. Pure.
+"""Recordings (bursts) of the twin for those of the real board: same variables, same ticks, and the residual. Pure.
 
-The bridge says what is about to be recorded before the recorder starts. From then on a recorder of the twin's board
+The bridge publishes the set-up of the recorder before the recorder starts. From then on a recorder of the twin's board
 samples the same variables in every call of the loop, at the same point of the firmware, without trigger or divider.
-When the burst comes, its ticks are cut out. Two boards that differ in nothing give the same numbers, bit for bit.
+When the recording of the board arrives, the same ticks are extracted. Identical boards give identical numbers.
 """
 
 from __future__ import annotations
@@ -23,47 +23,47 @@ from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS, SLOW_PERIODS
 from servo_msgs_py import topics
 from servo_twin.board_memory import BoardError
 from servo_twin.lockstep.replica import Replica
-from servo_twin.lockstep.samples import BY_ANGLE, COUNTED_FROM_ZERO, OWN
+from servo_twin.lockstep.samples import ANGLE_DEPENDENT, PER_BOARD, ROTOR_REFERENCED
 
 _TICK: Final = "tick"
-_COPIED: Final = (_TICK, topics.BURST_TIME, *topics.STAMP_COLUMNS)
+_UNCHANGED: Final = (_TICK, topics.BURST_TIME, *topics.STAMP_COLUMNS)
 _LOOPS: Final = (PERIOD_NS, PERIOD_NS * SLOW_PERIODS)  # time base by recorder [ns]
-_READING: Final = 30.0  # longest time from the end of a burst to its last byte, and how far a twin may lag [s]
-_LATE: Final = 32_000  # ticks that sampling goes on when the recorder is idle: the burst may come after that news
-_MEMORY: Final = 1 << 26  # that samples may take [bytes]
-_ALIGNMENTS: Final = 1024  # changes of the alignment that are remembered
+_READING: Final = 30.0  # longest time for reading a burst, and largest lag of the twin [s]
+_LATE: Final = 32_000  # sampling continues after "recorder idle", as the burst may arrive later [ticks]
+_MEMORY: Final = 1 << 26  # largest memory of the samples [bytes]
+_ALIGNMENTS: Final = 1024  # stored changes of the alignment
 _ELEMENT: Final = re.compile(r"(.+?)(?:\[(\d+)\])?")
-_SAME_ANGLE: Final = 10  # counts between two shafts whose phases have the same angle: noise of a rotor search
+_SAME_ANGLE: Final = 10  # largest difference of equal electrical angles [counts]: noise of a rotor search
 _WRAP: Final = 1 << 32
-_NOT_TOLD: Final = "the twin was not there when the recorder was set up"
+_NO_SETUP: Final = "the twin was started after the set-up of the recorder"
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """How the twin's board lies to the real one, from a sample of the real board on."""
+    """Tick shift and position offsets between both boards, valid from a sample of the real board on."""
 
-    tick: int  # of that sample
+    tick: int  # tick of the sample
     shift: int  # tick of the twin's board minus that of the real one
-    offsets: tuple[int, ...]  # position of every real axis minus that of the twin's [counts]
-    difference: str  # why the two cannot be compared; empty: they can
+    offsets: tuple[int, ...]  # per axis, position of the real axis minus that of the twin [counts]
+    difference: str  # reason why the boards are not comparable; empty: comparable
 
 
 @dataclass(frozen=True)
 class BurstAnswer:
-    """What the twin has of a burst."""
+    """Recording of the twin for a burst of the board."""
 
-    label: str  # of the burst
-    columns: Sequence[str]  # those of the burst that the twin has, in its order
-    twin: NDArray[np.float64]  # (points, columns), SI, ticks and positions of the real board; empty where it has none
+    label: str  # label of the burst
+    columns: Sequence[str]  # columns of the burst that the twin has, in the same order
+    twin: NDArray[np.float64]  # (points, columns), SI, in ticks and positions of the real board; may be empty
     residual: NDArray[np.float64]
-    """(points, columns), real minus twin, angles and positions the short way round; ticks, times and stamps as they
-    are; NaN where the boards could not be compared."""
-    note: str  # what is missing and why, for people; empty: nothing
+    """(points, columns), real minus twin, angles and positions wrapped to half their range; ticks, times and stamps
+    unchanged; NaN where the boards are not comparable."""
+    note: str  # missing parts and reasons; empty: complete
 
 
 @dataclass(frozen=True)
 class _Burst:
-    """What has come from the real board and waits."""
+    """Received burst that waits for the twin."""
 
     label: str
     columns: Sequence[str]
@@ -71,44 +71,44 @@ class _Burst:
     ticks: NDArray[np.int64]  # (points,), of the real board
 
 
-class BurstFollower:
-    """Samples what the real board is about to record, and cuts its bursts out.
+class BurstSampler:
+    """Samples the variables of the recorder on the twin's board and extracts the bursts.
 
     Parameters
     ----------
     catalogue : Catalogue
-        Meaning of the variables.
+        Table of variables.
     """
 
     def __init__(self, catalogue: Catalogue) -> None:
         self._catalogue = catalogue
         self._setup: RecorderSetup | None = None
         self._end: int | None = None  # real tick at which sampling ends
-        self._replica: Replica | None = None  # that samples
+        self._replica: Replica | None = None  # board that is sampled
         self._elements: dict[str, tuple[Variable, int]] = {}  # by column, in the order of a point
         self._alignments: deque[Alignment] = deque(maxlen=_ALIGNMENTS)
         self._burst: _Burst | None = None
-        self._trouble = ""  # why nothing is sampled, although something is set up
-        self._since = ""  # why the twin's board is not the one from before
+        self._problem = ""  # reason why a set-up is not sampled
+        self._drop_reason = ""  # reason why the previous board of the twin was discarded
         self._answers: list[BurstAnswer] = []
 
     @property
     def sampling(self) -> bool:
-        """Whether the twin's board is sampled, so that `note` has to be called."""
+        """True if the twin's board is sampled; then `note` must be called."""
         return self._replica is not None
 
     # ---- in
     def set_up(self, setup: RecorderSetup) -> None:
-        """Take what is about to be recorded; `begin` samples it."""
+        """Store the set-up of the next recording; `begin` starts the sampling."""
         if self._burst is not None:
-            self._refuse(self._burst, "the recorder was set up anew before the twin had run so far")
+            self._refuse(self._burst, "the twin lags: the recorder was set up again first")
         self._stop()
         self._setup, self._end = setup, None
-        self._since = ""
-        self._trouble = "the twin does not follow the board yet"
+        self._drop_reason = ""
+        self._problem = "the twin does not follow the board yet"
 
     def idle(self, newest: int | None) -> None:
-        """The recorder is idle; its burst may still be on its way.
+        """The recorder is idle; its burst may arrive later.
 
         Parameters
         ----------
@@ -119,85 +119,85 @@ class BurstFollower:
             self._end = (newest or 0) + _LATE
 
     def begin(self, replica: Replica, alignment: Alignment | None = None) -> None:
-        """Sample a board from now on, if something is about to be recorded.
+        """Start sampling a board if a recording is set up.
 
         Parameters
         ----------
         replica : Replica
             The twin's board.
         alignment : Alignment, optional
-            How it lies to the real one; of a new board that is not known before the next `note`.
+            Alignment with the real board; for a new board unknown until the next `note`.
         """
         setup = self._setup
         if setup is None:
             return
         self._elements = {name: element for name in setup.names if (element := self._element(name)) is not None}
-        room = self._room(setup)
-        self._trouble = self._refusal(setup, room)
-        if self._trouble:
+        capacity = self._capacity(setup)
+        self._problem = self._refusal(setup, capacity)
+        if self._problem:
             return
         try:
-            replica.board.sample(setup.recorder, list(self._elements.values()), room)
+            replica.board.sample(setup.recorder, list(self._elements.values()), capacity)
         except BoardError as error:
-            self._trouble = f"the twin's board cannot sample it: {error}"
+            self._problem = f"the twin's board cannot sample the variables: {error}"
             return
         self._replica = replica
         self._alignments.clear()
         if alignment is not None:
             self._alignments.append(alignment)
 
-    def _refusal(self, setup: RecorderSetup, room: int) -> str:
-        """Why the twin cannot sample that; empty when it can."""
+    def _refusal(self, setup: RecorderSetup, capacity: int) -> str:
+        """Reason why the twin cannot sample this set-up; empty: possible."""
         if not self._elements.keys() - {_TICK}:
             return f"the twin has none of {', '.join(setup.names)}"
         if _TICK not in self._elements or not setup.period_ns:
-            return "the board does not say at which ticks it samples"
-        size = room * sum(variable.element_size for variable, _ in self._elements.values())
+            return "the recording contains no ticks or has an unknown sampling period"
+        size = capacity * sum(variable.element_size for variable, _ in self._elements.values())
         if size > _MEMORY:
             span = setup.points * setup.period_ns * 1e-9
-            return f"every period of {span:.3g} s takes {size >> 20} MB, and the twin keeps {_MEMORY >> 20} MB"
+            return f"{span:.3g} s at full rate need {size >> 20} MB; the limit of the twin is {_MEMORY >> 20} MB"
         return ""
 
     def dropped(self, reason: str) -> None:
-        """The twin's board is gone, and with it what was sampled."""
+        """The twin's board has been discarded, with its samples."""
         self._replica = None
         self._alignments.clear()
-        self._trouble, self._since = f"the twin does not follow the board: {reason}", reason
+        self._problem, self._drop_reason = f"the twin does not follow the board: {reason}", reason
         if self._burst is not None:
             self._refuse(self._burst)
         if self._end is not None:
-            self._setup = self._end = None  # it was over: ticks may count from zero now
+            self._setup = self._end = None  # the recording had ended; ticks may restart at zero
 
     def note(self, alignment: Alignment) -> None:
-        """Note how the boards lie to each other at a sample of the real one, up to which both have run."""
+        """Store the alignment at a sample of the real board, up to which both boards have run."""
         last = self._alignments[-1] if self._alignments else None
         if last is None or replace(last, tick=alignment.tick) != alignment:
             self._alignments.append(alignment)
         self._settle(alignment.tick)
 
     def burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64], tick: int | None) -> None:
-        """Take a burst of the real board.
+        """Process a burst of the real board.
 
         Parameters
         ----------
         label : str
-            What it is.
+            Label of the burst.
         columns : sequence of str
-            With ``tick``.
+            Columns, including ``tick``.
         table : array of float, shape (points, columns)
-            SI.
+            Values, SI.
         tick : int or None
-            Up to which both boards have run.
+            Tick up to which both boards have run.
 
         Raises
         ------
         ValueError
-            If it has no ticks.
+            If there are no ticks.
         """
         if _TICK not in columns or not len(table):
-            raise ValueError("a burst without ticks")
+            raise ValueError("recording without ticks")
         if self._burst is not None:
-            self._refuse(self._burst, "the next burst has come before the twin has run so far")
+            self._refuse(self._burst, "the twin lags: a new recording arrived first")
         self._burst = _Burst(label, columns, table, table[:, columns.index(_TICK)].astype(np.int64))
         if self._replica is None:
             self._refuse(self._burst)
@@ -206,25 +206,25 @@ class BurstFollower:
 
     # ---- out
     def take(self) -> list[BurstAnswer]:
-        """Answers that have not been taken."""
+        """Return and clear the pending answers."""
         answers, self._answers = self._answers, []
         return answers
 
     # ---- sampling
     def _element(self, name: str) -> tuple[Variable, int] | None:
-        """Variable and element; None for what the twin does not have, and for what a host writes at any time."""
+        """Variable and element; None if the twin does not have it or the host can write it at any time."""
         match = _ELEMENT.fullmatch(name)
         variable = self._catalogue.variables.get(match.group(1)) if match else None
         if match is None or variable is None or variable.writable or variable.type == "block":
             return None
         element = int(match.group(2) or 0)
-        if element >= variable.count or (name != _TICK and name in OWN):
+        if element >= variable.count or (name != _TICK and name in PER_BOARD):
             return None
         return variable, element
 
     @staticmethod
-    def _room(setup: RecorderSetup) -> int:
-        """Points of the twin for a burst and what comes until it is read."""
+    def _capacity(setup: RecorderSetup) -> int:
+        """Capacity for a burst and for the time until it has been read [points]."""
         period = _LOOPS[setup.recorder]
         return setup.points * max(setup.period_ns // period, 1) + round(_READING * 1e9 / period)
 
@@ -234,121 +234,121 @@ class BurstFollower:
             self._replica = None
         self._alignments.clear()
 
-    # ---- cutting
+    # ---- extraction
     def _settle(self, tick: int) -> None:
-        """Both boards have run up to a tick."""
+        """Extract the waiting burst if both boards have run past it; end the sampling if due."""
         burst = self._burst
         if burst is not None and burst.ticks[-1] <= tick and self._replica is not None:
             self._burst = None
-            self._answers.append(self._cut(burst, self._replica))
+            self._answers.append(self._extract(burst, self._replica))
         if self._end is not None and tick >= self._end and self._burst is None:
             self._stop()
             self._setup = self._end = None
 
     def _refuse(self, burst: _Burst, reason: str = "") -> None:
         self._burst = None
-        self._answers.append(_nothing(burst, reason or (self._trouble if self._setup else _NOT_TOLD)))
+        self._answers.append(_empty_answer(burst, reason or (self._problem if self._setup else _NO_SETUP)))
 
-    def _cut(self, burst: _Burst, replica: Replica) -> BurstAnswer:
+    def _extract(self, burst: _Burst, replica: Replica) -> BurstAnswer:
         alignments = list(self._alignments)
         begins = [alignment.tick for alignment in alignments]
         where = np.array([bisect_right(begins, tick) - 1 for tick in burst.ticks.tolist()])
         points = replica.board.sampled()
         if not len(points) or where.min() < 0:
-            return self._too_late(burst, begins[0] if begins else None)
+            return self._not_covered(burst, begins[0] if begins else None)
         shifts = np.array([alignment.shift for alignment in alignments])[where]
         fields = dict(zip(self._elements, points.dtype.names or (), strict=True))
-        # The board counts modulo 2^32; no point is far from the tick that the replica has come to.
+        # The board counts modulo 2^32; all points are close to the present tick of the replica.
         own = replica.tick - _signed(replica.tick - points[fields[_TICK]].astype(np.int64))
         if burst.ticks[0] + shifts[0] < own[0]:
-            return self._too_late(burst, int(own[0] - shifts[0]))
+            return self._not_covered(burst, int(own[0] - shifts[0]))
         rows = np.minimum(np.searchsorted(own, burst.ticks + shifts), len(own) - 1)
         missing = int(np.count_nonzero(own[rows] != burst.ticks + shifts))
         if missing:
-            return _nothing(burst, f"the twin's board has no sample at {missing} of {len(rows)} ticks")
+            return _empty_answer(burst, f"no samples of the twin at {missing} of {len(rows)} ticks")
         raw = {name: points[field][rows].astype(np.int64) for name, field in fields.items()}
-        apart = np.array([bool(alignment.difference) for alignment in alignments])[where]
-        turned = _to_real_board(raw, np.array([alignment.offsets for alignment in alignments])[where])
+        not_comparable = np.array([bool(alignment.difference) for alignment in alignments])[where]
+        other_angle = _to_real_board(raw, np.array([alignment.offsets for alignment in alignments])[where])
         notes = []
-        if apart.any():
+        if not_comparable.any():
             reasons = dict.fromkeys(alignments[k].difference for k in where.tolist() if alignments[k].difference)
-            notes.append(f"no residual at {int(apart.sum())} of {len(apart)} points: {'; '.join(reasons)}")
-        if turned:
-            notes.append(f"no residual of {', '.join(turned)}: the twin's shaft is at another angle")
-        return self._answer(burst, raw, apart, turned, notes)
+            notes.append(
+                f"no residual at {int(not_comparable.sum())} of {len(not_comparable)} points: {'; '.join(reasons)}"
+            )
+        if other_angle:
+            notes.append(f"no residual of {', '.join(other_angle)}: the twin's shaft has another electrical angle")
+        return self._answer(burst, raw, not_comparable, other_angle, notes)
 
-    def _too_late(self, burst: _Burst, first: int | None) -> BurstAnswer:
-        has = "none" if first is None else f"those from tick {first} on"
-        why = f" ({self._since})" if self._since else ""
-        return _nothing(
-            burst, f"the burst begins at tick {burst.ticks[0]}, and of the twin's samples there are {has}{why}"
-        )
+    def _not_covered(self, burst: _Burst, first: int | None) -> BurstAnswer:
+        range_text = "the twin has none" if first is None else f"the twin has samples from tick {first} on"
+        why = f" ({self._drop_reason})" if self._drop_reason else ""
+        return _empty_answer(burst, f"the burst starts at tick {burst.ticks[0]}; {range_text}{why}")
 
     def _answer(
         self,
         burst: _Burst,
         raw: Mapping[str, NDArray[np.int64]],
-        apart: NDArray[np.bool_],
-        turned: Sequence[str],
+        not_comparable: NDArray[np.bool_],
+        other_angle: Sequence[str],
         notes: Sequence[str],
     ) -> BurstAnswer:
-        columns = [name for name in burst.columns if name in _COPIED or name in raw]
+        columns = [name for name in burst.columns if name in _UNCHANGED or name in raw]
         real = burst.table[:, [burst.columns.index(name) for name in columns]]
         twin, residual = real.copy(), real.copy()
         for k, name in enumerate(columns):
-            if name not in _COPIED:
+            if name not in _UNCHANGED:
                 variable, _ = self._elements[name]
                 twin[:, k] = raw[name] * variable.lsb
                 residual[:, k] = _difference(variable, real[:, k], twin[:, k])
-                residual[apart | (name in turned), k] = np.nan
-        left_out = [name for name in burst.columns if name not in columns]
+                residual[not_comparable | (name in other_angle), k] = np.nan
+        omitted = [name for name in burst.columns if name not in columns]
         missing = (
-            [f"without {', '.join(left_out)}, which the host writes or the twin does not have"] if left_out else []
+            [f"without {', '.join(omitted)} (written by the host or not available in the twin)"] if omitted else []
         )
         return BurstAnswer(burst.label, columns, twin, residual, "; ".join([*missing, *notes]))
 
 
 def _to_real_board(raw: dict[str, NDArray[np.int64]], offsets: NDArray[np.int64]) -> list[str]:
-    """Shift positions of the twin's board to where the real one counts from.
+    """Convert positions of the twin to the coordinates of the real board.
 
     Parameters
     ----------
     raw : dict
-        Numbers by variable; those of positions are replaced.
+        Raw values by variable; positions are replaced.
     offsets : array of int, shape (points, AXES)
-        Position of the real axis minus that of the twin's [counts].
+        Position of the real axis minus that of the twin [counts].
 
     Returns
     -------
     list of str
-        Variables that say nothing, because the twin's shaft is at another electrical angle.
+        Variables that are not comparable because of another electrical angle of the twin's shaft.
     """
-    turned: list[str] = []
+    other_angle: list[str] = []
     for axis in range(AXES):
         shift = offsets[:, axis]
-        for name in (f"{axis_name(axis)}.{quantity}" for quantity in COUNTED_FROM_ZERO):
+        for name in (f"{axis_name(axis)}.{quantity}" for quantity in ROTOR_REFERENCED):
             if name in raw:
                 raw[name] = _signed(raw[name] + shift)
         within = (shift + COUNTS_PER_TURN // 2) % COUNTS_PER_TURN - COUNTS_PER_TURN // 2
         if np.abs(within).max() > _SAME_ANGLE:
-            turned += [name for name in raw if name.removeprefix(f"{axis_name(axis)}.") in BY_ANGLE]
-    return turned
+            other_angle += [name for name in raw if name.removeprefix(f"{axis_name(axis)}.") in ANGLE_DEPENDENT]
+    return other_angle
 
 
-def _nothing(burst: _Burst, reason: str) -> BurstAnswer:
+def _empty_answer(burst: _Burst, reason: str) -> BurstAnswer:
     empty = np.empty((0, 0))
     return BurstAnswer(burst.label, (), empty, empty, reason)
 
 
 def _signed(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Numbers of 32 bits with their sign."""
+    """Convert numbers modulo 2^32 to signed 32-bit numbers."""
     return np.asarray((numbers + _WRAP // 2) % _WRAP - _WRAP // 2)
 
 
 def _difference(variable: Variable, real: NDArray[np.float64], twin: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Real minus twin; angles and positions begin anew at the end of their range."""
+    """Real minus twin; angles and positions wrap at the end of their range."""
     difference = real - twin
     if variable.unit != "rad":
         return difference
-    turn = variable.lsb * float(1 << 8 * variable.element_size)
-    return np.asarray(difference - turn * np.round(difference / turn))
+    span = variable.lsb * float(1 << 8 * variable.element_size)
+    return np.asarray(difference - span * np.round(difference / span))

@@ -1,7 +1,7 @@
-"""A virtual board that is led by ticks: run to a tick, write so that it takes effect at a tick.
+"""A virtual board that is controlled by ticks: run to a tick, write with effect at a tick.
 
-The firmware latches writes at the start of a slow tick and takes its snapshot at the end of the same one. So a write
-between two slow ticks takes effect with the later one, on the real board as here.
+The firmware latches writes at the start of a slow tick and takes its snapshot at the end of the same tick. A write
+between two slow ticks therefore takes effect with the later one, on the real and on the virtual board.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from servo_twin.board_memory import BoardError
 from servo_twin.lockstep.samples import expired_mask
 
 _WRAP: Final = 1 << 32
-_OUT_OF_RANGE: Final = 0x97  # FreeMASTER status of a value that the board does not take
+_OUT_OF_RANGE: Final = 0x97  # FreeMASTER status: value outside the range of the variable
 
 
 def slow_tick(tick: int) -> int:
-    """Last slow tick that is not after `tick`."""
+    """Last slow tick up to `tick`."""
     return tick - tick % SLOW_PERIODS
 
 
 class Replica:
-    """One board, moved from slow tick to slow tick.
+    """One board that is advanced in steps of slow ticks.
 
     Parameters
     ----------
     board : Board
-        A board that was just switched on.
+        A board after power-on.
     """
 
     def __init__(self, board: Board) -> None:
@@ -40,19 +40,19 @@ class Replica:
         self._catalogue = board.catalogue
         self._expired = expired_mask(board.catalogue)
         self.tick = 0  # last completed slow tick [PWM periods since reset]
-        self.raw: Mapping[str, int] = {}  # raw integers of the snapshot of that tick, by variable name; empty before it
+        self.raw: Mapping[str, int] = {}  # raw snapshot of `tick`, by variable name; empty before the first
 
     def close(self) -> None:
-        """Give the board's memory back."""
+        """Free the board."""
         self.board.close()
 
     def run_to(self, tick: int) -> None:
-        """Run until slow tick `tick` is over; one that is over already does nothing.
+        """Run until the end of slow tick `tick`; no effect if it is in the past.
 
         Raises
         ------
         ValueError
-            If it is no slow tick.
+            If `tick` is not a slow tick.
         """
         if tick % SLOW_PERIODS:
             raise ValueError(f"tick {tick} is not a multiple of {SLOW_PERIODS}")
@@ -64,12 +64,12 @@ class Replica:
         assert self.raw["tick"] == tick % _WRAP
 
     def run_until(self, condition: Callable[[], bool], maximum: int) -> bool:
-        """Run until the condition holds, at most `maximum` ticks; returns whether it does.
+        """Run until the condition holds, at most `maximum` ticks; returns the condition.
 
         Parameters
         ----------
         condition : callable
-            Looked at every 16 slow ticks.
+            Evaluated every 16 slow ticks.
         maximum : int
             Longest run [PWM periods].
         """
@@ -81,7 +81,7 @@ class Replica:
         return True
 
     def write(self, variable: str, raw: Sequence[int], mask: int) -> None:
-        """Write the masked axes of a command variable; takes effect with the next slow tick.
+        """Write the masked axes of a command variable; effective with the next slow tick.
 
         Parameters
         ----------
@@ -90,7 +90,7 @@ class Replica:
         raw : sequence of int
             Firmware integers, one per axis.
         mask : int
-            Bit per axis; bit 0 is axis 1. Writing an axis makes its set-point fresh, so the others are left alone.
+            Bit per axis; bit 0 is axis 1. Other axes are not written, because a write restarts the command timeout.
         """
         size = self._catalogue[variable].element_size
         data = self._catalogue[variable].encode_raw(raw)
@@ -100,7 +100,7 @@ class Replica:
                 self.board.write_memory(address + axis * size, data[axis * size : (axis + 1) * size])
 
     def write_first(self, variable: str, raw: Sequence[int]) -> None:
-        """Write the first elements of a variable, all at once."""
+        """Write the first elements of a variable in one access."""
         words = [*raw, *[0] * (self._catalogue[variable].count - len(raw))]
         data = self._catalogue[variable].encode_raw(words)
         self.board.write_memory(self.board.address(variable), data[: len(raw) * self._catalogue[variable].element_size])
@@ -110,7 +110,7 @@ class Replica:
         return self.board.read_raw(name)
 
     def write_words(self, name: str, words: Sequence[int]) -> bool:
-        """Write the first elements of a variable, all at once; False if the board finds them out of range."""
+        """Write the first elements of a variable in one access; False if the board refuses a value as out of range."""
         pack = self._catalogue[name].raw_type.pack
         try:
             self.board.write_memory(self.board.address(name), b"".join(pack(word) for word in words))
@@ -128,5 +128,5 @@ class Replica:
         return state_label(self._catalogue, self.raw[f"{prefix}.state"], self.raw[f"{prefix}.substate"])
 
     def expired(self, axis: int) -> bool:
-        """Whether an axis has stopped because its set-point was not written again."""
+        """True if an axis has stopped after the timeout of its set-point."""
         return bool(self.raw.get(f"{axis_name(axis)}.limits", 0) & self._expired)

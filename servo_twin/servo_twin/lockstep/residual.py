@@ -1,4 +1,4 @@
-"""Real minus twin, and whether that is small enough. Pure."""
+"""Residual (real minus twin) and its supervision. Pure."""
 
 from __future__ import annotations
 
@@ -11,12 +11,10 @@ from servo_msgs_py.joints import DEFAULT_JOINTS, Joint, joint_names
 from servo_msgs_py.units import PERIOD_NS
 
 COMPARED: Final = tuple(f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in ("position", "speed", "i_q"))
-"""Variables whose difference is a residual; those of position and speed are compared in joint units."""
+"""Variables of the residual; position and speed are compared in joint units."""
 
-_BEFORE: Final = (
-    0.005  # for which a residual that is large has been so before, at most, if it was not at the last sample [s]
-)
-_FORGIVEN: Final = 0.25  # time in which the residual was large that is made up for by so much in which it is small
+_FIRST_MAX: Final = 0.005  # longest time that the first sample with a large residual counts [s]
+_DECAY: Final = 0.25  # rate at which the time of a large residual decreases while the residual is small [s/s]
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,7 @@ def residual(
     torque_constants: Sequence[float],
     joints: Sequence[Joint] = DEFAULT_JOINTS,
 ) -> Residual:
-    """Real minus twin; both need the variables of `COMPARED`, SI.
+    """Residual of two samples; both must contain the variables of `COMPARED`, SI.
 
     Parameters
     ----------
@@ -48,14 +46,14 @@ def residual(
     real, twin : mapping
         SI values by variable name.
     torque_constants : sequence of float
-        Of the motors, per axis [N m/A].
+        Torque constants of the motors, per axis [N m/A].
     joints : sequence of Joint
         In the order of the axes.
     """
     axes = [axis_name(axis) for axis in range(AXES)]
     values = {name: real[name] - twin[name] for name in COMPARED}
     for axis, joint in zip(axes, joints, strict=True):
-        # An offset cancels; adding it to both would only round.
+        # The offset of the joint cancels.
         for name in (f"{axis}.position", f"{axis}.speed"):
             values[name] = joint.velocity(values[name])
     return Residual(
@@ -73,76 +71,76 @@ def residual(
 
 @dataclass(frozen=True)
 class Thresholds:
-    """What counts as small, in joint units."""
+    """Limits of a small residual, in joint units."""
 
     position: float = 0.05  # largest difference of a position [rad]
     velocity: float = 10.0  # largest difference of a speed [rad/s]
     effort: float = 0.05  # largest difference of a torque [N m]
-    hold: float = 0.5  # time for which the residual must stay small until the twin is healthy [s]
-    grace: float = 0.1  # time for which it may be large [s]; four times as long a time with small ones cancels it
+    hold: float = 0.5  # time of a small residual until the twin is healthy [s]
+    grace: float = 0.1  # time of a large residual until the twin is unhealthy [s]; decays with `_DECAY`
 
 
 class HealthMonitor:
-    """Follows the residual and says whether the twin describes the board.
+    """Supervises the residual: `healthy` is true while twin and board agree.
 
     Parameters
     ----------
     thresholds : Thresholds
-        What counts as small.
+        Limits and times.
     """
 
     def __init__(self, thresholds: Thresholds) -> None:
         self.thresholds = thresholds
-        self.healthy = False  # whether real board and twin agree
-        self.reason = "nothing compared yet"  # why not; empty: healthy
+        self.healthy = False  # real board and twin agree
+        self.reason = "no comparison yet"  # reason for not healthy; empty: healthy
         self._small_since: int | None = None
-        self._large = 0.0  # time for which it was large, less a quarter of that for which it was small since [s]
+        self._large = 0.0  # time of a large residual, decreasing with `_DECAY` while it is small [s]
         self._tick: int | None = None
         self._was_large = self._differs = False
 
     @property
     def differs(self) -> bool:
-        """Whether it is a difference that keeps it from being healthy."""
+        """True if the cause of not healthy is a difference."""
         return not self.healthy and self._differs
 
     def interrupt(self, reason: str) -> None:
-        """There is nothing to compare, for this reason."""
+        """Interrupt the comparison, for this reason."""
         self.healthy = False
         self.reason = reason
         self._small_since = self._tick = None
         self._large, self._was_large, self._differs = 0.0, False, False
 
-    def update(self, residual: Residual, stopping: Sequence[bool] = (False,) * AXES, complaint: str = "") -> bool:
-        """Take a residual; returns `healthy`.
+    def update(self, residual: Residual, stopping: Sequence[bool] = (False,) * AXES, finding: str = "") -> bool:
+        """Evaluate a residual; returns `healthy`.
 
         Parameters
         ----------
         residual : Residual
             Real minus twin.
         stopping : sequence of bool
-            Axes that stop by themselves: their positions are not judged, their speeds are.
-        complaint : str
-            What the diagnosis has found over a longer time: no grace. Empty: nothing.
+            Axes in an autonomous stop: positions are ignored, speeds are not.
+        finding : str
+            Finding of the diagnosis, effective immediately; empty: none.
         """
         seconds = 0.0 if self._tick is None else _seconds(residual.tick - self._tick)
         self._tick = residual.tick
         problem = self._problem(residual, stopping)
         if problem:
-            self._large += seconds if self._was_large else min(seconds, _BEFORE)
+            self._large += seconds if self._was_large else min(seconds, _FIRST_MAX)
         else:
-            self._large = max(self._large - _FORGIVEN * seconds, 0.0)
-        self._was_large, self._differs = bool(problem), bool(problem or complaint)
-        if problem or complaint:
+            self._large = max(self._large - _DECAY * seconds, 0.0)
+        self._was_large, self._differs = bool(problem), bool(problem or finding)
+        if problem or finding:
             self._small_since = None
-            if complaint or not self.healthy or self._large >= self.thresholds.grace:
-                self.healthy, self.reason = False, complaint or problem
+            if finding or not self.healthy or self._large >= self.thresholds.grace:
+                self.healthy, self.reason = False, finding or problem
         else:
             if self._small_since is None:
                 self._small_since = residual.tick
             if _seconds(residual.tick - self._small_since) >= self.thresholds.hold:
                 self.healthy, self.reason = True, ""
             elif not self.healthy:
-                self.reason = "the residual has been small for a moment only"
+                self.reason = f"residual small for less than {self.thresholds.hold:g} s"
         return self.healthy
 
     def _problem(self, residual: Residual, stopping: Sequence[bool]) -> str:
@@ -154,7 +152,7 @@ class HealthMonitor:
         ):
             for axis, value in enumerate(values):
                 if abs(value) > limit and not (name == "position" and stopping[axis]):
-                    return f"{residual.joints[axis]}: {name} differs by {value:+.3g} {unit}, allowed are {limit:g}"
+                    return f"{residual.joints[axis]}: {name} differs by {value:+.3g} {unit}, limit {limit:g}"
         return ""
 
 

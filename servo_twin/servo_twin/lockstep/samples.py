@@ -1,4 +1,4 @@
-"""Samples of the board as the twin needs them: ticks, raw positions, kinds of states, rest. Pure."""
+"""Samples of the board for the twin: ticks, raw positions, states, standstill. Pure."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from servo_msgs_py.convert import state_label
 
 from servo_msgs_py import topics
 
-OWN: Final = frozenset({"tick", "applied_tick", "applied_count", "config.taken_tick", "config.taken_count"})
-"""Variables that count on each board for itself."""
+PER_BOARD: Final = frozenset({"tick", "applied_tick", "applied_count", "config.taken_tick", "config.taken_count"})
+"""Counters that are independent on each board."""
 
-COUNTED_FROM_ZERO: Final = ("position", "position_ref")
-"""Variables of an axis that are counted from where its rotor was found, which is elsewhere on each board."""
+ROTOR_REFERENCED: Final = ("position", "position_ref")
+"""Positions of an axis, relative to the rotor position at the rotor search, which differs between the boards."""
 
-BY_ANGLE: Final = (
+ANGLE_DEPENDENT: Final = (
     *("theta_e", "estimate_theta_e", "pll_angle", "emf_alpha", "emf_beta"),
     *(f"{quantity}_{phase}" for quantity in ("i", "duty") for phase in "abc"),
 )
-"""Variables of an axis that say nothing of two shafts at different electrical angles."""
+"""Variables of an axis that are not comparable at different electrical angles."""
 
 _COMMON: Final = ("tick", "applied_tick", "applied_count")
 _PER_AXIS: Final = ("position", "speed", "i_q", "state", "substate")
-_REST_COUNTS: Final = 2  # the controller leaves a shaft alone that is one count off
+_REST_COUNTS: Final = 2  # the controller does not correct an error of one count
 
 
 class Activity(Enum):
-    """What an axis does, as far as two boards have to agree on it."""
+    """Class of states in which two boards are comparable."""
 
     IDLE = "off or coasting"
     SEARCHING = "searching its rotor"
@@ -41,14 +41,14 @@ class Activity(Enum):
 
 
 def activity(label: str) -> Activity:
-    """Kind of a state label such as ``RUN/SPIN``."""
+    """Activity of a state label such as ``RUN/SPIN``."""
     if label == "RUN/SPIN":
         return Activity.ACTIVE
     return Activity.SEARCHING if label.startswith("RUN/") and label != "RUN/FREEWHEEL" else Activity.IDLE
 
 
 def expired_mask(catalogue: Catalogue) -> int:
-    """Bits of the limits that say that an axis has stopped for want of a set-point, or of a point."""
+    """Mask of the limits EXPIRED (no set-point) and STARVED (no trajectory point)."""
     return sum(flag.mask for flag in catalogue.flags["limits"] if flag.name in ("EXPIRED", "STARVED"))
 
 
@@ -58,24 +58,24 @@ class Sample:
 
     tick: int  # PWM periods since reset, extended past 32 bits
     stamp_ns: int  # ROS time of the tick [ns]
-    applied_tick: int  # as the board sent it: uint32
-    applied_count: int  # as the board sent it: uint16
+    applied_tick: int  # variable of the board, uint32
+    applied_count: int  # variable of the board, uint16
     labels: tuple[str, ...]  # state of every axis, such as ``STOP`` or ``RUN/SPIN``
-    position: tuple[int, ...]  # of the shaft of every axis [counts]
+    position: tuple[int, ...]  # per axis [counts]
     position_ref: tuple[int, ...]  # shaped set-point of every axis [counts]
     faults: tuple[int, ...]  # captured faults of every axis; 0: not in the telemetry
-    expired: tuple[bool, ...]  # per axis, whether it has stopped because its set-point was not written again
+    expired: tuple[bool, ...]  # per axis, true after a stop by the timeout of the set-point
     home_states: tuple[int, ...]  # validity of the position of every axis (home_state_t); 0: not in the telemetry
-    values: Mapping[str, float]  # everything in the sample, SI, by column name
+    values: Mapping[str, float]  # all values of the sample, SI, by column name
 
 
 class SampleReader:
-    """Makes samples of the rows of telemetry tables.
+    """Converts the rows of telemetry tables to samples.
 
     Parameters
     ----------
     catalogue : Catalogue
-        For scales and names of states.
+        For scaling and names of states.
     """
 
     def __init__(self, catalogue: Catalogue) -> None:
@@ -91,12 +91,12 @@ class SampleReader:
         Raises
         ------
         ValueError
-            If a column is missing that the twin needs.
+            If a required column is missing.
         """
         needed = [*_COMMON, *topics.STAMP_COLUMNS, *(f"{a}.{name}" for a in self._axes for name in _PER_AXIS)]
         missing = [name for name in needed if name not in columns]
         if missing:
-            raise ValueError(f"the snapshot has no {', '.join(missing)}; the twin cannot compare without")
+            raise ValueError(f"the snapshot has no {', '.join(missing)}, which the twin requires")
         return [self._sample(dict(zip(columns, row, strict=True))) for row in table.tolist()]
 
     def _sample(self, values: Mapping[str, float]) -> Sample:
@@ -130,33 +130,33 @@ class SampleReader:
         return self._labels[key]
 
 
-class RestWatch:
-    """Whether the shafts have been at rest lately.
+class StandstillDetector:
+    """Detects the standstill of the shafts.
 
     Parameters
     ----------
     ticks : int
-        How long a shaft has to stand still [PWM periods].
+        Required time of standstill [PWM periods].
     """
 
     def __init__(self, ticks: int) -> None:
         self._ticks = ticks
-        self._seen: deque[tuple[int, tuple[int, ...]]] = deque()
+        self._samples: deque[tuple[int, tuple[int, ...]]] = deque()
 
     def forget(self) -> None:
-        """The samples seen so far have nothing to do with what comes."""
-        self._seen.clear()
+        """Discard the samples."""
+        self._samples.clear()
 
     def add(self, tick: int, position: tuple[int, ...]) -> None:
-        """Look at the positions of all axes [counts]."""
-        self._seen.append((tick, position))
-        # One sample beyond the time is kept, so that the samples span it.
-        while len(self._seen) > 1 and self._seen[1][0] <= tick - self._ticks:
-            self._seen.popleft()
+        """Add the positions of all axes [counts]."""
+        self._samples.append((tick, position))
+        # Keep one sample older than the required time, so that the samples span it.
+        while len(self._samples) > 1 and self._samples[1][0] <= tick - self._ticks:
+            self._samples.popleft()
 
     def at_rest(self, axis: int) -> bool:
-        """Whether the shaft of an axis has stood still for the whole time."""
-        if not self._seen or self._seen[-1][0] - self._seen[0][0] < self._ticks:
+        """True if the shaft of an axis has been at standstill for the required time."""
+        if not self._samples or self._samples[-1][0] - self._samples[0][0] < self._ticks:
             return False
-        positions = [position[axis] for _, position in self._seen]
+        positions = [position[axis] for _, position in self._samples]
         return max(positions) - min(positions) <= _REST_COUNTS

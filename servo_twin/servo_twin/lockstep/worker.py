@@ -1,4 +1,4 @@
-"""The thread that simulates, so that callbacks stay short. Knows no ROS."""
+"""Thread of the simulation, so that ROS callbacks are short. Does not depend on ROS."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ from servo_msgs_py.units import PERIOD_NS
 from servo_twin.lockstep.blocks import Blocks
 from servo_twin.lockstep.twin import Pair, Twin
 
-_CHUNK: Final = 16  # samples between two looks at what has come
-_WAITING: Final = 1000  # messages that may wait
-_MOST_BACKLOG: Final = 3.0  # of board time that may wait [s]
+_CHUNK: Final = 16  # samples per check of the inbox
+_QUEUE_MAX: Final = 1000  # waiting sample messages
+_BACKLOG_MAX: Final = 3.0  # [s of board time]
 
 
 @dataclass(frozen=True)
 class WorkerFigures:
-    """How the simulation gets on."""
+    """Statistics of the simulation."""
 
     samples: int  # processed samples of the real board
     backlog: float  # board time between the newest sample and the last one processed [s]
-    load: float  # share of the time that the thread worked since the last call of `TwinWorker.figures`
-    overruns: int  # times that the waiting samples were discarded because there were too many
+    load: float  # busy fraction of the thread since the last call of `TwinWorker.figures`
+    overruns: int  # how often waiting samples were discarded because of the backlog
 
 
 class TwinWorker:
-    """Feeds a twin from any thread and runs it in one of its own.
+    """Runs a twin in a separate thread; the inputs can be called from any thread.
 
     Parameters
     ----------
     twin : Twin
-        Used by the thread alone from `start` on.
+        Used exclusively by the thread after `start`.
     publish : callable
-        Called by the thread with new pairs, and with an empty list when the twin's status may have changed.
+        Called by the thread with new pairs, or with an empty list if the status of the twin may have changed.
     failed : callable
-        Called by the thread, which ends, when something goes wrong that should not.
+        Called by the thread with an unexpected exception, which ends the thread.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class TwinWorker:
         self._twin = twin
         self._publish = publish
         self._failed = failed
-        self._inbox: deque[tuple[Callable[[], None], bool]] = deque()  # and whether it is for samples
+        self._inbox: deque[tuple[Callable[[], None], bool]] = deque()  # jobs; true: samples
         self._waiting_samples = 0
         self._condition = threading.Condition()
         self._stopping = False
@@ -72,7 +72,7 @@ class TwinWorker:
         self._thread.start()
 
     def stop(self, timeout: float = 5.0) -> None:
-        """End the thread and the twin; wait at most `timeout` [s]."""
+        """Stop the thread and close the twin; waits at most `timeout` [s]."""
         with self._condition:
             self._stopping = True
             self._condition.notify()
@@ -81,39 +81,39 @@ class TwinWorker:
 
     # ---- from any thread
     def command(self, command: AppliedCommand) -> None:
-        """A command that took effect on the real board."""
+        """Pass a command that took effect on the real board."""
         self._post(lambda: self._twin.command(command))
 
     def samples(self, columns: Sequence[str], table: NDArray[np.float64]) -> None:
-        """Samples of the real board (samples, columns), SI; an unusable table is reported as the twin's status."""
+        """Pass samples of the real board (samples, columns), SI; an invalid table sets the status of the twin."""
         self._post(lambda: self._take(columns, table), sample=True)
 
     def parameters(self, values: RawParameters) -> None:
-        """Parameters of the real board."""
+        """Pass the parameters of the real board."""
         self._post(lambda: self._twin.parameters(values))
 
     def windings(self, temperatures: Sequence[float]) -> None:
-        """Temperatures of the windings of the real motors [deg C]."""
+        """Pass the winding temperatures of the real motors [deg C]."""
         self._post(lambda: self._twin.windings(temperatures))
 
     def recorder(self, setup: RecorderSetup | None) -> None:
-        """What the recorder of the real board is about to record; None when it is idle."""
+        """Pass the set-up of the recorder of the real board; None: the recorder is idle."""
         self._post(lambda: self._twin.recorder(setup))
 
     def burst(self, label: str, columns: Sequence[str], table: NDArray[np.float64]) -> None:
-        """What it has recorded, with its ticks: a table (points, columns), SI."""
+        """Pass a recording with ticks: a table (points, columns), SI."""
         self._post(lambda: self._twin.burst(label, columns, table))
 
     def blocks(self, blocks: Blocks) -> None:
-        """Configuration blocks of the real board."""
+        """Pass the configuration blocks of the real board."""
         self._post(lambda: self._twin.blocks(blocks))
 
     def resync(self, reason: str) -> None:
-        """Begin anew."""
+        """Request a new synchronisation."""
         self._post(lambda: self._twin.resync(reason))
 
     def figures(self) -> WorkerFigures:
-        """How it gets on; the load is that since the call before."""
+        """Statistics; the load is the mean since the last call."""
         now = time.monotonic()
         busy, self._busy = self._busy, 0.0
         elapsed, self._last_look = now - self._last_look, now
@@ -121,9 +121,9 @@ class TwinWorker:
         return WorkerFigures(self._samples, self._backlog, load, self._overruns)
 
     def _post(self, job: Callable[[], None], *, sample: bool = False) -> None:
-        """Have the thread do it. When too much waits samples are thrown away: what is told once is told once."""
+        """Queue a job. If too many samples wait, they are discarded; other jobs are not, as they are not repeated."""
         with self._condition:
-            if sample and self._waiting_samples >= _WAITING:
+            if sample and self._waiting_samples >= _QUEUE_MAX:
                 self._inbox = deque(entry for entry in self._inbox if not entry[1])
                 self._waiting_samples = 0
                 self._overrun = True
@@ -131,7 +131,7 @@ class TwinWorker:
             self._waiting_samples += sample
             self._condition.notify()
 
-    # ---- in the thread
+    # ---- in the worker thread
     def _run(self) -> None:
         try:
             while True:
@@ -149,15 +149,15 @@ class TwinWorker:
             self._twin.close()
 
     def _work(self) -> None:
-        """Deal with everything that has come, looking for more after every few samples."""
+        """Process all jobs and samples; checks the inbox after every `_CHUNK` samples."""
         while not self._stopping:
             jobs, overrun = self._fetch()
             for job in jobs:
                 job()
             self._measure()
-            if overrun or self._backlog > _MOST_BACKLOG:
+            if overrun or self._backlog > _BACKLOG_MAX:
                 self._overruns += 1
-                self._twin.discard("the simulation cannot keep up with the board")
+                self._twin.discard("the simulation is slower than the board")
             before = self._twin.tick
             pairs = self._twin.step(_CHUNK)
             self._measure()

@@ -1,7 +1,7 @@
-"""One runner for everything that runs many boards: on the cores of this machine, or on a Dask cluster.
+"""Runs many boards in parallel, on the cores of this machine or on a Dask cluster.
 
-What is run is a `Work`: a picklable object whose trials are numbered, and whose results follow from it and the number
-alone. So results are the same however many workers there are, and in whatever order they finish.
+A `Work` is a picklable object with numbered trials. A result depends on the work and the number only, not on the number
+of workers or the order of execution.
 """
 
 from servo_twin.runner.run import HERE, Runner, run_in_order

@@ -1,4 +1,4 @@
-"""Trials on a Dask cluster, whose workers have servo_twin installed."""
+"""Runs trials on a Dask cluster; servo_twin must be installed on its workers."""
 
 from __future__ import annotations
 
@@ -12,56 +12,56 @@ from servo_twin.runner.work import Answer, RunError, Work, WorkerLostError, atte
 
 Result = TypeVar("Result")
 
-CHUNK_TIME: Final = 0.5  # of the trials that a worker gets at once, as far as that is known before [s]
+CHUNK_TIME: Final = 0.5  # target of the computing time per chunk [s]
 CHUNK_MAX: Final = 1000
-AHEAD: Final = 3  # chunks per thread of the cluster that have been handed out
+AHEAD: Final = 3  # submitted chunks per thread of the cluster
 CONNECT_TIME: Final = 10.0  # [s]
 
 
 def _run_chunk(work: Work[Any], numbers: Sequence[int]) -> tuple[float, list[Answer]]:
-    """Runs on a worker: seconds that it took, and the answers."""
+    """Executed on a worker: returns the computing time [s] and the answers."""
     begin = time.perf_counter()
     answers = [attempt(work, number) for number in numbers]
     return time.perf_counter() - begin, answers
 
 
 def run_on_cluster(work: Work[Result], numbers: Iterable[int], address: str) -> Iterator[tuple[int, Result]]:
-    """Results as they come, each with its number.
+    """Yield numbers and results in the order of completion.
 
-    A worker that dies costs what it had in hand: the scheduler gives that to another one.
+    If a worker ends, the scheduler gives its chunks to another one.
 
     Parameters
     ----------
     work : Work
-        What to run.
+        Trials to run.
     numbers : iterable of int
-        Which trials.
+        Numbers of the trials.
     address : str
-        Of the scheduler, as ``tcp://host:8786``.
+        Address of the scheduler, such as ``tcp://host:8786``.
 
     Raises
     ------
     RunError
-        If there is no such scheduler, or Dask is not installed.
+        If the scheduler cannot be reached, or Dask is not installed.
     TrialError
         If a trial raises an exception.
     WorkerLostError
-        If some trials end one worker after the other.
+        If trials repeatedly end their workers.
     """
     try:
-        distributed: Any = importlib.import_module("distributed")  # its types are not complete
+        distributed: Any = importlib.import_module("distributed")  # incomplete type hints
     except ImportError:
         raise RunError("a cluster needs Dask: pip install 'servo_twin[cluster]'") from None
     try:
         client = distributed.Client(address, timeout=CONNECT_TIME, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
-        raise RunError(f"no Dask scheduler answers at {address}: {error}") from None
-    waiting = iter(numbers)
+        raise RunError(f"no Dask scheduler at {address}: {error}") from None
+    remaining = iter(numbers)
     size = 1
     with client:
 
         def submit() -> Any:
-            chunk = list(islice(waiting, size))
+            chunk = list(islice(remaining, size))
             return client.submit(_run_chunk, work, chunk, pure=False) if chunk else None
 
         futures = distributed.as_completed([], loop=client.loop)
@@ -72,7 +72,7 @@ def run_on_cluster(work: Work[Result], numbers: Iterable[int], address: str) -> 
             try:
                 seconds, answers = future.result()
             except distributed.KilledWorker as error:
-                raise WorkerLostError(f"trials end the workers that try them: {error}") from None
+                raise WorkerLostError(f"trials repeatedly end their workers: {error}") from None
             if (following := submit()) is not None:
                 futures.add(following)
             size = min(max(round(len(answers) * CHUNK_TIME / max(seconds, 1e-6)), 1), CHUNK_MAX)

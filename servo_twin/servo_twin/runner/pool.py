@@ -1,4 +1,4 @@
-"""Trials on processes of this machine. A worker that dies costs the trials that it had in hand; they are run again."""
+"""Runs trials on processes of this machine. The trials of a worker that ends unexpectedly are repeated."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ from servo_twin.runner.work import ATTEMPTS, Answer, RunError, Work, WorkerLostE
 
 Result = TypeVar("Result")
 
-IN_HAND: Final = 2
-"""Numbers that a worker has got: the one that it is at, and the next one, so that it never waits."""
+ASSIGNED_MAX: Final = 2
+"""Assigned trials per worker: the current and the next one, so that it never waits."""
 
 _CONTEXT: Final = get_context("spawn")  # a fork would copy locks of other threads
 
 
 def _serve(pipe: Connection, work: Work[Result]) -> None:
-    """Body of a worker: numbers in, results out, until the other end closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent ends its workers
+    """Main loop of a worker: receives numbers and sends results until the pipe is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is sent to the whole group; the parent stops its workers
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
-        pipe.send(None)  # it has come so far
+        pipe.send(None)  # ready
         while True:
             pipe.send(attempt(work, pipe.recv()))
 
 
 class _Worker:
-    """A process and the numbers that it has in hand, the one that it is at first."""
+    """A process and its assigned trial numbers, the current one first."""
 
     def __init__(self, work: Work[Result]) -> None:
-        self.pipe, theirs = _CONTEXT.Pipe()
-        self.process = _CONTEXT.Process(target=_serve, args=(theirs, work), daemon=True)
+        self.pipe, child_end = _CONTEXT.Pipe()
+        self.process = _CONTEXT.Process(target=_serve, args=(child_end, work), daemon=True)
         self.process.start()
-        theirs.close()
+        child_end.close()
         self.ready = False
-        self.in_hand: deque[int] = deque()
+        self.assigned: deque[int] = deque()
 
-    def give(self, number: int) -> None:
-        self.in_hand.append(number)
+    def assign(self, number: int) -> None:
+        self.assigned.append(number)
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
-            self.pipe.send(number)  # if it has died, the end of its pipe says so
+            self.pipe.send(number)  # an ended worker is detected at its pipe
 
     def stop(self) -> None:
         self.pipe.close()
@@ -55,49 +55,49 @@ class _Pool:
     def __init__(self, work: Work[Result], numbers: Iterable[int], workers: int) -> None:
         self._work = work
         self._numbers = iter(numbers)
-        self._again: deque[int] = deque()
+        self._repeated: deque[int] = deque()
         self._deaths: Counter[int] = Counter()
         self.workers = [_Worker(work) for _ in range(workers)]
 
     def _next(self) -> int | None:
-        return self._again.popleft() if self._again else next(self._numbers, None)
+        return self._repeated.popleft() if self._repeated else next(self._numbers, None)
 
     def fill(self) -> bool:
-        """Hand out numbers evenly; False when nothing is left to wait for."""
-        for _ in range(IN_HAND):
+        """Distribute numbers evenly; False if no trials remain."""
+        for _ in range(ASSIGNED_MAX):
             for worker in self.workers:
-                if len(worker.in_hand) < IN_HAND and (number := self._next()) is not None:
-                    worker.give(number)
-        return any(worker.in_hand for worker in self.workers)
+                if len(worker.assigned) < ASSIGNED_MAX and (number := self._next()) is not None:
+                    worker.assign(number)
+        return any(worker.assigned for worker in self.workers)
 
     def replace(self, worker: _Worker) -> None:
-        """Another worker for one that has died."""
+        """Replace a worker that has ended."""
         worker.stop()
         if not worker.ready:
             raise RunError(f"a worker ended with exit status {worker.process.exitcode} before its first trial")
-        if worker.in_hand:
-            suspect = worker.in_hand[0]
+        if worker.assigned:
+            suspect = worker.assigned[0]
             self._deaths[suspect] += 1
             if self._deaths[suspect] >= ATTEMPTS:
                 raise WorkerLostError(
                     f"trial {suspect} has ended {ATTEMPTS} workers, the last one with exit status "
-                    f"{worker.process.exitcode}: does it need more memory than there is?"
+                    f"{worker.process.exitcode}; possible cause: not enough memory"
                 )
-            self._again.extend(worker.in_hand)
+            self._repeated.extend(worker.assigned)
         self.workers[self.workers.index(worker)] = _Worker(self._work)
 
 
 def run_on_processes(work: Work[Result], numbers: Iterable[int], workers: int) -> Iterator[tuple[int, Result]]:
-    """Results as they come, each with its number.
+    """Yield numbers and results in the order of completion.
 
     Parameters
     ----------
     work : Work
-        What to run.
+        Trials to run.
     numbers : iterable of int
-        Which trials; taken one by one, so there may be any number of them.
+        Numbers of the trials, consumed one by one.
     workers : int
-        Processes.
+        Number of processes.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def run_on_processes(work: Work[Result], numbers: Iterable[int], workers: int) -
                 if answer is None:
                     worker.ready = True
                     continue
-                worker.in_hand.remove(answer.number)
+                worker.assigned.remove(answer.number)
                 yield answer.number, answer.result()
     finally:
         for worker in pool.workers:

@@ -1,4 +1,4 @@
-"""How many trials are run: here or on a cluster, with a bar that shows how far they are."""
+"""Runs trials on this machine or on a cluster, with a progress bar."""
 
 from __future__ import annotations
 
@@ -21,43 +21,43 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Runner:
-    """Where trials run."""
+    """Selection of the machine for trials."""
 
-    workers: int | None = None  # processes of this machine; None: one per core that we may use; 1: run in this process
-    scheduler: str | None = None  # address of a Dask scheduler to use instead
+    workers: int | None = None  # processes on this machine; None: one per usable core; 1: run in this process
+    scheduler: str | None = None  # address of a Dask scheduler, used instead of processes
 
     @staticmethod
     def add_options(parser: argparse.ArgumentParser) -> None:
-        """Options of every command that runs many boards."""
-        place = parser.add_mutually_exclusive_group()
-        place.add_argument("--workers", type=argument.count, metavar="N", help="processes (default: one per core)")
-        place.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="run on the Dask cluster of this scheduler")
+        """Add the common options of commands that run many boards."""
+        group = parser.add_mutually_exclusive_group()
+        group.add_argument("--workers", type=argument.count, metavar="N", help="processes (default: one per core)")
+        group.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="run on the Dask cluster of this scheduler")
 
     @classmethod
     def of(cls, args: argparse.Namespace) -> Runner:
-        """The runner that parsed options ask for."""
+        """Create from parsed options."""
         return cls(args.workers, args.scheduler)
 
-    def run(self, work: Work[Result], numbers: Sequence[int], what: str) -> Generator[tuple[int, Result], None, None]:
-        """Results as they come, each with its number; closing the generator ends the run.
+    def run(self, work: Work[Result], numbers: Sequence[int], label: str) -> Generator[tuple[int, Result], None, None]:
+        """Yield numbers and results in the order of completion; closing the generator ends the run.
 
         Parameters
         ----------
         work : Work
-            What to run.
+            Trials to run.
         numbers : sequence of int
-            Which trials.
-        what : str
-            In front of the bar on standard error, which is shown on a terminal only.
+            Numbers of the trials.
+        label : str
+            Label of the progress bar on standard error, which is shown on a terminal only.
 
         Raises
         ------
         RunError
-            If the run cannot go on.
+            If the run cannot be continued.
         """
         with (
             contextlib.closing(self._results(work, numbers)) as results,
-            tqdm(total=len(numbers), desc=what, unit="", disable=None, smoothing=0.1) as bar,
+            tqdm(total=len(numbers), desc=label, unit="", disable=None, smoothing=0.1) as bar,
         ):
             for result in results:
                 yield result
@@ -72,16 +72,16 @@ class Runner:
 
 
 HERE: Final = Runner()
-"""On every core of this machine."""
+"""All cores of this machine."""
 
 
 def run_here(work: Work[Result], numbers: Iterable[int]) -> Iterator[tuple[int, Result]]:
-    """Trials one after the other, in this process."""
+    """Run trials sequentially in this process."""
     for number in numbers:
         yield number, attempt(work, number).result()
 
 
-def run_in_order(runner: Runner, work: Work[Result], numbers: Sequence[int], what: str) -> list[Result]:
+def run_in_order(runner: Runner, work: Work[Result], numbers: Sequence[int], label: str) -> list[Result]:
     """All results, in the order of the numbers."""
-    results = dict(runner.run(work, numbers, what))
+    results = dict(runner.run(work, numbers, label))
     return [results[number] for number in numbers]

@@ -1,4 +1,4 @@
-"""What a runner runs, and how it may fail."""
+"""Interface of trials for a runner, and its errors."""
 
 from __future__ import annotations
 
@@ -8,34 +8,34 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 from servo_twin.board import SimulationError
 
 ATTEMPTS = 3
-"""A trial that was running when so many workers died is not tried again."""
+"""A trial during which this number of workers ended is not repeated."""
 
 Result_co = TypeVar("Result_co", covariant=True)
 
 
 class Work(Protocol[Result_co]):
-    """Numbered trials. The object itself and its results travel between processes and must be picklable."""
+    """Numbered trials. The object and its results must be picklable."""
 
     def run(self, number: int) -> Result_co:
-        """Result of a trial; follows from the work and the number alone."""
+        """Result of a trial; depends on the work and the number only."""
 
 
 class Answer(NamedTuple):
-    """What a worker answers."""
+    """Answer of a worker."""
 
-    number: int  # of the trial
-    value: Any  # its result
-    problem: str | None  # why there is none: the message of a `SimulationError`, the traceback of another exception
+    number: int  # number of the trial
+    value: Any  # result of the trial
+    problem: str | None  # message of a `SimulationError`, or traceback of another exception; None: success
 
     def result(self) -> Any:
-        """The result; raises `TrialError` where there is none."""
+        """The result; raises `TrialError` if the trial failed."""
         if self.problem is not None:
             raise TrialError(f"trial {self.number}:\n{self.problem}")
         return self.value
 
 
 def attempt(work: Work[Any], number: int) -> Answer:
-    """Run a trial; its exception travels as text, as tracebacks cannot be pickled. The reason of a board is enough."""
+    """Run a trial; exceptions are returned as text, because tracebacks cannot be pickled."""
     try:
         return Answer(number, work.run(number), None)
     except SimulationError as error:
@@ -45,12 +45,12 @@ def attempt(work: Work[Any], number: int) -> Answer:
 
 
 class RunError(SimulationError):
-    """A run cannot go on; the results that have been handed out stay valid."""
+    """A run cannot be continued; the results so far are valid."""
 
 
 class TrialError(RunError):
-    """A trial raised an exception that is not one of its results; the text has its number and the traceback."""
+    """A trial raised an exception; the message contains its number and the reason or traceback."""
 
 
 class WorkerLostError(RunError):
-    """A trial has ended every worker that tried it."""
+    """A trial has repeatedly ended its worker."""

@@ -1,1 +1,1 @@
-"""What-if over many boards: values of plant, configuration and parameters varied, figures of experiments as results."""
+"""Parameter sweeps: experiments on many boards with varied plant, configuration and parameters."""

@@ -1,4 +1,4 @@
-"""``servo-sim sweep``: what if? Any value of plant, configuration or parameters varied over many boards."""
+"""``servo-sim sweep``: experiments with varied values of plant, configuration or parameters."""
 
 from __future__ import annotations
 
@@ -30,15 +30,17 @@ from servo_twin.sweep.trial import MEASURES, Sweep
 from servo_twin.sweep.variant import Base
 
 _HELP: Final = f"""\
-Run an experiment on many boards, each with other values of the plant file (plant.axis1.inertia, plant.bus.u_source), of
-servo.toml (servo.axis1.speed.bandwidth), or of the board's parameters (param.i_q_limit[0]), and collect its figures.
+Run an experiment on many boards with varied values of the plant file (plant.axis1.inertia, plant.bus.u_source), of
+servo.toml (servo.axis1.control.speed_bandwidth), or of the board parameters (param.i_q_limit[0]), and collect the
+figures.
 
   servo-sim sweep move --vary "plant.axis1.inertia=*0.3..3 log" --vary "plant.bus.u_source=20..28" --count 1000
 
 {SYNTAX}
 
-Results go to a folder while they come: {RESULTS} (a line each), and at the end, or after Ctrl-C, sweep.csv, sweep.png
-and the worst trials, each with the command that repeats it. The same seed gives the same results, wherever they run."""
+Results are written to a folder: {RESULTS} during the run (one line per trial), sweep.csv and sweep.png at the end or
+after Ctrl-C. The worst trials are printed with the command that repeats them. The same seed gives the same results,
+independent of the number of workers."""
 
 _OUT: Final = Path("out/sweep")
 ROWS_MAX: Final = 16  # figures of a picture
@@ -51,7 +53,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     Parameters
     ----------
     verbs : argparse subparsers
-        Where to add it.
+        Subparsers of ``servo-sim``.
     common : ArgumentParser
         Parent with ``--seed``, ``--plant`` and ``--json``.
     levelled : ArgumentParser
@@ -60,20 +62,18 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     parser = verbs.add_parser(
         "sweep",
         parents=[common, levelled],
-        help="what if? An experiment on many boards with other values",
+        help="run an experiment on many boards with varied values",
         description=_HELP.replace("%", "%%"),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("measure", choices=MEASURES, metavar="EXPERIMENT", help=f"one of {', '.join(MEASURES)}")
-    parser.add_argument("--vary", action="append", required=True, metavar="NAME=VALUES", help="what is varied (above)")
+    parser.add_argument("--vary", action="append", required=True, metavar="NAME=VALUES", help="varied value (above)")
     parser.add_argument("--method", choices=METHODS, help="default: grid if every value has levels, else latin")
     parser.add_argument("--count", type=argument.count, metavar="N", help="trials, for latin and random")
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="servo.toml that is varied (default: the firmware's)"
-    )
+    parser.add_argument("--config", type=Path, metavar="FILE", help="servo.toml to vary (default: of the firmware)")
     parser.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="default: %(default)s")
-    parser.add_argument("--resume", action="store_true", help="go on with the results that are in the folder")
-    parser.add_argument("--parquet", action="store_true", help="sweep.parquet, too (needs pyarrow)")
+    parser.add_argument("--resume", action="store_true", help="continue with the results in the folder")
+    parser.add_argument("--parquet", action="store_true", help="also write sweep.parquet (needs pyarrow)")
     parser.add_argument(
         "--draw",
         nargs="+",
@@ -81,18 +81,18 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         metavar="PATTERN",
         help=f"figures in the picture (default: the first {ROWS_MAX})",
     )
-    parser.add_argument("--trial", type=int, metavar="K", help="run only this trial and show what the experiment says")
+    parser.add_argument("--trial", type=int, metavar="K", help="run only this trial and print its table")
     Runner.add_options(parser)
     parser.set_defaults(run=_run)
 
 
 def sweep_of(args: argparse.Namespace) -> Sweep:
-    """The sweep that parsed options ask for.
+    """Sweep for the parsed options.
 
     Raises
     ------
     SpaceError, PlantError, SimulationError, OSError
-        If there is no such thing to vary, or a file cannot be used.
+        If a value cannot be varied, or a file cannot be used.
     """
     varied = [Varied.parse(text) for text in args.vary]
     needs_servo = args.config is not None or any(one.name.startswith("servo.") for one in varied)
@@ -102,7 +102,7 @@ def sweep_of(args: argparse.Namespace) -> Sweep:
 
 
 def _head(sweep: Sweep) -> dict[str, Any]:
-    """What results are results of."""
+    """Identification of the sweep, for the results file."""
     plant = json.dumps(dataclasses.asdict(sweep.base.plant), sort_keys=True)
     servo = json.dumps(sweep.base.servo, sort_keys=True)
     return {
@@ -116,13 +116,13 @@ def _head(sweep: Sweep) -> dict[str, Any]:
 
 
 def _boards_digest() -> str:
-    """Of firmware and models as they are compiled: results of other ones do not belong together."""
+    """Digest of the compiled firmware and models: results of different ones must not be mixed."""
     modules = sorted(Path(board_module.__file__).parent.glob("_*.so"))
     return hashlib.sha256(b"".join(path.read_bytes() for path in modules)).hexdigest()
 
 
 def _replay(args: argparse.Namespace, sweep: Sweep) -> str:
-    """Command that repeats a trial, up to its number."""
+    """Command that repeats a trial, without the trial number."""
     words = ["servo-sim", "sweep", args.measure, *(word for text in args.vary for word in ("--vary", text))]
     words += ["--method", sweep.space.method, "--seed", str(args.seed), "--level", sweep.level]
     words += [] if sweep.space.method == "grid" else ["--count", str(sweep.space.count)]
@@ -155,16 +155,16 @@ def _run(args: argparse.Namespace) -> int:
             return status
         print("\n".join(summary.lines(_replay(args, sweep))))
         print(
-            f"\n{len(store)} of {space.count} trials, {len(store) - before} of them now in {seconds:.1f} s: {args.out}"
+            f"\n{len(store)} of {space.count} trials, {len(store) - before} of them new, in {seconds:.1f} s: {args.out}"
         )
         if status:
-            print("interrupted: the same command with --resume goes on")
+            print("interrupted: continue with the same command and --resume")
     return status
 
 
 def _show(sweep: Sweep, number: int) -> int:
     if not 0 <= number < sweep.space.count:
-        raise SpaceError(f"there is no trial {number}: they are 0 .. {sweep.space.count - 1}")
+        raise SpaceError(f"no trial {number}; trials: 0 .. {sweep.space.count - 1}")
     point = ", ".join(f"{name} = {value:g}" for name, value in sweep.space.point(number).items())
     print(f"trial {number}: {point}\n")
     outcome = sweep.outcome(number)
@@ -177,9 +177,9 @@ def _write(args: argparse.Namespace, store: Store, summary: Summary, varied: Seq
     write_csv(args.out / "sweep.csv", store, names, figures)
     if args.parquet:
         write_parquet(args.out / "sweep.parquet", store, names, figures)
-    if wanted := [name for name in figures if any(fnmatch(name, pattern) for pattern in args.draw)][:ROWS_MAX]:
+    if selected := [name for name in figures if any(fnmatch(name, pattern) for pattern in args.draw)][:ROWS_MAX]:
         shown = islice(store, 0, None, max(len(store) // DRAWN_MAX, 1))
-        draw(args.out / "sweep.png", shown, varied, wanted, f"{args.measure}: {len(store)} trials")
+        draw(args.out / "sweep.png", shown, varied, selected, f"{args.measure}: {len(store)} trials")
 
 
 def _as_json(summary: Summary) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Tables and a picture of the trials."""
+"""Tables and picture of the trials."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from servo_twin.simulation import SimulationError
 from servo_twin.sweep.space import Varied
 from servo_twin.sweep.trial import Trial
 
-BATCH: Final = 10_000  # rows that are in memory at once
-LABEL_WIDTH: Final = 28  # letters
+BATCH: Final = 10_000  # rows in memory
+LABEL_WIDTH: Final = 28  # [characters]
 
 
 def _row(trial: Trial, figures: Sequence[str]) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def _names(varied: Sequence[str], figures: Sequence[str]) -> list[str]:
 
 
 def write_csv(path: Path, trials: Iterable[Trial], varied: Sequence[str], figures: Sequence[str]) -> None:
-    """A row per trial: its number, what was varied, its figures, whether all lie within their bounds."""
+    """Write a row per trial: number, varied values, figures, ``inside`` (all within their bounds), ``problem``."""
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, _names(varied, figures))
         table.writeheader()
@@ -44,7 +44,7 @@ def write_csv(path: Path, trials: Iterable[Trial], varied: Sequence[str], figure
 
 
 def write_parquet(path: Path, trials: Iterable[Trial], varied: Sequence[str], figures: Sequence[str]) -> None:
-    """The same for pandas, polars and others.
+    """Write the rows of `write_csv` as a parquet file.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def write_parquet(path: Path, trials: Iterable[Trial], varied: Sequence[str], fi
         If pyarrow is not installed.
     """
     try:
-        pyarrow: Any = importlib.import_module("pyarrow")  # without types
+        pyarrow: Any = importlib.import_module("pyarrow")  # has no type hints
         parquet: Any = importlib.import_module("pyarrow.parquet")
     except ImportError:
         raise SimulationError("parquet needs pyarrow: pip install pyarrow") from None
@@ -72,18 +72,18 @@ def _batches(trials: Iterable[Trial]) -> Iterator[list[Trial]]:
 
 
 def draw(path: Path, trials: Iterable[Trial], varied: Sequence[Varied], figures: Sequence[str], title: str) -> None:
-    """Every figure over every value that was varied; trials outside a bound in red.
+    """Draw every figure over every varied value; trials outside a bound in red.
 
     Parameters
     ----------
     path : Path
-        File of the picture; its ending says its format.
+        File of the picture; the extension determines the format.
     trials : iterable of Trial
-        Those that are drawn; all of them are in memory at once.
+        Trials to draw; all are kept in memory.
     varied : sequence of Varied
-        A column each.
+        Varied values, one column each.
     figures : sequence of str
-        A row each.
+        Figures, one row each.
     title : str
 
     Raises
@@ -108,6 +108,8 @@ def draw(path: Path, trials: Iterable[Trial], varied: Sequence[Varied], figures:
 def _scatter(plot: Any, shown: Sequence[Trial], value: str, name: str) -> None:
     points = [(t.point[value], t.figures[name]) for t in shown if name in t.figures]
     for inside, colour in ((True, "tab:blue"), (False, "tab:red")):
-        mine = [(x, f.value) for x, f in points if f.value is not None and f.inside is inside]
-        plot.plot(*(zip(*mine, strict=True) if mine else ((), ())), ".", markersize=2 if inside else 4, color=colour)
+        chosen = [(x, f.value) for x, f in points if f.value is not None and f.inside is inside]
+        plot.plot(
+            *(zip(*chosen, strict=True) if chosen else ((), ())), ".", markersize=2 if inside else 4, color=colour
+        )
     plot.grid(alpha=0.3)

@@ -1,8 +1,7 @@
-"""Gains that suit a set of plants: candidates from Optuna, each judged on the nominal plant and on the worst.
+"""Robust tuning for a set of plants: multi-objective optimisation of gains with Optuna.
 
-Two objectives, a figure on the nominal plant and the worst of it over all plants, and one constraint: in no more trials
-than with today's gains may a figure leave its bound or the experiment fail. The answer is a front of candidates, of
-which none is better in both.
+Two objectives: a figure on the nominal plant, and its worst value over all plants. Constraint: not more violations (a
+figure outside its bound, or a failed experiment) than with the present gains. The result is the Pareto front.
 """
 
 from __future__ import annotations
@@ -21,46 +20,46 @@ from servo_twin.sweep.trial import Trial, trial_at
 from servo_twin.sweep.variant import Base
 
 BATCH: Final = 8
-"""Candidates that are tried at once. The sampler learns from whole batches: the number of workers changes nothing."""
+"""Candidates per batch. The sampler is updated per batch, so that the result does not depend on the workers."""
 
 Candidate = Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Objective:
-    """The figure that is to become small, or large."""
+    """The figure to minimise or maximise."""
 
     figure: str  # name of a row of the experiment
     direction: Literal["minimize", "maximize"] = "minimize"
 
     @property
     def worst_of(self) -> Callable[[Sequence[float]], float]:
-        """Function that picks the worst of several figures."""
+        """Function that returns the worst of several figures."""
         return max if self.direction == "minimize" else min
 
     @property
     def absent(self) -> float:
-        """Worse than every value."""
+        """Value of a missing figure: worse than every number."""
         return math.inf if self.direction == "minimize" else -math.inf
 
     def better(self, one: float, other: float) -> bool:
-        """Whether figure `one` is better than `other` (same unit)."""
+        """True if figure `one` is better than `other` (same unit)."""
         return one < other if self.direction == "minimize" else one > other
 
 
 @dataclass(frozen=True)
 class Score:
-    """What a candidate is worth."""
+    """Results of a candidate."""
 
-    candidate: Candidate  # its values by name; empty: the present ones
-    nominal: float  # figure on the nominal plant; infinite: it did not happen
-    mean: float  # over all plants, likewise
-    worst: float  # of all plants, likewise
-    violations: int  # trials with a figure outside its bound, or that could not be run
+    candidate: Candidate  # values by name; empty: present gains
+    nominal: float  # figure on the nominal plant; infinite: missing
+    mean: float  # mean of the figure over all plants; infinite: missing
+    worst: float  # worst figure of all plants; infinite: missing
+    violations: int  # trials with a figure outside its bound, or failed
 
     @classmethod
     def of(cls, candidate: Candidate, objective: Objective, trials: Sequence[Trial]) -> Score:
-        """Score from the trials on the nominal plant (the first) and on all others."""
+        """Score from the trials on the nominal plant (first) and on the other plants."""
 
         def value(trial: Trial) -> float:
             figure = trial.figures.get(objective.figure)
@@ -73,7 +72,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Every candidate on every plant: trial number = candidate x plants + plant, plant 0 being the nominal one."""
+    """All candidates on all plants: trial number = candidate * plants + plant; plant 0 is the nominal one."""
 
     measure: str  # name of an experiment
     base: Base  # nominal plant and configuration
@@ -83,12 +82,12 @@ class Candidates:
 
     @property
     def each(self) -> int:
-        """Trials of a candidate."""
+        """Trials per candidate."""
         return self.plants.count + 1
 
     def run(self, number: int) -> Trial:
-        which, plant = divmod(number, self.each)
-        point = {**self.candidates[which], **(self.plants.point(plant - 1) if plant else {})}
+        candidate, plant = divmod(number, self.each)
+        point = {**self.candidates[candidate], **(self.plants.point(plant - 1) if plant else {})}
         return trial_at(number, self.measure, self.base, point, self.plants.seed, self.level)
 
     def scores(self, objective: Objective, runner: Runner, what: str) -> list[Score]:
@@ -97,7 +96,7 @@ class Candidates:
         Raises
         ------
         SimulationError
-            If the experiment has no such figure.
+            If a trial cannot be distributed or fails.
         """
         trials = run_in_order(runner, self, range(len(self.candidates) * self.each), what)
         parts = [trials[k : k + self.each] for k in range(0, len(trials), self.each)]
@@ -108,24 +107,24 @@ def search(
     evaluate: Callable[[Sequence[Candidate]], Sequence[Score]],
     tuned: Sequence[Varied],
     objective: Objective,
-    today: Score,
+    present: Score,
     count: int,
     seed: int,
 ) -> Iterator[Score]:
-    """Scores of so many candidates as they are found.
+    """Optimise: yields the scores of `count` candidates.
 
     Parameters
     ----------
     evaluate : callable
         Scores of candidates.
     tuned : sequence of Varied
-        What candidates differ in: levels or ranges.
+        Values to tune: levels or ranges.
     objective : Objective
-    today : Score
-        Of the present gains; no candidate may have more violations.
+    present : Score
+        Score of the present gains; more violations are not permitted.
     count : int
     seed : int
-        Of the sampler.
+        Seed of the sampler.
 
     Raises
     ------
@@ -135,16 +134,16 @@ def search(
     try:
         optuna: Any = importlib.import_module("optuna")
     except ImportError:
-        raise SimulationError("this needs Optuna: pip install 'servo_twin[tune]'") from None
+        raise SimulationError("tune-robust needs Optuna: pip install 'servo_twin[tune]'") from None
     optuna.logging.set_verbosity(optuna.logging.WARNING)
 
     sampler = optuna.samplers.TPESampler(seed=seed, multivariate=True, constant_liar=True)
     study = optuna.create_study(directions=[objective.direction] * 2, sampler=sampler)
     for first in range(0, count, BATCH):
-        asked = [study.ask() for _ in range(min(BATCH, count - first))]
-        scores = evaluate([{one.name: _suggest(trial, one) for one in tuned} for trial in asked])
-        for trial, score in zip(asked, scores, strict=True):
-            trial.set_constraint("violations", score.violations - today.violations)
+        suggestions = [study.ask() for _ in range(min(BATCH, count - first))]
+        scores = evaluate([{one.name: _suggest(trial, one) for one in tuned} for trial in suggestions])
+        for trial, score in zip(suggestions, scores, strict=True):
+            trial.set_constraint("violations", score.violations - present.violations)
             study.tell(trial, [score.nominal, score.worst])
             yield score
 
@@ -155,11 +154,11 @@ def _suggest(trial: Any, one: Varied) -> float:
     return float(trial.suggest_float(one.name, one.low, one.high, log=one.kind == "log"))
 
 
-def front(scores: Sequence[Score], objective: Objective, today: Score) -> list[Score]:
-    """Scores without more violations than today's of which no other is better in both objectives, best worst first."""
-    allowed = [s for s in scores if s.violations <= today.violations and math.isfinite(s.worst)]
-    kept: list[Score] = []
-    for score in sorted(allowed, key=lambda s: (s.worst, s.nominal), reverse=objective.direction == "maximize"):
-        if not kept or objective.better(score.nominal, kept[-1].nominal):
-            kept.append(score)
-    return kept
+def front(scores: Sequence[Score], objective: Objective, present: Score) -> list[Score]:
+    """Pareto front of the scores without additional violations, sorted by the worst figure."""
+    permitted = [s for s in scores if s.violations <= present.violations and math.isfinite(s.worst)]
+    pareto: list[Score] = []
+    for score in sorted(permitted, key=lambda s: (s.worst, s.nominal), reverse=objective.direction == "maximize"):
+        if not pareto or objective.better(score.nominal, pareto[-1].nominal):
+            pareto.append(score)
+    return pareto

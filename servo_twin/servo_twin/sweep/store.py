@@ -1,7 +1,7 @@
-"""Results on disk, a line each in the order in which they come: a run that ends early can be gone on with.
+"""Results file, one line per trial in the order of completion, so that an interrupted run can be continued.
 
-The first line says what they are results of. A line that a crash has cut short is dropped. Only the place of each line
-is kept in memory, eight bytes per trial.
+The first line identifies the sweep. An incomplete last line is dropped. Only the offset of each line is kept in memory,
+eight bytes per trial.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _ABSENT: Final = -1
 
 
 class StoreError(ValueError):
-    """The results that are there are not those of this sweep; the message says what to do."""
+    """Existing results do not belong to this sweep; the message contains the remedy."""
 
 
 class Store:
@@ -30,30 +30,30 @@ class Store:
     Parameters
     ----------
     folder : Path
-        Where they are; made if it is not there.
+        Folder of the results; created if missing.
     head : mapping
-        What they are results of, as JSON.
+        Identification of the sweep, as JSON.
     count : int
         Number of trials.
     resume : bool
-        Go on with results that are there.
+        Continue with existing results.
 
     Raises
     ------
     StoreError
-        If there are results, and they are not to be gone on with or are those of something else.
+        If there are results and `resume` is false, or they belong to another sweep.
     """
 
     def __init__(self, folder: Path, head: Mapping[str, Any], count: int, resume: bool) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.path = folder / RESULTS
-        self._places = np.full(count, _ABSENT, dtype=np.int64)
+        self._offsets = np.full(count, _ABSENT, dtype=np.int64)
         if self.path.exists() and not resume:
-            raise StoreError(f"{self.path} is there already: --resume goes on with it, --out FOLDER begins elsewhere")
-        fresh = not self.path.exists()
-        self._file: IO[bytes] = self.path.open("w+b" if fresh else "r+b")
+            raise StoreError(f"{self.path} exists: continue with --resume, or choose another folder with --out")
+        new = not self.path.exists()
+        self._file: IO[bytes] = self.path.open("w+b" if new else "r+b")
         text = json.dumps(head, sort_keys=True)
-        if fresh:
+        if new:
             self._file.write(text.encode() + b"\n")
             self._file.flush()
         else:
@@ -63,14 +63,14 @@ class Store:
         first = self._file.readline()
         if first != head.encode() + b"\n":
             self._file.close()
-            raise StoreError(f"{self.path} has the results of another sweep: give the same options, or another --out")
-        place = self._file.tell()
+            raise StoreError(f"{self.path} belongs to another sweep: use the same options or another --out")
+        offset = self._file.tell()
         for line in self._file:
             if not line.endswith(b"\n"):
                 break
-            self._places[json.loads(line)["number"]] = place
-            place += len(line)
-        self._file.seek(place)
+            self._offsets[json.loads(line)["number"]] = offset
+            offset += len(line)
+        self._file.seek(offset)
         self._file.truncate()
 
     def __enter__(self) -> Store:
@@ -82,23 +82,23 @@ class Store:
         self._file.close()
 
     def __len__(self) -> int:
-        return int(np.count_nonzero(self._places != _ABSENT))
+        return int(np.count_nonzero(self._offsets != _ABSENT))
 
     @property
     def missing(self) -> list[int]:
         """Numbers without a result."""
-        found: list[int] = np.flatnonzero(self._places == _ABSENT).tolist()
+        found: list[int] = np.flatnonzero(self._offsets == _ABSENT).tolist()
         return found
 
     def add(self, trial: Trial) -> None:
-        """Keep a result: from here on it survives whatever becomes of this process."""
-        place = self._file.seek(0, 2)
+        """Write a result to the file."""
+        offset = self._file.seek(0, 2)
         self._file.write(json.dumps(trial.as_dict()).encode() + b"\n")
         self._file.flush()
-        self._places[trial.number] = place  # last: Ctrl-C may interrupt anything above
+        self._offsets[trial.number] = offset  # last, because Ctrl-C may interrupt the lines above
 
     def __iter__(self) -> Iterator[Trial]:
-        """Results by number."""
-        for place in self._places[self._places != _ABSENT]:
-            self._file.seek(int(place))
+        """Results in the order of their numbers."""
+        for offset in self._offsets[self._offsets != _ABSENT]:
+            self._file.seek(int(offset))
             yield Trial.of_dict(json.loads(self._file.readline()))

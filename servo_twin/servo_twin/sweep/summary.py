@@ -1,4 +1,4 @@
-"""What a sweep amounts to: spread of every figure, and the trials that come worst off."""
+"""Summary of a sweep: range of every figure, and the worst trials."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from typing import Final
 from servo_twin.sweep.trial import Figure, Trial
 
 WORST: Final = 3
-"""Trials that are named for each figure."""
+"""Number of listed trials per figure."""
 
 
 @dataclass
 class FigureSummary:
-    """One figure over all trials; what it holds does not grow with them."""
+    """Running statistics of one figure over all trials."""
 
     unit: str
-    count: int = 0  # trials that have it
-    absent: int = 0  # trials in which it did not happen
-    outside: int = 0  # trials in which it is outside its bound
+    count: int = 0  # trials with this figure
+    absent: int = 0  # trials without a value
+    outside: int = 0  # trials outside the bound
     mean: float = 0.0  # in `unit`
     minimum: float = math.inf  # in `unit`
     maximum: float = -math.inf  # in `unit`
-    worst: list[tuple[float, int]] = field(default_factory=list)  # negated slack and number of the worst trials
+    worst: list[tuple[float, int]] = field(default_factory=list)  # negative slack and number of the worst trials
 
     def add(self, number: int, figure: Figure) -> None:
         self.count += 1
@@ -40,17 +40,17 @@ class FigureSummary:
             (heapq.heappush if len(self.worst) < WORST else heapq.heappushpop)(self.worst, entry)
 
     def worst_trials(self) -> list[int]:
-        """Numbers of the trials that come worst off, the worst first."""
+        """Numbers of the worst trials, sorted."""
         return [-number for _, number in sorted(self.worst, reverse=True)]
 
 
 class Summary:
-    """Everything that is said about a sweep."""
+    """Summary of a sweep."""
 
     def __init__(self, trials: Iterable[Trial]) -> None:
-        self.trials = 0  # number of them
+        self.trials = 0  # number of trials
         self.figures: dict[str, FigureSummary] = {}  # by name
-        self.problems: dict[str, tuple[int, int]] = {}  # by reason, number of trials and the first of them
+        self.problems: dict[str, tuple[int, int]] = {}  # by reason: number of trials, first trial
         for trial in trials:
             self.trials += 1
             for name, figure in trial.figures.items():
@@ -60,12 +60,12 @@ class Summary:
                 self.problems[trial.problem] = (count + 1, first)
 
     def lines(self, replay: str) -> list[str]:
-        """Text for people.
+        """Summary as text.
 
         Parameters
         ----------
         replay : str
-            Command that repeats a trial, up to its number.
+            Command that repeats a trial, without the trial number.
         """
         width = max(map(len, self.figures), default=6)
         lines = [f"{'figure':{width}}  {'mean':>10} {'min':>10} {'max':>10}  {'outside':>7}  unit"]
@@ -80,7 +80,7 @@ class Summary:
                 f"  {replay} {number}  # {name}" for name, f in outside for number in f.worst_trials()[: f.outside]
             ]
         if self.problems:
-            lines += ["", "could not be run:"]
+            lines += ["", "failed:"]
             ranked = sorted(self.problems.items(), key=lambda item: -item[1][0])[: 2 * WORST]
             lines += [f"  {count} trials: {problem}\n    {replay} {first}" for problem, (count, first) in ranked]
         return lines

@@ -26,7 +26,7 @@ OPEN: Final = Bound()
 
 
 def _move(plant: PlantConfig, seed: int) -> Outcome:
-    """One turn of both axes: what a move is like, without a judgement but that it arrives."""
+    """Move of both axes by one revolution, without bounds, except that all figures must have a value."""
     with fresh_board(plant, seed) as board:
         search = enable(board)
         results, _ = move(board, {axis: turns(MOVE_TURNS) for axis in range(AXES)}, MOVE_TIME)
@@ -47,25 +47,25 @@ MEASURES: Final[Mapping[str, Callable[[PlantConfig, int], Outcome]]] = {
     MOVE: _move,
     **{name: entry.run for name, entry in EXPERIMENTS.items()},
 }
-"""What a trial may run, by name: a short move, or an experiment."""
+"""Measurements of a trial, by name: a short move, or an experiment."""
 
 
 @dataclass(frozen=True)
 class Figure:
     """A measured figure."""
 
-    value: float | None  # None: it did not happen
+    value: float | None  # None: no value
     unit: str
-    slack: float | None  # distance to nearer end of the bound over the size of that end; < 0: outside; None: no bound
+    slack: float | None  # relative distance to the nearer limit; < 0: outside; None: no bound
 
     @property
     def inside(self) -> bool:
-        """Whether it lies within its bound."""
+        """True within the bound."""
         return self.slack is None or self.slack >= 0.0
 
     @classmethod
     def of(cls, row: Row) -> Figure:
-        """Figure of a row; one that did not happen lies infinitely far outside its bound."""
+        """Figure of a row; without a value the slack is -infinity."""
         value = row.measured if row.measured is not None and math.isfinite(row.measured) else None
         if value is None:
             return cls(None, row.unit, -math.inf)
@@ -76,31 +76,31 @@ class Figure:
 
 @dataclass(frozen=True)
 class Trial:
-    """What came of a trial."""
+    """Result of a trial."""
 
     number: int
-    point: Mapping[str, float]  # what was varied, by name
-    figures: Mapping[str, Figure]  # by name; empty if it could not be run
-    problem: str = ""  # why it could not
+    point: Mapping[str, float]  # varied values, by name
+    figures: Mapping[str, Figure]  # by name; empty if the trial failed
+    problem: str = ""  # error of a failed trial
 
     def as_dict(self) -> dict[str, Any]:
-        """For a file of results."""
+        """Convert for the results file."""
         return dataclasses.asdict(self)
 
     @classmethod
     def of_dict(cls, entry: Mapping[str, Any]) -> Trial:
-        """From a file of results."""
+        """Create from an entry of the results file."""
         figures = {name: Figure(**figure) for name, figure in entry["figures"].items()}
         return cls(entry["number"], entry["point"], figures, entry["problem"])
 
 
 def outcome_at(measure: str, base: Base, point: Mapping[str, float], seed: int, level: Level) -> Outcome:
-    """What an experiment says with other values.
+    """Run an experiment with varied values.
 
     Raises
     ------
     SimulationError, PlantError
-        If it cannot be run.
+        If the experiment cannot be run.
     """
     variant = base.variant(point)
     with at_level(level), prepared(variant.prepare):
@@ -108,7 +108,7 @@ def outcome_at(measure: str, base: Base, point: Mapping[str, float], seed: int, 
 
 
 def trial_at(number: int, measure: str, base: Base, point: Mapping[str, float], seed: int, level: Level) -> Trial:
-    """Figures of the same; that it cannot be run is a result, too."""
+    """Run a trial; an error is stored in `Trial.problem`."""
     try:
         rows = outcome_at(measure, base, point, seed, level).rows
     except (SimulationError, PlantError) as error:
@@ -118,15 +118,15 @@ def trial_at(number: int, measure: str, base: Base, point: Mapping[str, float], 
 
 @dataclass(frozen=True)
 class Sweep:
-    """All trials of a sweep, to be run anywhere."""
+    """All trials of a sweep; can be pickled."""
 
     measure: str  # name of `MEASURES`
-    base: Base  # what is varied
-    space: Space  # how
-    level: Level  # of the boards
+    base: Base  # nominal plant and configuration
+    space: Space  # points of the trials
+    level: Level  # level of the boards
 
     def outcome(self, number: int) -> Outcome:
-        """Everything that the experiment says in a trial; see `outcome_at`."""
+        """Complete outcome of the experiment in a trial; see `outcome_at`."""
         return outcome_at(self.measure, self.base, self.space.point(number), self.space.seed, self.level)
 
     def run(self, number: int) -> Trial:

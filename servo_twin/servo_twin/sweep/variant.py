@@ -1,8 +1,8 @@
-"""A plant and a configuration with some values replaced.
+"""Plant and configuration with replaced values.
 
 ``plant.axis1.inertia``, ``plant.bus.u_source``, ``plant.ambient``: a value of the plant file.
-``servo.axis1.limits.current``, ``servo.defaults.timing.settle``: one of ``servo.toml``, from which the tuning code
-computes the blocks that the board takes.
+``servo.axis1.limits.current``, ``servo.defaults.timing.settle``: a value of ``servo.toml``, from which the tuning code
+calculates the configuration blocks of the board.
 ``param.i_q_limit[0]``: a parameter of the board, by its name in the contract and the index of the axis.
 """
 
@@ -21,7 +21,7 @@ from servo_msgs_py.tuning.reading import AXIS_NAMES, parse
 from servo_msgs_py import board_parameters
 from servo_twin.board import Board
 from servo_twin.experiments.rig import set_axis
-from servo_twin.lockstep.blocks import Blocks, blocks_of_configuration, bring
+from servo_twin.lockstep.blocks import Blocks, blocks_of_configuration, write_blocks
 from servo_twin.lockstep.replica import Replica
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
@@ -33,43 +33,43 @@ _SERVO: Final = "servo."
 
 @dataclass(frozen=True)
 class Base:
-    """What variants differ from."""
+    """Nominal plant and configuration."""
 
     plant: PlantConfig  # true parameters
-    servo: Mapping[str, Any]  # parsed ``servo.toml``; empty where none can be varied
+    servo: Mapping[str, Any]  # parsed ``servo.toml``; empty if not varied
 
     def resolved(self, varied: Varied) -> Varied:
-        """The same with values instead of factors.
+        """Convert factors to values.
 
         Raises
         ------
         SpaceError
-            If there is no such value, or none of which there could be factors.
+            If the value does not exist, or factors are not possible for it.
         """
         if not varied.name.startswith(board_parameters.PREFIX):
             nominal = self.nominal(varied.name)
             return varied.times(nominal) if varied.factor else varied
         _parameter(varied.name)
         if varied.factor:
-            raise SpaceError(f"{varied.name}: factors are for values of plant and servo.toml")
+            raise SpaceError(f"{varied.name}: factors are possible for values of plant and servo.toml only")
         return varied
 
     def nominal(self, name: str) -> float:
-        """Value of a name without a variation, in the unit of its file.
+        """Nominal value of a name, in the unit of its file.
 
         Raises
         ------
         SpaceError
-            If there is no such number.
+            If the number does not exist.
         """
         if name.startswith(_PLANT):
             return _number(name, self.plant)
         if name.startswith(_SERVO):
             return _number(name, _with_defaults(self.servo))
-        raise SpaceError(f"{name}: what is varied begins with {_PLANT}, {_SERVO} or {board_parameters.PREFIX}")
+        raise SpaceError(f"{name}: the name must start with {_PLANT}, {_SERVO} or {board_parameters.PREFIX}")
 
     def variant(self, point: Mapping[str, float]) -> Variant:
-        """Plant and board with these values, by name."""
+        """Variant with these values, by name."""
         plant = self.plant
         servo: dict[str, Any] = {}
         parameters: dict[str, float] = {}
@@ -86,22 +86,22 @@ class Base:
 
 @dataclass(frozen=True)
 class Variant:
-    """One trial's plant, and what its boards get before they run."""
+    """Plant of a trial, and configuration and parameters of its boards."""
 
     plant: PlantConfig
-    servo: Mapping[str, Any]  # parsed ``servo.toml`` with other values; empty: that of the firmware
+    servo: Mapping[str, Any]  # changed ``servo.toml``, parsed; empty: configuration of the firmware
     parameters: Mapping[str, float]  # values by name
 
     def prepare(self, board: Board) -> None:
-        """Give a fresh board its configuration and parameters.
+        """Write configuration and parameters to a new board.
 
         Raises
         ------
         SimulationError
-            If the configuration cannot work, or the board refuses a value.
+            If the configuration is invalid, or the board refuses a value.
         """
         if self.servo:
-            bring(Replica(board), self._blocks(board.catalogue))
+            write_blocks(Replica(board), self._blocks(board.catalogue))
         for name, value in self.parameters.items():
             variable, element = _parameter(name)
             try:
@@ -116,33 +116,33 @@ class Variant:
             raise SimulationError(f"servo.toml: {error}") from None
 
 
-def _children(place: object) -> Mapping[str, object]:
-    if isinstance(place, Mapping):
-        return place
-    if isinstance(place, PlantConfig):
-        axes = {axis_name(k): axis for k, axis in enumerate(place.axes)}
-        return {**axes, "bus": place.bus, "pwm_frequency": place.pwm_frequency, "ambient": place.ambient}
-    if is_dataclass(place):
-        return {field.name: getattr(place, field.name) for field in fields(place)}
+def _children(node: object) -> Mapping[str, object]:
+    if isinstance(node, Mapping):
+        return node
+    if isinstance(node, PlantConfig):
+        axes = {axis_name(k): axis for k, axis in enumerate(node.axes)}
+        return {**axes, "bus": node.bus, "pwm_frequency": node.pwm_frequency, "ambient": node.ambient}
+    if is_dataclass(node):
+        return {field.name: getattr(node, field.name) for field in fields(node)}
     return {}
 
 
 def _number(name: str, root: object) -> float:
-    place: object = root
+    node: object = root
     walked, *path = name.split(".")
     for key in path:
-        children = _children(place)
+        children = _children(node)
         if key not in children:
-            near = difflib.get_close_matches(key, children, n=3) or list(children)
-            raise SpaceError(f"{name}: {walked} has no {key!r}; there are {', '.join(near)}")
-        place, walked = children[key], f"{walked}.{key}"
-    if isinstance(place, bool) or not isinstance(place, (int, float)):
-        raise SpaceError(f"{name} is no number that could be varied")
-    return float(place)
+            similar = difflib.get_close_matches(key, children, n=3) or list(children)
+            raise SpaceError(f"{name}: {walked} has no {key!r}; names: {', '.join(similar)}")
+        node, walked = children[key], f"{walked}.{key}"
+    if isinstance(node, bool) or not isinstance(node, (int, float)):
+        raise SpaceError(f"{name} is not a number and cannot be varied")
+    return float(node)
 
 
 def _with_defaults(servo: Mapping[str, Any]) -> dict[str, Any]:
-    """The table with what each axis inherits."""
+    """Table with the inherited values of each axis."""
     return {
         name: _merged(servo.get("defaults", {}), part) if name in AXIS_NAMES else part for name, part in servo.items()
     }
@@ -159,18 +159,18 @@ def _merged(base: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
 
 def _put(table: dict[str, Any], name: str, value: float) -> None:
     _, *path, last = name.split(".")
-    place = table
+    node = table
     for key in path:
-        place = place.setdefault(key, {})
-    place[last] = value
+        node = node.setdefault(key, {})
+    node[last] = value
 
 
 def _parameter(name: str) -> tuple[str, int]:
-    """Variable and element that a name means."""
+    """Variable and element of a name."""
     try:
         variable, element = board_parameters.find(name, Catalogue.load())
     except ValueError as error:
         raise SpaceError(str(error)) from None
     if element is None and variable.count > 1:
-        raise SpaceError(f"{name}: of which axis? {name}[0] .. {name}[{variable.count - 1}]")
+        raise SpaceError(f"{name}: index of the axis missing: {name}[0] .. {name}[{variable.count - 1}]")
     return variable.name, element or 0

@@ -1,1 +1,1 @@
-"""The timing of both motors on one chip, as it emerges from register values: ``servo-sim timing``."""
+"""Timing of both motors on one chip, simulated from the register values: ``servo-sim timing``."""

@@ -1,4 +1,4 @@
-"""Where the servo uses what on the chip (DRM 4.3): submodules, crossbar inputs, vectors, registers of the start."""
+"""Resources of the chip used by the servo (DRM 4.3): submodules, vectors, registers of the start."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 PHASES: Final = ((0, 1, 2), (4, 5, 6))
-"""Submodules (4 module + submodule) of the phases a, b, c of both motors."""
+"""Submodules (4 * module + submodule) of the phases a, b, c of both motors."""
 
 VECTOR_M1: Final = 85
 """PWMA SM1, compare (VAL5)."""
@@ -25,18 +25,18 @@ SLOTS: Final = {
     6: "with supervision",
     7: "with latch",
 }
-"""What runs behind the fast loops in the PWM periods of a slow tick (firmware/app/servo.c)."""
+"""Tasks after the fast loops in the PWM periods of a slow tick (firmware/app/servo.c)."""
 
 
 @dataclass(frozen=True)
 class Loop:
-    """One of the two loops."""
+    """One of the two fast loops."""
 
     name: str
     vector: int
-    phases: tuple[int, ...]  # its submodules
-    sample: int  # number of its motor's first sample
-    release: int  # address of MCTRL, whose LDOK releases the duties
+    phases: tuple[int, ...]  # submodules
+    sample: int  # number of the first sample of the motor
+    release: int  # address of MCTRL; LDOK releases the duties
     outputs: int  # address of OUTEN
 
 
@@ -57,4 +57,4 @@ START_STEPS: Final = (
     ("clear the flag of PWMA SM0 VAL5", _SM0_A + _STS, _VAL5),
     ("disable the interrupt of PWMA SM0 VAL5", _SM0_A + _INTEN, 0),
 )
-"""What the start interrupt does, in order: step, address, value written (DRM 4.3.3)."""
+"""Steps of the start interrupt, in order: step, address, written value (DRM 4.3.3)."""

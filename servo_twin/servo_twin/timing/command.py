@@ -20,27 +20,27 @@ from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 from servo_twin.timing import deadlines
 from servo_twin.timing.chip_map import VECTOR_M1
-from servo_twin.timing.figures import circle, start
+from servo_twin.timing.figures import pwm_cycle, start
 from servo_twin.timing.picture import draw
-from servo_twin.timing.scenarios import SCENARIOS, USUAL, Scenario
+from servo_twin.timing.scenarios import SCENARIOS, STANDARD, Scenario
 from servo_twin.timing.trace import Kind, Trace
 
 HELP: Final = """\
-Timing of both motors on one chip, as it emerges from the register values on the register-level board: the carriers
-180 degrees apart, the instants of the samples, the converter's sequence, the two interrupts (F33, F34, F35, F38), the
-start of the sequence (4.3.3), and the room of each kind of handler before the load of its own duties."""
+Timing of both motors on one chip, simulated from the register values at level registers: carriers with a phase shift of
+180 degrees, sampling times, sequence of the converter, the two interrupts (F33, F34, F35, F38), the start of the
+sequence (4.3.3), and the time margin of each kind of handler before the load of its duties."""
 
 START_TIME: Final = 3e-3  # from power-on [s]
-ENTRIES: Final = 100  # of a trace, per PWM period
+ENTRIES: Final = 100  # entries of a trace per PWM period
 
 
 @dataclass(frozen=True)
 class Measured:
-    """A scenario and what was recorded."""
+    """Recording of a scenario."""
 
     boot: Trace  # from power-on until both loops run
     trace: Trace
-    first_m1: int  # clock of the first M1 since reset
+    first_m1: int  # time of the first M1 since reset [clocks]
     late_loops: int  # counter of the board at the end
     overruns: int  # counter of the board at the end
 
@@ -50,31 +50,31 @@ def record(
     plant: PlantConfig,
     seed: int,
     core: CoreSpeed | None = None,
-    spoil: Callable[[Board], None] = lambda board: None,
+    modify: Callable[[Board], None] = lambda board: None,
 ) -> Measured:
-    """Bring a fresh board into a scenario and trace it.
+    """Run a scenario on a new board and record a trace.
 
     Parameters
     ----------
     scenario : Scenario
     plant : PlantConfig
-        What is really there.
+        Plant data.
     seed : int
-        Of every random number.
+        Seed of all random numbers.
     core : CoreSpeed, optional
-        The packaged one by default.
-    spoil : callable
-        Done to the board before it is traced.
+        Execution time of the core; by default the packaged one.
+    modify : callable
+        Modification of the board before the trace, for tests.
 
     Raises
     ------
     SimulationError
-        If the axes do not get there.
+        If the axes do not reach the state of the scenario.
     """
     with Board(plant, seed=seed, level="registers", core=core, baud=scenario.baud) as board:
         boot = Trace(board.trace(round(START_TIME * 1e9)))
         scenario.prepare(board)
-        spoil(board)
+        modify(board)
         scenario.during(board)
         periods = round(scenario.seconds * 1e9 / PERIOD_NS)
         trace = Trace(board.trace(board.time_ns + periods * PERIOD_NS, ENTRIES * periods))
@@ -86,44 +86,44 @@ def record(
 def measure(
     plant: PlantConfig,
     seed: int,
-    spoil: Callable[[Board], None] = lambda board: None,
+    modify: Callable[[Board], None] = lambda board: None,
     core: CoreSpeed | None = None,
 ) -> tuple[Outcome, Trace, Trace]:
-    """Record the start, and the circle with both shafts turning; parameters as for `record`.
+    """Record the start, and the PWM cycle with both shafts rotating; parameters: see `record`.
 
     Returns
     -------
     Outcome
-        Judged figures.
+        Figures with bounds.
     Trace, Trace
-        The circle, and the start.
+        Traces of the PWM cycle and of the start.
     """
-    turning = record(USUAL, plant, seed, core, spoil)
+    turning = record(STANDARD, plant, seed, core, modify)
     trace, first = turning.trace, turning.first_m1
-    rows = (*circle(trace), *deadlines.rows(trace, first), *counters(turning), *start(turning.boot))
+    rows = (*pwm_cycle(trace), *deadlines.rows(trace, first), *counters(turning), *start(turning.boot))
     notes = (
-        f"circle: {USUAL.seconds:g} s, both shafts at 100 rad/s; handlers in microseconds from the sample, at worst:",
+        f"{STANDARD.seconds:g} s with both shafts at 100 rad/s; largest times of the handlers from the sample [us]:",
         *deadlines.lines(deadlines.handlers(trace, first)),
     )
     return Outcome("timing", rows, (), notes), trace, turning.boot
 
 
 def everything(
-    plant: PlantConfig, seed: int, core: CoreSpeed | None = None, say: Callable[[str], None] = lambda text: None
+    plant: PlantConfig, seed: int, core: CoreSpeed | None = None, report: Callable[[str], None] = lambda text: None
 ) -> Outcome:
-    """Every scenario: modes, features, feedback, search, start-up, stops and faults.
+    """Run all scenarios: modes, features, feedback, search, start-up, stops and faults.
 
     Parameters
     ----------
     plant, seed, core
-        As for `record`.
-    say : callable
-        Gets a line before each scenario.
+        See `record`.
+    report : callable
+        Called with a line of text before each scenario.
     """
     rows: list[Row] = []
     notes: list[str] = []
     for scenario in SCENARIOS:
-        say(scenario.name)
+        report(scenario.name)
         try:
             measured = record(scenario, plant, seed, core)
         except SimulationError as error:
@@ -137,7 +137,7 @@ def everything(
 
 
 def counters(measured: Measured, what: str = "") -> list[Row]:
-    """Rows about the counters that the board itself has."""
+    """Rows for the counters of the board."""
     prefix = f"{what}: " if what else ""
     none = Bound(0.0, 0.0)
     return [
@@ -152,7 +152,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
     Parameters
     ----------
     verbs : argparse subparsers
-        Where to add it.
+        Subparsers of ``servo-sim``.
     common : ArgumentParser
         Parent with ``--seed``, ``--plant`` and ``--json``.
     """
@@ -164,13 +164,13 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "--plot", type=Path, metavar="FILE", help="draw F34 with the deadlines, F35, F38 and the start to this file"
+        "--plot", type=Path, metavar="FILE", help="file for a picture of F34 with the deadlines, F35, F38 and the start"
     )
     parser.add_argument(
-        "--all", action="store_true", help="the handlers in every mode, feature set and feedback, in stops and faults"
+        "--all", action="store_true", help="measure the handlers in all modes, features, feedbacks, stops and faults"
     )
     parser.add_argument(
-        "--cycles-per-instruction", type=float, metavar="N", help="of the core, instead of the figure in core.toml"
+        "--cycles-per-instruction", type=float, metavar="N", help="clock cycles per instruction (default: core.toml)"
     )
     parser.set_defaults(run=_run)
 
@@ -180,7 +180,7 @@ def _run(args: argparse.Namespace) -> int:
     if args.cycles_per_instruction is not None:
         core = replace(core, cycles_per_instruction=args.cycles_per_instruction)
     if args.all and args.plot is not None:
-        raise SimulationError("--plot draws the usual run: leave out --all")
+        raise SimulationError("--plot and --all cannot be combined")
     plant = PlantConfig.load(args.plant)
     if args.all:
         outcome = everything(plant, args.seed, core, lambda text: print(f"{text} ..", file=sys.stderr))

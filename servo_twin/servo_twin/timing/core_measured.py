@@ -1,7 +1,7 @@
-"""``servo-sim core-speed``: what an instruction costs on silicon, from the widths of the pulses at the scope pins.
+"""``servo-sim core-speed``: cycles per instruction on silicon, from the widths of the pulses at the scope pins.
 
-The pins F6 and F7 are high while M1 and M2 run (DRM F38). The virtual board does the same instructions in the same
-state of the drive, so that measured widths over its instructions are the cycles of one.
+The pins F6 and F7 are high while M1 and M2 run (DRM F38). The virtual board executes the same instructions in the same
+state of the drive; the measured widths divided by its instructions are the cycles per instruction.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ else:
     import tomli as tomllib
 
 HELP: Final = """\
-Mean widths of the pulses at the scope pins F6 (M1) and F7 (M2) on the virtual board, in states that are easily set
-up on silicon. --measured FILE takes the widths of a board in, and writes what an instruction costs there into
-core.toml. The file has a table for each measured state, with the mean widths in microseconds:
+Mean widths of the pulses at the scope pins F6 (M1) and F7 (M2) on the virtual board, in states that are easy to set up
+on silicon. --measured FILE reads the widths of a board and writes the cycles per instruction to core.toml. The file has
+a table for each measured state, with the mean widths in microseconds:
 
   [off]       # powered up, not enabled
   m1 = 9.8    # F6
@@ -41,37 +41,37 @@ core.toml. The file has a table for each measured state, with the mean widths in
   [hold]      # both axes enabled, at rest
   [turning]   # both at 100 rad/s in speed mode
 
-A scope that shows a pin's duty cycle shows it as well: the width is that of 62.5 us."""
+The width can also be calculated from the duty cycle of the pin: duty cycle * 62.5 us."""
 
 STATES: Final = ("off", "hold", "turning")
 HANDLERS: Final[Mapping[str, int]] = {"m1": VECTOR_M1, "m2": VECTOR_M2}
-"""Vectors of the handlers that have a scope pin."""
+"""Vectors of the handlers with a scope pin."""
 SPEED: Final = 100.0  # [rad/s]
 SETTLE: Final = 0.3  # [s]
 PERIODS: Final = 20 * SLOW_PERIODS
 SPREAD: Final = 0.15
-"""So far a width may be off what the one number says, before it is called a bad description."""
+"""Largest relative deviation of a width from the fit."""
 
 
 @dataclass(frozen=True)
 class Row:
     """One handler in one state."""
 
-    state: str  # of the drive
-    handler: str  # of the interrupt
-    instructions: float  # mean of the virtual board
+    state: str  # state of the drive
+    handler: str  # interrupt handler, key of `HANDLERS`
+    instructions: float  # mean number of the virtual board
     measured: float  # mean width of the pulse on silicon [clocks]
 
     @property
     def cycles(self) -> float:
-        """Clock cycles of an instruction, by this row alone."""
+        """Clock cycles per instruction, from this row only."""
         return self.measured / self.instructions
 
 
 def compare(
     measured: Mapping[str, Mapping[str, float]], instructions: Mapping[str, Mapping[str, float]]
 ) -> tuple[list[Row], float]:
-    """What the measured widths say of the cycles per instruction.
+    """Determine the cycles per instruction from measured widths.
 
     Parameters
     ----------
@@ -83,49 +83,45 @@ def compare(
     Returns
     -------
     list of Row, float
-        Row by row, and the number that fits all of them best (least squares of the widths).
+        Rows, and the least-squares fit of the cycles per instruction.
 
     Raises
     ------
     ValueError
-        If nothing has been measured, or a state, a handler or a width makes no sense.
+        If there are no widths, or a state, a handler or a width is invalid.
     """
     rows = []
     for state, widths in measured.items():
         if state not in instructions:
-            raise ValueError(f"no state is called {state!r}: there are {', '.join(instructions)}")
+            raise ValueError(f"unknown state {state!r}; states: {', '.join(instructions)}")
         for handler, width in widths.items():
             if handler not in instructions[state]:
-                raise ValueError(
-                    f"{state}: no handler is called {handler!r}: there are {', '.join(instructions[state])}"
-                )
+                raise ValueError(f"{state}: unknown handler {handler!r}; handlers: {', '.join(instructions[state])}")
             if not 0.0 < width <= PERIOD_NS * 1e-9:
-                raise ValueError(
-                    f"{state}: {handler} cannot be {1e6 * width:g} us in a period of {1e-3 * PERIOD_NS:g} us"
-                )
+                raise ValueError(f"{state}: {handler} = {1e6 * width:g} us is not within 0 .. {1e-3 * PERIOD_NS:g} us")
             rows.append(Row(state, handler, instructions[state][handler], width / CLOCK))
     if not rows:
-        raise ValueError("nothing has been measured")
+        raise ValueError("no measured widths")
     products = sum(row.measured * row.instructions for row in rows)
     return rows, products / sum(row.instructions**2 for row in rows)
 
 
 def with_cycles(text: str, cycles: float) -> str:
-    """A core file with another ``cycles_per_instruction``; everything else of it stays.
+    """Core file with a changed ``cycles_per_instruction``.
 
     Raises
     ------
     ValueError
-        If it does not have that number once.
+        If the file does not contain this value exactly once.
     """
     text, count = re.subn(r"(?m)^(cycles_per_instruction *= *)[0-9.]+", rf"\g<1>{cycles:.2f}", text)
     if count != 1:
-        raise ValueError("the core file has to say cycles_per_instruction once")
+        raise ValueError("the core file must contain cycles_per_instruction exactly once")
     return text
 
 
 def instructions(core: Path, plant: PlantConfig, seed: int) -> dict[str, dict[str, float]]:
-    """Mean instructions by state and handler, of a virtual board that executes one per clock cycle."""
+    """Mean instructions by state and handler, from a virtual board with one clock cycle per instruction."""
     with core.open("rb") as file:
         numbers = {**tomllib.load(file), "cycles_per_instruction": 1.0}
     entry = float(numbers["entry_cycles"])
@@ -154,7 +150,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser) -> None:
     result = verbs.add_parser(
         "core-speed",
         parents=[common],
-        help="widths at the scope pins; take measured ones in",
+        help="pulse widths at the scope pins; calibrate the core with measured widths",
         description=HELP,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -176,20 +172,20 @@ def _run(args: argparse.Namespace) -> int:
     args.core.write_text(with_cycles(text, cycles), encoding="utf-8")
     print(f"cycles_per_instruction = {cycles:.2f} in {args.core}")
     if any(abs(row.cycles / cycles - 1.0) > SPREAD for row in rows):
-        print(f"one number describes these widths badly: some are off by more than {SPREAD:.0%}")
+        print(f"poor fit: the deviation of a width is above {SPREAD:.0%}")
         return 1
     return 0
 
 
 def _widths(path: Path) -> dict[str, dict[str, float]]:
-    """Measured widths [s] out of a file."""
+    """Read measured widths [s] from a file."""
     with path.open("rb") as file:
         states = tomllib.load(file)
     return {state: {name: 1e-6 * float(width) for name, width in rows.items()} for state, rows in states.items()}
 
 
 def _table(rows: Sequence[Row], cycles: float) -> str:
-    lines = ["state    handler  instructions  width [us]  cycles each   off"]
+    lines = ["state    handler  instructions  width [us]  cycles each error"]
     lines += [
         f"{r.state:8} {r.handler:7} {r.instructions:13.0f} {1e6 * CLOCK * r.measured:11.2f} {r.cycles:12.2f}"
         f" {r.cycles / cycles - 1.0:+5.0%}"

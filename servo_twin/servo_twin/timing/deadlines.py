@@ -1,7 +1,7 @@
-"""How long each kind of handler takes, and how much of its time to the load of its own duties is left. Pure.
+"""Duration of each kind of handler, and time margin to the load of its duties. Pure.
 
-A loop has from the sample of its motor's currents to the load of its motor's duties, half a PWM period later. Duties
-that come behind it wait for the next load: that is a miss, however soon the next load may be.
+The deadline of a loop is the load of its duties, half a PWM period after the sampling of its currents. Duties that are
+released later have missed the deadline, as they become active at the next load.
 """
 
 from __future__ import annotations
@@ -18,31 +18,31 @@ from servo_twin.experiments.outcome import Bound, Row
 from servo_twin.timing.chip_map import LOOPS, SLOTS, Loop
 from servo_twin.timing.trace import CLOCK, Kind, Trace
 
-PERIOD: Final = round(PERIOD_NS * 1e-9 / CLOCK)  # of the PWM [clocks]
+PERIOD: Final = round(PERIOD_NS * 1e-9 / CLOCK)  # PWM period [clocks]
 ROOM_MIN: Final = 0.20
-"""Of the time from sample to load."""
+"""Smallest permitted margin, relative to the time from sample to load."""
 LDOK: Final = 0x7
 """Bits of MCTRL that release the duties of the three phases."""
 OUTPUTS: Final = 0x770
-"""Bits of OUTEN that let the gate signals of the three phases out."""
+"""Bits of OUTEN that enable the gate signals of the three phases."""
 BUSY_MAX: Final = 0.75
-"""Share of the core that all handlers may take."""
+"""Largest permitted utilisation of the core by all handlers."""
 
 
 @dataclass(frozen=True)
 class Handler:
     """All runs of one kind of handler."""
 
-    name: str  # the loop and the work that follows it
+    name: str  # loop and subsequent task
     runs: int
-    begin: float  # latest begin, from the sample [s]
+    begin: float  # latest start, from the sample [s]
     written: float
-    """Latest release of the loop's duties, from the sample; the latest end where none were written [s]. Without duties
-    because the outputs are off nothing is late: such runs count only if there are no others."""
+    """Latest release of the duties, from the sample; without a release the latest end [s]. Runs without duties because
+    the outputs are off have no deadline, and are included only if there are no others."""
     end: float  # latest end, from the sample [s]
     deadline: float  # load of the duties, from the sample [s]
-    room: float  # smallest part of the time from sample to load that was left; negative: missed
-    busy: float  # share of the core's time
+    room: float  # smallest margin relative to the time from sample to load; negative: missed
+    busy: float  # fraction of the time of the core
 
 
 def handlers(trace: Trace, first_m1: int) -> list[Handler]:
@@ -51,9 +51,9 @@ def handlers(trace: Trace, first_m1: int) -> list[Handler]:
     Parameters
     ----------
     trace : Trace
-        Of some slow ticks.
+        Trace of several slow ticks.
     first_m1 : int
-        Clock at which M1 began for the first time after reset: that was PWM period 1.
+        Time of the first M1 after reset, in PWM period 1 [clocks].
     """
     clocks = trace.entries["clock"]
     span = float(clocks[-1] - clocks[0]) if clocks.size else 0.0
@@ -62,18 +62,18 @@ def handlers(trace: Trace, first_m1: int) -> list[Handler]:
 
 @dataclass(frozen=True)
 class Runs:
-    """Runs of one loop's handler, an element each [clocks]."""
+    """Times of all runs of the handler of one loop [clocks]."""
 
-    begin: NDArray[np.int64]  # of the handler
-    end: NDArray[np.int64]  # of the handler
-    sample: NDArray[np.int64]  # that it answers
-    load: NDArray[np.int64]  # of its duties, which is its deadline
-    released: NDArray[np.int64]  # time at which it released the duties; its end if it did not
-    judged: NDArray[np.bool_]  # false where it released none because the outputs were off: there is no deadline then
+    begin: NDArray[np.int64]  # start of the handler
+    end: NDArray[np.int64]  # end of the handler
+    sample: NDArray[np.int64]  # sample that started the handler
+    load: NDArray[np.int64]  # load of the duties (deadline)
+    released: NDArray[np.int64]  # release of the duties; without a release the end
+    with_deadline: NDArray[np.bool_]  # false: no release because the outputs are off, no deadline
 
 
 def runs_of(trace: Trace, loop: Loop) -> Runs:
-    """Runs of a loop's handler whose sample is in the trace."""
+    """Runs of the handler of a loop with the sample in the trace."""
     runs = trace.handlers(loop.vector)
     cycles = trace.clocks(Kind.CYCLE, loop.phases[0])
     samples = trace.clocks(Kind.SAMPLE, loop.sample)
@@ -91,16 +91,16 @@ def runs_of(trace: Trace, loop: Loop) -> Runs:
 
 def _of_loop(trace: Trace, loop: Loop, first_m1: int, span: float) -> list[Handler]:
     runs = runs_of(trace, loop)
-    # M2 is half a period behind its M1, either may begin a little late, and M1 a few clocks early.
+    # M2 is half a period after M1; both may start late, and M1 a few clocks early.
     slots = (1 + (runs.begin - first_m1 + PERIOD // 8) // PERIOD) % SLOW_PERIODS
     result = []
     for slot, name in SLOTS.items():
         chosen = slots == slot
         if not chosen.any():
             continue
-        judged = chosen & runs.judged if (chosen & runs.judged).any() else chosen
+        with_deadline = chosen & runs.with_deadline if (chosen & runs.with_deadline).any() else chosen
         begins, ends, sample = runs.begin[chosen], runs.end[chosen], runs.sample[chosen]
-        due, written = (runs.load - runs.sample)[judged], (runs.released - runs.sample)[judged]
+        due, written = (runs.load - runs.sample)[with_deadline], (runs.released - runs.sample)[with_deadline]
         result.append(
             Handler(
                 f"{loop.name} {name}",
@@ -117,9 +117,9 @@ def _of_loop(trace: Trace, loop: Loop, first_m1: int, span: float) -> list[Handl
 
 
 def _first_within(instants: NDArray[np.int64], runs: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The first of some instants within each run, or its end; and whether there was one.
+    """First of the instants within each run, or its end, and whether there is one.
 
-    Only the first: a change of state writes others behind the loop.
+    Only the first counts: a change of state writes further ones after the loop.
     """
     if instants.size == 0:
         return runs[:, 1], np.zeros(runs.shape[0], np.bool_)
@@ -129,7 +129,7 @@ def _first_within(instants: NDArray[np.int64], runs: NDArray[np.int64]) -> tuple
 
 
 def _outputs_off(trace: Trace, loop: Loop, runs: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether a motor's outputs are known to be off when a run begins."""
+    """True if the outputs of a motor are known to be off at the start of a run."""
     writes = trace.of(Kind.WRITE, loop.outputs)
     if writes.size == 0:
         return np.zeros(runs.shape[0], np.bool_)
@@ -138,14 +138,14 @@ def _outputs_off(trace: Trace, loop: Loop, runs: NDArray[np.int64]) -> NDArray[n
 
 
 def busy(trace: Trace) -> float:
-    """Share (0 .. 1) of the core's time in handlers of any kind; what interrupts another one is counted once."""
+    """Utilisation of the core by all handlers (0 .. 1); nested handlers are counted once."""
     depth, begin, total = 0, 0, 0
     for entry in trace.entries[np.isin(trace.entries["kind"], (Kind.ENTER, Kind.LEAVE))]:
         clock = int(entry["clock"])
         if entry["kind"] == Kind.ENTER:
             begin = clock if depth == 0 else begin
             depth += 1
-        elif depth > 0:  # else it had begun before the recording
+        elif depth > 0:  # else started before the recording
             depth -= 1
             total += clock - begin if depth == 0 else 0
     clocks = trace.entries["clock"]
@@ -153,14 +153,14 @@ def busy(trace: Trace) -> float:
 
 
 def rows(trace: Trace, first_m1: int, what: str = "") -> list[Row]:
-    """A row for each kind of handler, and one for the core.
+    """Rows for each kind of handler, and for the core.
 
     Parameters
     ----------
     trace, first_m1
-        As for `handlers`.
+        See `handlers`.
     what : str
-        Goes in front of the names.
+        Prefix of the names.
     """
     prefix = f"{what}: " if what else ""
     room = Bound(100.0 * ROOM_MIN, 100.0)
@@ -173,7 +173,7 @@ def rows(trace: Trace, first_m1: int, what: str = "") -> list[Row]:
 
 
 def lines(handlers: Sequence[Handler]) -> list[str]:
-    """A table for people: microseconds from the sample of the currents, at worst."""
+    """Table as text: largest times from the sample of the currents [us]."""
     head = ("handler", "runs", "begin", "duties", "end", "load", "room", "core")
     body = [
         (

@@ -1,4 +1,4 @@
-"""The figures of DRM F34, F35 and F38 and the start of DRM 4.3.3, measured on a trace. Pure."""
+"""Timing of DRM F34, F35, F38 and start of DRM 4.3.3, measured on a trace. Pure."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from servo_twin.timing.chip_map import PHASES, START_STEPS, VECTOR_M1, VECTOR_M2
 from servo_twin.timing.trace import CLOCK, Kind, Trace
 
 PWM: Final = 16e3  # [Hz]
-PAIRS: Final = 3  # per motor (F35)
+PAIRS: Final = 3  # pairs of samples per motor (F35)
 MOTORS: Final = ("motor 1", "motor 2")
 VECTORS: Final = (VECTOR_M1, VECTOR_M2)
 NAMES: Final = ("M1", "M2")
 
 PHASE_MAX: Final = 0.3
-"""Off 180 degrees: a few clocks through the crossbar [degrees]."""
+"""Largest deviation from 180 degrees, by the delay of the crossbar [degrees]."""
 CENTRE_MAX: Final = 1.0e-6
-"""From the centre of a window to the sample in it: the delays of amplifier and converter [s]."""
+"""Largest time from the centre of a window to the sample: delays of amplifier and converter [s]."""
 SKEW_MAX: Final = 0.5e-6
-"""High sides rise with the last duty and fall with the new one, which has been loaded in their middle [s]."""
+"""High-side pulses start with the previous duty and end with the new one, which is loaded at the centre [s]."""
 CONVERSION: Final = 0.3e-6
-"""Each pair after the first takes 6 clocks of the converter at 20 MHz [s]."""
+"""Conversion time of each pair after the first: 6 clocks of the ADC at 20 MHz [s]."""
 
-SOON: Final = 5e-6
-"""From the data to the interrupt that reads them [s]; later they would be those of another half period."""
+DATA_AGE_MAX: Final = 5e-6
+"""Longest time from the data to the interrupt that reads them [s]; later data belong to another half period."""
 
 
-def circle(trace: Trace) -> list[Row]:
-    """Rows about the circle t0..t3, from a trace of some hundred periods with both axes under control."""
+def pwm_cycle(trace: Trace) -> list[Row]:
+    """Rows for the PWM cycle t0..t3, from a trace of several hundred periods with both axes in closed-loop control."""
     return [*_carriers(trace), *_samples(trace), *_scans(trace), *_interrupts(trace)]
 
 
@@ -60,7 +60,7 @@ def _carriers(trace: Trace) -> list[Row]:
 
 
 def _apart(counters: Sequence[NDArray[np.int64]]) -> float | None:
-    """Largest distance of the events of counters that ought to be one [clocks]."""
+    """Largest time difference of the events of counters that should be simultaneous [clocks]."""
     size = min(clocks.size for clocks in counters)
     if size == 0 or max(clocks.size for clocks in counters) > size + 1:
         return None
@@ -89,7 +89,7 @@ def _samples(trace: Trace) -> list[Row]:
 
 
 def _from_centre(intervals: NDArray[np.int64], instants: NDArray[np.int64]) -> NDArray[np.float64]:
-    """From the centre of the interval that an instant lies in to the instant [clocks]; none for those in none."""
+    """Time from the centre of the interval around an instant to the instant [clocks]; others are omitted."""
     if intervals.size == 0 or instants.size == 0:
         return np.empty(0)
     index = np.searchsorted(intervals[:, 0], instants, side="right") - 1
@@ -102,7 +102,7 @@ def _from_centre(intervals: NDArray[np.int64], instants: NDArray[np.int64]) -> N
 
 
 def _scans(trace: Trace) -> list[Row]:
-    """Six pairs in a row, with a pause after the third."""
+    """Rows for the scans: six pairs, with a pause after the third."""
     ends = trace.clocks(Kind.SCAN_END, 0)
     samples = trace.of(Kind.SAMPLE)
     clocks, pairs = samples["clock"].astype(np.int64), samples["a"] % 8
@@ -130,7 +130,7 @@ def _scans(trace: Trace) -> list[Row]:
 def _same(
     clocks: NDArray[np.int64], pairs: NDArray[np.uint32], one: NDArray[np.bool_], other: NDArray[np.bool_]
 ) -> bool:
-    """Whether both converters hold the same pairs at the same instants."""
+    """True if both converters sample the same pairs at the same times."""
     return bool(np.array_equal(clocks[one], clocks[other]) and np.array_equal(pairs[one], pairs[other]))
 
 
@@ -149,7 +149,9 @@ def _interrupts(trace: Trace) -> list[Row]:
         since = _scaled(_min(_before(data, runs[:, 0]) * CLOCK))
         minimum = CONVERSION if vector == VECTOR_M1 else 0.0
         text = "t1: after three conversions" if vector == VECTOR_M1 else "t3: after the scan"
-        rows.append(Row(f"{name} begins after its data, least", text, since, "us", Bound(minimum * 1e6, SOON * 1e6)))
+        rows.append(
+            Row(f"{name} begins after its data, least", text, since, "us", Bound(minimum * 1e6, DATA_AGE_MAX * 1e6))
+        )
     order = _order(trace)
     rows.append(Row("periods with t0, t1, t2, t3 in order", "F34", order, "of all", Bound(1.0, 1.0)))
     overlap = _overlap(trace.handlers(VECTOR_M1), trace.handlers(VECTOR_M2))
@@ -158,7 +160,7 @@ def _interrupts(trace: Trace) -> list[Row]:
 
 
 def _order(trace: Trace) -> float | None:
-    """Share of the periods in which currents of motor 1, M1, currents of motor 2 and M2 come in this order."""
+    """Fraction of the periods with the order: currents of motor 1, M1, currents of motor 2, M2."""
     begins = (
         trace.clocks(Kind.SAMPLE, 0),
         trace.clocks(Kind.ENTER, VECTOR_M1),
@@ -173,7 +175,7 @@ def _order(trace: Trace) -> float | None:
 
 
 def _overlap(one: NDArray[np.int64], other: NDArray[np.int64]) -> float:
-    """How often a handler begins while another has not ended."""
+    """Number of handlers that start before another one has ended."""
     runs = np.concatenate([one, other])
     runs = runs[np.argsort(runs[:, 0], kind="stable")]
     return float(np.sum(runs[1:, 0] < runs[:-1, 1]))
@@ -183,7 +185,7 @@ def _overlap(one: NDArray[np.int64], other: NDArray[np.int64]) -> float:
 
 
 def start(trace: Trace) -> list[Row]:
-    """Rows about the start interrupt, from a trace from power-on until both loops run."""
+    """Rows for the start interrupt, from a trace from power-on until both loops run."""
     runs = trace.handlers(VECTOR_START)
     writes = trace.of(Kind.WRITE)
     rows = [Row("start interrupt", "4.3.3: runs once", float(runs.shape[0]), "times", Bound(1.0, 1.0))]
@@ -191,10 +193,10 @@ def start(trace: Trace) -> list[Row]:
     if runs.shape[0]:
         inside = writes[(writes["clock"] >= runs[0, 0]) & (writes["clock"] <= runs[0, 1])]
         steps = [(int(entry["a"]), int(entry["b"])) for entry in inside]
-    wanted = [(address, value) for _, address, value in START_STEPS]
-    done = _in_order(steps, wanted)
-    everything = Bound(float(len(wanted)), float(len(wanted)))
-    rows.append(Row("steps of the start in order", "4.3.3", float(done), "", everything))
+    expected = [(address, value) for _, address, value in START_STEPS]
+    done = _in_order(steps, expected)
+    all_steps = Bound(float(len(expected)), float(len(expected)))
+    rows.append(Row("steps of the start in order", "4.3.3", float(done), "", all_steps))
     samples = trace.of(Kind.SAMPLE)
     first = float(samples["a"][0] % 8) if samples.size else None
     rows.append(Row("first pair that is sampled", "t0: motor 1", first, "", Bound(0.0, 0.0)))
@@ -208,27 +210,27 @@ def start(trace: Trace) -> list[Row]:
     return rows
 
 
-def _in_order(steps: Sequence[tuple[int, int]], wanted: Sequence[tuple[int, int]]) -> int:
-    """How many of the wanted steps are found one after the other."""
+def _in_order(steps: Sequence[tuple[int, int]], expected: Sequence[tuple[int, int]]) -> int:
+    """Number of expected steps that are found in order."""
     done = 0
     for step in steps:
-        if done < len(wanted) and step == wanted[done]:
+        if done < len(expected) and step == expected[done]:
             done += 1
     return done
 
 
-# ---- small change ----------------------------------------------------------------------------------------------------
+# ---- helpers ---------------------------------------------------------------------------------------------------------
 
 
 def _after(instants: NDArray[np.int64], events: NDArray[np.int64]) -> NDArray[np.int64]:
-    """From each instant to the next event [clocks]; none where there is none."""
+    """Time from each instant to the next event [clocks]; instants without a next event are omitted."""
     index = np.searchsorted(events, instants, side="left")
     found = index < events.size
     return np.asarray(events[index[found]] - instants[found])
 
 
 def _before(events: NDArray[np.int64], instants: NDArray[np.int64]) -> NDArray[np.int64]:
-    """From the last event before each instant to it [clocks]; none where there is none."""
+    """Time from the last event to each instant [clocks]; instants without a previous event are omitted."""
     index = np.searchsorted(events, instants, side="right") - 1
     found = index >= 0
     return np.asarray(instants[found] - events[index[found]])
@@ -243,7 +245,7 @@ def _max(values: NDArray[Any]) -> float | None:
 
 
 def _scaled(seconds: float | None) -> float | None:
-    """Microseconds."""
+    """Convert seconds to microseconds."""
     return None if seconds is None else seconds * 1e6
 
 

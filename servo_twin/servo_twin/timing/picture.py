@@ -1,4 +1,4 @@
-"""Pictures of a trace in the manner of DRM F34, F35 and F38."""
+"""Pictures of a trace as in DRM F34, F35 and F38."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ _COLOURS: Final = ("tab:blue", "tab:orange")
 _PAIRS: Final = 3
 
 
-def draw(circle: Trace, start: Trace, path: Path) -> None:
-    """Draw the circle of both loops and the start of it.
+def draw(pwm_cycle: Trace, start: Trace, path: Path) -> None:
+    """Draw the PWM cycle of both loops and the start.
 
     Parameters
     ----------
-    circle : Trace
-        Some periods with both axes under control.
+    pwm_cycle : Trace
+        Several periods with both axes in closed-loop control.
     start : Trace
-        From power-on until both loops run.
+        Trace from power-on until both loops run.
     path : Path
-        Where to.
+        File of the picture.
 
     Raises
     ------
     SimulationError
-        If matplotlib is not installed, or there is no complete period in the trace.
+        If matplotlib is not installed, or the trace is shorter than six periods.
     OSError
         If the picture cannot be written.
     """
@@ -42,22 +42,22 @@ def draw(circle: Trace, start: Trace, path: Path) -> None:
         from matplotlib.figure import Figure
     except ImportError:
         raise SimulationError("pictures need matplotlib: pip install 'servo_twin[viewer]'") from None
-    periods = circle.clocks(Kind.CYCLE, PHASES[0][0])
+    periods = pwm_cycle.clocks(Kind.CYCLE, PHASES[0][0])
     if periods.size < 6:
         raise SimulationError("the trace is shorter than six PWM periods")
     begin, period = int(periods[1]), int(periods[2] - periods[1])
     figure = Figure(figsize=(12.0, 16.0), dpi=110, layout="constrained")
     plots = figure.subplots(4, 1, height_ratios=(11, 6, 5, 5))
-    _timing(plots[0], circle, begin, begin + 2 * period)
-    _scan(plots[1], circle, begin, begin + period + period // 2)
-    _scope(plots[2], circle, begin, begin + 4 * period)
+    _timing(plots[0], pwm_cycle, begin, begin + 2 * period)
+    _scan(plots[1], pwm_cycle, begin, begin + period + period // 2)
+    _scope(plots[2], pwm_cycle, begin, begin + 4 * period)
     _start(plots[3], start)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)
 
 
-def rooms(trace: Trace, loop: Loop) -> NDArray[np.int64]:
-    """From the release of the duties to their own load, which is before the release where that was missed.
+def margins(trace: Trace, loop: Loop) -> NDArray[np.int64]:
+    """Intervals from the release of the duties to their load; a missed load is before the release.
 
     Parameters
     ----------
@@ -67,17 +67,17 @@ def rooms(trace: Trace, loop: Loop) -> NDArray[np.int64]:
     Returns
     -------
     ndarray, shape (n, 2)
-        Clocks of both, for each run that releases duties.
+        Release and load [clocks], for each run with a deadline.
     """
     runs = runs_of(trace, loop)
-    return np.column_stack([runs.released, runs.load])[runs.judged]
+    return np.column_stack([runs.released, runs.load])[runs.with_deadline]
 
 
 # ---- parts -----------------------------------------------------------------------------------------------------------
 
 
 class _Channels:
-    """Channels of a logic analyser, one below the other, time in microseconds from the left edge."""
+    """Channels of a logic analyser, one below the other; time in microseconds from the left edge."""
 
     def __init__(self, plot: Any, title: str, begin: int, end: int) -> None:
         self._plot, self._begin, self._end = plot, begin, end
@@ -95,7 +95,7 @@ class _Channels:
         return np.asarray((clocks - self._begin) * _US)
 
     def levels(self, name: str, intervals: NDArray[np.int64], colour: str) -> None:
-        """High within the intervals."""
+        """Draw a signal that is high within the intervals."""
         base = self._next(name)
         clocks, level = [self._begin], [0.0]
         for first, last in intervals:
@@ -106,22 +106,22 @@ class _Channels:
         self._plot.plot(self._time(np.asarray(clocks)), base + 0.75 * np.asarray(level), colour, linewidth=1.2)
 
     def saw(self, name: str, starts: NDArray[np.int64], colour: str) -> None:
-        """A counter that runs up from each start to the next."""
+        """Draw a counter that increases from each start to the next."""
         base = self._next(name)
         for first, last in itertools.pairwise(starts):
             time = self._time(np.asarray([first, last]))
             self._plot.plot([*time, time[1]], [base, base + 0.75, base], colour, linewidth=1.0)
 
     def marks(self, name: str, clocks: NDArray[np.int64], texts: list[str], colour: str) -> None:
-        """Instants with a word each."""
+        """Draw labelled instants."""
         base = self._next(name)
         inside = (clocks >= self._begin) & (clocks <= self._end)
         for time, text in zip(self._time(clocks[inside]), np.asarray(texts)[inside], strict=True):
             self._plot.plot([time, time], [base, base + 0.75], colour, linewidth=1.2)
             self._plot.text(time, base + 0.4, f" {text}", fontsize="xx-small", color=colour, clip_on=True)
 
-    def rooms(self, name: str, intervals: NDArray[np.int64], colour: str) -> None:
-        """Bars with their lengths."""
+    def margins(self, name: str, intervals: NDArray[np.int64], colour: str) -> None:
+        """Draw bars labelled with their lengths."""
         base = self._next(name)
         for first, last in intervals[(intervals[:, 1] > self._begin) & (intervals[:, 0] < self._end)]:
             left, right = self._time(np.asarray([first, last]))
@@ -151,14 +151,14 @@ def _timing(plot: Any, trace: Trace, begin: int, end: int) -> None:
         channels.levels(f"M{motor} ({text})", runs, colour)
         loads = trace.clocks(Kind.LOAD, PHASES[motor - 1][0])
         channels.marks(f"duties of motor {motor} load", loads, [""] * loads.size, colour)
-        channels.rooms(f"room of M{motor} to its load", rooms(trace, LOOPS[motor - 1]), colour)
+        channels.margins(f"margin of M{motor} to its load", margins(trace, LOOPS[motor - 1]), colour)
     channels.finish()
 
 
 def _scan(plot: Any, trace: Trace, begin: int, end: int) -> None:
     channels = _Channels(plot, "F35: the converter's sequence, sample: pin", begin, end)
     syncs = trace.of(Kind.SYNC)
-    words = ["obeyed" if b else "ignored" for b in syncs["b"]]
+    words = ["accepted" if b else "ignored" for b in syncs["b"]]
     channels.marks("triggers", syncs["clock"].astype(np.int64), words, "tab:red")
     samples = trace.of(Kind.SAMPLE)
     for converter, name in enumerate("AB"):

@@ -1,4 +1,4 @@
-"""What the board does while its timing is measured: modes, features, feedback, ways into motion and out of it."""
+"""Scenarios of the timing measurement: modes, features, feedback, start-up, stops and faults."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 from servo_msgs_py.catalogue import AXES
-from servo_msgs_py.timed_points import POINTS_TOGETHER, TimedPoint, encode_points
+from servo_msgs_py.timed_points import POINTS_PER_WRITE, TimedPoint, encode_points
 from servo_msgs_py.units import PERIOD_NS
 
 from servo_twin.board import Board
@@ -18,7 +18,7 @@ from servo_twin.simulation import enable, keep_set_points
 
 _TURN: Final = 6.283185307179586
 _AHEAD: Final = 16
-"""Points that the queue of an axis holds."""
+"""Capacity of the point queue of an axis."""
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,10 @@ class Scenario:
     """A state of the board."""
 
     name: str
-    prepare: Callable[[Board], None]  # brings a fresh board into it
+    prepare: Callable[[Board], None]  # brings a new board into the state
     seconds: float = 0.05  # observed time [s]
-    during: Callable[[Board], None] = lambda board: None  # actions meanwhile
-    baud: float = 115200.0  # of the serial line
+    during: Callable[[Board], None] = lambda board: None  # actions during the observation
+    baud: float = 115200.0  # speed of the serial line [bit/s]
 
 
 def _features(board: Board, every: bool) -> None:
@@ -38,7 +38,7 @@ def _features(board: Board, every: bool) -> None:
             features(board, axis, **{flag.name: True for flag in board.catalogue.flags["features"]})
         board.write_raw(
             "cmd.home", [board.catalogue.enums["home_method_t"]["HERE"]] * AXES
-        )  # else the shafts go nowhere
+        )  # soft limits require a valid position
 
 
 def _mode(board: Board, name: str) -> None:
@@ -68,7 +68,7 @@ def _moving(every: bool, mode: str, value: float, settle: float = 0.3) -> Callab
 
 
 def _following(every: bool) -> Callable[[Board], None]:
-    """Both axes on a circle of 2 Hz: accelerations, and a new segment every 10 ms."""
+    """Both axes on a circle with 2 Hz: accelerations, and a new segment every 10 ms."""
 
     def prepare(board: Board) -> None:
         _features(board, every)
@@ -78,9 +78,9 @@ def _following(every: bool) -> Callable[[Board], None]:
         start, omega = board.read_raw("tick")[0] + 800, 2.0 * _TURN
         lsb = board.catalogue["cmd.position"].lsb
         at = [lsb * board.read_raw(f"axis{axis + 1}.position")[0] for axis in range(AXES)]
-        for first in range(0, _AHEAD, POINTS_TOGETHER // AXES):
+        for first in range(0, _AHEAD, POINTS_PER_WRITE // AXES):
             points = []
-            for k in range(first, first + POINTS_TOGETHER // AXES):
+            for k in range(first, first + POINTS_PER_WRITE // AXES):
                 angle = omega * k * 160 * PERIOD_NS * 1e-9
                 for axis in range(AXES):
                     points.append(
@@ -127,12 +127,12 @@ def _encoders_lost(board: Board) -> None:
 
 
 def _requests(board: Board) -> None:
-    """Reads of the whole snapshot, without a pause between them."""
+    """Send read requests of the whole snapshot without pauses."""
     assert board.serial_in(bytes.fromhex("2B 01 04 00 70 8B") * 600)
 
 
 def _frame(code: int, payload: bytes) -> bytes:
-    """A FreeMASTER request on the wire."""
+    """Bytes of a FreeMASTER request."""
     body = bytes([code, len(payload)]) + payload
     crc = 0
     for byte in body:
@@ -143,7 +143,7 @@ def _frame(code: int, payload: bytes) -> bytes:
 
 
 def _recording(prepare: Callable[[Board], None]) -> Callable[[Board], None]:
-    """The same with a recorder that takes 4 variables of 2 bytes in every period."""
+    """Set-up with an additional recorder of 4 variables of 2 bytes in every period."""
 
     def then_record(board: Board) -> None:
         prepare(board)
@@ -162,7 +162,7 @@ def _recording(prepare: Callable[[Board], None]) -> Callable[[Board], None]:
 
 
 def _excited(prepare: Callable[[Board], None], point: str) -> Callable[[Board], None]:
-    """The same with a test signal on both axes."""
+    """Set-up with an additional test signal on both axes."""
 
     def then_excite(board: Board) -> None:
         prepare(board)
@@ -179,8 +179,8 @@ def _both(name: str, prepare: Callable[[bool], Callable[[Board], None]], seconds
     return [Scenario(name, prepare(False), seconds), Scenario(f"{name}, every feature", prepare(True), seconds)]
 
 
-USUAL: Final = Scenario("speed", _moving(False, "SPEED", 100.0))
-"""What is measured unless everything is."""
+STANDARD: Final = Scenario("speed", _moving(False, "SPEED", 100.0))
+"""Scenario without ``--all``."""
 
 SCENARIOS: Final = (
     Scenario("off", lambda board: board.run(0.03)),

@@ -1,1 +1,1 @@
-"""The rerun view of board and twin; only `recording` and `blueprint` import rerun."""
+"""Display of board and twin in the rerun viewer; only `recording` and `blueprint` import rerun."""

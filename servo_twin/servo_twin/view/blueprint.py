@@ -1,4 +1,4 @@
-"""How the rerun viewer lays a recording out."""
+"""Layout of a recording in the rerun viewer."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from typing import Any, Final
 
 from servo_twin.view import scene
 
-_WINDOW: Final = 15.0  # what the plots show of the past [s]
+_WINDOW: Final = 15.0  # displayed past in the plots [s]
 
 
 def blueprint() -> Any:
-    """Per axis position, speed, current and residual; beside them shafts and path, states and log."""
+    """Columns per axis with position, speed, current and residual; next to them shafts, path, states and log."""
     import rerun.blueprint as rrb
     from rerun.blueprint.encodings import TextLogColumnKind
 
@@ -45,7 +45,7 @@ def blueprint() -> Any:
         load = f"{origin}/load/**"
         residuals += [
             plot(
-                f"{name}: estimates [of the twin's]",
+                f"{name}: estimates [relative to the twin]",
                 origin,
                 [f"+ {origin}/**", f"- {load}", f"- {origin}/encoder_angle/**"],
             ),

@@ -1,4 +1,4 @@
-"""Points that wait to be written: curves in full, the angles of hands as often as an eye can see. Pure."""
+"""Buffers: curves at full rate, shaft angles of the 3D view at 30 Hz. Pure."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from numpy.typing import NDArray
 
 _Array = NDArray[np.float64]
 
-_GAP: Final = 0.5  # silence that a curve does not bridge [s]
-_FRAME: Final = 1.0 / 30.0  # between two pictures of a hand [s]
+_GAP: Final = 0.5  # gap of the data that interrupts a curve [s]
+_FRAME: Final = 1.0 / 30.0  # interval of shaft angles [s]
 _TICK: Final = 62.5e-6  # times are whole ticks [s]
 
 
 class Curves:
-    """Curves of one source, which have their times in common."""
+    """Curves of one source, with common times."""
 
     def __init__(self) -> None:
         self._points: dict[str, tuple[list[_Array], list[_Array]]] = {}
         self._last: float | None = None
 
     def add(self, times: _Array, points: Mapping[str, _Array]) -> None:
-        """Append points; where there were none for a while, or time went back, the curves are broken.
+        """Append points; the curves are interrupted at a gap of `_GAP` and at a step back in time.
 
         Parameters
         ----------
         times : ndarray
-            Not empty [s].
+            Times, not empty [s].
         points : mapping
             Values of every curve at these times.
         """
@@ -36,15 +36,15 @@ class Curves:
         gap = last is not None and not -_GAP < times[0] - last < _GAP
         self._last = float(times[-1])
         for name, values in points.items():
-            waiting = self._points.setdefault(name, ([], []))
+            pending = self._points.setdefault(name, ([], []))
             if gap and last is not None:
-                waiting[0].append(np.array([last + _TICK]))
-                waiting[1].append(np.array([np.nan]))
-            waiting[0].append(times)
-            waiting[1].append(values)
+                pending[0].append(np.array([last + _TICK]))
+                pending[1].append(np.array([np.nan]))
+            pending[0].append(times)
+            pending[1].append(values)
 
     def take(self) -> dict[str, tuple[_Array, _Array]]:
-        """Times [s] and values [SI], each (points,), of every curve that got new points since the last call."""
+        """Times [s] and values [SI], each (points,), of all curves with new points since the last call."""
         taken = {
             name: (np.concatenate(times), np.concatenate(values)) for name, (times, values) in self._points.items()
         }
@@ -52,8 +52,8 @@ class Curves:
         return taken
 
 
-class Hand:
-    """Angle of a shaft, thinned out."""
+class ShaftAngle:
+    """Decimated angle of a shaft."""
 
     def __init__(self) -> None:
         self._times: list[float] = []
@@ -61,9 +61,9 @@ class Hand:
         self._next = -np.inf
 
     def add(self, times: _Array, angles: _Array) -> None:
-        """Take those of the angles [rad] that are due."""
+        """Add angles [rad]; one per `_FRAME` is stored."""
         if times[0] < self._next - 2.0 * _FRAME:
-            self._next = -np.inf  # time went back
+            self._next = -np.inf  # step back in time
         position = 0
         while (position := position + int(np.searchsorted(times[position:], self._next))) < len(times):
             self._times.append(float(times[position]))
@@ -71,7 +71,7 @@ class Hand:
             self._next = float(times[position]) + _FRAME
 
     def take(self) -> tuple[_Array, _Array]:
-        """Times [s] and angles [rad], each (points,), that are due since the last call."""
+        """Times [s] and angles [rad], each (points,), since the last call."""
         taken = np.array(self._times), np.array(self._angles)
         self._times.clear()
         self._angles.clear()

@@ -1,4 +1,4 @@
-"""When the axes follow a path: from the first timed point that the board takes to the last one. Pure."""
+"""Time span of a motion path: from its first to its last timed point. Pure."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ _WRAP = 1 << 32
 
 
 class PathSpan:
-    """Ticks of the newest path, as far as its points are known.
+    """Ticks of the newest path, from the points received so far.
 
-    The board takes points before their ticks, so that the span is known before the telemetry of it comes.
+    The board receives points before their ticks, so that the span is known before the telemetry.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class PathSpan:
         self._last = -1
 
     def applied(self, command: AppliedCommand) -> None:
-        """Take a command that took effect: points begin or continue a path, any other one ends it."""
+        """Process an applied command: points start or extend a path, other commands end it."""
         if command.variable != "cmd.points":
             self._last = min(self._last, command.tick)
             return
@@ -40,10 +40,10 @@ class PathSpan:
         self._last = max(ticks)
 
     def contains(self, ticks: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which ticks lie in the span, shape of `ticks`."""
+        """True for ticks in the span; shape of `ticks`."""
         return (ticks >= self._first) & (ticks <= self._last)
 
 
 def _signed(difference: int) -> int:
-    """Difference of two ticks that are known modulo 2^32, the shorter way."""
+    """Difference of two ticks modulo 2^32 as a signed number."""
     return (difference + _WRAP // 2) % _WRAP - _WRAP // 2

@@ -1,7 +1,6 @@
-"""A picture of a recording: position and speed of both axes with set-point, board and twin, and the residual.
+"""Picture of a recording: position and speed of both axes with set-point, board and twin, and the residual.
 
-When the axes have followed a path, the last one is shown beside them: one axis over the other, and how far the shafts
-were from their set-points.
+If the axes have followed a path, a further column shows the last one: one axis over the other, and the position errors.
 
 Run as ``python -m servo_twin.view.picture RECORDING PICTURE``.
 """
@@ -29,13 +28,13 @@ if TYPE_CHECKING:
 _Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 _SIZE: Final = (16.0, 10.0)  # [inch]
-_PATH_WIDTH: Final = 6.5  # of the column that shows a path [inch]
+_PATH_WIDTH: Final = 6.5  # width of the column with the path [inch]
 _DPI: Final = 100
-_MARGIN: Final = 0.5  # shown before the first and after the last movement [s]
+_MARGIN: Final = 0.5  # displayed before the first and after the last movement [s]
 _MOVING: Final = 0.5  # speed above which a shaft moves [rad/s]
 _TURN: Final = 2.0 * np.pi
-_INK: Final = "#2b2f36"
-_PALE: Final = "#7fb2ec"  # the second axis where the first has the colour of the board
+_DARK: Final = "#2b2f36"
+_PALE: Final = "#7fb2ec"  # second axis, if the first has the colour of the board
 _FAINT: Final = "#e4e7ec"
 
 
@@ -54,7 +53,7 @@ _ROWS: Final = (
 )
 _RESIDUAL: Final = "board − twin [counts]"
 _LABELS: Final = {scene.SET_POINT: "set-point", scene.BOARD: "board", scene.TWIN: "twin"}
-# The twin lies on the board: drawn thin and dashed above it, both can be seen.
+# The curves of twin and board coincide: the twin is a thin dashed line on top.
 _STYLES: Final[dict[str, dict[str, Any]]] = {
     scene.SET_POINT: {"linewidth": 4.5, "alpha": 0.55, "zorder": 2},
     scene.BOARD: {"linewidth": 2.0, "zorder": 3},
@@ -70,12 +69,12 @@ def draw(rrd: Path, png: Path) -> None:
     rrd : Path
         Recording of `servo_twin.viewer_node`.
     png : Path
-        Picture to write; its folder is made.
+        Picture to write; its folder is created.
 
     Raises
     ------
     RecordingError
-        If the file cannot be read or holds no telemetry, or matplotlib is not installed.
+        If the file cannot be read or contains no telemetry, or matplotlib is not installed.
     OSError
         If the picture cannot be written.
     """
@@ -87,7 +86,7 @@ def draw(rrd: Path, png: Path) -> None:
 def figure(rrd: Path) -> Figure:
     """Figure of a recording: a column per axis with position, speed and residual; see `draw`."""
     if not rrd.is_file():
-        raise RecordingError(f"there is no recording {rrd}")
+        raise RecordingError(f"no such recording: {rrd}")
     curves = {
         (axis, row.quantity, source): read_scalars(rrd, scene.series_entity(axis, row.quantity, source))
         for axis, _ in scene.axes()
@@ -96,7 +95,7 @@ def figure(rrd: Path) -> Figure:
     }
     residuals = [read_scalars(rrd, scene.residual_entity(axis, "position")) for axis, _ in scene.axes()]
     if not any(len(curves[axis, "position", scene.BOARD][0]) for axis, _ in scene.axes()):
-        raise RecordingError(f"{rrd} holds no telemetry of a board: was the bridge connected while it was recorded?")
+        raise RecordingError(f"{rrd} contains no telemetry of a board: record with a connected bridge")
     speeds = [curves[axis, "speed", scene.BOARD] for axis, _ in scene.axes()]
     states = [read_texts(rrd, scene.state_entity(name), "StateChange:state") for _, name in scene.axes()]
     spans = _path_spans(read_texts(rrd, scene.state_entity("path"), "StateChange:state"))
@@ -104,13 +103,13 @@ def figure(rrd: Path) -> Figure:
 
 
 def _path_spans(states: Sequence[tuple[float, str]]) -> list[tuple[float, float]]:
-    """Begin and end of every path [s]."""
+    """Start and end of every path [s]."""
     ends = [time for time, _ in states[1:]] + [np.inf]
     return [(time, end) for (time, state), end in zip(states, ends, strict=True) if state == scene.PATH_STATES[1]]
 
 
 def _span(speeds: Sequence[_Curve]) -> tuple[float, float]:
-    """From the first movement to the last, with a margin; everything when nothing moves."""
+    """From the first to the last movement, with a margin; the whole recording without movement."""
     times = np.concatenate([time for time, _ in speeds])
     moving = np.concatenate([time[np.abs(np.nan_to_num(speed)) > _MOVING] for time, speed in speeds])
     first, last = float(times.min()), float(times.max())
@@ -133,19 +132,19 @@ def _figure(
         raise RecordingError(f"matplotlib cannot be imported ({error}); install it: pip install matplotlib") from None
     layout = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.08)
     width, height = _SIZE
-    beside = _PATH_WIDTH if path_span is not None else 0.0
-    result = Figure(figsize=(width + beside, height), layout=layout, facecolor="white")
-    widths = [width / len(residuals)] * len(residuals) + ([beside] if beside else [])
-    places = result.add_gridspec(len(_ROWS) + 1, len(widths), height_ratios=[3, 3, 2], width_ratios=widths)
+    path_width = _PATH_WIDTH if path_span is not None else 0.0
+    result = Figure(figsize=(width + path_width, height), layout=layout, facecolor="white")
+    widths = [width / len(residuals)] * len(residuals) + ([path_width] if path_width else [])
+    subplots = result.add_gridspec(len(_ROWS) + 1, len(widths), height_ratios=[3, 3, 2], width_ratios=widths)
     grid = np.empty((len(_ROWS) + 1, len(residuals)), dtype=object)
     for row, axis in np.ndindex(*grid.shape):
-        grid[row, axis] = result.add_subplot(places[row, axis], sharex=grid[0, 0])
+        grid[row, axis] = result.add_subplot(subplots[row, axis], sharex=grid[0, 0])
         grid[row, axis].tick_params(labelbottom=row == len(_ROWS))
     if path_span is not None:
-        _path(result.add_subplot(places[:-1, -1]), result.add_subplot(places[-1, -1]), curves, path_span)
+        _path(result.add_subplot(subplots[:-1, -1]), result.add_subplot(subplots[-1, -1]), curves, path_span)
     for axis, name in scene.axes():
         column: list[Axes] = list(grid[:, axis])
-        column[0].set_title(name, fontsize=15, fontweight="bold", color=_INK, loc="left")
+        column[0].set_title(name, fontsize=15, fontweight="bold", color=_DARK, loc="left")
         for plot, row in zip(column, _ROWS, strict=False):
             for source in _LABELS:
                 time, value = curves[axis, row.quantity, source]
@@ -154,40 +153,42 @@ def _figure(
                     plot.plot(time, value * row.factor, color=colour, label=_LABELS[source], **_STYLES[source])
         _residual(column[-1], residuals[axis], span)
         for plot, label in zip(column, [*(row.label for row in _ROWS), _RESIDUAL], strict=True):
-            _dress(plot, label if axis == 0 else "")
+            _format(plot, label if axis == 0 else "")
             _shade(plot, states[axis], span)
             _fit(plot, span)
-        column[-1].set_xlabel("board time [s]", color=_INK, fontsize=11)
-    result.suptitle("Two axes: the board and its twin", x=0.01, ha="left", fontsize=18, color=_INK)
+        column[-1].set_xlabel("board time [s]", color=_DARK, fontsize=11)
+    result.suptitle("Two axes: the board and its twin", x=0.01, ha="left", fontsize=18, color=_DARK)
     handles, labels = grid[0, 0].get_legend_handles_labels()
     result.legend(handles, labels, loc="outside upper right", ncols=len(labels), frameon=False, fontsize=13)
     return result
 
 
 def _path(plane: Axes, error: Axes, curves: dict[tuple[int, str, str], _Curve], span: tuple[float, float]) -> None:
-    """One axis over the other along a path, and below it how far each shaft is from its set-point."""
+    """One axis over the other along a path, and below it the position errors."""
     names = [name for _, name in scene.axes()]
     time = curves[0, "position", scene.BOARD][0]
     time = time[(time >= span[0]) & (time <= span[1])]
-    places = {
+    subplots = {
         source: [np.interp(time, *curves[axis, "position", source]) for axis, _ in scene.axes()]
         for source in (scene.SET_POINT, scene.BOARD)
         if all(len(curves[axis, "position", source][0]) for axis, _ in scene.axes())
     }
-    for source, values in places.items():
+    for source, values in subplots.items():
         plane.plot(*(value / _TURN for value in values), color=_colour(source), **_STYLES[source])
     plane.set_aspect("equal", adjustable="datalim")
-    plane.set_title(f"path: {names[1]} over {names[0]} [turns]", fontsize=15, fontweight="bold", color=_INK, loc="left")
-    _dress(plane, "")
-    _dress(error, "board − set-point [counts]")
-    error.set_xlabel("board time [s]", color=_INK, fontsize=11)
-    if scene.SET_POINT in places:
-        errors = np.subtract(places[scene.BOARD], places[scene.SET_POINT]) * (COUNTS_PER_TURN / _TURN)
+    plane.set_title(
+        f"path: {names[1]} over {names[0]} [turns]", fontsize=15, fontweight="bold", color=_DARK, loc="left"
+    )
+    _format(plane, "")
+    _format(error, "board − set-point [counts]")
+    error.set_xlabel("board time [s]", color=_DARK, fontsize=11)
+    if scene.SET_POINT in subplots:
+        errors = np.subtract(subplots[scene.BOARD], subplots[scene.SET_POINT]) * (COUNTS_PER_TURN / _TURN)
         for values, name, colour in zip(errors, names, (_colour(scene.BOARD), _PALE), strict=True):
             error.plot(time, values, color=colour, linewidth=1.5, label=name)
-        error.margins(y=0.2)  # room for the legend
+        error.margins(y=0.2)  # space for the legend
         error.legend(loc="upper left", ncols=len(names), frameon=False, fontsize=10)
-        error.set_title(f"largest {np.abs(errors).max():.1f} counts", loc="right", fontsize=10, color=_INK)
+        error.set_title(f"largest {np.abs(errors).max():.1f} counts", loc="right", fontsize=10, color=_DARK)
 
 
 def _residual(plot: Axes, curve: _Curve, span: tuple[float, float]) -> None:
@@ -197,24 +198,24 @@ def _residual(plot: Axes, curve: _Curve, span: tuple[float, float]) -> None:
         return
     counts = value * (COUNTS_PER_TURN / _TURN)
     plot.plot(time, counts, color=_colour(scene.RESIDUAL), linewidth=1.5, zorder=3)
-    shown = counts[(time >= span[0]) & (time <= span[1]) & np.isfinite(counts)]
-    if len(shown):
-        text = f"largest {np.abs(shown).max():.1f} counts, rms {np.sqrt(np.mean(shown**2)):.2f}"
+    in_span = counts[(time >= span[0]) & (time <= span[1]) & np.isfinite(counts)]
+    if len(in_span):
+        text = f"largest {np.abs(in_span).max():.1f} counts, rms {np.sqrt(np.mean(in_span**2)):.2f}"
         plot.set_title(text, loc="right", fontsize=10, color=_colour(scene.RESIDUAL))
 
 
-def _dress(plot: Axes, label: str) -> None:
-    plot.set_ylabel(label, color=_INK, fontsize=11)
+def _format(plot: Axes, label: str) -> None:
+    plot.set_ylabel(label, color=_DARK, fontsize=11)
     plot.grid(color=_FAINT, linewidth=0.8)
     plot.set_axisbelow(True)
-    plot.tick_params(colors=_INK, labelsize=10)
+    plot.tick_params(colors=_DARK, labelsize=10)
     for side, spine in plot.spines.items():
         spine.set_visible(side in ("left", "bottom"))
         spine.set_color("#b8bec8")
 
 
 def _shade(plot: Axes, states: list[tuple[float, str]], span: tuple[float, float]) -> None:
-    """Shade the times in which an axis is not under control: faults red, everything else but RUN/SPIN grey."""
+    """Shade the times without closed-loop control: faults red, other states except RUN/SPIN grey."""
     ends = [time for time, _ in states[1:]] + [np.inf]
     for (begin, state), end in zip(states, ends, strict=True):
         begin, end = max(begin, span[0]), min(end, span[1])
@@ -224,13 +225,13 @@ def _shade(plot: Axes, states: list[tuple[float, str]], span: tuple[float, float
 
 
 def _fit(plot: Axes, span: tuple[float, float]) -> None:
-    """Show the span, and of the values those that lie in it."""
+    """Set the limits of the plot to the span and the values in it."""
     plot.set_xlim(*span)
-    shown = [np.empty(0)]
+    in_span = [np.empty(0)]
     for line in plot.lines:
         time, value = (np.asarray(data, dtype=np.float64) for data in line.get_data())
-        shown.append(value[(time >= span[0]) & (time <= span[1]) & np.isfinite(value)])
-    values = np.concatenate(shown)
+        in_span.append(value[(time >= span[0]) & (time <= span[1]) & np.isfinite(value)])
+    values = np.concatenate(in_span)
     if len(values):
         low, high = float(values.min()), float(values.max())
         margin = 0.06 * (high - low) or 1.0

@@ -1,7 +1,6 @@
-"""Recording for the rerun viewer: the file, the server for the browser, and reading a file back.
+"""Recording for the rerun viewer: file, server for the browser, and reading a file.
 
-This module and `blueprint` are the only ones that know rerun; it is imported when it is first used, so that
-everything else works without.
+Only this module and `blueprint` use rerun. It is imported at the first use, so that all other modules work without it.
 """
 
 from __future__ import annotations
@@ -21,18 +20,18 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 _APPLICATION: Final = "servo"
-_SERVER_MEMORY: Final = "256MiB"  # what a browser that comes late can still see
+_SERVER_MEMORY: Final = "256MiB"  # history for a browser that connects later
 _FLUSH_TIMEOUT: Final = 3.0  # [s]
 _LEVELS: Final = ("DEBUG", "INFO", "WARN", "ERROR")
-# The three curves often lie on each other: drawn in this order and ever thinner, all can be seen.
+# The curves often coincide: with this order and decreasing widths all are visible.
 _WIDTHS: Final = {scene.BOARD: 3.5, scene.SET_POINT: 2.0, scene.TWIN: 1.0}
-# The same in the plane, from the bottom to the top [pixel].
+# Radii in the path view, from bottom to top [pixel].
 _RADII: Final = {scene.SET_POINT: 2.5, scene.BOARD: 0.8}
-_DIAL: Final = 0.10  # radius of the dial behind the hands [m]
+_DIAL: Final = 0.10  # radius of the dial behind the pointers [m]
 
 
 class RecordingError(ValueError):
-    """A recording cannot be made or read; the text says why and what to do."""
+    """A recording cannot be written or read; the message contains reason and remedy."""
 
 
 def import_rerun() -> ModuleType:
@@ -41,9 +40,9 @@ def import_rerun() -> ModuleType:
     Raises
     ------
     RecordingError
-        If it is not installed.
+        If rerun is not installed.
     """
-    # No usage statistics: they are private, and a machine without network would wait for them.
+    # No usage statistics: privacy, and delays on a machine without network.
     os.environ.setdefault("RERUN_ANALYTICS", "false")
     try:
         import rerun
@@ -61,9 +60,9 @@ class Recording:
     Parameters
     ----------
     path : Path, optional
-        File to write; an existing one is replaced.
+        File to write; an existing file is replaced.
     grpc_port : int, optional
-        Port on the loopback interface from which a viewer gets the data.
+        Port of the data server on the loopback interface.
 
     Raises
     ------
@@ -89,7 +88,7 @@ class Recording:
         self._styles()
         self._shafts()
 
-    # ---- what never changes
+    # ---- static data
     def _styles(self) -> None:
         """Names and colours of curves and states."""
         rr, log = self._rr, self._static
@@ -125,7 +124,7 @@ class Recording:
         return self._rr.StateConfiguration(values=names, labels=names, colors=list(scene.STATE_COLOURS.values()))
 
     def _shafts(self) -> None:
-        """Two dials side by side, each with the hand of the board and that of the twin."""
+        """Two dials side by side, each with a pointer of the board and a pointer of the twin."""
         rr, log = self._rr, self._static
         log("/shafts", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         angles = np.arange(12) * (np.pi / 6.0)
@@ -133,10 +132,10 @@ class Recording:
         marks = np.stack([0.90 * _DIAL * rays, 0.99 * _DIAL * rays], axis=1)
         hands = {scene.BOARD: (0.88, 0.010, 0.0028), scene.TWIN: (0.66, 0.004, 0.0075)}  # length, height, radius
         for axis, name in scene.axes():
-            place = f"/shafts/{name}"
-            log(place, rr.Transform3D(translation=[2.6 * _DIAL * axis, 0.0, 0.0]))
+            entity_root = f"/shafts/{name}"
+            log(entity_root, rr.Transform3D(translation=[2.6 * _DIAL * axis, 0.0, 0.0]))
             log(
-                f"{place}/dial",
+                f"{entity_root}/dial",
                 rr.Cylinders3D(
                     lengths=[0.01, 0.06],
                     radii=[_DIAL, 0.016],
@@ -145,9 +144,9 @@ class Recording:
                     fill_mode="solid",
                 ),
             )
-            log(f"{place}/marks", rr.LineStrips3D(marks, radii=0.0012, colors=[(200, 203, 210)]))
+            log(f"{entity_root}/marks", rr.LineStrips3D(marks, radii=0.0012, colors=[(200, 203, 210)]))
             label = rr.Points3D([[0, -1.18 * _DIAL, 0]], radii=0.0, labels=[name], show_labels=True)
-            log(f"{place}/name", label)
+            log(f"{entity_root}/name", label)
             for source, (length, height, radius) in hands.items():
                 entity = scene.shaft_entity(axis, source)
                 hand = rr.Arrows3D(
@@ -158,18 +157,18 @@ class Recording:
                 )
                 log(f"{entity}/hand", hand)
 
-    def _static(self, entity: str, what: Any) -> None:
-        self._stream.log(entity, what, static=True)
+    def _static(self, entity: str, component: Any) -> None:
+        self._stream.log(entity, component, static=True)
 
     # ---- what comes
     def scalars(self, entity: str, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
-        """Points of a curve: times [s] and values [SI], each (points,); NaN draws a gap."""
+        """Write points of a curve: times [s] and values [SI], each (points,); NaN: gap."""
         rr = self._rr
         self._stream.send_columns(entity, indexes=[self._column(times)], columns=rr.Scalars.columns(scalars=values))
 
     def angles(self, entity: str, times: NDArray[np.float64], angles: NDArray[np.float64]) -> None:
-        """Angles of a hand [rad]."""
-        # Quaternions x, y, z, w of a turn about z; the angle is many turns.
+        """Write angles of a shaft [rad] at times [s], each (points,)."""
+        # Quaternions x, y, z, w of a rotation about z; the angle is not wrapped.
         half = np.remainder(angles, 4.0 * np.pi) / 2.0
         zero = np.zeros_like(half)
         quaternions = np.column_stack([zero, zero, np.sin(half), np.cos(half)])
@@ -177,18 +176,18 @@ class Recording:
         self._stream.send_columns(entity, indexes=[self._column(times)], columns=columns)
 
     def strip(self, entity: str, time: float, points: NDArray[np.float64]) -> None:
-        """A piece of a curve in the plane at a time [s], (samples, 2); drawn with the second number upwards."""
+        """Write a line strip of the path view at a time [s], (samples, 2); the second column points upwards."""
         self._stream.set_time(scene.TIMELINE, duration=time)
-        # The vertical axis of a view in 2D points downwards.
+        # The vertical axis of a 2D view points downwards.
         self._stream.log(entity, self._rr.LineStrips2D.from_fields(strips=[points * (1.0, -1.0)]))
 
     def state(self, name: str, time: float, state: str) -> None:
-        """A state from `time` [s] on."""
+        """Write a change of state at `time` [s]."""
         self._stream.set_time(scene.TIMELINE, duration=time)
         self._stream.log(scene.state_entity(name), self._rr.StateChange(state=state))
 
     def text(self, source: str, time: float, level: str, text: str) -> None:
-        """A line of the log at a time [s]; `level` is DEBUG, INFO, WARN or ERROR."""
+        """Write a line of the log at a time [s]; `level` is DEBUG, INFO, WARN or ERROR."""
         assert level in _LEVELS
         self._stream.set_time(scene.TIMELINE, duration=time)
         self._stream.log(f"/log/{source}", self._rr.TextLog(f"{source}: {text}", level=level))
@@ -197,14 +196,14 @@ class Recording:
         return self._rr.TimeColumn(scene.TIMELINE, duration=times)
 
     def close(self) -> None:
-        """Write everything that waits and close file and server."""
-        with contextlib.suppress(Exception):  # a file system that is full; the file is readable up to there
+        """Write pending data, close file and server."""
+        with contextlib.suppress(Exception):  # e.g. full file system; the file is readable up to this point
             self._stream.flush(timeout_sec=_FLUSH_TIMEOUT)
         self._stream.disconnect()
 
 
 def _check_writable(path: Path) -> None:
-    """Find out before rerun does, whose complaints go to its own log."""
+    """Check before rerun opens the file, which reports errors only in its own log."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("wb"):
@@ -213,9 +212,9 @@ def _check_writable(path: Path) -> None:
         raise RecordingError(f"{path} cannot be written: {error.strerror or error}") from None
 
 
-# ---- reading back
+# ---- reading
 def read_scalars(path: Path, entity: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Times [s] and values of a curve, in the order of time; empty when it is not there.
+    """Times [s] and values of a curve, sorted by time; empty if it does not exist.
 
     Raises
     ------
@@ -227,7 +226,7 @@ def read_scalars(path: Path, entity: str) -> tuple[NDArray[np.float64], NDArray[
 
 
 def read_texts(path: Path, entity: str, component: str = "TextLog:text") -> list[tuple[float, str]]:
-    """Times [s] and texts of a log or, with ``StateChange:state``, of a state."""
+    """Times [s] and texts of a log; of a state with ``StateChange:state``."""
     times, values = _read(path, entity, component)
     return list(zip(times.tolist(), map(str, values), strict=True))
 
@@ -250,7 +249,7 @@ def _read(path: Path, entity: str, component: str) -> tuple[NDArray[np.float64],
     except (OSError, ValueError, RuntimeError) as error:
         raise RecordingError(
             f"{path} cannot be read as a recording: {error}; "
-            "if only its end is missing, `rerun rrd optimize` may save the rest"
+            "if only the end is missing, `rerun rrd optimize` may repair it"
         ) from None
     if not times:
         return np.empty(0), np.empty(0)

@@ -1,4 +1,4 @@
-"""What a recording shows and under which names: shared by those who write it, lay it out and read it. Pure."""
+"""Contents of a recording and names of its entities, for writing, layout and reading. Pure."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ COLOURS: Final[dict[str, Colour]] = {
     TWIN: (240, 130, 30),
     RESIDUAL: (200, 50, 90),
 }
-"""One colour per source, the same in every view and picture."""
+"""Colour of each source, in all views and pictures."""
 
 STATE_COLOURS: Final[dict[str, Colour]] = {
     "FAULT": (200, 40, 40),
@@ -70,22 +70,22 @@ STATE_COLOURS: Final[dict[str, Colour]] = {
     "HOMING": (200, 130, 40),
     "KNOWN": (50, 160, 80),
     "CONNECTED": (50, 160, 80),
-    "FOLLOWS": (50, 160, 80),
-    "APART": (200, 130, 40),
+    "HEALTHY": (50, 160, 80),
+    "NOT HEALTHY": (200, 130, 40),
     "NOTHING CHANGED": (50, 160, 80),
     "CHANGED": (200, 130, 40),
     "NO PATH": (95, 105, 120),
     "ON PATH": (50, 160, 80),
 }
-"""States of the axes and of what their positions are worth, of the link, the twin, the diagnosis and the path."""
+"""States of the axes and of the validity of their positions, of link, twin, diagnosis and path."""
 
 PATH_STATES: Final = ("NO PATH", "ON PATH")
-"""States of the path: whether the axes follow one."""
+"""States of the path."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One plot per axis: the columns of the telemetry that it shows."""
+    """One plot per axis and its columns of the telemetry."""
 
     name: str
     title: str
@@ -94,7 +94,7 @@ class Quantity:
     set_point: str
 
     def of_joint(self, joint: Joint, motor: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values of the joint [SI], same shape; currents and what a monitor output shows remain those of the motor."""
+        """Values of the joint [SI], same shape; currents and monitor outputs remain motor values."""
         if self.name == "position":
             return joint.position(motor)
         return joint.velocity(motor) if self.name == "speed" else motor
@@ -115,10 +115,10 @@ EXTRAS: Final = (
     Quantity("winding_temperature", "winding", "deg C", "winding_temperature", "no set-point"),
     Quantity("monitor", "monitor output", "of full scale", "monitor", "no set-point"),
 )
-"""Plots of optional telemetry, beside the residuals."""
+"""Plots of optional telemetry, next to the residuals."""
 
 BURST_RESIDUAL: Final = "/burst_residual"
-"""Root of what the bursts of board and twin differ by."""
+"""Root of the residuals of bursts."""
 
 RESIDUALS: Final = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
 """Fields of the residual, board minus twin, and their units."""
@@ -126,7 +126,7 @@ RESIDUALS: Final = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
 
 ESTIMATE: Final = "estimate"
 ESTIMATES: Final = ("value", "low", "high")
-"""Curves of an estimate: itself, and its 95 % interval."""
+"""Curves of an estimate: the value and its 95 % interval."""
 
 
 def axes() -> Iterator[tuple[int, str]]:
@@ -135,42 +135,42 @@ def axes() -> Iterator[tuple[int, str]]:
 
 
 def series_entity(axis: int, quantity: str, source: str) -> str:
-    """Where a curve lies: ``/plot/axis1/position/board``."""
+    """Entity of a curve: ``/plot/axis1/position/board``."""
     return f"/{PLOT}/{axis_name(axis)}/{quantity}/{source}"
 
 
 def residual_entity(axis: int, field: str) -> str:
-    """Where a residual lies: ``/plot/axis1/residual/position``."""
+    """Entity of a residual: ``/plot/axis1/residual/position``."""
     return f"/{PLOT}/{axis_name(axis)}/residual/{field}"
 
 
-def estimate_entity(place: str, name: str, curve: str) -> str:
-    """Where an estimate of the diagnosis lies: ``/plot/axis1/estimate/inertia/low``; of the supply in ``/plot/bus``."""
-    return f"/{PLOT}/{place}/estimate/{name}/{curve}"
+def estimate_entity(source: str, name: str, curve: str) -> str:
+    """Entity of an estimate of the diagnosis: ``/plot/axis1/estimate/inertia/low``; of the supply in ``/plot/bus``."""
+    return f"/{PLOT}/{source}/estimate/{name}/{curve}"
 
 
 def position_state(axis: str) -> str:
-    """Name of the state that says what the position of an axis is worth."""
+    """Name of the state with the validity of the position of an axis."""
     return f"{axis}/position"
 
 
 def state_entity(name: str) -> str:
-    """Where a state lies: of an axis, the ``link``, the ``twin``, the ``diagnosis`` or the ``path``."""
+    """Entity of a state: of an axis, the ``link``, the ``twin``, the ``diagnosis`` or the ``path``."""
     return f"/state/{name}"
 
 
 def burst_entity(variable: str, source: str) -> str:
-    """Where a variable of the bursts lies: ``/burst/axis1/i_q/board``; its residual: ``/burst_residual/axis1/i_q``."""
+    """Entity of a variable of a burst: ``/burst/axis1/i_q/board``; of its residual: ``/burst_residual/axis1/i_q``."""
     if source == RESIDUAL:
         return f"{BURST_RESIDUAL}/{variable.replace('.', '/')}"
     return "/" + "/".join(burst_parts(variable, source))
 
 
 def path_entity(source: str) -> str:
-    """Where the positions of both axes against each other lie: ``/path/board``."""
+    """Entity of a path, one axis over the other: ``/path/board``."""
     return f"/path/{source}"
 
 
 def shaft_entity(axis: int, source: str) -> str:
-    """Where the hand of a shaft lies: ``/shafts/axis1/board``."""
+    """Entity of a shaft angle: ``/shafts/axis1/board``."""
     return f"/shafts/{axis_name(axis)}/{source}"

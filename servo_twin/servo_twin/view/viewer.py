@@ -1,7 +1,7 @@
-"""From messages to a recording: what arrives is queued, one thread of its own writes it. Knows neither ROS nor rerun.
+"""Writes messages to a recording: messages are queued, a separate thread writes them. Does not use ROS or rerun.
 
-Writing can stall for half a second at a time. Callers of these methods never wait for it: the queue is bounded,
-and what does not fit is dropped and counted.
+Writing may block for half a second. Callers do not wait for it: the queue is bounded, and messages beyond its capacity
+are dropped and counted.
 """
 
 from __future__ import annotations
@@ -23,56 +23,56 @@ from servo_msgs_py.topics import BURST_TIME, STAMP_COLUMNS
 
 from servo_twin.view import scene
 from servo_twin.view.board_time import BoardTime
-from servo_twin.view.curves import Curves, Hand
+from servo_twin.view.curves import Curves, ShaftAngle
 from servo_twin.view.path_span import PathSpan
 
 _Job = Callable[[], None]
 _Table = NDArray[np.float64]
 
 _NS: Final = 1_000_000_000
-_TOLERANCE: Final = 1e-6  # of times that are meant to be the same [s]
+_TOLERANCE: Final = 1e-6  # of equal times [s]
 _NUMBER: Final = re.compile(r"\d+(\.\d+)?")
 _HOME_STATES: Final = Catalogue.load().enums["home_state_t"]
-_USUAL: Final = ("CONNECTED", "FOLLOWS", *scene.PATH_STATES, *_HOME_STATES)  # states that are no trouble
-_LEVELS: Final = ("INFO", "WARN", "ERROR", "ERROR")  # of diagnostics: OK, WARN, ERROR, STALE
+_NORMAL: Final = ("CONNECTED", "HEALTHY", *scene.PATH_STATES, *_HOME_STATES)  # states without a warning
+_LEVELS: Final = ("INFO", "WARN", "ERROR", "ERROR")  # of the diagnostic levels OK, WARN, ERROR, STALE
 
 
 class Recorder(Protocol):
-    """What the viewer needs of a `servo_twin.view.recording.Recording`."""
+    """Interface of `servo_twin.view.recording.Recording` for the viewer."""
 
     def scalars(self, entity: str, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
-        """Points of a curve: times [s] and values [SI], each (points,)."""
+        """Write points of a curve: times [s] and values [SI], each (points,)."""
 
     def angles(self, entity: str, times: NDArray[np.float64], angles: NDArray[np.float64]) -> None:
-        """Angles [rad] of a shaft at times [s], each (points,)."""
+        """Write angles [rad] of a shaft at times [s], each (points,)."""
 
     def strip(self, entity: str, time: float, points: NDArray[np.float64]) -> None:
-        """Piece of a curve in the plane at a time [s], (samples, 2)."""
+        """Write a line strip of the path view at a time [s], (samples, 2)."""
 
     def state(self, name: str, time: float, state: str) -> None:
-        """A state from `time` [s] on."""
+        """Write a change of state at `time` [s]."""
 
     def text(self, source: str, time: float, level: str, text: str) -> None:
-        """Line of the log at a time [s]."""
+        """Write a line of the log at a time [s]."""
 
     def close(self) -> None: ...
 
 
 class Viewer:
-    """Writes a recording in a thread of its own.
+    """Writes a recording in a separate thread.
 
     Parameters
     ----------
     recording : Recorder
-        Used from the thread only; closed at the end.
+        Used by the thread only; closed at the end.
     catalogue : Catalogue
-        For the names of states and the texts of faults.
+        For names of states and texts of faults.
     start_ns : int
-        ROS time that is second 0 of the recording [ns].
+        ROS time of the start of the recording [ns].
     capacity : int
-        Messages that may wait.
+        Capacity of the queue [messages].
     period : float
-        Between two writes [s].
+        Interval of writing [s].
     """
 
     def __init__(
@@ -88,28 +88,28 @@ class Viewer:
         self._catalogue = catalogue
         self._capacity = capacity
         self._period = period
-        self._waiting: deque[_Job] = deque()
+        self._pending: deque[_Job] = deque()
         self._following: deque[_Job] = deque()
         self._condition = threading.Condition()
         self._closing = False
         self._dropped = 0
-        self._dropped_said = 0
+        self._dropped_logged = 0
         self._failure = ""
-        # Of the thread alone:
-        self._held: list[_Job] = []
+        # Used by the thread only:
+        self._delayed: list[_Job] = []
         self._time = BoardTime(start_ns)
         self._joints: Sequence[Joint] = DEFAULT_JOINTS
         self._curves = {source: Curves() for source in (scene.BOARD, scene.TWIN, scene.RESIDUAL, scene.ESTIMATE)}
         self._bursts = {source: Curves() for source in (scene.BOARD, scene.TWIN, scene.RESIDUAL)}
-        self._hands = [{source: Hand() for source in (scene.BOARD, scene.TWIN)} for _ in range(AXES)]
+        self._shaft_angles = [{source: ShaftAngle() for source in (scene.BOARD, scene.TWIN)} for _ in range(AXES)]
         self._span = PathSpan(catalogue)
-        self._drawn: dict[str, NDArray[np.float64]] = {}  # where the strips of a path end
+        self._drawn: dict[str, NDArray[np.float64]] = {}  # end points of the strips of a path
         self._labels: list[str] = [""] * AXES
         self._faults = [0] * AXES
         self._states: dict[str, str] = {}
-        self._found = ""  # by the diagnosis, without its numbers
+        self._findings = ""  # of the diagnosis, without numbers
         self._diagnoses: dict[str, tuple[int, str]] = {}
-        self._complaints: set[str] = set()
+        self._warnings: set[str] = set()
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
 
     # ---- from any thread
@@ -118,66 +118,66 @@ class Viewer:
 
     @property
     def dropped(self) -> int:
-        """Messages that did not fit into the queue so far."""
+        """Number of messages dropped because of a full queue."""
         return self._dropped
 
     @property
     def failure(self) -> str:
-        """Why writing has ended; empty while it goes on."""
+        """Reason for the end of the thread; empty: running."""
         return self._failure
 
     def joints(self, joints: Sequence[Joint]) -> None:
-        """What the axes move: telemetry from now on is shown in the units of these joints."""
+        """Set the joints, whose units apply to the following telemetry."""
         self._post(lambda: self._set_joints(joints))
 
     def board(self, columns: Sequence[str], table: _Table) -> None:
-        """Telemetry of the board: samples by columns, SI, of the motors."""
+        """Add telemetry of the board: (samples, columns), SI, motor values."""
         self._post(lambda: self._board(columns, table))
 
     def twin(self, columns: Sequence[str], table: _Table) -> None:
-        """Telemetry of the twin, at ticks of the board."""
+        """Add telemetry of the twin, at ticks of the board."""
         self._post(lambda: self._rows(scene.TWIN, columns, table), follows=True)
 
     def burst(self, source: str, columns: Sequence[str], table: _Table) -> None:
-        """What a recorder has sampled, with its ticks; `source` is `scene.BOARD`, `scene.TWIN` or `scene.RESIDUAL`."""
+        """Add a burst with its ticks; `source` is `scene.BOARD`, `scene.TWIN` or `scene.RESIDUAL`."""
         self._post(lambda: self._burst(source, columns, table), follows=True)
 
     def applied(self, command: AppliedCommand) -> None:
-        """A command took effect on the board; timed points tell when it follows a path."""
+        """Add an applied command of the board; timed points define the span of a path."""
         self._post(lambda: self._span.applied(command))
 
     def residual(self, stamp_ns: int, fields: Mapping[str, Sequence[float]]) -> None:
-        """Residual at `stamp_ns` [ns]: per field of `scene.RESIDUALS` one number [SI] per axis."""
+        """Add a residual at `stamp_ns` [ns]: per field of `scene.RESIDUALS` one number [SI] per axis."""
         self._post(lambda: self._residual(stamp_ns, fields), follows=True)
 
     def board_state(self, stamp_ns: int, text: str) -> None:
-        """State of the board as its node says it."""
+        """Add the state of the board, as published by its node."""
         self._post(lambda: self._board_state(stamp_ns, text))
 
     def healthy(self, stamp_ns: int, healthy: bool) -> None:
-        """Whether the twin follows the board."""
-        self._post(lambda: self._state(self._time.of_stamp(stamp_ns), "twin", "FOLLOWS" if healthy else "APART"))
+        """Add the state `healthy` of the twin."""
+        self._post(lambda: self._state(self._time.of_stamp(stamp_ns), "twin", "HEALTHY" if healthy else "NOT HEALTHY"))
 
     def diagnosis(self, stamp_ns: int, name: str, level: int, message: str) -> None:
-        """Status of one subsystem; `level` as in diagnostic_msgs."""
+        """Add a diagnostic status; `level` as in diagnostic_msgs."""
         self._post(lambda: self._diagnosis(stamp_ns, name, level, message))
 
     def changes(self, stamp_ns: int, found: Sequence[str], estimates: Mapping[str, Mapping[str, float]]) -> None:
-        """What has changed on the board, in words, and all estimates.
+        """Add findings and estimates of the diagnosis.
 
         Parameters
         ----------
         stamp_ns : int
             ROS time [ns].
         found : sequence of str
-            One sentence per place where something has changed.
+            Text per finding.
         estimates : mapping
-            Numbers by the names of `scene.ESTIMATES`, by entity below ``/plot``: place and name, as ``axis1/inertia``.
+            Values by the names of `scene.ESTIMATES`, by entity below ``/plot``, such as ``axis1/inertia``.
         """
         self._post(lambda: self._changes(stamp_ns, found, estimates))
 
     def close(self, timeout: float = 4.0) -> bool:
-        """Write what waits and close the recording; returns False when that is not over in time [s]."""
+        """Write pending data and close the recording; False on a timeout [s]."""
         with self._condition:
             self._closing = True
             self._condition.notify()
@@ -186,15 +186,15 @@ class Viewer:
         return not self._thread.is_alive()
 
     def _post(self, job: _Job, *, follows: bool = False) -> None:
-        """Queue a job; one that `follows` is placed by telemetry of the board, which may still be on its way."""
+        """Queue a job; with `follows` it is delayed by one period, as it needs telemetry of the board for its time."""
         with self._condition:
             if self._closing or self._failure:
                 return
-            if len(self._waiting) + len(self._following) >= self._capacity:
+            if len(self._pending) + len(self._following) >= self._capacity:
                 self._dropped += 1
                 return
-            (self._following if follows else self._waiting).append(job)
-            # The thread looks by itself in time; it need not be woken for every message.
+            (self._following if follows else self._pending).append(job)
+            # The thread polls; a notification per message is not necessary.
 
     # ---- in the thread
     def _run(self) -> None:
@@ -206,43 +206,45 @@ class Viewer:
                     rest = begun + self._period - time.monotonic()
                     self._condition.wait_for(lambda: self._closing, max(rest, 0.0))
             self._work()
-            self._work()  # and what was held back
+            self._work()  # the delayed jobs
         except Exception as error:
             self._failure = f"the recording cannot be written: {error}"
         finally:
             self._recording.close()
 
     def _work(self) -> None:
-        """Deal with everything that waits and write it."""
+        """Process and write all pending messages."""
         with self._condition:
-            jobs, following, dropped = list(self._waiting), list(self._following), self._dropped
-            self._waiting.clear()
+            jobs, following, dropped = list(self._pending), list(self._following), self._dropped
+            self._pending.clear()
             self._following.clear()
-        # Topics overtake each other: what follows the board waits for one more round of its telemetry.
-        jobs += self._held
-        self._held = following
+        # Topics are not in order: delay these jobs by one period, until the telemetry has arrived.
+        jobs += self._delayed
+        self._delayed = following
         for job in jobs:
             try:
                 job()
             except (KeyError, ValueError) as error:
-                self._complain(str(error))
-        if dropped != self._dropped_said:
-            self._say("viewer", self._time.newest, "WARN", f"{dropped - self._dropped_said} messages dropped: too slow")
-            self._dropped_said = dropped
+                self._warn_once(str(error))
+        if dropped != self._dropped_logged:
+            self._log(
+                "viewer", self._time.newest, "WARN", f"{dropped - self._dropped_logged} messages dropped: too slow"
+            )
+            self._dropped_logged = dropped
         for curves in (*self._curves.values(), *self._bursts.values()):
             for entity, (times, values) in curves.take().items():
                 self._recording.scalars(entity, times, values)
-        for axis, hands in enumerate(self._hands):
-            for source, hand in hands.items():
-                times, angles = hand.take()
+        for axis, shaft_angles in enumerate(self._shaft_angles):
+            for source, shaft_angle in shaft_angles.items():
+                times, angles = shaft_angle.take()
                 if len(times):
                     self._recording.angles(scene.shaft_entity(axis, source), times, angles)
 
-    def _complain(self, text: str) -> None:
-        """Say what is wrong with messages, once per reason."""
-        if text not in self._complaints and len(self._complaints) < 100:
-            self._complaints.add(text)
-            self._say("viewer", self._time.newest, "WARN", f"a message was left out: {text}")
+    def _warn_once(self, text: str) -> None:
+        """Log an invalid message, once per reason."""
+        if text not in self._warnings and len(self._warnings) < 100:
+            self._warnings.add(text)
+            self._log("viewer", self._time.newest, "WARN", f"invalid message ignored: {text}")
 
     # ---- telemetry
     def _set_joints(self, joints: Sequence[Joint]) -> None:
@@ -255,23 +257,23 @@ class Viewer:
         resets = self._time.resets
         times = self._time.telemetry(ticks, stamps)
         if self._time.resets != resets:
-            self._say("board", float(times[-1]), "WARN", "the board was reset: its ticks and positions begin anew")
+            self._log("board", float(times[-1]), "WARN", "the board was reset: ticks and positions restart")
         self._plot(scene.BOARD, times, columns, table)
         self._path(times, columns, table, self._span.contains(ticks))
         for axis, name in scene.axes():
-            wanted = [f"{name}.{column}" for column in ("state", "substate", "faults")]
-            if all(column in columns for column in wanted):
-                self._states_of(axis, times, table[:, [columns.index(column) for column in wanted]].astype(int))
+            names = [f"{name}.{column}" for column in ("state", "substate", "faults")]
+            if all(column in columns for column in names):
+                self._states_of(axis, times, table[:, [columns.index(column) for column in names]].astype(int))
             if (home := f"{name}.home_state") in columns:
                 self._home_states(name, times, table[:, columns.index(home)].astype(int))
 
     def _rows(self, source: str, columns: Sequence[str], table: _Table) -> None:
-        """Telemetry that does not carry the time line itself."""
+        """Add telemetry that does not define the time line."""
         if not len(table) or math.isinf(self._time.first):
             return
         ticks, stamps = _clocks(columns, table)
         times = self._time.of_ticks(ticks) if stamps is None else self._time.of_stamps(stamps)
-        # A twin works a little behind the board: its first rows belong to what was before the recording.
+        # A twin lags behind the board: its first rows may precede the recording.
         known = times > self._time.first - _TOLERANCE
         if known.any():
             self._plot(source, times[known], columns, table[known])
@@ -287,23 +289,23 @@ class Viewer:
                         points[scene.series_entity(axis, quantity.name, curve)] = values
             angles = points.get(scene.series_entity(axis, scene.QUANTITIES[0].name, source))
             if angles is not None:
-                self._hands[axis][source].add(times, angles)
+                self._shaft_angles[axis][source].add(times, angles)
         self._curves[source].add(times, points)
 
     def _burst(self, source: str, columns: Sequence[str], table: _Table) -> None:
         if not len(table) or math.isinf(self._time.first):
             return
         ticks, _ = _clocks(columns, table)
-        left_out = ("tick", BURST_TIME, *STAMP_COLUMNS)
+        omitted = ("tick", BURST_TIME, *STAMP_COLUMNS)
         points = {
-            scene.burst_entity(name, source): table[:, k] for k, name in enumerate(columns) if name not in left_out
+            scene.burst_entity(name, source): table[:, k] for k, name in enumerate(columns) if name not in omitted
         }
         self._bursts[source].add(self._time.of_ticks(ticks), points)
 
     def _path(
         self, times: NDArray[np.float64], columns: Sequence[str], table: _Table, inside: NDArray[np.bool_]
     ) -> None:
-        """Draw the axes against each other while they follow a path."""
+        """Draw one axis over the other during a path."""
         for part in np.split(np.arange(len(times)), np.flatnonzero(np.diff(inside)) + 1):
             on_path = bool(inside[part[0]])
             self._state(float(times[part[0]]), "path", scene.PATH_STATES[on_path])
@@ -312,9 +314,9 @@ class Viewer:
                 continue
             for source in (scene.SET_POINT, scene.BOARD):
                 position = scene.QUANTITIES[0]
-                wanted = [position.column(source, axis) for axis, _ in scene.axes()]
-                if all(column in columns for column in wanted):
-                    motors = (table[part, columns.index(column)] for column in wanted)
+                names = [position.column(source, axis) for axis, _ in scene.axes()]
+                if all(column in columns for column in names):
+                    motors = (table[part, columns.index(column)] for column in names)
                     points = np.column_stack(list(map(position.of_joint, self._joints, motors)))
                     strip = np.vstack([self._drawn.get(source, points[:1]), points])
                     self._drawn[source] = points[-1:]
@@ -333,7 +335,7 @@ class Viewer:
 
     # ---- states and faults
     def _states_of(self, axis: int, times: NDArray[np.float64], words: NDArray[np.int_]) -> None:
-        """Note where state and faults of an axis change."""
+        """Write the changes of state and faults of an axis."""
         changes = np.flatnonzero(np.any(np.diff(words, axis=0) != 0, axis=1)) + 1
         for row in (0, *changes.tolist()):
             state, substate, faults = words[row].tolist()
@@ -342,16 +344,16 @@ class Viewer:
             if label != before:
                 self._labels[axis] = label
                 self._recording.state(name, moment, label)
-                self._say(name, moment, "INFO", f"{before} -> {label}" if before else label)
+                self._log(name, moment, "INFO", f"{before} -> {label}" if before else label)
             new, gone = faults & ~self._faults[axis], self._faults[axis] & ~faults
             self._faults[axis] = faults
             for text in flag_texts(self._catalogue, "faults", new):
-                self._say(name, moment, "ERROR", text)
+                self._log(name, moment, "ERROR", text)
             for flag in self._catalogue.active("faults", gone):
-                self._say(name, moment, "INFO", f"{flag.name} cleared")
+                self._log(name, moment, "INFO", f"{flag.name} cleared")
 
     def _home_states(self, name: str, times: NDArray[np.float64], words: NDArray[np.int_]) -> None:
-        """Note where the worth of an axis's position changes."""
+        """Write the changes of the validity of an axis position."""
         for row in (0, *(np.flatnonzero(np.diff(words)) + 1).tolist()):
             label = self._catalogue.label("home_state_t", int(words[row]))
             self._state(float(times[row]), scene.position_state(name), label)
@@ -368,20 +370,20 @@ class Viewer:
                     self._recording.state(name, moment, "DISCONNECTED")
 
     def _state(self, moment: float, name: str, state: str, text: str = "") -> None:
-        """State of the link, of the twin or of the path."""
+        """Write a changed state of link, twin or path."""
         if self._states.get(name) != state:
             self._states[name] = state
             self._recording.state(name, moment, state)
-            self._say(name, moment, "INFO" if state in _USUAL else "WARN", text or state)
+            self._log(name, moment, "INFO" if state in _NORMAL else "WARN", text or state)
 
     def _diagnosis(self, stamp_ns: int, name: str, level: int, message: str) -> None:
-        """Note a status when its level changes, and trouble also when it becomes another one."""
-        # Numbers in a text change all the time; it is the same trouble.
+        """Log a status if its level has changed, or, above OK, its text."""
+        # Changed numbers in a text are not a new status.
         now = level, _NUMBER.sub("#", message) if level else ""
         before = self._diagnoses.get(name, (0, ""))
         self._diagnoses[name] = now
         if now != before and not self._known(message):
-            self._say("diagnostics", self._time.of_stamp(stamp_ns), _LEVELS[min(level, 3)], f"{name}: {message}")
+            self._log("diagnostics", self._time.of_stamp(stamp_ns), _LEVELS[min(level, 3)], f"{name}: {message}")
 
     def _changes(self, stamp_ns: int, found: Sequence[str], estimates: Mapping[str, Mapping[str, float]]) -> None:
         moment = self._time.of_stamp(stamp_ns)
@@ -389,35 +391,35 @@ class Viewer:
             return
         text = "; ".join(found)
         state = "CHANGED" if found else "NOTHING CHANGED"
-        # Numbers in a text change all the time; it is the same change.
-        if self._states.get("diagnosis") != state or self._found != _NUMBER.sub("#", text):
-            self._states["diagnosis"], self._found = state, _NUMBER.sub("#", text)
+        # Changed numbers in a text are not a new finding.
+        if self._states.get("diagnosis") != state or self._findings != _NUMBER.sub("#", text):
+            self._states["diagnosis"], self._findings = state, _NUMBER.sub("#", text)
             self._recording.state("diagnosis", moment, state)
-            self._say("diagnosis", moment, "WARN" if found else "INFO", text or "nothing has changed")
+            self._log("diagnosis", moment, "WARN" if found else "INFO", text or "nothing has changed")
         points = {
-            scene.estimate_entity(place, name, curve): np.array([numbers[curve]])
-            for (place, _, name), numbers in ((key.partition("/"), numbers) for key, numbers in estimates.items())
+            scene.estimate_entity(source_name, name, curve): np.array([numbers[curve]])
+            for (source_name, _, name), numbers in ((key.partition("/"), numbers) for key, numbers in estimates.items())
             for curve in scene.ESTIMATES
         }
         if points:
             self._curves[scene.ESTIMATE].add(np.array([moment]), points)
 
     def _known(self, message: str) -> bool:
-        """Whether a text tells only of faults that the telemetry has told of, to the tick."""
+        """True if a text consists of faults that the telemetry has already reported."""
         texts = {text for word in self._faults for text in flag_texts(self._catalogue, "faults", word)}
         return bool(texts) and set(message.split("; ")) <= texts
 
-    def _say(self, source: str, moment: float, level: str, text: str) -> None:
+    def _log(self, source: str, moment: float, level: str, text: str) -> None:
         self._recording.text(source, moment, level, text)
 
 
 def _clocks(columns: Sequence[str], table: _Table) -> tuple[NDArray[np.int64], NDArray[np.int64] | None]:
-    """Ticks and, where there are any, ROS stamps [ns] of the rows of a table."""
+    """Ticks of the rows of a table, and ROS stamps [ns] if available."""
     if "tick" not in columns:
         raise ValueError("telemetry without the column tick")
     ticks = table[:, columns.index("tick")]
     if not np.isfinite(ticks).all():
-        raise ValueError("telemetry with a tick that is no number")
+        raise ValueError("telemetry with an invalid tick")
     if not all(column in columns for column in STAMP_COLUMNS):
         return ticks.astype(np.int64), None
     seconds, nanoseconds = (table[:, columns.index(column)].astype(np.int64) for column in STAMP_COLUMNS)

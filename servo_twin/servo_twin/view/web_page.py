@@ -1,4 +1,4 @@
-"""The page of the rerun viewer, served on the loopback interface only, by the ``rerun`` command as a child."""
+"""Web page of the rerun viewer, served on the loopback interface by the ``rerun`` command as a child process."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
-from servo_msgs_py.runtime.end_with_parent import bound_to_us
+from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 
 LOOPBACK: Final = "127.0.0.1"
 _PORTS_TRIED: Final = 32
@@ -24,49 +24,49 @@ _POLL: Final = 0.05
 
 
 class WebPageError(RuntimeError):
-    """The page cannot be served; the text says why."""
+    """The page cannot be served; the message contains the reason."""
 
 
-def free_port(wanted: int, but: int | None = None) -> int:
-    """First port from `wanted` on that is free.
+def free_port(first: int, exclude: int | None = None) -> int:
+    """First free port from `first` on.
 
     Parameters
     ----------
-    wanted : int
-        Where to begin.
-    but : int, optional
-        A port that is not to be taken although it may still be free.
+    first : int
+        First candidate.
+    exclude : int, optional
+        Port to skip.
 
     Raises
     ------
     WebPageError
-        If there is none near.
+        If the next ports are all in use.
     """
-    for port in range(wanted, min(wanted + _PORTS_TRIED, 65536)):
-        if port == but:
+    for port in range(first, min(first + _PORTS_TRIED, 65536)):
+        if port == exclude:
             continue
         with socket.socket() as probe, contextlib.suppress(OSError):
-            # As servers do: a connection of the last run that still lingers is no obstacle.
+            # As servers do: ignore connections of the last run in TIME_WAIT.
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind((LOOPBACK, port))
             return port
-    raise WebPageError(f"ports {wanted} .. {wanted + _PORTS_TRIED - 1} are all in use; choose others")
+    raise WebPageError(f"ports {first} .. {first + _PORTS_TRIED - 1} are all in use; choose others")
 
 
 class WebPage:
-    """The child that serves the page; ends with us even if we are killed.
+    """Child process that serves the page; it ends with this process, even if that is killed.
 
     Parameters
     ----------
     port : int
         Free port for the page.
     data : str
-        URI of the server that the page gets its data from.
+        URI of the data server.
 
     Raises
     ------
     WebPageError
-        If it does not come up.
+        If the server does not start.
     """
 
     def __init__(self, port: int, data: str) -> None:
@@ -74,12 +74,12 @@ class WebPage:
         command = [str(_command()), "--serve-web", "--bind", LOOPBACK, "--web-viewer-port", str(port), data]
         environment = {**os.environ, "RERUN_ANALYTICS": "false"}
         self._process = subprocess.Popen(
-            bound_to_us(command),
+            with_parent_death_signal(command),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             env=environment,
-            start_new_session=True,  # Ctrl-C is for us; we end it when the data has been flushed
+            start_new_session=True,  # no SIGINT by Ctrl-C: `close` ends it after the data have been flushed
         )
         try:
             self._wait(port)
@@ -105,7 +105,7 @@ class WebPage:
             time.sleep(_POLL)
 
     def close(self) -> None:
-        """End the child."""
+        """Stop the child process."""
         if self._process.poll() is None:
             self._process.terminate()
             with contextlib.suppress(subprocess.TimeoutExpired):
@@ -115,13 +115,13 @@ class WebPage:
 
 
 def _command() -> Path:
-    """The ``rerun`` program itself: the script of that name is a wrapper in Python, one process more."""
+    """Path of the ``rerun`` binary; the script of that name is a wrapper with an additional process."""
     spec = importlib.util.find_spec("rerun_cli")
-    places = [Path(place) for place in (spec.submodule_search_locations or ())] if spec else []
-    places.append(Path(sys.executable).parent)
-    for place in places:
-        if (path := place / "rerun").is_file():
+    folders = [Path(folder) for folder in (spec.submodule_search_locations or ())] if spec else []
+    folders.append(Path(sys.executable).parent)
+    for folder in folders:
+        if (path := folder / "rerun").is_file():
             return path
     if found := shutil.which("rerun"):
         return Path(found)
-    raise WebPageError("there is no rerun command; install it with `pip install 'rerun-sdk==0.41.*'`")
+    raise WebPageError("no rerun command found; install it with `pip install 'rerun-sdk==0.41.*'`")

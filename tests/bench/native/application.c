@@ -19,8 +19,8 @@ void application_m1(void) { servo_m1_isr(&servo); }
 void application_m2(void) { servo_m2_isr(&servo); }
 void application_edge_1(void) { servo_edge_isr(&servo, 0); }
 void application_edge_2(void) { servo_edge_isr(&servo, 1); }
-void application_break_1(void) { servo_break_isr(&servo, 0); }
-void application_break_2(void) { servo_break_isr(&servo, 1); }
+void application_break_1(void) { servo_over_current_isr(&servo, 0); }
+void application_break_2(void) { servo_over_current_isr(&servo, 1); }
 
 extern const interrupt_t application_vectors[6];
 const interrupt_t application_vectors[6] = {

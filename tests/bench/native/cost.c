@@ -10,8 +10,8 @@
 
 #include "app/servo.h"
 #include "bench_board.h"
-#include "drive/estimate.h"
 #include "drive/motion.h"
+#include "drive/sensorless_estimate.h"
 #include "machine.h"
 #include "text.h"
 
@@ -95,7 +95,7 @@ static void put_into_spin(axis_t *axis)
 {
     axis->sm.state = STATE_RUN;
     axis->substate = SUBSTATE_SPIN;
-    axis->requested = true;
+    axis->enable_requested = true;
     axis->encoder.found = true;
     motion_start(axis);
     hal_pwm_enable(&hal, axis->index, true);
@@ -109,13 +109,13 @@ static void put_into_observed_spin(axis_t *axis, frac32_t speed)
     motor->speed = speed;
     const uint32_t turns =
         (uint32_t)((int64_t)motor->angle * axis->config->encoder.pole_pairs * 65536 / axis->config->encoder.counts);
-    estimate_start(axis, turns, pll_step_of(pll, speed));
+    sensorless_estimate_start(axis, turns, pll_step_of(pll, speed));
     axis->estimate.locked = true;
     axis->feedback.speed = speed;
     axis->fast = LOOP_OBSERVED;
     axis->sm.state = STATE_RUN;
     axis->substate = SUBSTATE_SPIN;
-    axis->requested = true;
+    axis->enable_requested = true;
     motion_start_turning(axis, 0);
     hal_pwm_enable(&hal, axis->index, true);
 }

@@ -2,14 +2,14 @@
 
 #include <string.h>
 
-#include "app/journal.h"
+#include "app/event_log.h"
 #include "comm/access.h"
 #include "comm/sha1.h"
 #include "config/axis_config.h"
 #include "control/current_loop.h"
 #include "control/field_weakening.h"
 #include "control/friction.h"
-#include "control/path.h"
+#include "control/path_filter.h"
 #include "diagnosis/winding_model.h"
 #include "digest.h"
 #include "drive/current_sense.h"
@@ -273,7 +273,7 @@ static void current_control(run_t *run)
         const int16_t theta = draw16(run);
         const int16_t omega = draw16(run);
         loop.limited = false;
-        current_loop_turn(&loop, &config, omega);
+        current_loop_set_speed(&loop, &config, omega);
         const svm_t out = current_loop_step(&loop, &config, current, reference, theta, draw_limit16(run));
         take_dq(run, loop.current);
         take_dq(run, loop.voltage);
@@ -303,24 +303,24 @@ static void path_filter(run_t *run)
     const path_position_t most = INT64_C(1) << 31; /* 128 counts per slow tick */
     const unsigned small = 4U + (unsigned)(draw(run) % 16U);
     const path_position_t acceleration = (int64_t)(draw(run) >> small) + 1; /* up to 16 counts */
-    path_t path;
+    path_filter_t path;
     const int32_t start = draw32(run);
-    path_reset(&path, start, (int64_t)draw32(run) * 2, omega);
+    path_filter_reset(&path, start, (int64_t)draw32(run) * 2, omega);
     for (uint16_t i = 0; i < STEPS; i++) {
-        const int32_t target = i32_add_wrap(path_position(&path), draw32(run) / 2); /* within POSITION_REACH */
+        const int32_t target = i32_add_wrap(path_filter_position(&path), draw32(run) / 2); /* within POSITION_REACH */
         if ((draw(run) & 7U) == 0U) {
             const uint16_t before = omega;
             omega = (uint16_t)(1000U + draw(run) % 5000U);
-            path_retune(&path, target, acceleration, before, omega);
+            path_filter_retune(&path, target, acceleration, before, omega);
         }
-        path_step(&path, target, (int64_t)draw(run) % most, acceleration, omega);
+        path_filter_step(&path, target, (int64_t)draw(run) % most, acceleration, omega);
         take64(run, path.ramp);
         take64(run, path.speed);
         take64(run, path.filter);
         take64(run, path.output);
-        take(run, path_position(&path));
-        take(run, path_stop(&path, acceleration));
-        take(run, path_at_rest(&path, target) ? 1 : 0);
+        take(run, path_filter_position(&path));
+        take(run, path_filter_stopping_position(&path, acceleration));
+        take(run, path_filter_at_rest(&path, target) ? 1 : 0);
     }
 }
 
@@ -352,7 +352,7 @@ static void weakening(run_t *run)
         input.demand = draw_dq(run);
         input.u_max = draw_limit16(run);
         input.emf = draw16(run);
-        input.wanted = draw(run) % 8U != 0U;
+        input.enabled = draw(run) % 8U != 0U;
         field_weakening_step(&state, &config, &input);
         take(run, state.d);
         take(run, state.q);
@@ -593,8 +593,8 @@ static void log_lines(run_t *run)
 {
     static freemaster_t server;
     static snapshot_t snapshot;
-    static journal_t journal;
-    journal_init(&journal, (draw(run) & 1U) != 0U);
+    static event_log_t log;
+    event_log_init(&log, (draw(run) & 1U) != 0U);
     pipe_init(&server.pipe, "log");
     for (uint16_t i = 0; i < STEPS; i++) {
         snapshot.tick = draw(run);
@@ -607,11 +607,11 @@ static void log_lines(run_t *run)
         snapshot.point_refusal = (uint16_t)(draw(run) & 15U);
         snapshot.late_loops = (uint16_t)(draw(run) & 1U);
         snapshot.receiver_overruns = (uint16_t)(draw(run) & 3U);
-        journal_watch(&journal, &snapshot);
-        journal_watch(&journal, &snapshot);
-        journal_refused(&journal, (uint16_t)(draw(run) & 0x3FFU));
-        journal_refused(&journal, 0);
-        journal_print(&journal, &server);
+        event_log_watch(&log, &snapshot);
+        event_log_watch(&log, &snapshot);
+        event_log_refused(&log, (uint16_t)(draw(run) & 0x3FFU));
+        event_log_refused(&log, 0);
+        event_log_print(&log, &server);
         take_bytes(run, server.pipe.queue, server.pipe.size);
         server.pipe.size = 0;
     }

@@ -16,7 +16,7 @@ typedef enum {
     CALL_M2,
     CALL_BACKGROUND,
     CALL_EDGE,
-    CALL_BREAK,
+    CALL_OVER_CURRENT,
     CALL_END, /* of the recording */
 } call_t;
 
@@ -24,7 +24,7 @@ typedef enum {
     OUT_SELECT, /* pair */
     OUT_DUTY,   /* a, b, c */
     OUT_ENABLE, /* on */
-    OUT_BREAK_CLEAR,
+    OUT_OVER_CURRENT_CLEAR,
     OUT_PRESET, /* count */
     OUT_ARM,
     OUT_SERIAL, /* byte */

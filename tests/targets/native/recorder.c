@@ -269,11 +269,11 @@ void __real_servo_m1_isr(servo_t *servo);
 void __real_servo_m2_isr(servo_t *servo);
 void __real_servo_background(servo_t *servo);
 void __real_servo_edge_isr(servo_t *servo, uint16_t axis);
-void __real_servo_break_isr(servo_t *servo, uint16_t axis);
+void __real_servo_over_current_isr(servo_t *servo, uint16_t axis);
 adc_pair_t __real_hal_adc_currents(hal_t *hal, uint16_t axis);
 adc_pair_t __real_hal_adc_offsets(hal_t *hal, uint16_t axis);
 uint16_t __real_hal_adc_bus(hal_t *hal);
-bool __real_hal_break_active(hal_t *hal, uint16_t axis);
+bool __real_hal_over_current_active(hal_t *hal, uint16_t axis);
 uint16_t __real_hal_encoder_count(hal_t *hal, uint16_t axis);
 uint16_t __real_hal_index_count(hal_t *hal, uint16_t axis);
 bool __real_hal_capture_take(hal_t *hal, uint16_t axis, edge_capture_t *capture);
@@ -282,7 +282,7 @@ bool __real_hal_serial_get(hal_t *hal, uint8_t *byte);
 void __real_hal_adc_select(hal_t *hal, uint16_t axis, phase_pair_t pair);
 void __real_hal_pwm_duty(hal_t *hal, uint16_t axis, int16_t duty_a, int16_t duty_b, int16_t duty_c);
 void __real_hal_pwm_enable(hal_t *hal, uint16_t axis, bool on);
-void __real_hal_break_clear(hal_t *hal, uint16_t axis);
+void __real_hal_over_current_clear(hal_t *hal, uint16_t axis);
 void __real_hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count);
 void __real_hal_capture_arm(hal_t *hal, uint16_t axis);
 bool __real_hal_serial_put(hal_t *hal, uint8_t byte);
@@ -338,10 +338,10 @@ void __wrap_servo_edge_isr(servo_t *servo, uint16_t axis)
     end(servo);
 }
 
-void __wrap_servo_break_isr(servo_t *servo, uint16_t axis)
+void __wrap_servo_over_current_isr(servo_t *servo, uint16_t axis)
 {
-    begin(CALL_BREAK, axis);
-    __real_servo_break_isr(servo, axis);
+    begin(CALL_OVER_CURRENT, axis);
+    __real_servo_over_current_isr(servo, axis);
     end(servo);
 }
 
@@ -408,9 +408,9 @@ bool __wrap_hal_reset_by_watchdog(hal_t *hal)
     return watchdog_reset;
 }
 
-bool __wrap_hal_break_active(hal_t *hal, uint16_t axis)
+bool __wrap_hal_over_current_active(hal_t *hal, uint16_t axis)
 {
-    const bool active = __real_hal_break_active(hal, axis);
+    const bool active = __real_hal_over_current_active(hal, axis);
     in(active);
     return active;
 }
@@ -504,10 +504,10 @@ void __wrap_hal_pwm_enable(hal_t *hal, uint16_t axis, bool on)
     __real_hal_pwm_enable(hal, axis, on);
 }
 
-void __wrap_hal_break_clear(hal_t *hal, uint16_t axis)
+void __wrap_hal_over_current_clear(hal_t *hal, uint16_t axis)
 {
-    out_head(&recorder.out, OUT_BREAK_CLEAR, axis);
-    __real_hal_break_clear(hal, axis);
+    out_head(&recorder.out, OUT_OVER_CURRENT_CLEAR, axis);
+    __real_hal_over_current_clear(hal, axis);
 }
 
 void __wrap_hal_encoder_preset(hal_t *hal, uint16_t axis, uint16_t count)

@@ -56,13 +56,13 @@ void hal_pwm_enable(hal_t *hal, uint16_t axis, bool on)
     out_word(&hal->out, on ? 1U : 0U);
 }
 
-bool hal_break_active(hal_t *hal, uint16_t axis)
+bool hal_over_current_active(hal_t *hal, uint16_t axis)
 {
     (void)axis;
     return take(hal) != 0U;
 }
 
-void hal_break_clear(hal_t *hal, uint16_t axis) { out_head(&hal->out, OUT_BREAK_CLEAR, axis); }
+void hal_over_current_clear(hal_t *hal, uint16_t axis) { out_head(&hal->out, OUT_OVER_CURRENT_CLEAR, axis); }
 
 uint16_t hal_encoder_count(hal_t *hal, uint16_t axis)
 {
@@ -241,8 +241,8 @@ bool replay_call(servo_t *servo, hal_t *hal, const trace_call_t *call)
     case CALL_EDGE:
         servo_edge_isr(servo, axis);
         return true;
-    case CALL_BREAK:
-        servo_break_isr(servo, axis);
+    case CALL_OVER_CURRENT:
+        servo_over_current_isr(servo, axis);
         return true;
     default:
         return false;

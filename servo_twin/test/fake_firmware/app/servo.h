@@ -33,7 +33,7 @@ void servo_init(servo_t *servo, hal_t *hal);
 void servo_m1_isr(servo_t *servo);
 void servo_m2_isr(servo_t *servo);
 void servo_edge_isr(servo_t *servo, uint16_t axis);
-void servo_break_isr(servo_t *servo, uint16_t axis);
+void servo_over_current_isr(servo_t *servo, uint16_t axis);
 void servo_background(servo_t *servo);
 
 #endif

@@ -1,0 +1,234 @@
+#include "app/config_blocks.h"
+
+#include <stddef.h>
+
+#include "app/words.h"
+#include "config/axis_members.h"
+#include "drive/take_config.h"
+#include "math/crc32.h"
+
+/* ---- access to the words of a block --------------------------------------------------------------------------------- */
+
+static int32_t get_word(const uint8_t *data, uint16_t word) { return (int32_t)word_at(data + (size_t)(4U * word)); }
+
+/* ---- checksum of a block -------------------------------------------------------------------------------------------- */
+
+static uint32_t checksum(const axis_config_t *block, uint16_t axis)
+{
+    uint32_t crc = crc32_add(CRC32_START, AXIS_LAYOUT, 4);
+    crc = crc32_add(crc, AXIS_MEMBERS, 4);
+    crc = crc32_add(crc, axis, 4);
+    for (uint16_t k = 0; k < AXIS_MEMBERS; k++) {
+        const bool wide = (axis_member_kind(k) & MEMBER_WIDE) != 0U;
+        crc = crc32_add(crc, (uint32_t)axis_member_get(block, k), wide ? 4U : 2U);
+    }
+    return crc32_end(crc);
+}
+
+/* Index of the first member that differs and may only change at rest; AXIS_MEMBERS if there is none. */
+static uint16_t rest_difference(const axis_config_t *block, const axis_config_t *other)
+{
+    uint16_t k = 0;
+    while (k < AXIS_MEMBERS &&
+           ((axis_member_kind(k) & MEMBER_LIVE) != 0U || axis_member_get(block, k) == axis_member_get(other, k))) {
+        k++;
+    }
+    return k;
+}
+
+/* ---- requests of the host ------------------------------------------------------------------------------------------- */
+
+static axis_config_t *spare(config_blocks_t *blocks, uint16_t axis)
+{
+    return &blocks->block[axis][1U - blocks->in_force[axis]];
+}
+
+/* Is `axis` in the set `axes` (bit 0 = axis 0)? */
+static bool holds(uint16_t axes, uint32_t axis) { return ((uint32_t)axes >> axis & 1U) != 0U; }
+
+static uint16_t write_window(config_blocks_t *blocks, config_status_t *status, const uint8_t *data, uint16_t size)
+{
+    const uint32_t axis = (uint32_t)get_word(data, CONFIG_AXIS);
+    const uint32_t first = (uint32_t)get_word(data, CONFIG_FIRST);
+    const uint32_t count = (uint32_t)get_word(data, CONFIG_COUNT);
+    if (axis >= HAL_AXES) {
+        return CONFIG_REFUSAL_AXIS;
+    }
+    if (first >= AXIS_MEMBERS || count > CONFIG_TOGETHER || first + count > AXIS_MEMBERS) {
+        return CONFIG_REFUSAL_MEMBER;
+    }
+    if (size != 4U * (CONFIG_VALUES + count)) {
+        return CONFIG_REFUSAL_FORM;
+    }
+    if (count == 0U) {
+        return CONFIG_REFUSAL_NONE; /* show the block in force */
+    }
+    if (holds(blocks->pending, axis)) {
+        return CONFIG_REFUSAL_BUSY;
+    }
+    for (uint16_t k = 0; k < count; k++) {
+        const uint16_t number = (uint16_t)(first + k);
+        if (!axis_member_accepts(number, get_word(data, (uint16_t)(CONFIG_VALUES + k)))) {
+            status->refused_member = number;
+            return CONFIG_REFUSAL_RANGE;
+        }
+    }
+    blocks->ready[axis] = false;
+    for (uint16_t k = 0; k < count; k++) {
+        const int32_t value = get_word(data, (uint16_t)(CONFIG_VALUES + k));
+        axis_member_set(spare(blocks, (uint16_t)axis), (uint16_t)(first + k), value);
+    }
+    return CONFIG_REFUSAL_NONE;
+}
+
+static uint16_t write_header(config_blocks_t *blocks, const uint8_t *data)
+{
+    const uint32_t axis = (uint32_t)get_word(data, 0);
+    if (axis >= HAL_AXES) {
+        return CONFIG_REFUSAL_AXIS;
+    }
+    if (holds(blocks->pending, axis)) {
+        return CONFIG_REFUSAL_BUSY;
+    }
+    blocks->ready[axis] = false;
+    if ((uint32_t)get_word(data, 1) != AXIS_LAYOUT) {
+        return CONFIG_REFUSAL_LAYOUT;
+    }
+    if ((uint32_t)get_word(data, 2) != AXIS_MEMBERS) {
+        return CONFIG_REFUSAL_LENGTH;
+    }
+    const axis_config_t *block = spare(blocks, (uint16_t)axis);
+    const uint32_t sum = checksum(block, (uint16_t)axis);
+    if ((uint32_t)get_word(data, 3) != sum) {
+        return CONFIG_REFUSAL_CHECKSUM;
+    }
+    blocks->checksum[axis] = sum;
+    blocks->rest_member[axis] = rest_difference(block, config_blocks_block(blocks, (uint16_t)axis));
+    blocks->ready[axis] = true;
+    return CONFIG_REFUSAL_NONE;
+}
+
+static uint16_t write_take(config_blocks_t *blocks, const uint8_t *data)
+{
+    const uint16_t axes = (uint16_t)(data[0] & 0xFFU);
+    if (blocks->pending != 0U) {
+        return CONFIG_REFUSAL_BUSY;
+    }
+    if (axes == 0U || axes >> HAL_AXES != 0U || data[1] != 0U) {
+        return CONFIG_REFUSAL_AXIS;
+    }
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        if (holds(axes, i) && !blocks->ready[i]) {
+            return CONFIG_REFUSAL_UNCHECKED;
+        }
+    }
+    blocks->pending = axes;
+    return CONFIG_REFUSAL_NONE;
+}
+
+bool config_blocks_accept(config_blocks_t *blocks, config_status_t *status, uint16_t offset, bool whole,
+                          const uint8_t *data, uint16_t size)
+{
+    uint16_t refusal = CONFIG_REFUSAL_FORM;
+    if (whole && offset == offsetof(config_request_t, window) && size >= 4U * CONFIG_VALUES) {
+        refusal = write_window(blocks, status, data, size);
+    } else if (whole && offset == offsetof(config_request_t, header) && size == 4U * CONFIG_HEADER) {
+        refusal = write_header(blocks, data);
+    } else if (whole && offset == offsetof(config_request_t, take) && size == sizeof(uint16_t)) {
+        refusal = write_take(blocks, data);
+    }
+    status->refusal = refusal;
+    return refusal == CONFIG_REFUSAL_NONE;
+}
+
+void config_blocks_show(const config_blocks_t *blocks, config_request_t *request)
+{
+    if (request->window[CONFIG_COUNT] != 0) {
+        return;
+    }
+    const axis_config_t *block = config_blocks_block(blocks, (uint16_t)request->window[CONFIG_AXIS]);
+    const uint16_t first = (uint16_t)request->window[CONFIG_FIRST];
+    for (uint16_t k = 0; k < CONFIG_TOGETHER && first + k < AXIS_MEMBERS; k++) {
+        request->window[CONFIG_VALUES + k] = axis_member_get(block, (uint16_t)(first + k));
+    }
+}
+
+/* ---- latching ------------------------------------------------------------------------------------------------------- */
+
+void config_blocks_init(config_blocks_t *blocks, config_status_t *status)
+{
+    *blocks = (config_blocks_t){0};
+    *status = (config_status_t){.layout = AXIS_LAYOUT};
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        blocks->block[i][0] = servo_config.axis[i];
+    }
+}
+
+void config_blocks_begin(config_blocks_t *blocks, config_status_t *status)
+{
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        *spare(blocks, i) = *config_blocks_block(blocks, i);
+        status->checksum[i] = checksum(config_blocks_block(blocks, i), i);
+    }
+}
+
+static bool may_take(const config_blocks_t *blocks, config_status_t *status, const axis_t *axes)
+{
+    for (uint16_t i = 0; i < HAL_AXES; i++) {
+        if (holds(blocks->pending, i) && blocks->rest_member[i] != AXIS_MEMBERS && !axis_takes_any_config(&axes[i])) {
+            status->refusal = CONFIG_REFUSAL_MOTION;
+            status->refused_member = blocks->rest_member[i];
+            return false;
+        }
+    }
+    return true;
+}
+
+/* A parameter follows its default when the default changes. */
+#define RENEW(parameter_element, member)                                                                               \
+    do {                                                                                                               \
+        if (before->member != after->member) {                                                                         \
+            (parameter_element) = after->member;                                                                       \
+        }                                                                                                              \
+    } while (0)
+
+static void renew_parameters(parameter_block_t *parameter, uint16_t i, const axis_config_t *before,
+                             const axis_config_t *after)
+{
+    RENEW(parameter->speed_limit[i], speed_limit);
+    RENEW(parameter->acceleration_limit[i], acceleration_limit);
+    RENEW(parameter->i_q_limit[i], i_q_limit);
+    RENEW(parameter->features[i], features);
+    RENEW(parameter->feedback[i], feedback);
+    RENEW(parameter->on_disable[i], stop.disable);
+    RENEW(parameter->on_quick_stop[i], stop.quick_stop);
+    RENEW(parameter->following_error[i], following_error);
+    RENEW(parameter->over_speed[i], over_speed);
+    if (before->position_limit != after->position_limit) {
+        parameter->position_min[i] = -after->position_limit;
+        parameter->position_max[i] = after->position_limit;
+    }
+}
+
+bool config_blocks_latch(config_blocks_t *blocks, config_status_t *status, parameter_block_t *parameter,
+                         nominal_block_t *nominal, axis_t *axes)
+{
+    const bool taken = may_take(blocks, status, axes);
+    for (uint16_t i = 0; taken && i < HAL_AXES; i++) {
+        if (!holds(blocks->pending, i)) {
+            continue;
+        }
+        const axis_config_t *before = config_blocks_block(blocks, i);
+        const axis_config_t *after = spare(blocks, i);
+        axis_take_config(&axes[i], after);
+        renew_parameters(parameter, i, before, after);
+        nominal->torque_constant[i] = after->torque_constant;
+        nominal->acceleration_current[i] = after->acceleration_forward;
+        blocks->in_force[i] = (uint16_t)(1U - blocks->in_force[i]);
+        blocks->ready[i] = false;
+        status->checksum[i] = blocks->checksum[i];
+    }
+    blocks->pending = 0;
+    status->answers++;
+    return taken;
+}

@@ -1,0 +1,100 @@
+"""Sources of set-points: detection of two sources that command an axis alternately, and precedence of one topic. Pure.
+
+A source is a topic and a quantity, such as position on ``joint_commands``. rclpy does not report the publisher of a
+message, so all publishers of one topic and quantity are one source.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from servo_bridge.set_points import Rejected
+
+FRESH: Final = 1.0
+"""Time for which a source counts as active after its last set-point [s]."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Topic and quantity of a set-point."""
+
+    topic: str  # relative name
+    quantity: str  # ``position``, ``velocity``, ``effort`` or ``trajectory``
+
+
+@dataclass(frozen=True)
+class Conflict:
+    """Two sources that command one axis alternately."""
+
+    joint: str
+    first: Source
+    second: Source
+
+
+class Sources:
+    """The active sources of every axis.
+
+    Parameters
+    ----------
+    clock : callable
+        Steady time [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self.preferred = ""
+        """Topic with precedence: while it is active, other topics are refused for the same axis. Empty: none."""
+        self._clock = clock
+        self._seen: dict[int, dict[Source, float]] = {}  # the newest last
+        self._conflict: tuple[float, Conflict] | None = None
+
+    def conflict(self) -> Conflict | None:
+        """Latest conflict, if it is not older than `FRESH`."""
+        if self._conflict is None or self._clock() - self._conflict[0] >= FRESH:
+            return None
+        return self._conflict[1]
+
+    def claim(self, source: Source, axes: Iterable[int], joints: Collection[str], following: Collection[int]) -> None:
+        """Register a command of some axes.
+
+        Parameters
+        ----------
+        source : Source
+            Source of the command.
+        axes : iterable of int
+            The axes.
+        joints : collection of str
+            Names of all joints.
+        following : collection of int
+            Axes that follow a trajectory; the last source of each stays active until its end.
+
+        Raises
+        ------
+        Rejected
+            If another source has precedence; then nothing is changed.
+        """
+        now, names, axes = self._clock(), list(joints), list(axes)
+        active = {axis: self._active(axis, now, axis in following) for axis in axes}
+        for axis, sources in active.items():
+            topics = {each.topic for each in sources}
+            if self.preferred != source.topic and self.preferred in topics:
+                raise Rejected(
+                    f"{source.topic}: {self.preferred} commands {names[axis]} and has precedence (parameter "
+                    f"preferred_source); stop it and wait {FRESH:g} s"
+                )
+        for axis, sources in active.items():
+            last = next(reversed(sources), source)
+            # A change of the source is no conflict; a source that returns while active is.
+            if last != source and source in sources:
+                pair = sorted((last, source), key=lambda each: (each.topic, each.quantity))
+                self._conflict = now, Conflict(names[axis], *pair)
+            sources.pop(source, None)
+            sources[source] = now
+            self._seen[axis] = sources
+
+    def _active(self, axis: int, now: float, following: bool) -> dict[Source, float]:
+        seen = self._seen.get(axis, {})
+        last = next(reversed(seen), None) if following else None
+        return {each: when for each, when in seen.items() if each == last or now - when < FRESH}

@@ -1,0 +1,126 @@
+"""The first contact with a board, in simulated time: stopped before anything else, and its host never silent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from fake_servo import CATALOGUE, FakeServo
+from fake_target import FakeTarget
+from fake_transport import FakeTransport, client_on
+from servo_bridge.freemaster.client import Client
+from servo_bridge.freemaster.commands import Command, send_command
+from servo_bridge.freemaster.errors import AnswerTimeoutError
+from servo_bridge.wire.session import connect
+from servo_bridge.wire.stop_at_connection import KEEP_ALIVE_PERIOD, stopped_at_connection
+
+HOST_TIMEOUT_NS = 500_000_000
+BYTES_MAX = 300  # of the longest exchange, request and answer with their escapes
+
+
+class Wire:
+    """A servo board at the end of a line that takes its time."""
+
+    def __init__(self, baud: int = 115_200) -> None:
+        self.byte_ns = 10_000_000_000 // baud
+        self.lose: Callable[[int], bool] = lambda _: False  # whose answers are lost, by command
+        self.transport = FakeTransport(self._answer)
+        self.board = FakeServo(clock=self.transport.clock)
+        self.client = client_on(self.transport, baud=baud)
+
+    def _answer(self, request: bytes) -> list[tuple[int, bytes]]:
+        answer = self.board.feed(request)
+        if self.lose(request[1]):
+            return []
+        return [((len(request) + len(answer)) * self.byte_ns, answer)]
+
+    def commands(self) -> list[int]:
+        return [command for command, _ in self.board.requests]
+
+
+def application_commands(board: FakeServo) -> list[str]:
+    return [name for _, name in board.signs]
+
+
+def test_the_stop_comes_before_everything_that_needs_an_address() -> None:
+    wire = Wire()
+    with stopped_at_connection(wire.client, CATALOGUE):
+        pass
+    assert [(c, p) for c, p in wire.board.requests if c != Command.GETAPPCMDSTS] == [
+        (Command.GETCONFIG, b"\0PV\0"),
+        (Command.GETCONFIG, b"\0NM\0"),
+        (Command.SENDAPPCMD, bytes([CATALOGUE.bits["command"]["QUICK_STOP"]])),
+    ]
+    assert application_commands(wire.board) == ["QUICK_STOP"]
+
+
+def test_another_device_gets_no_command() -> None:
+    target = FakeTarget()
+    client = client_on(FakeTransport(target.feed))
+    with stopped_at_connection(client, CATALOGUE):
+        assert client.before_exchange is None
+        client.identify()
+    assert Command.SENDAPPCMD not in [command for command, _ in target.requests]
+
+
+def test_a_client_that_only_reads_stops_nothing() -> None:
+    wire = Wire()
+    assert connect(wire.client, CATALOGUE).mismatch is None
+    assert wire.board.signs == []
+
+
+@pytest.mark.parametrize("baud", [19_200, 115_200])
+def test_a_board_that_holds_does_not_miss_its_host_while_it_is_discovered(baud: int) -> None:
+    wire = Wire(baud)
+    opened = wire.transport.clock()
+    with stopped_at_connection(wire.client, CATALOGUE):
+        begin = wire.transport.clock()
+        assert begin - opened < 0.3e9, "stopped by then"
+        assert connect(wire.client, CATALOGUE).mismatch is None
+        assert wire.transport.clock() - begin > HOST_TIMEOUT_NS
+    assert application_commands(wire.board)[0] == "QUICK_STOP"
+    assert set(application_commands(wire.board)[1:]) == {"KEEP_ALIVE"}
+    assert wire.board.silence_ns < KEEP_ALIVE_PERIOD * 1e9 + 2 * BYTES_MAX * wire.byte_ns < HOST_TIMEOUT_NS
+
+
+def test_keep_alives_end_with_the_block() -> None:
+    wire = Wire()
+    with stopped_at_connection(wire.client, CATALOGUE):
+        connect(wire.client, CATALOGUE)
+    known = len(wire.board.signs)
+    connect(wire.client, CATALOGUE)
+    assert len(wire.board.signs) == known
+
+
+def test_keep_alives_without_an_answer_are_no_error() -> None:
+    wire = Wire()
+    with stopped_at_connection(wire.client, CATALOGUE):
+        wire.lose = lambda command: command == Command.SENDAPPCMD
+        assert connect(wire.client, CATALOGUE).mismatch is None
+    assert application_commands(wire.board).count("KEEP_ALIVE") > 1
+    assert wire.board.silence_ns < HOST_TIMEOUT_NS
+
+
+def test_a_stop_without_an_answer_ends_the_attempt() -> None:
+    wire = Wire()
+    wire.lose = lambda command: command == Command.SENDAPPCMD
+    with pytest.raises(AnswerTimeoutError), stopped_at_connection(wire.client, CATALOGUE):
+        pytest.fail("nothing may be done with a board that has not been stopped")
+    assert wire.client.before_exchange is None
+
+
+def test_a_command_that_its_sender_has_left_behind_does_not_keep_the_stop_out() -> None:
+    """The board runs a command when its result is asked for; a host that dies before leaves it pending."""
+    wire = Wire()
+    Client(wire.client.line).exchange(send_command(CATALOGUE.bits["command"]["KEEP_ALIVE"]))
+    with stopped_at_connection(wire.client, CATALOGUE):
+        pass
+    assert application_commands(wire.board) == ["KEEP_ALIVE", "QUICK_STOP"]
+
+
+def test_firmware_without_application_commands_is_left_to_the_comparison() -> None:
+    wire = Wire()
+    wire.board.commands.clear()
+    wire.board.put("catalogue_hash", 1)
+    with stopped_at_connection(wire.client, CATALOGUE):
+        assert connect(wire.client, CATALOGUE).mismatch is not None
