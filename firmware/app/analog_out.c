@@ -3,13 +3,13 @@
 #define MIDDLE UINT16_C(0x8000)
 #define PER_AXIS (MONITOR_AXIS2_I_D - MONITOR_AXIS1_I_D) /* same order of quantities for both axes */
 
-bool analog_out_wanted(const board_settings_t *settings)
+bool analog_out_selected(const board_settings_t *settings)
 {
-    bool wanted = false;
+    bool requested = false;
     for (uint16_t i = 0; i < HAL_ANALOG_OUTS; i++) {
-        wanted = wanted || settings->monitor[i] != MONITOR_NONE;
+        requested = requested || settings->monitor[i] != MONITOR_NONE;
     }
-    return wanted;
+    return requested;
 }
 
 static int16_t quantity_of(const axis_t *axis, uint16_t which)

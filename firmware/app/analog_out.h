@@ -5,7 +5,7 @@
 #include "app/latch.h"
 
 /* True if a variable is selected for an output. */
-bool analog_out_wanted(const board_settings_t *settings);
+bool analog_out_selected(const board_settings_t *settings);
 
 /* Output the selected variables, and store them in `shown`: the full scale of a variable is the range of the output,
  * zero is its middle. */

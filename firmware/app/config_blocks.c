@@ -43,7 +43,7 @@ static axis_config_t *spare(config_blocks_t *blocks, uint16_t axis)
     return &blocks->block[axis][1U - blocks->in_force[axis]];
 }
 
-/* Is `axis` in the set `axes` (bit 0 = axis 0)? */
+/* True if `axis` is in the set `axes` (bit 0: axis 0). */
 static bool holds(uint16_t axes, uint32_t axis) { return ((uint32_t)axes >> axis & 1U) != 0U; }
 
 static uint16_t write_window(config_blocks_t *blocks, config_status_t *status, const uint8_t *data, uint16_t size)

@@ -87,7 +87,7 @@ static void compare_count(event_log_t *log, uint32_t tick, event_kind_t kind, ui
     }
 }
 
-void event_log_watch(event_log_t *log, const volatile snapshot_t *snapshot)
+void event_log_compare(event_log_t *log, const volatile snapshot_t *snapshot)
 {
     const uint32_t tick = snapshot->tick;
     if (tick == log->tick) {

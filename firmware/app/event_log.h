@@ -44,7 +44,7 @@ typedef struct {
 void event_log_init(event_log_t *log, bool by_watchdog);
 
 /* Log the changes of the snapshot, which an interrupt may be writing. */
-void event_log_watch(event_log_t *log, const volatile snapshot_t *snapshot);
+void event_log_compare(event_log_t *log, const volatile snapshot_t *snapshot);
 
 /* Log a refused write at this offset of servo_t. */
 void event_log_refused(event_log_t *log, uint16_t offset);

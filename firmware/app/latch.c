@@ -99,9 +99,9 @@ static uint16_t deferred(const axis_t *axis, const command_block_t *block, uint1
 {
     const uint16_t i = axis->index;
     const bool opening = axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN && !holding_brake_is_open(axis);
-    const bool wanted = ((fresh & FRESH_ENABLE) != 0U) ? block->enable[i] == 1U : axis->enable_requested;
+    const bool requested = ((fresh & FRESH_ENABLE) != 0U) ? block->enable[i] == 1U : axis->enable_requested;
     const bool stopped = (fresh & FRESH_QUICK_STOP) != 0U && block->quick_stop[i] != 0U;
-    return (opening && wanted && !stopped) ? (uint16_t)(fresh & FRESH_MOTION) : 0U;
+    return (opening && requested && !stopped) ? (uint16_t)(fresh & FRESH_MOTION) : 0U;
 }
 
 static void apply_parameter(const parameter_block_t *parameter, axis_t *axis)

@@ -306,7 +306,7 @@ static void run_board_slot(servo_t *servo, uint16_t period)
         break;
     case SLOT_LATCH:
         latch_commands(servo);
-        servo->monitoring = analog_out_wanted(&servo->settings);
+        servo->monitoring = analog_out_selected(&servo->settings);
         break;
     default:
         break;

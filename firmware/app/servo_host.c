@@ -189,7 +189,7 @@ void servo_background(servo_t *servo)
         freemaster_listen(&servo->freemaster, servo->hal); /* event log and requests need the tables */
         return;
     }
-    event_log_watch(&servo->event_log, &servo->snapshot);
+    event_log_compare(&servo->event_log, &servo->snapshot);
     event_log_print(&servo->event_log, &servo->freemaster);
     freemaster_poll(&servo->freemaster, servo->hal);
     servo_storage_step(servo);

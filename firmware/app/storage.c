@@ -164,7 +164,7 @@ static void start(storage_t *storage, const storage_status_t *status, const stor
     hal_flash_program(board->hal, place_of(storage), storage->word);
 }
 
-/* Did the command have the intended effect? */
+/* True if the command had the intended effect. */
 static bool is_done(const storage_t *storage, const storage_board_t *board)
 {
     if (hal_flash_result(board->hal) != HAL_FLASH_DONE) {

@@ -63,7 +63,7 @@ static void set_value(const stored_values_t *values, uint16_t index, uint32_t va
     ranges_set(&element.range, values->memory + element.offset, value);
 }
 
-/* Is the value within the range that a host may write? */
+/* True if the value is within the writable range of its variable. */
 static bool accepts(const stored_values_t *values, uint16_t index, uint32_t value)
 {
     if (!is_parameter(index)) {
@@ -107,7 +107,7 @@ static bool is_erased(hal_t *hal, uint16_t copy)
     return i == STORED_ROOM;
 }
 
-/* Is the checksum of the copy valid, whatever its layout? */
+/* True if the checksum of the copy is valid, for any layout. */
 static bool is_sealed(hal_t *hal, uint16_t copy)
 {
     const uint32_t length = read_word(hal, copy, LENGTH);

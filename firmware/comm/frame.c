@@ -18,7 +18,7 @@ void frame_receiver_init(frame_receiver_t *receiver)
     receiver->overflow = false;
 }
 
-/* A byte after an unpaired 2B is a command, whatever the state of the receiver. */
+/* A byte after an unpaired 2B is a command, in every state of the receiver. */
 static frame_event_t begin(frame_receiver_t *receiver, uint8_t command)
 {
     const bool unfinished = receiver->want_length || receiver->todo != 0;

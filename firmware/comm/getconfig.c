@@ -56,7 +56,7 @@ uint8_t getconfig_answer(const freemaster_app_t *app, payload_reader_t *request,
         index = find_key(request);
     }
     if (request->missing) {
-        return FM_BAD_SIZE; /* the vendor's server goes on to read in the previous message */
+        return FM_BAD_SIZE; /* the vendor's server reads from the previous message */
     }
     if (index < 1 || index > KEYS) {
         return FM_DENIED; /* the vendor's server reads outside of its list for an index above 11 */

@@ -23,8 +23,8 @@ static frac32_t change_of(const field_weakening_config_t *config, const field_we
     if (unneeded || !emf_matters(input->emf, target)) {
         return -slew;
     }
-    const int64_t wanted = -(int64_t)room_of(target, input->demand) * config->gain;
-    const frac32_t change = f32_limit(asr64(wanted, FIELD_WEAKENING_GAIN_BITS), slew);
+    const int64_t requested = -(int64_t)room_of(target, input->demand) * config->gain;
+    const frac32_t change = f32_limit(asr64(requested, FIELD_WEAKENING_GAIN_BITS), slew);
     return (input->enabled || change < 0) ? change : 0;
 }
 

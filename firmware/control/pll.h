@@ -22,13 +22,10 @@ typedef struct {
     int32_t step_per_speed;  /* step at full-scale speed */
     int32_t counts_per_turn; /* encoder counts per electrical turn, 16 fraction bits */
     int32_t acceleration;    /* step change per slow tick at full-scale i_q; 0: no feed-forward */
-    int32_t
-        load_gain; /* gain of the load-acceleration estimate: change per slow tick / (phase error x sqrt(back-EMF)) */
-    gain_t
-        amplitude_gain; /* gain from the amplitude error of the back-EMF (23 fraction bits) to the step, per slow tick */
+    int32_t load_gain; /* gain of the load-acceleration estimate: change per tick / (phase error x sqrt(back-EMF)) */
+    gain_t amplitude_gain; /* gain from the amplitude error of the back-EMF (23 fraction bits) to the step, per tick */
     gain_t amplitude_load_gain; /* gain from the amplitude error to the load acceleration; 0: amplitude not used */
-    gain_t
-        offset_gain; /* gain of the amplitude-offset estimate: change of the offset / difference of amplitude and phase */
+    gain_t offset_gain; /* gain of the amplitude-offset estimate: offset / difference of amplitude and phase */
 } pll_config_t;
 
 typedef struct {

@@ -134,8 +134,8 @@ static void note_voltage(encoder_monitor_t *m, const winding_config_t *config, c
 
 static frac16_t test_size(const winding_config_t *config, const observation_t *o)
 {
-    const int32_t wanted = 4 * (int32_t)config->current_min;
-    return (wanted < o->current_limit) ? (frac16_t)wanted : o->current_limit;
+    const int32_t requested = 4 * (int32_t)config->current_min;
+    return (requested < o->current_limit) ? (frac16_t)requested : o->current_limit;
 }
 
 static void request_test_current(const encoder_monitor_t *m, const winding_config_t *config, const observation_t *o,
@@ -163,7 +163,7 @@ static bool emf_persists(const encoder_monitor_t *m)
            length_about(m->reference_voltage.d, m->reference_voltage.q);
 }
 
-/* The voltage rotates like a back-EMF. It may be integrator wind-up if hardly any current flows or flowed meanwhile, or
+/* The voltage rotates like a back-EMF. It may be integrator wind-up if little current flows or flowed meanwhile, or
  * if the direction of the voltage was constant before for longer than that of a back-EMF. Then a test current is
  * requested along the larger component of the voltage, for the settling time of the current controllers. */
 static void test_emf(encoder_monitor_t *m, const winding_config_t *config, const observation_t *o, evidence_t *evidence)
@@ -204,7 +204,7 @@ static bool steps(encoder_monitor_t *m, const winding_config_t *config, gain_t k
     return i32_gain(step, kp) > (int32_t)config->emf_floor;
 }
 
-/* The count stopped at once while hardly any current flows: the encoder may have failed. A back-EMF within the voltage
+/* The count stopped abruptly while little current flows: the encoder may have failed. A back-EMF within the voltage
  * drop of dead time and switches causes no response of the current controllers, so a test current is needed. */
 static bool needs_test_current(const encoder_monitor_t *m, const winding_config_t *config, const observation_t *o)
 {

@@ -74,14 +74,14 @@ fault_set_t fault_names(finding_set_t findings)
     return faults;
 }
 
-finding_set_t fault_wanted(finding_set_t findings, fault_set_t enabled)
+finding_set_t fault_enabled(finding_set_t findings, fault_set_t enabled)
 {
-    finding_set_t wanted = 0;
+    finding_set_t result = 0;
     for (; findings != 0U; findings &= findings - 1U) {
         const uint16_t lowest = fault_lowest(findings);
-        wanted |= ((rule_of(lowest).fault & enabled) != 0U) ? FOUND(lowest) : 0U;
+        result |= ((rule_of(lowest).fault & enabled) != 0U) ? FOUND(lowest) : 0U;
     }
-    return wanted;
+    return result;
 }
 
 fault_revision_t fault_revise(fault_set_t fresh, fault_set_t captured, uint32_t age)

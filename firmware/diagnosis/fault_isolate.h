@@ -20,7 +20,7 @@ fault_verdict_t fault_isolate(const evidence_t *evidence, fault_set_t enabled);
 fault_set_t fault_names(finding_set_t findings);
 
 /* Findings whose own fault is enabled. */
-finding_set_t fault_wanted(finding_set_t findings, fault_set_t enabled);
+finding_set_t fault_enabled(finding_set_t findings, fault_set_t enabled);
 
 typedef struct {
     fault_set_t first; /* replaces the first fault; 0: no change */

@@ -15,7 +15,7 @@
 /* Record of the first fault: ring buffer of FAULT_SAMPLES samples, one per slow tick (32 ms), frozen at the first
  * fault. The last sample is taken in the PWM period of the fault, so it also shows an over-current. */
 typedef struct {
-    fault_set_t pending; /* pending faults at the first fault */
+    fault_set_t pending; /* present faults (axisN.pending), not frozen */
     uint32_t tick; /* PWM periods since reset at the first fault */
     uint16_t code; /* code of the first fault */
     uint16_t state; /* state_t before the fault */

@@ -90,16 +90,17 @@ static void note_currents(phase_monitor_t *m, const winding_config_t *config, co
  * minimum, or below an eighth of the largest one where half of it is expected. */
 static void compare(phase_monitor_t *m, int32_t current_min, const phases_t *is, dq_t current_ref, const sin_cos_t *at)
 {
-    phases_t wanted = {{0, 0, 0}, 0};
+    phases_t set_point = {{0, 0, 0}, 0};
     for (uint16_t x = 0; x < OBSERVED_PHASES; x++) {
         const int32_t size = is->phase[x];
         const bool less = size < current_min && is->largest > 2 * current_min;
-        const bool hardly = 8 * size < is->largest;
-        if ((less || hardly) && wanted.largest == 0) { /* rare */
-            wanted = sizes(current_ref, at);
+        const bool small = 8 * size < is->largest;
+        if ((less || small) && set_point.largest == 0) { /* rare */
+            set_point = sizes(current_ref, at);
         }
-        const int32_t asked = wanted.phase[x];
-        if ((less && asked > 2 * current_min) || (hardly && asked > current_min && asked > wanted.largest / 2)) {
+        const int32_t requested = set_point.phase[x];
+        if ((less && requested > 2 * current_min) ||
+            (small && requested > current_min && requested > set_point.largest / 2)) {
             m->no_current_ticks[x]++;
             m->lost = m->lost || m->no_current_ticks[x] >= NO_CURRENT_TICKS;
         } else if (4 * size >= is->largest) {
@@ -138,8 +139,8 @@ static bool current_not_following(const winding_config_t *config, const observat
 static void note_no_response(phase_monitor_t *m, const winding_config_t *config, const observation_t *o,
                              int32_t largest)
 {
-    const dq_t wanted = o->current_ref;
-    const int32_t missing = length_about((int32_t)o->current.d - wanted.d, (int32_t)o->current.q - wanted.q);
+    const dq_t set_point = o->current_ref;
+    const int32_t missing = length_about((int32_t)o->current.d - set_point.d, (int32_t)o->current.q - set_point.q);
     const bool enough = 4 * missing > 3 * (int32_t)config->current_min || missing > config->direction_current_min;
     const bool not_following = enough && current_not_following(config, o);
     m->no_response_ticks = (o->spins && not_following && 4 * missing > 3 * (int32_t)config->current_min)

@@ -82,8 +82,7 @@ typedef struct {
 typedef struct {
     path_position_t step; /* speed, counts with 24 fraction bits per slow tick */
     path_position_t acceleration; /* counts with 24 fraction bits per slow tick^2 */
-    path_position_t
-        braking_constant; /* a / (2 k^2) of the speed limit in soft_limits.c, counts with 24 fraction bits */
+    path_position_t braking_constant; /* a / (2 k^2) in soft_limits.c, counts with 24 fraction bits */
     uint16_t omega_n_ts; /* omega_n Ts of the path filter, 16 fraction bits */
     bool stale; /* `braking_constant` and `omega_n_ts` must be recalculated */
 } path_limits_t;
@@ -108,8 +107,7 @@ typedef struct {
     bool expired; /* stopped because the set-point was not written again within the time-out */
     bool underrun; /* stopped because no point followed a point with a speed other than 0 */
     path_filter_t path; /* path filter; on a trajectory only its output is used */
-    path_position_t
-        model_position; /* position of an ideal shaft, for the following error, counts with 24 fraction bits */
+    path_position_t model_position; /* ideal shaft, for the following error, counts with 24 fraction bits */
     int32_t position_gain; /* gain in force, approaches that of the configuration: speed fraction (31 bits) per count */
     bool path_forward; /* speed feed-forward from the path */
     bool resting; /* the shaft is at rest near the target */

@@ -42,8 +42,8 @@ void bus_braking_step(bus_braking_t *brake, const bus_braking_config_t *config, 
 {
     heat_up(brake, config, u_dc);
     brake->available = fitted && !brake->exhausted;
-    const bool wanted = brake->on ? u_dc > config->off : u_dc >= config->on;
-    brake->on = wanted && brake->available;
+    const bool requested = brake->on ? u_dc > config->off : u_dc >= config->on;
+    brake->on = requested && brake->available;
     brake->regen_derating = derating_at(config, ahead(brake, u_dc));
     brake->u_dc = u_dc;
 }

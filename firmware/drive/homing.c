@@ -227,7 +227,7 @@ static void note_place(home_t *home, int32_t place)
     }
 }
 
-/* Is a limit switch active in the direction of the present leg? */
+/* True if a limit switch is active in the direction of the present leg. */
 static bool at_limit_switch(const axis_t *axis)
 {
     const uint16_t ahead = (leg_speed(axis) < 0) ? INPUT_LIMIT_MIN : INPUT_LIMIT_MAX;

@@ -23,7 +23,7 @@ static frac16_t startup_angle(const axis_t *axis)
     return (startup->phase == STARTUP_RAMP) ? pll_upper(startup->angle - (uint32_t)startup->step) : 0;
 }
 
-/* Is a current controlled, and at which angle is its d axis? */
+/* State of the current control, and angle of its d axis. */
 static void observe_d_axis(axis_t *axis)
 {
     observation_t *o = &axis->observation;

@@ -138,7 +138,7 @@ void motion_expire_speed(axis_t *axis)
     }
 }
 
-/* Does the stop end with position hold? Yes if the drive is requested, or if the stop holds for a time. */
+/* True if the stop ends with position hold: the axis is enabled, or the stop holds for a time. */
 static bool stop_holds(const axis_t *axis)
 {
     return axis->enable_requested || axis->stop.category == STOP_CATEGORY_HOLD || holding_brake_takes_over(axis);
@@ -198,7 +198,7 @@ static frac32_t limited_speed(axis_t *axis, frac32_t speed)
     return limited;
 }
 
-/* Confine the speed to the soft limits. Not used on the way to a position target, which is inside of them. */
+/* Confine the speed to the soft limits. Not used for a position target, which is within them. */
 static frac32_t confined_speed(axis_t *axis, frac32_t speed)
 {
     if (!soft_limits_given(axis)) {
@@ -260,7 +260,7 @@ static bool rests(axis_t *axis)
 }
 
 /* F26: proportional only, because no overshoot is allowed (E42..E45). */
-static frac32_t wanted_speed(const axis_t *axis, path_position_t behind)
+static frac32_t requested_speed(const axis_t *axis, path_position_t behind)
 {
     const frac32_t behind_q8 = sat32(asr64(behind, PATH_BITS - 8));
     const frac32_t forward = axis->motion.path_forward ? axis->motion.shaped_speed : 0;
@@ -270,7 +270,7 @@ static frac32_t wanted_speed(const axis_t *axis, path_position_t behind)
 /* Limit of the speed: the speed limit, or the speed of the path while that is still decelerating to a lower limit. */
 static frac32_t followed_speed(axis_t *axis, path_position_t behind)
 {
-    const frac32_t speed = wanted_speed(axis, behind);
+    const frac32_t speed = requested_speed(axis, behind);
     const frac32_t limited = limited_speed(axis, speed);
     if (limited == speed) {
         return speed;
@@ -315,10 +315,10 @@ static bool follows_position(const motion_state_t *m)
 bool motion_takes_points(const axis_t *axis)
 {
     const bool spins = axis->sm.state == STATE_RUN && axis->substate == SUBSTATE_SPIN;
-    const bool wanted =
+    const bool requested =
         axis->enable_requested && !axis->command.quick_stop && axis->command.mode == CONTROL_MODE_TRAJECTORY;
     const bool free = holding_brake_is_open(axis) && !axis->sensorless;
-    return spins && wanted && free && follows_position(&axis->motion);
+    return spins && requested && free && follows_position(&axis->motion);
 }
 
 void motion_plan(axis_t *axis, uint32_t tick)
@@ -399,8 +399,8 @@ static frac32_t ramped_speed(axis_t *axis)
     if (m->motion == MOTION_STOP) {
         speed = ramp(m->speed_ramp, 0, step);
     } else {
-        const frac32_t wanted = ramp(m->speed_ramp, limited_speed(axis, m->speed_target), step);
-        speed = ramp(m->speed_ramp, confined_speed(axis, wanted), step);
+        const frac32_t requested = ramp(m->speed_ramp, limited_speed(axis, m->speed_target), step);
+        speed = ramp(m->speed_ramp, confined_speed(axis, requested), step);
     }
     m->speed_ramp = speed;
     shape(m, speed);
@@ -487,12 +487,12 @@ void motion_accept_speed(axis_t *axis)
         axis_report(axis, LIMIT_EXPIRED);
     }
     const bool unable = command->mode != CONTROL_MODE_SPEED || m->speed_target != 0;
-    if (axis->enable_requested && unable && motion_wanted_speed(axis) == 0) {
+    if (axis->enable_requested && unable && motion_requested_speed(axis) == 0) {
         axis_report(axis, LIMIT_SENSORLESS);
     }
 }
 
-frac32_t motion_wanted_speed(const axis_t *axis)
+frac32_t motion_requested_speed(const axis_t *axis)
 {
     const frac32_t min = axis->config->startup.minimum_speed;
     const frac32_t speed = soft_limits_confined(axis, axis->motion.speed_target);

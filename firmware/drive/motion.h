@@ -17,7 +17,7 @@ void motion_accept_speed(axis_t *axis);
 void motion_expire_speed(axis_t *axis);
 
 /* Sensorless: limited speed set-point; 0 without a set-point, or below the minimum speed of the observer. */
-frac32_t motion_wanted_speed(const axis_t *axis);
+frac32_t motion_requested_speed(const axis_t *axis);
 
 /* Sensorless, in SPIN: set-point or shaft are below the minimum speed of the observer. */
 bool motion_too_slow(const axis_t *axis);

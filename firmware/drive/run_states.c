@@ -32,7 +32,7 @@ static void measure(axis_t *axis)
     axis->current_loop.current = park(clarke(current), sin_cos_of(axis->feedback.theta_e));
 }
 
-/* Dead time is compensated if `features` says so, and always on a sensorless axis, because the observer requires it. */
+/* Dead time is compensated with FEATURE_DEAD_TIME, and always on a sensorless axis, because the observer requires it. */
 static void choose_dead_time(axis_t *axis, uint16_t features)
 {
     axis->current_loop.dead_time_off = (features & FEATURE_DEAD_TIME) == 0U && !axis->sensorless;
@@ -157,7 +157,7 @@ static void ready_startup(axis_t *axis)
 {
     axis_zero_voltage(axis, true);
     choose_dead_time(axis, FEATURE_DEAD_TIME);
-    startup_begin(axis, motion_wanted_speed(axis) < 0);
+    startup_begin(axis, motion_requested_speed(axis) < 0);
     enter(axis, SUBSTATE_STARTUP);
 }
 
@@ -216,14 +216,14 @@ static void ready_slow(axis_t *axis)
         return;
     }
     if (axis->command.mode == CONTROL_MODE_TEST && !axis->sensorless) {
-        if (test_mode_wanted(axis)) {
+        if (test_mode_requested(axis)) {
             ready_test(axis);
         } else {
             axis->enable_requested = false;
         }
         return;
     }
-    if (axis->sensorless && motion_wanted_speed(axis) == 0) {
+    if (axis->sensorless && motion_requested_speed(axis) == 0) {
         holding_brake_request(axis, false);
         return;
     }
@@ -249,8 +249,8 @@ static void align_fast(axis_t *axis)
         stall_test_add(test, &axis->config->rotor_search, axis->current_loop.voltage.d);
     } else if (rotor_search_drives(&axis->search)) {
         drive_current(axis, rotor_search_angle(&axis->search));
-        rotor_search_watch(&axis->search, &axis->config->rotor_search, axis->current_loop.current.d,
-                           axis->current_loop.voltage.q);
+        rotor_search_add(&axis->search, &axis->config->rotor_search, axis->current_loop.current.d,
+                         axis->current_loop.voltage.q);
     }
 }
 
@@ -258,9 +258,9 @@ static void align_fast(axis_t *axis)
 static finding_t search_failure(const axis_t *axis)
 {
     const int32_t current_min = axis->config->winding.current_min;
-    const bool asked = axis->current_ref.d > 2 * current_min;
-    return (asked && f16_abs(axis->current_loop.current.d) < current_min) ? FINDING_SEARCH_NO_CURRENT
-                                                                          : FINDING_SEARCH_NO_MOVEMENT;
+    const bool requested = axis->current_ref.d > 2 * current_min;
+    return (requested && f16_abs(axis->current_loop.current.d) < current_min) ? FINDING_SEARCH_NO_CURRENT
+                                                                              : FINDING_SEARCH_NO_MOVEMENT;
 }
 
 /* One slow tick of the stall test: the vector rotates at full current. */
@@ -272,7 +272,7 @@ static void test_stall(axis_t *axis)
     axis_raise(axis, evidence.confirmed);
 }
 
-/* Finding at the end of a search; FINDINGS while it goes on. */
+/* Finding at the end of a search; FINDINGS during the search. */
 static finding_t search_end(const axis_t *axis, finding_t failure)
 {
     switch (axis->search.phase) {
@@ -425,11 +425,11 @@ static finding_set_t monitor_shaft(axis_t *axis)
 /* Stalled, runaway or following error. Before STALLED is raised, the stall test runs. */
 static void judge_shaft(axis_t *axis, finding_set_t findings)
 {
-    const finding_set_t wanted = fault_wanted(findings, axis->latch.enabled);
-    if (wanted == FOUND(FINDING_SHAFT_BLOCKED) && axis->enable_requested && !axis->sensorless) {
+    const finding_set_t findings_enabled = fault_enabled(findings, axis->latch.enabled);
+    if (findings_enabled == FOUND(FINDING_SHAFT_BLOCKED) && axis->enable_requested && !axis->sensorless) {
         spin_align(axis);
     } else {
-        axis_raise(axis, wanted);
+        axis_raise(axis, findings_enabled);
     }
 }
 
@@ -489,7 +489,7 @@ static void spin_check(axis_t *axis)
 
 static void startup_slow_state(axis_t *axis)
 {
-    if (!axis->enable_requested || motion_wanted_speed(axis) == 0) {
+    if (!axis->enable_requested || motion_requested_speed(axis) == 0) {
         to_freewheel(axis);
     }
 }
@@ -522,7 +522,7 @@ static void startup_check(axis_t *axis)
 
 static void test_slow(axis_t *axis)
 {
-    if (test_mode_wanted(axis)) {
+    if (test_mode_requested(axis)) {
         test_mode_slow(axis);
         return;
     }

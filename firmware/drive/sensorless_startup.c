@@ -100,7 +100,7 @@ static void seek(axis_t *axis)
     startup->emf = axis->estimate.emf;
 }
 
-/* Has the back-EMF been detected? At low speed its absence may be masked by dead time and resistance, and an
+/* True if the back-EMF is detected. At low speed its absence may be masked by dead time and resistance, and an
  * undisturbed PLL follows the vector. */
 static bool seen(const axis_t *axis)
 {

@@ -15,8 +15,7 @@ typedef struct {
     frac32_t minimum_speed; /* MINIMUM_SPEED_RPM */
     uint16_t mean_min; /* smallest mean observed speed / forced speed, 14 fraction bits (slide: 0.8) */
     uint16_t mean_max; /* largest mean observed speed / forced speed, 14 fraction bits: 1 plus a tolerance */
-    gain_t
-        damping; /* damping of the rotor oscillation: current in quadrature / back-EMF in quadrature, of full scales */
+    gain_t damping; /* damping of the rotor oscillation: quadrature current / quadrature back-EMF, of full scales */
     frac16_t damping_limit; /* largest damping current, Q1.15 of full-scale current */
     uint16_t catch_ticks; /* duration of CATCH, slow ticks */
     frac32_t fade_step; /* change of i_d per slow tick in PROVE and after the hand-over, Q1.31 of full-scale current */

@@ -23,14 +23,14 @@ static frac32_t forward_current(const axis_t *axis, const axis_config_t *config)
     return i_q;
 }
 
-/* Does a current of this sign brake a shaft that is fast enough to return energy to the bus? */
+/* True if a current of this sign decelerates a shaft that is fast enough to return energy to the bus. */
 static bool returns_energy(const axis_t *axis, bool negative)
 {
     const frac32_t speed = axis->feedback.speed;
     return f32_abs(speed) > axis->config->regeneration_speed && (speed < 0) != negative;
 }
 
-/* Is the current limit below that of the host in some direction, because of the bus or of field weakening? */
+/* True if bus or field weakening reduce the current limit of one direction below that of the host. */
 static bool restricted(const axis_t *axis)
 {
     return axis->regen_derating != FRAC16_MAX || field_weakening_active(&axis->weakening);
@@ -146,11 +146,11 @@ frac16_t torque_control(axis_t *axis)
         room(axis, f32_sub(feedback->speed, range.min), f32_sub(feedback->mean_speed, range.min), &below);
     const frac32_t min = f32_sub(0, back);
     m->limit_hold_current = above - below;
-    const frac16_t wanted = f16_limit(m->i_q_target, axis->current_max.q);
-    if (wanted != m->i_q_target) {
+    const frac16_t requested = f16_limit(m->i_q_target, axis->current_max.q);
+    if (requested != m->i_q_target) {
         (void)report_current(axis);
     }
-    frac32_t i_q = f32_from_f16(wanted);
+    frac32_t i_q = f32_from_f16(requested);
     if (i_q > max || i_q < min) {
         const bool soft = (i_q > max) ? range.max < axis->limits.speed : range.min > -axis->limits.speed;
         axis_report(axis, soft ? axis->home.limit : LIMIT_SPEED);

@@ -9,7 +9,7 @@
 
 /* The imposed vector uses the state of the sensorless start-up, which an axis with an encoder does not need. */
 
-bool test_mode_wanted(const axis_t *axis)
+bool test_mode_requested(const axis_t *axis)
 {
     const bool able = !axis->sensorless && !holding_brake_fitted(axis);
     return axis->enable_requested && !axis->command.quick_stop && axis->command.mode == CONTROL_MODE_TEST && able;
@@ -63,7 +63,7 @@ static void take_set_points(axis_t *axis)
 }
 
 /* Speed of the vector within the limits; 0 if it would turn the shaft out of its range. */
-static frac32_t wanted_speed(axis_t *axis)
+static frac32_t requested_speed(axis_t *axis)
 {
     const frac32_t speed = f32_clip(axis->motion.speed_target, axis->limits.speed);
     const frac32_t confined = soft_limits_given(axis) ? soft_limits_confined(axis, speed) : speed;
@@ -79,13 +79,13 @@ void test_mode_slow(axis_t *axis)
 {
     startup_t *vector = &axis->startup;
     take_set_points(axis);
-    vector->speed += f32_clip(f32_sub(wanted_speed(axis), vector->speed), axis->limits.acceleration);
+    vector->speed += f32_clip(f32_sub(requested_speed(axis), vector->speed), axis->limits.acceleration);
     vector->step = f32_gain(vector->speed, axis->config->current_loop.angle_step);
-    const frac16_t wanted = f16_limit(axis->motion.i_q_target, axis->current_max.q);
-    if (wanted != axis->motion.i_q_target) {
+    const frac16_t requested = f16_limit(axis->motion.i_q_target, axis->current_max.q);
+    if (requested != axis->motion.i_q_target) {
         axis_report(axis, LIMIT_CURRENT);
     }
-    const frac32_t missing = f32_sub(f32_from_f16(wanted), vector->current);
+    const frac32_t missing = f32_sub(f32_from_f16(requested), vector->current);
     vector->current += f32_clip(missing, axis->config->rotor_search.current_slew);
     axis->current_ref = (dq_t){f16_from_f32(vector->current), 0};
     current_loop_set_speed(&axis->current_loop, &axis->config->current_loop, f16_from_f32(vector->speed));

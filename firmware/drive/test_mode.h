@@ -6,7 +6,7 @@
 
 /* True if mode TEST is requested and permitted: the axis has an encoder (to observe the motion) and no holding brake
  * (an imposed vector cannot hold its load). */
-bool test_mode_wanted(const axis_t *axis);
+bool test_mode_requested(const axis_t *axis);
 
 /* Begin with zero current at angle 0. */
 void test_mode_start(axis_t *axis);

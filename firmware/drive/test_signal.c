@@ -19,8 +19,8 @@ static bool stopping(const axis_t *axis)
 
 static bool possible(const axis_t *axis, uint16_t point)
 {
-    const bool wanted = axis->enable_requested && !axis->command.quick_stop && !axis->motion.expired;
-    if (axis->sm.state != STATE_RUN || !wanted || (axis->inputs & INPUT_LIMITS) != 0U) {
+    const bool requested = axis->enable_requested && !axis->command.quick_stop && !axis->motion.expired;
+    if (axis->sm.state != STATE_RUN || !requested || (axis->inputs & INPUT_LIMITS) != 0U) {
         return false;
     }
     return (axis->substate == SUBSTATE_SPIN) ? !stopping(axis) : (axis->substate == SUBSTATE_TEST && fast(point));

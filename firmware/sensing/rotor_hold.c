@@ -5,7 +5,7 @@
 typedef enum {
     STAGE_RISE,   /* the brake is closed, the current rises */
     STAGE_CATCH,  /* the brake opens */
-    STAGE_AWAY,   /* check: does the shaft follow a small rotation of the vector? */
+    STAGE_AWAY,   /* check: the shaft must follow a small rotation of the vector */
     STAGE_BACK,   /* back to the original position */
     STAGE_WEAKEN, /* reduction to half of the current */
 } rotor_hold_stage_t;

@@ -54,7 +54,7 @@ static frac32_t growth(const rotor_search_t *search, const rotor_search_config_t
     return (step < config->current_slew) ? (frac32_t)step : config->current_slew;
 }
 
-/* Next current on the way to `target`, at the slew rate that the current controller follows. */
+/* Next current of the ramp to `target`, at the slew rate that the current controller follows. */
 static frac32_t slew(const rotor_search_t *search, const rotor_search_config_t *config, frac32_t target)
 {
     return (frac32_t)(search->current + f32_limit((int64_t)target - search->current, config->current_slew));
@@ -316,8 +316,7 @@ static void turn_step(rotor_search_t *search, const rotor_search_config_t *confi
     }
 }
 
-void rotor_search_watch(rotor_search_t *search, const rotor_search_config_t *config, frac16_t current,
-                        frac16_t u_across)
+void rotor_search_add(rotor_search_t *search, const rotor_search_config_t *config, frac16_t current, frac16_t u_across)
 {
     if (search->phase == ROTOR_SEARCH_TURN) {
         rotor_follow_add(&search->follow, &config->follow, u_across);

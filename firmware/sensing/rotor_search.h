@@ -84,8 +84,7 @@ typedef struct {
 void rotor_search_start(rotor_search_t *search, int32_t position);
 
 /* One PWM period with the vector applied: current along it, voltage across it. */
-void rotor_search_watch(rotor_search_t *search, const rotor_search_config_t *config, frac16_t current,
-                        frac16_t u_across);
+void rotor_search_add(rotor_search_t *search, const rotor_search_config_t *config, frac16_t current, frac16_t u_across);
 
 /* One slow tick; `position` in counts. */
 void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position);

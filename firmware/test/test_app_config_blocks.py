@@ -123,7 +123,7 @@ def test_a_member_out_of_range_is_refused(bench: BlockBench, member: Member) -> 
         assert bench.write_words("config.window", [0, number, 1, raw])
 
 
-def test_a_fault_may_not_be_answered_by_what_cannot_work(bench: BlockBench) -> None:
+def test_refuses_impossible_stop_category(bench: BlockBench) -> None:
     """OVER_VOLTAGE by a ramp: the energy would go to a bus that has too much of it."""
     number = list(TABLE.members).index("stop.ramp")
     assert not bench.write_words("config.window", [0, number, 1, 1])
@@ -149,7 +149,7 @@ def test_a_part_that_does_not_fit_is_refused(bench: BlockBench, words: list[int]
 
 
 @pytest.mark.parametrize("axes", [0, 1, 2, 3])
-def test_nothing_is_taken_that_has_not_come(bench: BlockBench, axes: int) -> None:
+def test_take_without_a_ready_block_is_refused(bench: BlockBench, axes: int) -> None:
     old = [read_block(bench, axis) for axis in range(2)]
     if axes == 3:
         send_block(bench, 0, old[0])
@@ -160,7 +160,7 @@ def test_nothing_is_taken_that_has_not_come(bench: BlockBench, axes: int) -> Non
     assert bench.read_words("config.taken_count") == [0]
 
 
-def test_while_blocks_wait_to_be_taken_no_others_come(bench: BlockBench) -> None:
+def test_no_block_is_written_while_blocks_are_pending(bench: BlockBench) -> None:
     block = read_block(bench, 0)
     send_block(bench, 0, block)
     bench.servo.locked = True  # the latch is left out
@@ -192,14 +192,14 @@ def test_in_motion_only_live_members_change(bench: BlockBench) -> None:
         if member.live or member.minimum == member.maximum:
             continue
         send_block(bench, 0, {**now, member.path: other(member, now[member.path])})
-        with pytest.raises(BlockRefusedError, match="at rest") as error:
+        with pytest.raises(BlockRefusedError, match="at standstill") as error:
             take(bench, 0)
         assert error.value.reason == "MOTION"
         assert member.path in str(error.value)
         assert read_block(bench, 0) == now
 
 
-def test_one_axis_in_motion_keeps_the_other_from_its_block(bench: BlockBench) -> None:
+def test_one_axis_in_motion_blocks_the_exchange_of_both(bench: BlockBench) -> None:
     bench.to_spin(1)
     old = [read_block(bench, axis) for axis in range(2)]
     for axis in range(2):
@@ -212,12 +212,12 @@ def test_one_axis_in_motion_keeps_the_other_from_its_block(bench: BlockBench) ->
     assert bench.axis(0).config.u_dc_max == 30000
 
 
-def test_an_axis_that_is_turned_by_hand_is_not_at_rest(bench: BlockBench) -> None:
+def test_an_axis_that_is_rotated_by_hand_is_not_at_rest(bench: BlockBench) -> None:
     bench.turn(0, 20.0)
     bench.slow(100)
     assert bench.axis(0).sm.state == STATE.STOP
     send_block(bench, 0, {**read_block(bench, 0), "u_dc_max": 30000})
-    with pytest.raises(BlockRefusedError, match="at rest"):
+    with pytest.raises(BlockRefusedError, match="at standstill"):
         take(bench, 0)
 
 
@@ -242,7 +242,7 @@ def test_parameters_follow_their_defaults_and_others_stay(bench: BlockBench) -> 
     assert axis.sensorless
 
 
-def test_the_gain_of_the_position_controller_comes_slowly(bench: BlockBench) -> None:
+def test_position_gain_changes_gradually(bench: BlockBench) -> None:
     bench.to_spin(0)
     block = read_block(bench, 0)
     old, new = block["position_gain"], 2 * block["position_gain"]
@@ -256,7 +256,7 @@ def test_the_gain_of_the_position_controller_comes_slowly(bench: BlockBench) -> 
 
 @settings(max_examples=40)
 @given(data=st.data())
-def test_no_set_point_jumps_when_gains_change(core: Core, data: st.DataObject) -> None:
+def test_change_of_gains_is_bumpless(core: Core, data: st.DataObject) -> None:
     """Speed control with a large error: what the proportional part loses or gains the integral part takes."""
     bench = BlockBench(core)
     bench.to_stop()

@@ -96,7 +96,7 @@ def test_a_reset_by_the_watchdog_is_a_line(core: Core) -> None:
     assert Console(bench).lines() == ["reset by the watchdog"]
 
 
-def test_oldest_go_first_and_are_counted(quiet: Bench) -> None:
+def test_oldest_events_are_discarded_and_counted(quiet: Bench) -> None:
     console = Console(quiet)
     console.lines()
     names, sizes = ("param.host_timeout", "param.acceleration_limit"), (2, 4)
@@ -109,7 +109,7 @@ def test_oldest_go_first_and_are_counted(quiet: Bench) -> None:
     assert len(lines) > 5
 
 
-def test_what_comes_again_and_again_pushes_nothing_out(quiet: Bench) -> None:
+def test_repeated_events_do_not_displace_others(quiet: Bench) -> None:
     console = Console(quiet)
     console.lines()
     quiet.core.lib.servo_write(quiet.servo, quiet.address("param.acceleration_limit"), b"\x00" * 4, 4)

@@ -127,7 +127,7 @@ def test_writes_between_two_slow_ticks_take_effect_together(bench: Bench, core: 
     assert [bench.axis(i).command.position for i in range(2)] == [7, 8]
 
 
-def test_locked_block_is_not_read_and_not_lost(bench: Bench) -> None:
+def test_writes_during_a_lock_are_latched_later(bench: Bench) -> None:
     """While the server copies, nothing is latched and no snapshot published; afterwards the write still counts."""
     tick = bench.servo.snapshot.tick
     bench.write(0, enable=1)
@@ -161,7 +161,7 @@ def test_locked_parameters_of_the_board_are_not_read_and_pending_faults_not_publ
     assert (settings.host_timeout, settings.monitor[0], settings.brake_fitted) == (before + 1, 1, True)
 
 
-def test_a_latch_that_is_left_out_does_not_repeat_a_fresh_write(bench: Bench) -> None:
+def test_an_omitted_latch_does_not_repeat_a_new_write(bench: Bench) -> None:
     """An old `clear_faults` must not clear a fault that came after it."""
     bench.write(0, clear_faults=1)
     bench.slow()
@@ -198,7 +198,7 @@ def test_parameter_counts_from_the_tick_after_it_was_written(bench: Bench, core:
     assert not bench.servo.marks.parameters
 
 
-def test_limit_is_not_lost_with_an_interrupt_that_is_left_out(bench: Bench, core: Core) -> None:
+def test_limit_is_not_lost_with_an_omitted_interrupt(bench: Bench, core: Core) -> None:
     """A tighter limit waits for the slow loop of its axis, whatever else is latched in between."""
     bench.to_spin(0)
     limit = bench.axis(0).limits.i_q // 2

@@ -84,7 +84,7 @@ def stored(bench: Bench, variable: Variable) -> list[int]:
     return variable.decode_raw(bytes(bench.core.ffi.buffer(data)))
 
 
-def test_what_stands_there_after_a_reset_is_inside_the_ranges(bench: Bench) -> None:
+def test_values_after_a_reset_are_within_their_ranges(bench: Bench) -> None:
     for variable in WRITABLE.values():
         low, high = variable.raw_range
         assert all(low <= number <= high for number in stored(bench, variable)), variable.name
@@ -92,7 +92,7 @@ def test_what_stands_there_after_a_reset_is_inside_the_ranges(bench: Bench) -> N
 
 @WAYS
 @pytest.mark.parametrize("name", RANGED)
-def test_both_ends_of_a_range_are_taken(bench: Bench, name: str, way: Way) -> None:
+def test_both_ends_of_a_range_are_accepted(bench: Bench, name: str, way: Way) -> None:
     variable = WRITABLE[name]
     for number in variable.raw_range:
         assert way(bench, bench.address(name), encoded(variable, number) * variable.count) == 0

@@ -237,7 +237,7 @@ def test_a_stored_set_moves_and_enables_nothing(bench: StorageBench) -> None:
     assert bench.read_words("applied_count") == [0]
 
 
-def test_after_the_built_in_values_are_asked_for_they_come_with_the_next_reset(bench: StorageBench) -> None:
+def test_built_in_values_are_restored_by_the_next_reset_after_a_factory_request(bench: StorageBench) -> None:
     built_in = bench.values()
     _, newer, _ = two_sets(bench)
     assert bench.request(FACTORY)
@@ -265,7 +265,7 @@ def tears(command: Command, random: np.random.Generator) -> Iterator[Words]:
 
 
 @pytest.mark.parametrize("earlier", [0, 1, 2])
-def test_a_save_that_power_cuts_leaves_the_old_set_or_the_new_one(
+def test_power_failure_during_a_save_leaves_the_old_or_the_new_set(
     core: Core, bench: StorageBench, earlier: int
 ) -> None:
     for number in range(earlier):
@@ -288,9 +288,7 @@ def test_a_save_that_power_cuts_leaves_the_old_set_or_the_new_one(
     assert seen == {(False, False), (False, True), (True, True)}, "new only with the seal, which is the last word"
 
 
-def test_an_erase_of_both_copies_that_power_cuts_leaves_the_old_set_or_the_built_in_one(
-    core: Core, bench: StorageBench
-) -> None:
+def test_power_failure_during_an_erase_leaves_the_old_or_the_built_in_set(core: Core, bench: StorageBench) -> None:
     built_in = bench.values()
     _, newer, _ = two_sets(bench)
     random = np.random.default_rng(0)
@@ -326,7 +324,7 @@ def test_after_a_cut_the_next_save_works(core: Core, bench: StorageBench) -> Non
 
 
 @pytest.mark.parametrize("word", range(SEAL + 1))
-def test_a_damaged_word_makes_the_older_set_come_back(core: Core, word: int) -> None:
+def test_a_damaged_word_restores_the_older_set(core: Core, word: int) -> None:
     older, _, flash = kept_sets(core)
     random = np.random.default_rng(word)
     bench = StorageBench(core)
@@ -368,7 +366,7 @@ def test_random_contents_are_never_taken_for_a_set(core: Core, data: st.DataObje
 
 
 @pytest.mark.parametrize(("word", "value"), [(1, SEAL), (3, 1), (4, 1)])
-def test_a_set_of_another_firmware_is_named_and_kept_to_the_last(core: Core, word: int, value: int) -> None:
+def test_a_set_of_another_firmware_is_reported_and_overwritten_last(core: Core, word: int, value: int) -> None:
     older, _, flash = kept_sets(core)
     flash = flash.copy()
     flash[ROOM + word] = value
@@ -410,7 +408,7 @@ def test_a_value_that_a_host_may_not_write_is_not_taken_from_the_flash_either(co
     assert refused > len(limits) / 2
 
 
-def test_what_is_wrong_with_a_copy_stands_in_the_log(core: Core) -> None:
+def test_state_of_a_damaged_copy_is_logged(core: Core) -> None:
     _, _, flash = kept_sets(core)
     flash = flash.copy()
     flash[ROOM + 9] ^= 1
@@ -442,7 +440,7 @@ def test_a_request_that_is_repeated_is_carried_out_once(bench: StorageBench) -> 
 
 
 @pytest.mark.parametrize("words", [[0, 1], [3, 1], [1, 0], [1]])
-def test_a_request_without_form_is_refused(bench: StorageBench, words: Sequence[int]) -> None:
+def test_a_malformed_request_is_refused(bench: StorageBench, words: Sequence[int]) -> None:
     assert not bench.write_words("storage.request", words)
     assert bench.refusal() == "FORM"
     assert bench.hal.flash_commands == 0
@@ -484,7 +482,7 @@ def test_an_axis_that_is_enabled_meanwhile_starts_and_the_old_set_stays(bench: S
 
 
 @pytest.mark.parametrize("what", ["parameter", "block"])
-def test_values_that_change_meanwhile_are_not_kept_in_part(bench: StorageBench, what: str) -> None:
+def test_values_changed_during_a_save_cancel_the_save(bench: StorageBench, what: str) -> None:
     _, newer, _ = two_sets(bench)
     bench.begin(SAVE, 100)
     if what == "parameter":
@@ -500,7 +498,7 @@ def test_values_that_change_meanwhile_are_not_kept_in_part(bench: StorageBench, 
 
 
 @pytest.mark.parametrize("wrong", ["controller", "bit"])
-def test_a_flash_that_does_not_keep_what_is_written_is_named(bench: StorageBench, wrong: str) -> None:
+def test_failed_verification_of_the_flash_is_reported(bench: StorageBench, wrong: str) -> None:
     _, newer, _ = two_sets(bench)
     bench.begin(SAVE, 60)
     if wrong == "controller":
@@ -526,7 +524,7 @@ def test_the_server_waits_while_a_command_is_under_way(bench: StorageBench) -> N
     bench.hal.flash_polls = 10
     assert bench.request(SAVE)
     bench.core.lib.servo_background(bench.servo)
-    bench.read_arrives()
+    bench.receive_read()
     for _ in range(9):
         bench.core.lib.servo_background(bench.servo)
         assert bench.hal.serial_out_size == 0

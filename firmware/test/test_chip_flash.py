@@ -61,7 +61,7 @@ def test_the_result_of_a_command(board: FakeBoard, status: int, result: int) -> 
     assert board.lib.hal_flash_result(board.hal) == result
 
 
-def test_a_controller_that_never_gets_ready_is_none(board: FakeBoard) -> None:
+def test_a_controller_that_is_never_ready_counts_as_absent(board: FakeBoard) -> None:
     assert board.lib.hal_flash_present(board.hal)
     board[STAT] = 0
     assert not board.lib.hal_flash_present(board.hal)

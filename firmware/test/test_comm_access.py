@@ -126,7 +126,7 @@ def test_a_mask_of_zeros_writes_nothing(servo: Board) -> None:
 
 
 @pytest.mark.parametrize("mask", [None, b"\x00\xff" + b"\x00" * 6])
-def test_what_the_application_does_not_take_changes_nothing(servo: Board, mask: bytes | None) -> None:
+def test_a_write_refused_by_the_application_changes_nothing(servo: Board, mask: bytes | None) -> None:
     before = servo.memory()
     servo.set_refusing(True)
     assert servo.ask(WRITE, write(0x58, b"\x11" * 8, mask)) == Answer(0x97)

@@ -198,7 +198,7 @@ LATER = b"\xfe"
 """A command that the application of the harness does not finish by itself."""
 
 
-def test_command_that_takes_its_time(servo: Board) -> None:
+def test_command_that_finishes_later(servo: Board) -> None:
     servo.ask(SEND, b"\x11\x01")
     servo.ask(STATUS)
     servo.finish(0x21)
@@ -219,7 +219,7 @@ def test_command_that_takes_its_time(servo: Board) -> None:
 
 
 @pytest.mark.parametrize(("code", "result", "answered"), [(0xFE, b"", 0xF7), (0xFF, b"", 0xF7), (0, bytes(40), 0)])
-def test_what_a_late_result_may_be(servo: Board, code: int, result: bytes, answered: int) -> None:
+def test_valid_results_of_a_later_finish(servo: Board, code: int, result: bytes, answered: int) -> None:
     servo.ask(SEND, LATER)
     servo.ask(STATUS)
     servo.finish(code, result)

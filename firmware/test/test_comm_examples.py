@@ -111,7 +111,7 @@ def test_features_that_this_server_does_not_have(sheet: Board, frame: str) -> No
     dialogue(sheet, f"{frame} -> 2B 81 8E")
 
 
-def test_requests_of_protocol_v3_are_told_apart(sheet: Board) -> None:
+def test_requests_of_protocol_v3_are_unknown_commands(sheet: Board) -> None:
     dialogue(
         sheet,
         """

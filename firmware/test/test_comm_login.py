@@ -119,7 +119,7 @@ def test_password_comes_before_the_table_and_the_table_before_tuning(servo: Boar
     assert [event[0] for event in servo.events()].count("written") == 0
 
 
-def test_what_no_password_guards(servo: Board) -> None:
+def test_commands_that_need_no_password(servo: Board) -> None:
     """As on the vendor's targets: who the board is, its table's list, the scope, application commands."""
     servo.set_passwords(b"v", None, None)
     slot = b"\x00\x01\x01\x01\x02\x05\x00" + uleb(SERVO.variables + COMMANDED) + b"\x02"

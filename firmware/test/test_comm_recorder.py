@@ -126,7 +126,7 @@ def test_the_other_byte_examples(sheet: Board) -> None:
     assert [value for (value,) in points(sheet, "<h")] == [3, 2, -6, -8, -9, -10, -11, -12]
 
 
-def test_what_recorders_say_of_themselves(servo: Board) -> None:
+def test_properties_of_the_recorders(servo: Board) -> None:
     assert [query(servo, DESCRIPTION, k) for k in range(2)] == [b"fast", b"slow"]
     assert query(servo, LIMITS, 0) == uleb(SAMPLES) + uleb(1_000_000) + b"\0\0"
     assert query(servo, LIMITS, 1) == uleb(SAMPLES) + b"\0\0\0"
@@ -190,7 +190,7 @@ def test_divider_and_memory_that_is_not_full(servo: Board) -> None:
     assert points(servo, "<i") == []
 
 
-def test_samples_are_for_those_who_wait(servo: Board) -> None:
+def test_samples_are_readable_after_the_recording(servo: Board) -> None:
     """Before the first configuration, beyond the memory, and while it records, they cannot be read."""
     begin = uleb(SERVO.samples)
     assert servo.ask(READ, begin + b"\x04") == Answer(0x89)
@@ -277,7 +277,7 @@ def test_a_wrong_query_is_refused(servo: Board, payload: bytes, expected: int) -
     assert servo.ask(GET, payload) == Answer(expected)
 
 
-def test_a_look_at_a_complete_configuration_makes_it_final(servo: Board) -> None:
+def test_a_query_completes_the_configuration(servo: Board) -> None:
     assert configure(servo, memory(1, 300, 400), variable(0, LONG, 4)) == 0
     assert status(servo) == 1
     assert query(servo, INFO) == b"\x01\x01" + b"".join(map(uleb, (SERVO.samples, 4, 256, 0))), "all that fit"

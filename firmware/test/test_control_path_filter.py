@@ -455,7 +455,7 @@ def test_moving_start_is_bumpless(core: Core, step: int, omega_n_ts: int) -> Non
 
 @pytest.mark.parametrize("way", [1, -1])
 @pytest.mark.parametrize("omega_n_ts", [200, 3276])
-def test_new_omega_before_the_shaft_turns_round(core: Core, way: int, omega_n_ts: int) -> None:
+def test_new_omega_before_a_reversal(core: Core, way: int, omega_n_ts: int) -> None:
     """The limits change while the shaft still runs away from its target: only the ramp's lead follows."""
     path, target = Path(core, 1957, 0, -way * 100 * ONE), way * 900_000_000
     outputs = [path.output]

@@ -51,7 +51,7 @@ def test_worked_by_hand(core: Core) -> None:
     assert pi.integral == 0.125
 
 
-def test_without_anti_windup_the_same_error_leaves_later(core: Core) -> None:
+def test_without_anti_windup_the_output_leaves_its_limit_later(core: Core) -> None:
     pi = Controller(core, 0.5, 0.25, 0.0)
     for _ in range(2):
         pi.step(0.5, 0.375)

@@ -52,7 +52,7 @@ def settle(core: Core, omega: float, offset: float, seconds: float) -> NDArray[n
 
 
 @pytest.mark.parametrize("omega", [32.0, -32.0, 150.0, -150.0, 730.0, -730.0])
-def test_it_locks_both_ways(core: Core, omega: float) -> None:
+def test_pll_locks_in_both_directions(core: Core, omega: float) -> None:
     errors = settle(core, omega, 0.3, 0.3)
     assert np.abs(errors[-200:]).max() < math.radians(0.2)
 
@@ -75,7 +75,7 @@ def test_natural_frequency_grows_with_the_root_of_the_speed(core: Core) -> None:
     assert time(150.0) / time(600.0) == pytest.approx(2.0, rel=0.05)
 
 
-def test_angle_wraps_for_ever(core: Core) -> None:
+def test_angle_wraps_without_drift(core: Core) -> None:
     rig = Rig(core)
     rig.estimator.start(0.0, 700.0)
     worst = 0.0
@@ -106,12 +106,12 @@ def accelerate(core: Core, told: float, seconds: float = 0.08) -> float:
     return max(abs(ideal.step(theta, omega, told)) for _ in range(round(seconds / T)))
 
 
-def test_known_torque_is_followed_at_once(core: Core) -> None:
+def test_acceleration_by_i_q_is_fed_forward(core: Core) -> None:
     assert math.degrees(accelerate(core, 1.0)) < 0.5
     assert math.degrees(accelerate(core, 0.0)) > 2.0
 
 
-def test_load_is_learnt(core: Core) -> None:
+def test_load_torque_is_estimated(core: Core) -> None:
     """Half an ampere against a load at constant speed: what it does not gain is the load.
 
     Neither speed nor angle is off for it.
@@ -125,7 +125,7 @@ def test_load_is_learnt(core: Core) -> None:
     assert per_tick == pytest.approx(0.5 * ACCELERATION, rel=0.02)
 
 
-def test_load_step_shows_in_the_size_of_the_back_emf(core: Core) -> None:
+def test_load_step_changes_the_amplitude_of_the_back_emf(core: Core) -> None:
     """At a speed at which the loop has 24 Hz, half of that speed is lost within 10 ms: the size tells at once."""
 
     def behind(follow: bool) -> float:
@@ -143,7 +143,7 @@ def test_load_step_shows_in_the_size_of_the_back_emf(core: Core) -> None:
     assert behind(follow=False) > 9.0
 
 
-def test_wrong_size_gives_way_to_the_phase(core: Core) -> None:
+def test_amplitude_offset_is_compensated_by_the_phase(core: Core) -> None:
     """A flux that is a fifth larger than nominal: the speed is the true one all the same, after some time."""
     ideal = Ideal(core, flux=1.2)
     ideal.estimator.start(0.0, 200.0)

@@ -95,13 +95,13 @@ def test_a_finding_without_suspicions_has_its_own_name(rig: Diagnosis, name: str
     mine = BITS[RULES[name].fault]
     assert verdict(rig, rig.finding(name)) == (mine, mine)
     assert rig.lib.fault_names(rig.finding(name)) == mine
-    assert rig.lib.fault_wanted(rig.finding(name), mine) == rig.finding(name)
-    assert rig.lib.fault_wanted(rig.finding(name), ALL & ~mine) == 0
+    assert rig.lib.fault_enabled(rig.finding(name), mine) == rig.finding(name)
+    assert rig.lib.fault_enabled(rig.finding(name), ALL & ~mine) == 0
 
 
 @pytest.mark.parametrize("suspicion", CAUSES)
 @pytest.mark.parametrize("name", RULES)
-def test_a_suspicion_names_what_it_explains_and_nothing_else(rig: Diagnosis, name: str, suspicion: int) -> None:
+def test_a_suspicion_replaces_only_the_findings_that_it_explains(rig: Diagnosis, name: str, suspicion: int) -> None:
     rule = RULES[name]
     cause = CAUSES[suspicion] if rule.instead & suspicion else rule.fault
     first, faults = verdict(rig, rig.finding(name), suspicion)
@@ -120,14 +120,14 @@ def test_a_cause_that_is_not_enabled_explains_nothing(rig: Diagnosis, name: str,
 
 
 @pytest.mark.parametrize("name", RULES)
-def test_a_finding_whose_name_is_not_enabled_stops_nothing_unless_it_has_to(rig: Diagnosis, name: str) -> None:
+def test_a_finding_whose_fault_is_disabled_stops_only_with_a_substitute_fault(rig: Diagnosis, name: str) -> None:
     rule = RULES[name]
     other = BITS[rule.otherwise] if rule.otherwise else 0
     assert verdict(rig, rig.finding(name), enabled=ALL & ~BITS[rule.fault]) == (other, other)
 
 
 @pytest.mark.parametrize("name", RULES)
-def test_a_finding_is_relevant_while_one_of_its_names_is_enabled(rig: Diagnosis, name: str) -> None:
+def test_a_finding_is_relevant_if_one_of_its_faults_is_enabled(rig: Diagnosis, name: str) -> None:
     rule = RULES[name]
     causes = (cause for suspicion, cause in CAUSES.items() if rule.instead & suspicion)
     names = {rule.fault, *causes, *filter(None, [rule.otherwise])}
@@ -153,7 +153,7 @@ def test_of_simultaneous_findings_the_first_row_names_the_fault(rig: Diagnosis) 
         assert result == (expected, expected | BITS[RULES[second].fault])
 
 
-def test_a_silent_phase_whose_converter_repeats_its_code_is_no_suspect(rig: Diagnosis) -> None:
+def test_a_phase_without_current_and_with_a_constant_code_is_not_suspected(rig: Diagnosis) -> None:
     trip = rig.finding("OVER_CURRENT_TRIP")
     assert verdict(rig, trip, phases_without_current=0b010, repeating=0b101)[0] == BITS["PHASE_LOST"]
     assert verdict(rig, trip, phases_without_current=0b010, repeating=0b010)[0] == BITS["OVER_CURRENT"]
@@ -175,7 +175,7 @@ DERIVED = [
 
 
 @pytest.mark.parametrize("captured", BITS)
-def test_a_broken_converter_found_later_voids_what_was_concluded_from_currents(rig: Diagnosis, captured: str) -> None:
+def test_a_failed_current_sense_found_later_voids_faults_derived_from_currents(rig: Diagnosis, captured: str) -> None:
     derived = sum(BITS[name] for name in DERIVED)
     revision = rig.lib.fault_revise(BITS["CURRENT_SENSE"], BITS[captured], 2047)
     if captured in (*DERIVED, "OVER_CURRENT"):
@@ -192,7 +192,7 @@ def test_a_late_loop_counted_after_the_over_current_is_its_cause(rig: Diagnosis,
     assert rig.lib.fault_revise(BITS["LATE_LOOP"], BITS[captured], 16).first == 0
 
 
-def test_of_two_causes_found_at_once_the_broken_converter_is_the_first(rig: Diagnosis) -> None:
+def test_of_two_simultaneous_causes_the_failed_current_sense_is_first(rig: Diagnosis) -> None:
     revision = rig.lib.fault_revise(BITS["LATE_LOOP"] | BITS["CURRENT_SENSE"], BITS["OVER_CURRENT"], 15)
     assert revision.first == BITS["CURRENT_SENSE"]
 
@@ -233,7 +233,7 @@ def test_the_first_fault_is_recorded_and_later_ones_only_captured(rig: Diagnosis
     assert (record.tick, record.state, record.substate, record.size, record.u_dc[0]) == (1000, 3, 4, 1, 77)
 
 
-def test_a_revision_renames_the_first_fault_and_takes_back_what_is_void(rig: Diagnosis) -> None:
+def test_a_revision_replaces_the_first_fault_and_removes_void_faults(rig: Diagnosis) -> None:
     latch = Latch(rig)
     latch.capture("PHASE_NO_CURRENT")
     latch.clock[0] += 2047
@@ -259,7 +259,7 @@ def test_a_fault_after_a_partial_clear_keeps_the_name_of_what_remained(rig: Diag
     assert latch.latch.captured == BITS["OVER_TEMPERATURE"] | BITS["PHASE_LOST"]
 
 
-def test_clearing_keeps_what_remains_and_lets_the_record_go_on(rig: Diagnosis) -> None:
+def test_clearing_keeps_remaining_faults_and_restarts_the_record(rig: Diagnosis) -> None:
     latch = Latch(rig)
     latch.capture("OVER_SPEED")
     latch.capture("HEAT_SINK_HOT")

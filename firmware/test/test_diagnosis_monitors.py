@@ -48,12 +48,14 @@ def noise(rig: Diagnosis, phase: int, samples: int, codes: int = 4) -> None:
 
 
 @pytest.mark.parametrize(("off", "tick"), [(33, 4), (-33, 4), (32, 0), (-32, 0)])
-def test_a_code_off_its_offset_is_a_broken_converter_after_four_samples(rig: Diagnosis, off: int, tick: int) -> None:
+def test_a_code_off_its_offset_is_a_failed_current_sense_after_four_samples(
+    rig: Diagnosis, off: int, tick: int
+) -> None:
     rig.seen.switching = True
     assert first_tick(lambda _: rig.sensor(1, 2048 + off), "CURRENT_SENSE_FAILED", 60) == tick
 
 
-def test_a_code_off_its_offset_is_suspected_after_two_samples_and_forgotten_after_a_right_one(rig: Diagnosis) -> None:
+def test_a_code_off_its_offset_is_suspected_after_two_samples_until_a_correct_one(rig: Diagnosis) -> None:
     rig.seen.switching = True
     rig.sensor(0, 2100)
     assert not rig.suspect().suspected & SENSOR
@@ -67,7 +69,7 @@ def test_no_code_is_off_while_the_switches_are_open(rig: Diagnosis) -> None:
     assert first_tick(lambda _: rig.sensor(0, 2100), "CURRENT_SENSE_FAILED", 50) == 0
 
 
-def test_a_code_that_comes_again_64_times_among_noisy_ones_is_stuck(rig: Diagnosis) -> None:
+def test_a_code_repeated_64_times_while_others_are_noisy_is_stuck(rig: Diagnosis) -> None:
     noise(rig, 1, 64)
     assert first_tick(lambda _: rig.sensor(0, 2048), "CURRENT_SENSE_FAILED", 100) == 65
 
@@ -79,7 +81,7 @@ def test_without_a_window_of_noise_elsewhere_no_code_is_stuck(rig: Diagnosis, sa
 
 
 @pytest.mark.parametrize(("again", "suspected"), [(15, True), (16, False)])
-def test_a_neighbour_that_has_gone_quiet_shows_no_noise(rig: Diagnosis, again: int, suspected: bool) -> None:
+def test_another_constant_code_is_no_noise(rig: Diagnosis, again: int, suspected: bool) -> None:
     noise(rig, 1, 64)
     for _ in range(again + 1):
         rig.sensor(1, 2000)
@@ -117,7 +119,7 @@ def driven(rig: Diagnosis) -> Diagnosis:
         ((0, 1200), (SILENT - 10, 1000), 0),
     ],
 )
-def test_a_phase_silent_against_its_set_point_for_eight_ticks_is_lost(
+def test_a_phase_without_current_at_a_set_point_for_eight_ticks_is_lost(
     driven: Diagnosis, current: tuple[int, int], wanted: tuple[int, int], tick: int
 ) -> None:
     driven.current(*current)
@@ -125,7 +127,7 @@ def test_a_phase_silent_against_its_set_point_for_eight_ticks_is_lost(
     assert first_tick(lambda _: driven.phase(), "PHASE_NO_CURRENT", 20) == tick
 
 
-def test_a_phase_is_suspected_after_two_silent_ticks_and_forgotten_with_time(driven: Diagnosis) -> None:
+def test_a_phase_is_suspected_after_two_ticks_without_current_with_decay(driven: Diagnosis) -> None:
     driven.current(0, 2000)
     driven.seen.current_ref = (2000, 2000)
     driven.phase()
@@ -142,7 +144,7 @@ def test_a_phase_is_suspected_after_two_silent_ticks_and_forgotten_with_time(dri
     assert driven.suspect().phases_without_current == 0
 
 
-def test_a_phase_is_not_compared_while_a_stop_is_unconfirmed_or_the_set_point_turns_round(driven: Diagnosis) -> None:
+def test_a_phase_is_not_compared_during_an_unconfirmed_stop_or_a_reversal_of_the_set_point(driven: Diagnosis) -> None:
     driven.current(0, 2000)
     driven.seen.current_ref = (2000, 2000)
     driven.seen.stop_unconfirmed = True
@@ -154,7 +156,7 @@ def test_a_phase_is_not_compared_while_a_stop_is_unconfirmed_or_the_set_point_tu
 
 
 @pytest.mark.parametrize(("sectors", "tick"), [(5, 0), (6, 33)])
-def test_silence_in_six_of_eight_directions_and_33_times_is_a_lost_phase(
+def test_no_current_in_six_of_eight_octants_and_33_samples_is_a_lost_phase(
     driven: Diagnosis, sectors: int, tick: int
 ) -> None:
     """The current goes from b to c whatever the rotor does."""
@@ -177,7 +179,9 @@ def test_low_current_in_three_directions_makes_a_phase_loss_possible(
 
 
 @pytest.mark.parametrize(("faint", "kept"), [(14, True), (15, False)])
-def test_directions_are_forgotten_when_15_of_16_ticks_are_too_faint(driven: Diagnosis, faint: int, kept: bool) -> None:
+def test_octants_are_cleared_if_15_of_16_ticks_have_too_little_current(
+    driven: Diagnosis, faint: int, kept: bool
+) -> None:
     for tick in range(16):
         driven.current(0, 400 if tick < 16 - faint else 360)  # 346 and 311 in b and c
         assert driven.phase() == NOTHING
@@ -204,7 +208,7 @@ def test_voltage_without_current_for_forty_ticks(driven: Diagnosis, change: dict
     assert first_tick(lambda _: driven.phase(), "CURRENT_NOT_FOLLOWING", 60) == tick
 
 
-def test_what_a_start_up_lacks_is_not_counted_when_the_shaft_spins(driven: Diagnosis) -> None:
+def test_missing_current_of_a_start_up_is_not_counted_in_spin(driven: Diagnosis) -> None:
     """Its frame is not that of the rotor, whose back-EMF the voltage then contains."""
     driven.seen.voltage, driven.seen.current_ref, driven.seen.spins = (0, 4000), (0, 2000), False
     for _ in range(100):
@@ -214,7 +218,7 @@ def test_what_a_start_up_lacks_is_not_counted_when_the_shaft_spins(driven: Diagn
 
 
 @pytest.mark.parametrize(("change", "tick"), [(1000, 0), (0, 40)])
-def test_a_voltage_that_the_inductance_takes_is_no_missing_current(driven: Diagnosis, change: int, tick: int) -> None:
+def test_inductive_voltage_is_no_missing_current(driven: Diagnosis, change: int, tick: int) -> None:
     """The speed loop alternates: the current follows each set-point until the next one turns it round."""
 
     def step(number: int) -> set[str]:
@@ -226,7 +230,7 @@ def test_a_voltage_that_the_inductance_takes_is_no_missing_current(driven: Diagn
     assert first_tick(step, "CURRENT_NOT_FOLLOWING", 100) == tick
 
 
-def test_a_current_that_does_not_follow_is_suspected_after_eight_ticks_and_fades_at_a_quarter_of_that(
+def test_a_current_that_does_not_follow_is_suspected_after_eight_ticks_and_decays_at_a_quarter_of_the_rate(
     driven: Diagnosis,
 ) -> None:
     driven.seen.voltage, driven.seen.current_ref = (0, 4000), (0, 2000)
@@ -239,7 +243,7 @@ def test_a_current_that_does_not_follow_is_suspected_after_eight_ticks_and_fades
     assert told == [False] * 7 + [True] * 4 + [False]
 
 
-def test_what_is_known_of_phases_is_forgotten_while_no_current_is_controlled(driven: Diagnosis) -> None:
+def test_phase_monitor_is_reset_without_current_control(driven: Diagnosis) -> None:
     driven.current(0, 2000)
     driven.seen.current_ref = (2000, 2000)
     for _ in range(7):
@@ -254,7 +258,7 @@ def test_what_is_known_of_phases_is_forgotten_while_no_current_is_controlled(dri
 
 # ---- the encoder's count
 @pytest.mark.parametrize(("changes", "tick"), [(12, 64), (11, 0)])
-def test_a_count_that_goes_back_and_forth_in_two_windows_of_32_ticks(rig: Diagnosis, changes: int, tick: int) -> None:
+def test_a_count_that_alternates_in_two_windows_of_32_ticks(rig: Diagnosis, changes: int, tick: int) -> None:
     position = 0
 
     def step(k: int) -> set[str]:
@@ -265,12 +269,12 @@ def test_a_count_that_goes_back_and_forth_in_two_windows_of_32_ticks(rig: Diagno
     assert first_tick(step, "SINGLE_CHANNEL_TOGGLE", 200) == tick
 
 
-def test_one_window_of_toggles_is_not_enough_and_a_quiet_one_ends_the_row(rig: Diagnosis) -> None:
+def test_one_window_of_toggles_is_not_enough_and_a_constant_window_resets(rig: Diagnosis) -> None:
     for k in range(640):
         assert rig.encoder(k % 2 if k // 32 % 2 else 0) == NOTHING
 
 
-def test_a_shaft_that_hunts_moves_twice_the_same_way(rig: Diagnosis) -> None:
+def test_a_hunting_shaft_moves_twice_in_one_direction(rig: Diagnosis) -> None:
     for k in range(640):
         assert rig.encoder((0, 1, 2, 1)[k % 4]) == NOTHING
 
@@ -300,7 +304,7 @@ def test_current_in_shorted_windings_of_a_shaft_that_turns_is_expected(rig: Diag
 
 
 @pytest.mark.parametrize(("counts", "suspected"), [(8, True), (7, False)])
-def test_windings_shorted_after_a_sudden_stop_make_the_encoder_suspect(
+def test_windings_shorted_after_an_abrupt_stop_make_the_encoder_suspect(
     rig: Diagnosis, counts: int, suspected: bool
 ) -> None:
     for k in range(5):
@@ -331,9 +335,7 @@ def asked(rig: Diagnosis) -> tuple[int, int]:
 
 
 @pytest.mark.parametrize("degrees", [20.0, -20.0, 0.0])
-def test_voltage_that_turns_for_eight_ticks_while_current_flows_is_a_lost_encoder(
-    spinning: Diagnosis, degrees: float
-) -> None:
+def test_rotating_voltage_for_eight_ticks_with_current_is_a_lost_encoder(spinning: Diagnosis, degrees: float) -> None:
     spinning.current(2 * SILENT, 0)
 
     def step(tick: int) -> set[str]:
@@ -368,7 +370,7 @@ def test_voltage_that_dead_time_and_half_of_the_resistance_explain_is_no_back_em
 @pytest.mark.parametrize(
     ("part", "finding"), [(0.4, "CURRENT_NOT_FOLLOWING"), (0.6, "EMF_WITHOUT_COUNT"), (0.8, "EMF_CONFIRMED")]
 )
-def test_where_no_current_flows_one_is_asked_for_and_four_ticks_later_it_tells(
+def test_without_current_a_test_current_decides_after_four_ticks(
     spinning: Diagnosis, part: float, finding: str, limit: int
 ) -> None:
     spinning.seen.current_limit = limit
@@ -390,7 +392,7 @@ def test_where_no_current_flows_one_is_asked_for_and_four_ticks_later_it_tells(
 
 
 @pytest.mark.parametrize(("i_q", "sign"), [(1000, -1), (0, 1), (-1000, 1)])
-def test_a_test_current_along_q_goes_away_from_the_limit(spinning: Diagnosis, i_q: int, sign: int) -> None:
+def test_a_test_current_on_q_is_directed_away_from_the_limit(spinning: Diagnosis, i_q: int, sign: int) -> None:
     spinning.seen.current_ref.q = i_q
     for tick in range(1, 16):
         turn(spinning, tick)
@@ -404,7 +406,7 @@ def test_a_test_current_along_q_goes_away_from_the_limit(spinning: Diagnosis, i_
     assert first_tick(lambda _: spinning.encoder(kp=0), "EMF_CONFIRMED", 10) == 4
 
 
-def test_a_voltage_that_ends_with_the_test_current_was_wind_up(spinning: Diagnosis) -> None:
+def test_a_voltage_that_disappears_with_the_test_current_was_wind_up(spinning: Diagnosis) -> None:
     for tick in range(1, 40):
         turn(spinning, tick, size=6000.0 if tick < 11 else 0.0)
         assert spinning.encoder() == NOTHING
@@ -413,7 +415,7 @@ def test_a_voltage_that_ends_with_the_test_current_was_wind_up(spinning: Diagnos
 
 
 @pytest.mark.parametrize(("swept", "immediate"), [(16384, True), (16385, False)])
-def test_voltage_that_has_stood_for_more_than_a_quarter_turn_of_a_back_emf_needs_a_test(
+def test_constant_voltage_for_a_quarter_turn_of_a_back_emf_needs_a_test(
     spinning: Diagnosis, swept: int, immediate: bool
 ) -> None:
     spinning.current(2 * SILENT, 0)
@@ -430,7 +432,7 @@ def test_voltage_that_has_stood_for_more_than_a_quarter_turn_of_a_back_emf_needs
     assert (asked(spinning) == (0, 0)) == immediate
 
 
-def test_voltage_that_grows_and_stays_for_sixty_ticks_drives_no_current(spinning: Diagnosis) -> None:
+def test_growing_voltage_in_a_constant_direction_for_sixty_ticks_drives_no_current(spinning: Diagnosis) -> None:
     """From the sixth tick on: the first three do not count, and the filter takes two."""
     spinning.seen.voltage = (6000, 0)
     assert first_tick(lambda _: spinning.encoder(), "CURRENT_NOT_FOLLOWING", 100) == 65
@@ -458,14 +460,16 @@ def stopped_at_once(rig: Diagnosis, counts: int = 8) -> None:
 
 
 @pytest.mark.parametrize(("counts", "tick"), [(8, 20), (7, 0)])
-def test_a_sudden_stop_is_probed_with_a_current_after_twenty_ticks(spinning: Diagnosis, counts: int, tick: int) -> None:
+def test_an_abrupt_stop_is_probed_with_a_current_after_twenty_ticks(
+    spinning: Diagnosis, counts: int, tick: int
+) -> None:
     stopped_at_once(spinning, counts)
     ticks = [k for k in range(1, 121) if spinning.encoder() == NOTHING and asked(spinning) != (0, 0)]
     assert ticks == (list(range(tick, tick + 80)) if tick else [])
 
 
 @pytest.mark.parametrize(("settled", "swings", "tick"), [(8, 4, 31), (8, 3, 0), (7, 4, 34)])
-def test_a_probe_whose_voltage_swings_four_times_in_a_row_finds_a_turning_rotor(
+def test_a_probe_with_four_consecutive_voltage_changes_detects_a_rotating_rotor(
     spinning: Diagnosis, settled: int, swings: int, tick: int
 ) -> None:
     """It settles for eight ticks, and is compared with the eighth; what has swung by then swings back."""
@@ -482,7 +486,7 @@ def test_a_probe_whose_voltage_swings_four_times_in_a_row_finds_a_turning_rotor(
     assert first_tick(step, "EMF_WITHOUT_COUNT", 99) == tick
 
 
-def test_a_probe_through_which_no_current_flows_or_whose_set_point_changes_finds_nothing(spinning: Diagnosis) -> None:
+def test_a_probe_without_current_or_with_a_changed_set_point_detects_nothing(spinning: Diagnosis) -> None:
     for flows in (False, True):
         spinning.encoder(100)
         stopped_at_once(spinning)
@@ -505,7 +509,7 @@ def turning(rig: Diagnosis) -> Diagnosis:
     return rig
 
 
-def test_a_back_emf_elsewhere_for_five_ticks(turning: Diagnosis) -> None:
+def test_a_residual_voltage_for_five_ticks_is_an_angle_mismatch(turning: Diagnosis) -> None:
     """The filter takes the first one."""
     turning.seen.voltage = (5000, 3000)
     assert first_tick(lambda _: turning.angle(), "EMF_ANGLE_MISMATCH", 50) == 6
@@ -523,7 +527,7 @@ def test_a_back_emf_elsewhere_for_five_ticks(turning: Diagnosis) -> None:
         {"current_magnitude": SILENT - 1},
     ],
 )
-def test_what_is_no_evidence_of_another_angle(turning: Diagnosis, change: dict[str, object]) -> None:
+def test_conditions_without_an_angle_mismatch(turning: Diagnosis, change: dict[str, object]) -> None:
     turning.seen.voltage = (5000, 3000)
     for name, value in change.items():
         setattr(turning.seen, name, value)
@@ -531,7 +535,7 @@ def test_what_is_no_evidence_of_another_angle(turning: Diagnosis, change: dict[s
 
 
 @pytest.mark.parametrize(("less", "found"), [(1, True), (0, False)])
-def test_a_back_emf_elsewhere_is_missed_by_three_times_its_size_at_most(
+def test_a_residual_above_three_times_the_back_emf_is_no_angle_mismatch(
     turning: Diagnosis, less: int, found: bool
 ) -> None:
     """And by what else is not known: twice its size it would be turned by 180 degrees, and half of it may be wrong."""
@@ -549,7 +553,7 @@ def test_a_back_emf_elsewhere_is_missed_by_three_times_its_size_at_most(
 
 @pytest.mark.parametrize("omega", [10000, -10000])
 @pytest.mark.parametrize("current", [(16000, 0), (-16000, 0), (0, 16000), (0, -16000)])
-def test_the_voltage_of_a_sound_motor_contradicts_nothing(
+def test_the_voltage_of_an_intact_motor_is_no_angle_mismatch(
     turning: Diagnosis, current: tuple[int, int], omega: int
 ) -> None:
     """A sign that is wrong leaves twice the drop of the resistance, or of the inductance."""
@@ -568,7 +572,7 @@ def test_the_voltage_of_a_sound_motor_contradicts_nothing(
         assert abs(turning.monitors.angle.unexplained_voltage.q) < 10
 
 
-def test_all_phases_have_to_carry_current_since_the_contradiction_began(turning: Diagnosis) -> None:
+def test_all_phases_must_have_carried_current_since_the_residual_began(turning: Diagnosis) -> None:
     turning.seen.voltage = (5000, 3000)
     for tick in range(1, 12):
         turning.seen.conducting_phases = 1 << tick % 3 if tick < 9 else 0
@@ -581,7 +585,7 @@ def test_all_phases_have_to_carry_current_since_the_contradiction_began(turning:
     assert first_tick(lambda _: turning.angle(), "EMF_ANGLE_MISMATCH", 20) == 0
 
 
-def test_phases_that_carried_current_before_a_rest_count_no_more(turning: Diagnosis) -> None:
+def test_phases_that_carried_current_before_a_standstill_do_not_count(turning: Diagnosis) -> None:
     turning.seen.voltage = (5000, 3000)
     turning.angle()
     turning.seen.ticks_without_movement, turning.seen.conducting_phases = 1, 0
@@ -591,7 +595,7 @@ def test_phases_that_carried_current_before_a_rest_count_no_more(turning: Diagno
 
 
 @pytest.mark.parametrize(("beyond", "suspected"), [(3000 + EMF_FLOOR // 4, False), (3001 + EMF_FLOOR // 4, True)])
-def test_a_back_emf_missed_by_more_than_its_size_makes_the_angle_suspect(
+def test_a_residual_above_the_back_emf_makes_the_angle_suspect(
     turning: Diagnosis, beyond: int, suspected: bool
 ) -> None:
     for emf in (3000, -3000):
@@ -604,7 +608,7 @@ def test_a_back_emf_missed_by_more_than_its_size_makes_the_angle_suspect(
 
 # ---- the stall test
 @pytest.mark.parametrize("i_q", [15888, -15888])
-def test_a_shaft_that_nothing_moves_is_held(rig: Diagnosis, i_q: int) -> None:
+def test_a_shaft_without_movement_in_the_stall_test_is_blocked(rig: Diagnosis, i_q: int) -> None:
     rig.stall_start(i_q)
     assert first_tick(lambda _: rig.stall(), "SHAFT_BLOCKED", 1000) == 800
 
@@ -612,7 +616,7 @@ def test_a_shaft_that_nothing_moves_is_held(rig: Diagnosis, i_q: int) -> None:
 @pytest.mark.parametrize(
     ("flux", "finding", "tick"), [(209631, "STALL_WITHOUT_COUNT", 400), (209630, "SHAFT_BLOCKED", 800)]
 )
-def test_a_flux_that_follows_the_vector_is_a_rotor_that_moves_unseen(
+def test_a_flux_that_follows_the_vector_is_a_free_rotor_with_a_dead_encoder(
     rig: Diagnosis, flux: int, finding: str, tick: int
 ) -> None:
     rig.stall_start(15888)
@@ -636,31 +640,31 @@ def test_two_counts_are_no_movement(rig: Diagnosis) -> None:
 
 
 @pytest.mark.parametrize(("way", "tick"), [(24, 1), (23, 16)])
-def test_a_shaft_that_goes_on_was_held(rig: Diagnosis, way: int, tick: int) -> None:
+def test_a_shaft_that_continues_to_move_was_blocked(rig: Diagnosis, way: int, tick: int) -> None:
     mirrored(rig, 3)
     assert first_tick(lambda k: rig.stall(3 + way + (k > 8) * 3), "SHAFT_BLOCKED", 40) == tick
 
 
 @pytest.mark.parametrize(("back", "tick"), [(6, 2), (5, 16)])
-def test_a_shaft_that_turns_round_or_stops_contradicts_the_angle(rig: Diagnosis, back: int, tick: int) -> None:
+def test_a_shaft_that_reverses_or_stops_contradicts_the_angle(rig: Diagnosis, back: int, tick: int) -> None:
     mirrored(rig, 3)
     assert first_tick(lambda k: rig.stall(10 if k == 1 else 10 - back), "STALL_ANGLE_MISMATCH", 40) == tick
 
 
 @pytest.mark.parametrize(("late", "finding"), [(3, "SHAFT_BLOCKED"), (2, "STALL_ANGLE_MISMATCH")])
-def test_what_moves_on_in_the_second_half_of_sixteen_ticks_decides(rig: Diagnosis, late: int, finding: str) -> None:
+def test_movement_in_the_second_half_of_sixteen_ticks_decides(rig: Diagnosis, late: int, finding: str) -> None:
     mirrored(rig, 3)
     assert first_tick(lambda k: rig.stall(8 if k <= 8 else 8 + late), finding, 40) == 16
 
 
-def test_against_the_torque_the_vector_turns_on_as_far_as_it_may(rig: Diagnosis) -> None:
+def test_against_the_torque_the_vector_is_rotated_to_its_largest_angle(rig: Diagnosis) -> None:
     mirrored(rig, -3)
     assert rig.monitors.stall.phi == -50 * 109
     assert first_tick(lambda _: rig.stall(-3), "SHAFT_BLOCKED", 300) == 150
 
 
 # ---- the shaft in motion
-def test_a_stall_lasts_longer_than_its_ticks(rig: Diagnosis) -> None:
+def test_a_stall_needs_more_than_its_ticks(rig: Diagnosis) -> None:
     rig.shaft_seen.no_movement_at_limit = True
     assert first_tick(lambda _: rig.shaft(), "SHAFT_BLOCKED", 20) == 6
     rig.shaft_seen.no_movement_at_limit = False
@@ -726,7 +730,9 @@ def test_heat_lasts_sixteen_ticks_and_ends_below_its_hysteresis(rig: Diagnosis, 
         (201, False, True, {"OVER_VOLTAGE", "OVER_CURRENT_TRIP"}),
     ],
 )
-def test_bus_and_break(rig: Diagnosis, u_dc: int, settled: bool, broken: bool, findings: set[str]) -> None:
+def test_bus_voltage_and_over_current_latch(
+    rig: Diagnosis, u_dc: int, settled: bool, broken: bool, findings: set[str]
+) -> None:
     limits = rig.ffi.new("bus_monitor_t *", {"u_dc_max": 200, "u_dc_min": 100})
     rig.evidence.confirmed = rig.lib.bus_monitor_findings(limits, u_dc, settled, broken)
     assert rig.names() == findings

@@ -91,7 +91,7 @@ def test_over_current_opens_the_switches_in_the_next_fast_loop(bench: Bench) -> 
     assert bench.axis(1).sm.state == STATE.RUN
 
 
-def test_break_interrupt_opens_them_at_once(bench: Bench) -> None:
+def test_over_current_interrupt_opens_the_switches_immediately(bench: Bench) -> None:
     bench.to_spin(0)
     bench.hal.axis[0].over_current = True
     bench.core.lib.servo_over_current_isr(bench.servo, 0)
@@ -194,7 +194,7 @@ def give_up(bench: Bench) -> float:
     return ticks * 0.5e-3
 
 
-def test_shaft_held_fast_fails_the_search(bench: Bench) -> None:
+def test_blocked_shaft_fails_the_search(bench: Bench) -> None:
     assert give_up(bench) < 1.2
     assert bench.view(0).faults == FAULTS.ROTOR_SEARCH
     bench.clear(0)
@@ -203,7 +203,7 @@ def test_shaft_held_fast_fails_the_search(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("across", [-0.01, 0.01])
-def test_motor_that_moves_unseen_has_lost_its_encoder(bench: Bench, across: float) -> None:
+def test_motor_that_moves_without_a_count_has_lost_its_encoder(bench: Bench, across: float) -> None:
     """What drives a current across the turning vector, so that the controller needs a voltage there, is a rotor."""
     bench.current_across[0] = across
     assert give_up(bench) < 1.2
@@ -249,7 +249,7 @@ def test_search_with_a_shaft_turned_from_outside_ends_in_a_fault(bench: Bench) -
 def test_missing_index_pulse_is_an_encoder_fault_and_can_be_cleared(bench: Bench) -> None:
     bench.to_spin(0)
     bench.shaft[0].index_works = False
-    bench.let_turn(0, 100.0)
+    bench.turn_without_current(0, 100.0)
     bench.until(lambda: bench.view(0).state == STATE.FAULT, 300)
     assert bench.view(0).faults == FAULTS.ENCODER
     bench.turn(0, 0.0)
@@ -259,7 +259,7 @@ def test_missing_index_pulse_is_an_encoder_fault_and_can_be_cleared(bench: Bench
     bench.slow(40)
     assert (bench.view(0).state, bench.view(0).faults) == (STATE.STOP, 0)
     bench.to_spin(0)
-    bench.let_turn(0, 100.0)
+    bench.turn_without_current(0, 100.0)
     bench.slow(400)
     assert bench.view(0).state == STATE.RUN
 
@@ -316,7 +316,7 @@ def test_silent_host_stops_both_axes_and_then_faults(bench: Bench) -> None:
         bench.keep_alive()
         bench.slow(30)
     assert [s[:2] for s in bench.states()] == [(STATE.RUN, SUBSTATE.SPIN)] * 2
-    bench.let_turn(0, 50.0)
+    bench.turn_without_current(0, 50.0)
     bench.keep_alive()
     bench.slow(190)
     assert bench.view(0).substate == SUBSTATE.SPIN, "not before the time-out"
@@ -352,7 +352,7 @@ def test_returning_host_must_clear_and_enable(bench: Bench) -> None:
 def test_enable_during_the_ramp_down_of_a_silent_host_is_ignored(bench: Bench) -> None:
     bench.keep_alive()
     bench.to_spin(0)
-    bench.let_turn(0, 100.0)
+    bench.turn_without_current(0, 100.0)
     bench.until(lambda: not bench.axis(0).enable_requested, 1100)
     bench.keep_alive()
     bench.write(0, enable=1)
@@ -372,9 +372,9 @@ def test_client_that_only_reads_is_no_host(bench: Bench) -> None:
     bench.slow(100)
     for _ in range(10):
         assert bench.view(0).faults == 0
-        bench.read_arrives()
+        bench.receive_read()
         bench.slow(10)
-    bench.read_arrives()
+    bench.receive_read()
     bench.slow(5)
     assert bench.view(0).faults == FAULTS.HOST_SILENT
 

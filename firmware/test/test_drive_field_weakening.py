@@ -29,7 +29,7 @@ def weakened(bench: Bench, features: int = FEATURES.FIELD_WEAKENING) -> None:
     bench.set_parameter("speed_limit", 418.0)
     bench.hal.bus_code = bus_code(20.0)
     bench.slow(50)
-    bench.let_turn(0, FAST)
+    bench.turn_without_current(0, FAST)
     bench.slow(60)
 
 
@@ -37,7 +37,7 @@ def i_d_ref(bench: Bench) -> int:
     return int(bench.axis(0).current_ref.d)
 
 
-def test_weakens_and_says_so(bench: Bench) -> None:
+def test_field_weakening_acts_and_is_reported(bench: Bench) -> None:
     weakened(bench)
     assert i_d_ref(bench) == -MOST
     assert bench.view(0).limits & LIMITS.FIELD_WEAKENING
@@ -72,7 +72,7 @@ def test_the_speed_controller_does_not_wind_up(bench: Bench) -> None:
     assert abs(held) < 0.5  # the proportional part of 3 rad/s, with the other sign
 
 
-def test_is_given_back_when_the_feature_is_switched_off(bench: Bench) -> None:
+def test_current_is_restored_when_the_feature_is_switched_off(bench: Bench) -> None:
     weakened(bench)
     before = i_d_ref(bench)
     bench.switch_on(0, 0)
@@ -122,7 +122,7 @@ def test_a_lower_bound_holds_at_once(bench: Bench) -> None:
 def test_no_effect_at_a_low_speed_whatever_the_current_loop_asks_for(bench: Bench) -> None:
     bench.to_spin(0)
     bench.switch_on(0, FEATURES.FIELD_WEAKENING)
-    bench.let_turn(0, 20.0)
+    bench.turn_without_current(0, 20.0)
     bench.write(0, mode=MODE.TORQUE, i_q=amps(3.0))
     bench.slow(100)
     assert bench.view(0).substate == SUBSTATE.SPIN

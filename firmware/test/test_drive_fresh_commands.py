@@ -224,7 +224,7 @@ def test_positions_and_standing_axes_do_not_expire(expiring: Bench) -> None:
     assert not bench.view(0).limits & LIMITS.EXPIRED, "nothing was lost"
 
 
-def test_shaft_that_was_free_is_held_and_says_so(expiring: Bench) -> None:
+def test_expired_torque_set_point_ends_in_a_reported_hold(expiring: Bench) -> None:
     bench = expiring
     bench.write(0, mode=MODE.TORQUE, i_q=0)
     bench.slow(300)

@@ -55,7 +55,7 @@ def noise(bench: Bench, k: int, phases: str = "abc") -> None:
 
 
 @pytest.mark.parametrize("phase", ["a", "b", "c"])
-def test_a_converter_that_repeats_itself_among_noisy_ones(bench: Bench, phase: str) -> None:
+def test_constant_code_while_others_are_noisy_is_a_current_sense_fault(bench: Bench, phase: str) -> None:
     bench.to_stop()
     for k in range(400):
         noise(bench, k, "abc".replace(phase, ""))
@@ -64,7 +64,7 @@ def test_a_converter_that_repeats_itself_among_noisy_ones(bench: Bench, phase: s
     assert place(bench, 1) == (STATE.STOP, 0)
 
 
-def test_current_where_there_is_none(bench: Bench) -> None:
+def test_code_off_its_offset_without_current_is_a_current_sense_fault(bench: Bench) -> None:
     bench.to_spin(0)
     bench.hal.axis[0].offset_code = [2100, 2100, 2100]
     bench.slow(8)
@@ -104,7 +104,9 @@ def test_voltage_without_current_is_a_lost_phase(bench: Bench) -> None:
         (3, ALL_FAULTS & ~FAULTS.CURRENT_SENSE, FAULTS.PHASE_LOST),
     ],
 )
-def test_a_converter_is_doubtful_after_more_than_one_code(core: Core, codes: int, enabled: int, fault: int) -> None:
+def test_a_current_measurement_is_suspected_after_more_than_one_code(
+    core: Core, codes: int, enabled: int, fault: int
+) -> None:
     """The last ones before the phase is named are off their offset; each is one of two phases of the three. A
     converter in doubt hides no fault while CURRENT_SENSE is not enabled."""
     sound, bench = Bench(core), Bench(core)
@@ -122,7 +124,7 @@ def test_a_converter_is_doubtful_after_more_than_one_code(core: Core, codes: int
     assert place(bench)[1] == fault
 
 
-def test_a_count_that_goes_back_and_forth_is_a_dead_line(bench: Bench) -> None:
+def test_an_alternating_count_is_a_dead_channel(bench: Bench) -> None:
     bench.to_stop()
     for k in range(80):
         bench.turn(0, (1.0 if k % 2 else -1.0) * 0.0015707963 / 0.5e-3)
@@ -131,7 +133,7 @@ def test_a_count_that_goes_back_and_forth_is_a_dead_line(bench: Bench) -> None:
 
 
 # ---- loops and watchdog
-def test_a_lost_loop_is_made_up_for_and_more_are_a_fault_of_both_axes(bench: Bench) -> None:
+def test_one_omitted_loop_is_tolerated_and_more_are_a_fault_of_both_axes(bench: Bench) -> None:
     bench.to_spin(0)
     lib, servo = bench.core.lib, bench.servo
     lib.servo_m1_isr(servo)
@@ -172,7 +174,7 @@ def test_a_reset_by_the_watchdog_keeps_the_board_off(core: Core) -> None:
 
 def test_an_edge_from_before_a_reset_says_nothing_about_the_speed(bench: Bench) -> None:
     """Memory keeps what was in it when the board starts anew."""
-    bench.let_turn(0, 100.0)
+    bench.turn_without_current(0, 100.0)
     bench.slow(20)
     bench.turn(0, 0.0)
     bench.slow(300)

@@ -65,7 +65,7 @@ def test_waits_with_its_outputs_off(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("mode", [MODE.POSITION, MODE.TORQUE])
-def test_what_it_cannot_do_moves_nothing(bench: Bench, mode: int) -> None:
+def test_impossible_sensorless_commands_cause_no_motion(bench: Bench, mode: int) -> None:
     bench.write(0, mode=mode, enable=1)
     bench.to_substate(0, SUBSTATE.READY)
     bench.write(0, position=1000, i_q=amps(1.0), speed=speed(100.0))
@@ -174,7 +174,7 @@ def test_both_axes_at_once(core: Core) -> None:
     assert b.axis(0).startup.step > 0 > b.axis(1).startup.step
 
 
-def test_spinning_axis_without_back_emf_is_found_out(bench: Bench) -> None:
+def test_missing_back_emf_in_spin_is_detected(bench: Bench) -> None:
     """Put into SPIN by hand: no back-EMF answers, and the speed is not accepted."""
     to_ready(bench)
     bench.write(0, speed=speed(100.0))

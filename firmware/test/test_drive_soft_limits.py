@@ -31,7 +31,7 @@ def test_move_ends_at_the_limit(bench: Bench, target: int, limit: int) -> None:
     assert bench.view(0).limits & LIMITS.POSITION
 
 
-def test_move_inside_does_not_know_of_the_limits(core: Core) -> None:
+def test_move_inside_the_limits_is_not_affected(core: Core) -> None:
     """Up to the limit itself, a move takes the same way tick by tick."""
     logs = []
     for on in (False, True):
@@ -70,7 +70,7 @@ def test_speed_falls_towards_the_limit(bench: Bench, rad_per_s: float, accelerat
     assert bench.view(0).limits & LIMITS.POSITION
 
 
-def test_way_back_is_free(bench: Bench) -> None:
+def test_motion_away_from_a_limit_is_not_restricted(bench: Bench) -> None:
     confine(bench, -2000, 2000)
     bench.write(0, mode=MODE.SPEED, speed=speed(20.0))
     bench.follow(1000)

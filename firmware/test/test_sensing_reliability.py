@@ -160,7 +160,7 @@ def test_deviation_has_to_last(core: Core) -> None:
 
 
 @pytest.mark.parametrize(("amplitude", "swing"), [(0.2, 150.0), (0.2, 250.0), (0.5, 400.0)])
-def test_a_rotor_that_swings_fools_the_variance_but_not_the_back_emf(
+def test_an_oscillating_rotor_is_detected_by_the_back_emf_but_not_by_the_variance(
     core: Core, amplitude: float, swing: float
 ) -> None:
     """A rotor that swings sinusoidally about where it is held: its back-EMF is the sum of two vectors that turn against
@@ -194,7 +194,7 @@ def test_a_rotor_that_swings_fools_the_variance_but_not_the_back_emf(
 
 
 @pytest.mark.parametrize(("amplitude", "swing"), [(0.2, 150.0), (0.2, 250.0), (0.5, 400.0)])
-def test_a_pll_that_is_told_the_size_gets_nowhere_with_it(core: Core, amplitude: float, swing: float) -> None:
+def test_an_oscillating_rotor_has_a_mean_observed_speed_near_zero(core: Core, amplitude: float, swing: float) -> None:
     """The mean speed is next to nothing, which is what counts as standing (sensorless_estimate.c)."""
     rig = Rig(core)
     it = rig.estimator

@@ -65,7 +65,7 @@ def search(
             turned = math.remainder(vector - before, 2.0 * math.pi) if s.phase == TURN else 0.0
             across = shaft.emf_across(vector) + turned / SLOW * INDUCTANCE * current
             for _ in range(PERIODS):
-                core.lib.rotor_search_watch(s, config, s.current >> 16, round(across / FULL_VOLTAGE * 32768))
+                core.lib.rotor_search_add(s, config, s.current >> 16, round(across / FULL_VOLTAGE * 32768))
         before = vector
         searches = s.searches
         if s.phase not in (VERIFY, TURN):
@@ -170,7 +170,7 @@ def test_shaft_hardly_moves(core: Core, axis: int, inertia: float, friction: flo
         assert result.travel <= result.searches * 2 * (seen + 2), degrees
 
 
-def test_brake_is_the_pull_played_backwards(core: Core) -> None:
+def test_deceleration_mirrors_the_pull(core: Core) -> None:
     """Growing and reversed, shrinking: a shaft without friction has lost by then what it had won."""
     currents: list[float] = []
     speeds: list[float] = []
@@ -237,7 +237,7 @@ def test_dead_encoder_is_told_from_a_blocked_shaft(
 ) -> None:
     nominal = axis_shaft(axis, degrees)
     shaft = axis_shaft(
-        axis, degrees, seen=False, inertia=inertia * nominal.inertia, friction=friction * nominal.friction
+        axis, degrees, counted=False, inertia=inertia * nominal.inertia, friction=friction * nominal.friction
     )
     result = search(core, shaft, axis)
     assert result.phase == BLIND
@@ -260,7 +260,7 @@ def test_encoder_that_dies_under_way(core: Core, twitches: int) -> None:
     shaft = Shaft(-101.0 * DEGREE)
 
     def die(s: Any) -> None:
-        shaft.seen = s.searches <= twitches
+        shaft.counted = s.searches <= twitches
 
     assert search(core, shaft, each_tick=die).phase == BLIND
 
@@ -336,7 +336,7 @@ def test_no_current_no_verdict(stepped: Stepped) -> None:
     ticks = 0
     while s.phase == PULL:
         for _ in range(PERIODS):
-            stepped.lib.rotor_search_watch(s, config, s.current >> 19, 0)  # an eighth of what is asked for
+            stepped.lib.rotor_search_add(s, config, s.current >> 19, 0)  # an eighth of what is asked for
         stepped.step(0)
         ticks += 1
     assert (s.phase, s.current) == (STARVED, 0)
@@ -348,7 +348,7 @@ def test_a_quarter_of_the_current_is_enough(stepped: Stepped, sign: int) -> None
     s, config = stepped.state, stepped.config
     for _ in range(180):
         for period in range(PERIODS):
-            stepped.lib.rotor_search_watch(s, config, sign * ((s.current >> 18) + 1) if period else 0, 0)
+            stepped.lib.rotor_search_add(s, config, sign * ((s.current >> 18) + 1) if period else 0, 0)
         stepped.step(0)
     assert s.phase == PULL
 
@@ -642,7 +642,7 @@ def test_no_current_for_64_periods_in_a_row(stepped: Stepped, periods: int, phas
     stepped.to_full_current()
     for current, times in ((0, 63), (stepped.config.current_limit, 1), (0, periods)):
         for _ in range(times):
-            stepped.lib.rotor_search_watch(stepped.state, stepped.config, current, 0)
+            stepped.lib.rotor_search_add(stepped.state, stepped.config, current, 0)
     stepped.step(0)
     assert stepped.state.phase == phase
 
@@ -684,7 +684,7 @@ def test_a_shaft_follows_the_vector_by_three_counts(stepped: Stepped, counts: in
 
 
 @pytest.mark.parametrize(("before", "phase"), [(1, REST), (2, HELD)])
-def test_a_shaft_that_does_not_follow_three_times_is_held(stepped: Stepped, before: int, phase: int) -> None:
+def test_a_shaft_that_does_not_follow_three_times_is_blocked(stepped: Stepped, before: int, phase: int) -> None:
     s = stepped.state
     stepped.to_verification()
     s.verify_failures = before
@@ -711,7 +711,7 @@ def test_any_positions_keep_the_search_in_range(core: Core, seed: int, ticks: in
     for _ in range(ticks):
         if draw.random() < 0.1:
             position = draw.randint(-(2**31), 2**31 - 1)
-        core.lib.rotor_search_watch(s, config, draw.randint(-32768, 32767), draw.randint(-32768, 32767))
+        core.lib.rotor_search_add(s, config, draw.randint(-32768, 32767), draw.randint(-32768, 32767))
         stepped.step(position)
         assert abs(s.current) <= config.current_limit << 16
         assert s.phase in range(9)

@@ -119,7 +119,7 @@ def test_constant_speed_is_found(core: Core, omega: float) -> None:
     assert max(errors) <= 1.1 * edge + 0.002 * abs(omega)
 
 
-def test_known_torque_is_followed_at_once(core: Core) -> None:
+def test_acceleration_by_i_q_is_fed_forward(core: Core) -> None:
     """At 20 mA from rest the first edge comes after 4 ms; the estimate is right in every tick before, too."""
     shaft = Shaft(core)
     for _ in range(8):
@@ -167,7 +167,7 @@ def spinning(core: Core) -> Bench:
 
 def test_observer_takes_over_without_a_jump(core: Core) -> None:
     bench = spinning(core)
-    bench.let_turn(0, 100.0)
+    bench.turn_without_current(0, 100.0)
     bench.slow(100)
     bench.switch_on(0, FEATURES.SPEED_OBSERVER)
     for _ in range(50):
@@ -180,17 +180,17 @@ def test_observer_takes_over_without_a_jump(core: Core) -> None:
 
 def test_off_there_is_no_trace_of_it(core: Core) -> None:
     bench = spinning(core)
-    bench.let_turn(0, 20.0)
+    bench.turn_without_current(0, 20.0)
     for _ in range(100):
         bench.slow()
         assert bench.view(0).speed == bench.axis(0).encoder.speed.speed
 
 
-def test_still_and_turns_remain_the_encoders(core: Core) -> None:
+def test_standstill_and_position_come_from_encoder(core: Core) -> None:
     """Standstill is what the edges say; a stop and the rotor search rely on it."""
     bench = spinning(core)
     bench.switch_on(0, FEATURES.SPEED_OBSERVER)
-    bench.let_turn(0, 20.0)
+    bench.turn_without_current(0, 20.0)
     bench.slow(50)
     assert not bench.axis(0).feedback.still
     bench.turn(0, 0.0)

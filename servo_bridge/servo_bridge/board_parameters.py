@@ -33,7 +33,7 @@ class BoardParameters:
         Calls a function in the thread of the owner.
     changed : callable
         Receives the raw parameters after each reading.
-    say, warn : callable
+    info, warn : callable
         Receive messages for the log.
     """
 
@@ -45,7 +45,7 @@ class BoardParameters:
         post: Callable[[Callable[[], None]], None],
         *,
         changed: Callable[[RawParameters], None],
-        say: Callable[[str], None],
+        info: Callable[[str], None],
         warn: Callable[[str], None],
     ) -> None:
         self.values: RawParameters | None = None  # read from the board; None: not known
@@ -56,7 +56,7 @@ class BoardParameters:
         self._write_raw = write_raw
         self._post = post
         self._changed = changed
-        self._say = say
+        self._info = info
         self._warn = warn
         self._wanted: Sequence[Assignment] = ()
         self._connected = False
@@ -138,7 +138,7 @@ class BoardParameters:
     ) -> None:
         for name in names:
             if list(now[name]) == list(target[name]):
-                self._say(f"{name}: {self._text(name, before)} -> {self._text(name, now)}")
+                self._info(f"{name}: {self._text(name, before)} -> {self._text(name, now)}")
             else:
                 reason = errors[name] or "the board has another value"
                 self._fail(f"{name} is {self._text(name, now)}, requested {self._text(name, target)}: {reason}")

@@ -136,11 +136,11 @@ class Commander(Node):
         self.wait_for(future.done, f"{self._of(name)} did not answer")
         return future.result()
 
-    def _call_checked(self, kind: Any, request: Any, name: str, what: str) -> str:
+    def _call_checked(self, kind: Any, request: Any, name: str, action: str) -> str:
         """Call a service and check its success."""
         response = self._call(kind, request, name)
         if not response.success:
-            raise CommandError(f"{what} was refused: {response.message}")
+            raise CommandError(f"{action} was refused: {response.message}")
         return str(response.message)
 
     def enable(self, on: bool) -> str:
@@ -212,7 +212,7 @@ class Commander(Node):
             remaining = values.get("current limit left [%]", "100")
             if remaining != "100":
                 lines.append(
-                    f"    winding at {values['winding [deg C]']} deg C: {remaining} % of the current limit left"
+                    f"    winding at {values['winding [deg C]']} deg C: current limit derated to {remaining} %"
                 )
         board = statuses.get(self._part("parameters"))
         if board is not None and board.level != DiagnosticStatus.OK:

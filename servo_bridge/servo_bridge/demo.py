@@ -59,15 +59,15 @@ class Demo:
         Half width of the band around a target that counts as reached [rad].
     timeout : float
         Longest time for one move [s].
-    say : callable
+    info : callable
         Prints a line of progress.
     """
 
-    def __init__(self, client: ServoClient, tolerance: float, timeout: float, say: Callable[[str], None]) -> None:
+    def __init__(self, client: ServoClient, tolerance: float, timeout: float, info: Callable[[str], None]) -> None:
         self._client = client
         self._tolerance = tolerance
         self._timeout = timeout
-        self._say = say
+        self._info = info
         self._catalogue = Catalogue.load()
         self._base: list[float] = []
         self.twin = False
@@ -78,7 +78,7 @@ class Demo:
     def connect(self, timeout: float, *, require_twin: bool) -> None:
         """Wait at most `timeout` [s] for the servo, and as long for the twin if it is required."""
         client = self._client
-        self._say("waiting for the servo ...")
+        self._info("waiting for the servo ...")
         if not client.wait_for(client.ready, timeout):
             state = f"; state: {client.state}" if client.state else ""
             raise DemoError(
@@ -96,11 +96,13 @@ class Demo:
                 "shafts by several turns; use the default gear_ratio, direction and offset"
             )
         self.twin = require_twin or client.wait_for(lambda: client.twin_present, 1.0)
-        self._say(f"servo found: {client.state}; " + ("comparing with the twin" if self.twin else "no twin is running"))
+        self._info(
+            f"servo found: {client.state}; " + ("comparing with the twin" if self.twin else "no twin is running")
+        )
 
     def enable(self) -> None:
         """Enable both axes and wait for RUN/SPIN."""
-        self._say("enabling again ..." if self._base else "enabling: rotor search ...")
+        self._info("enabling again ..." if self._base else "enabling: rotor search ...")
         self._client.enable(True)
         if not self._watch_states(lambda: all(self._is_spinning(axis) for axis in self._axes), 15.0):
             raise DemoError(f"the axes did not reach RUN/SPIN within 15 s; state: {self._client.state}")
@@ -123,7 +125,7 @@ class Demo:
         """Disable both axes and wait until they are off."""
         self._client.enable(False)
         off = self._client.wait_for(lambda: "RUN" not in self._client.state, 10.0)
-        self._say(f"disabled: {self._client.state}" if off else f"not off yet: {self._client.state}")
+        self._info(f"disabled: {self._client.state}" if off else f"not off yet: {self._client.state}")
 
     # ---- moves
     def _move(self, title: str, turns: Mapping[int, float], first: Mapping[int, float] | None = None) -> None:
@@ -131,7 +133,7 @@ class Demo:
         self._announce(title, turns if first is None else first)
         if first is not None:
             self._start_and_wait_half_way(first)
-            self._say("  half way: reversing")
+            self._info("  half way: reversing")
         start_ns, tick = self._command(turns)
         targets = {axis: self._target(axis, turns[axis]) for axis in turns}
         self._wait(lambda: all(self._at_rest(axis, targets[axis], tick) for axis in targets), title)
@@ -141,7 +143,7 @@ class Demo:
         """Interrupt a move half way by ``quick_stop``; the axes must hold where they came to rest."""
         self._announce(title, turns)
         self._start_and_wait_half_way(turns)
-        self._say("  half way: quick_stop")
+        self._info("  half way: quick_stop")
         known = len(self._client.applied)
         start_ns = self._client.now_ns()
         self._client.quick_stop()
@@ -153,7 +155,7 @@ class Demo:
         self._wait(lambda: all(self._at_rest(axis, hold_point(axis), tick) for axis in turns), title)
         self._measure(title, tick, start_ns, {axis: hold_point(axis) for axis in turns})
         if self.twin:
-            self._say("  (the twin stops after its own ramp, then takes the position of the board)")
+            self._info("  (the twin stops after its own ramp, then takes the position of the board)")
         for axis, value in turns.items():
             if abs(hold_point(axis) - self._target(axis, value)) < _REACHED:
                 raise DemoError(
@@ -164,7 +166,7 @@ class Demo:
         """Follow a timed path of both axes, commanded as by a planner."""
         client = self._client
         low, high = _FREQUENCIES
-        self._say(f"{title}: {client.joints[0]} at {low:g} Hz, {client.joints[1]} at {high:g} Hz, {_PATH_TIME:g} s")
+        self._info(f"{title}: {client.joints[0]} at {low:g} Hz, {client.joints[1]} at {high:g} Hz, {_PATH_TIME:g} s")
         # Phase 0 gives the largest area; with other phases the figure may retrace itself.
         path = lissajous(client.joints, self._base, [_AMPLITUDE * TURN] * 2, _FREQUENCIES, _PATH_TIME, phase=0.0)
         start_ns, tick = self._follow(path)
@@ -181,8 +183,8 @@ class Demo:
         residuals = tuple(filter(None, self._residuals(start_ns, client.now_ns())))
         self.paths.append(PathRow(title, tuple(client.joints), figures, _PATH_ERROR, self._tolerance, residuals))
         for joint, distance in zip(client.joints, figures.error_max, strict=True):
-            self._say(f"  {joint}: at most {distance / TURN * COUNTS_PER_TURN:.1f} counts from the path")
-        self._say(f"  start of the axes: {figures.ticks_apart} ticks apart")
+            self._info(f"  {joint}: at most {distance / TURN * COUNTS_PER_TURN:.1f} counts from the path")
+        self._info(f"  start of the axes: {figures.ticks_apart} ticks apart")
 
     def _follow(self, path: Motion) -> tuple[int, int]:
         """Publish a path; returns its start in ROS time [ns] and the tick of the effect of its first points."""
@@ -193,12 +195,12 @@ class Demo:
                 return start_ns, self._applied_since(known, "cmd.points")
             except DemoError as error:
                 # Points that arrive too late (busy computer) are refused as a whole; nothing moves.
-                self._say(f"  {error}")
+                self._info(f"  {error}")
         raise DemoError(f"the path was not accepted in {_ATTEMPTS} attempts; see the log of servo_bridge")
 
     def _announce(self, title: str, turns: Mapping[int, float]) -> None:
         parts = (f"{self._client.joints[axis]} to {value:+g} turns" for axis, value in turns.items())
-        self._say(f"{title}: {', '.join(parts)}")
+        self._info(f"{title}: {', '.join(parts)}")
 
     def _command(self, turns: Mapping[int, float]) -> tuple[int, int]:
         """Publish targets; returns the ROS time before [ns] and the tick of the effect in the firmware."""
@@ -233,7 +235,7 @@ class Demo:
         if self._faulted():
             raise DemoError(f"{name}: {self._fault_text()}")
         if not done:
-            self._say(f"  {name}: not finished after {self._timeout:g} s")
+            self._info(f"  {name}: not finished after {self._timeout:g} s")
 
     def _measure(self, title: str, tick: int, start_ns: int, targets: Mapping[int, float]) -> None:
         """Measure and print the figures of every axis of a move."""
@@ -247,7 +249,7 @@ class Demo:
             self.rows.append(Row(title, client.joints[axis], figures, residuals[axis]))
             settled = "did not settle" if figures.settling_time is None else f"settled in {figures.settling_time:.3f} s"
             error = figures.error / TURN * COUNTS_PER_TURN
-            self._say(
+            self._info(
                 f"  {client.joints[axis]}: {settled}, {figures.reached / TURN:+.4f} turns, {error:+.1f} counts error"
             )
 
@@ -256,7 +258,7 @@ class Demo:
         client = self._client
         self.twin = self.twin or client.twin_present
         if self.twin and not client.wait_for(lambda: client.residual_after(end_ns), _TWIN_TIMEOUT):
-            self._say(f"  no data of the twin for {_TWIN_TIMEOUT:g} s")
+            self._info(f"  no data of the twin for {_TWIN_TIMEOUT:g} s")
         table = client.residuals(start_ns, end_ns)
         if not len(table):
             return [None for _ in self._axes]
@@ -289,13 +291,13 @@ class Demo:
         """Wait for the condition and print every change of the state; a fault raises an error."""
         shown = [""]
 
-        def look() -> bool:
+        def sample() -> bool:
             if self._client.state != shown[0]:
                 shown[0] = self._client.state
-                self._say(f"  {shown[0]}")
+                self._info(f"  {shown[0]}")
             return condition() or self._faulted()
 
-        done = self._client.wait_for(look, timeout)
+        done = self._client.wait_for(sample, timeout)
         if self._faulted():
             raise DemoError(self._fault_text())
         return done
@@ -332,14 +334,14 @@ def _arguments(argv: Sequence[str]) -> argparse.Namespace:
     return arguments
 
 
-def _say(line: str) -> None:
+def _info(line: str) -> None:
     print(line, flush=True)
 
 
 def _perform(client: ServoClient, arguments: argparse.Namespace) -> int:
     # 0.01 counts more, so that whole counts are inside the band in spite of rounding.
     tolerance = (arguments.tolerance + 0.01) * TURN / COUNTS_PER_TURN
-    demo = Demo(client, tolerance, arguments.timeout, _say)
+    demo = Demo(client, tolerance, arguments.timeout, _info)
     demo.connect(arguments.wait, require_twin=arguments.require_twin)
     trouble = ""
     try:
@@ -358,16 +360,16 @@ def _perform(client: ServoClient, arguments: argparse.Namespace) -> int:
         arguments.json.parent.mkdir(parents=True, exist_ok=True)
         arguments.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     if demo.rows:
-        _say("\n" + table(demo.rows) + "\n")
+        _info("\n" + table(demo.rows) + "\n")
     if demo.paths:
-        _say(path_table(demo.paths) + "\n")
+        _info(path_table(demo.paths) + "\n")
     if trouble:
-        _say(f"stopped: {trouble}")
+        _info(f"stopped: {trouble}")
         return 1
     if not passed(demo.rows, demo.paths, twin=demo.twin):
-        _say(_shortcoming(demo))
+        _info(_shortcoming(demo))
         return 1
-    _say(
+    _info(
         f"both axes reached their targets within {arguments.tolerance:g} counts, "
         f"and followed the path within {_PATH_ERROR:g} rad"
     )

@@ -104,7 +104,7 @@ class Homing:
         Runs a function in the thread of the executor.
     moved : callable
         Called with an axis whose position may have changed its reference.
-    say, warn : callable
+    info, warn : callable
         Receive messages for the log.
     """
 
@@ -120,7 +120,7 @@ class Homing:
         post: Callable[[Callable[[], None]], None],
         *,
         moved: Callable[[int], None],
-        say: Callable[[str], None],
+        info: Callable[[str], None],
         warn: Callable[[str], None],
     ) -> None:
         self.joints = list(joints)  # in the order of the axes
@@ -132,7 +132,7 @@ class Homing:
         self._feature = catalogue.flag("features", "HOMING").mask
         self._lsb = catalogue["cmd.home_position"].lsb
         self._arbiter, self._dispatcher = arbiter, dispatcher
-        self._read, self._post, self._say, self._warn = read, post, say, warn
+        self._read, self._post, self._info, self._warn = read, post, info, warn
         self._moved = moved
         self._reading = False
         self._next_poll = 0
@@ -297,7 +297,7 @@ class Homing:
         memory = axis.memory
         if axis.state in (self._states["KNOWN"], self._states["ASSUMED"]):
             if memory.until is not None:
-                self._say(
+                self._info(
                     f"{self.joints[number].name}: the position before the restart was restored (home_state ASSUMED)"
                 )
             memory.until = None

@@ -45,7 +45,7 @@ class StorageService:
         Calls a function with the board, in the thread of the link.
     post : callable
         Runs a function in the thread of the node.
-    say, warn : callable
+    info, warn : callable
         Receive messages for the log.
     """
 
@@ -55,12 +55,12 @@ class StorageService:
         call: Call,
         post: Callable[[Callable[[], None]], None],
         *,
-        say: Callable[[str], None],
+        info: Callable[[str], None],
         warn: Callable[[str], None],
     ) -> None:
         self.storage: Storage | None = None  # state of the storage; None: not known
         self._call, self._post = call, post
-        self._say, self._warn = say, warn
+        self._info, self._warn = info, warn
         self._busy = False
         self._services = [
             DeferredService(node, Trigger, topics.SAVE_TO_BOARD, lambda _: self._request("SAVE")),
@@ -110,7 +110,7 @@ class StorageService:
     def _done(self, answer: Future[Outcome], outcome: Outcome) -> None:
         self._busy = False
         success, message = outcome
-        (self._say if success else self._warn)(message)
+        (self._info if success else self._warn)(message)
         answer.set_result(outcome)
 
     def _job(

@@ -147,7 +147,7 @@ class Supervisor:
             self._set_points,
             limits=self._path_limits,
             origin_ns=self._origin_ns,
-            say=self._say,
+            info=self._info,
         )
         self._action = self._offer_action()
         self._streamer = Streamer(
@@ -176,7 +176,7 @@ class Supervisor:
             self._link.write_raw,
             self._inbox.post,
             changed=self._on_parameters,
-            say=self._say,
+            info=self._info,
             warn=self._warn,
         )
         self._board_parameters.request(settings.board_parameters)
@@ -193,7 +193,7 @@ class Supervisor:
             self._link.read,
             self._inbox.post,
             moved=self._telemetry.restart_position,
-            say=self._say,
+            info=self._info,
             warn=self._warn,
         )
         self._records = RecordService(
@@ -204,7 +204,7 @@ class Supervisor:
             self._inbox.post,
             piece=piece_size(self._link.layout.size, settings.baud),
             times=self._times,
-            say=self._say,
+            info=self._info,
             warn=self._warn,
         )
         self._tuning = TuningService(
@@ -214,10 +214,10 @@ class Supervisor:
             self._inbox.post,
             take=self._dispatcher.urgent,
             taken=self._read_nominal_values,
-            say=self._say,
+            info=self._info,
             warn=self._warn,
         )
-        self._storage = StorageService(node, self._link.call, self._inbox.post, say=self._say, warn=self._warn)
+        self._storage = StorageService(node, self._link.call, self._inbox.post, info=self._info, warn=self._warn)
         self._offer_services()
         self._start_timers()
         self._publish_description()
@@ -539,7 +539,7 @@ class Supervisor:
         if self._status.state is LinkState.CONNECTED:
             self._slow.read_counters()
 
-    def _say(self, text: str) -> None:
+    def _info(self, text: str) -> None:
         self._log.info(text)
 
     def _warn(self, text: str) -> None:

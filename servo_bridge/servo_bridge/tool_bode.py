@@ -74,7 +74,7 @@ def bode(context: Context) -> int:
                 access,
                 request,
                 enable=args.enable,
-                say=lambda sentence: print(f"servo-tool: {sentence}", file=sys.stderr, flush=True),
+                report=lambda sentence: print(f"servo-tool: {sentence}", file=sys.stderr, flush=True),
                 progress=progress.bar,
             )
         print(json.dumps(as_dict(result), allow_nan=False) if args.json else text(result).rstrip("\n"))

@@ -41,7 +41,7 @@ class TrajectoryTopics:
         Present limits of every joint; None if the board has not reported them yet.
     origin_ns : callable
         ROS time at tick 0 of the board [ns]; None before the first sample.
-    say : callable
+    info : callable
         Receives messages for the log.
     """
 
@@ -55,7 +55,7 @@ class TrajectoryTopics:
         *,
         limits: Callable[[], Sequence[Limits] | None],
         origin_ns: Callable[[], int | None],
-        say: Callable[[str], None],
+        info: Callable[[str], None],
     ) -> None:
         self._joints = joints
         self._arbiter = arbiter
@@ -63,7 +63,7 @@ class TrajectoryTopics:
         self._set_points = set_points
         self._limits = limits
         self._origin_ns = origin_ns
-        self._say = say
+        self._info = info
         node.create_subscription(JointTrajectory, topics.JOINT_TRAJECTORY, self._on_trajectory, command_qos())
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
@@ -114,7 +114,7 @@ class TrajectoryTopics:
         times = [abs(speed) / limits[axis].acceleration_max for speed, axis in zip(speeds, axes, strict=True)]
         self._arbiter.queue.halt(axes, reason or f"an empty trajectory on {source} stopped it")
         self._set_points.accept()
-        self._say(f"stopping {', '.join(joints)} for {source}")
+        self._info(f"stopping {', '.join(joints)} for {source}")
         return float(self._follower.now + max(times) + _STOP_DELAY)
 
     def follow(
@@ -167,7 +167,7 @@ class TrajectoryTopics:
             return from_message(message, running, now, origin_ns, source=source)
 
         def started(end: float) -> None:
-            self._say(f"following a trajectory of {', '.join(joints)} until board time {end:.3f} s")
+            self._info(f"following a trajectory of {', '.join(joints)} until board time {end:.3f} s")
             if begun is not None:
                 begun(end)
 

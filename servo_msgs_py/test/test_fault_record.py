@@ -1,4 +1,4 @@
-"""The record of a first fault, out of the bytes that the board keeps."""
+"""The record of a first fault from the bytes of the board."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CATALOGUE = Catalogue.load()
 
 
 def record(code: int = 18, tick: int = 8003, following: int = 3, size: int = 64) -> bytes:
-    """Samples that say where they lie in the ring."""
+    """Record whose samples contain their index in the ring buffer."""
     ring = list(range(64))
     head = struct.pack("<II6H", 0, tick, code, 3, 3, following, size, 0)
     return head + struct.pack("<320h", *(100 * r + k for r in range(5) for k in ring))
@@ -36,15 +36,15 @@ def test_samples_come_oldest_first_and_scaled() -> None:
 
 
 @pytest.mark.parametrize(("tick", "periods"), [(8003, 7), (8004, 8), (8005, 1), (8008, 4)])
-def test_the_last_sample_is_of_the_fault_and_the_others_of_the_periods_of_the_watches(tick: int, periods: int) -> None:
-    """Those are the fourth, the twelfth and so on; a fault that a watch raises is the sample of its period."""
+def test_sample_times_of_the_record(tick: int, periods: int) -> None:
+    """Samples are taken in periods 4, 12 and so on; a fault raised by a monitor has the sample of that period."""
     time = column(FaultRecord.of(0, record(tick=tick), CATALOGUE), "time")
     assert time[-1] == 0.0
     assert time[-2] == pytest.approx(-periods * 62.5e-6)
     np.testing.assert_allclose(np.diff(time[:-1]), 0.5e-3)
 
 
-def test_a_record_that_is_not_full() -> None:
+def test_incomplete_record() -> None:
     it = FaultRecord.of(0, record(following=5, size=5), CATALOGUE)
     np.testing.assert_allclose(column(it, "speed") * 2**15 / 523.5987755982989, 400 + np.arange(5))
 

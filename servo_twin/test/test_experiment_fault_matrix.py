@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 from servo_twin.board import Board
 from servo_twin.experiments import fault_matrix
-from servo_twin.experiments.fault_matrix import case, damages, judge
+from servo_twin.experiments.fault_matrix import case, fault_cases, judge
 from servo_twin.plant import PlantConfig
 
 PLANT = PlantConfig.load()
-DAMAGES = {damage.name: damage for damage in damages(PLANT)}
+CASES = {fault_case.name: fault_case for fault_case in fault_cases(PLANT)}
 
 
 @pytest.mark.parametrize(
@@ -28,13 +28,13 @@ DAMAGES = {damage.name: damage for damage in damages(PLANT)}
         ("noise x 3", "-250 rad/s"),
     ],
 )
-def test_named_in_time_without_motion(name: str, state: str) -> None:
-    found = case(PLANT, 7, DAMAGES[name], state)
+def test_fault_is_reported_in_time_without_motion(name: str, state: str) -> None:
+    found = case(PLANT, 7, CASES[name], state)
     assert found.agrees, found
     assert judge([found]).agrees
 
 
-def test_a_fault_that_is_not_enabled_counts_as_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_disabled_fault_counts_as_missed(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the check switched off, the shaft goes on with a phase less."""
     genuine = fault_matrix.STATES["100 rad/s"]
 
@@ -43,6 +43,6 @@ def test_a_fault_that_is_not_enabled_counts_as_missed(monkeypatch: pytest.Monkey
         board.write("param.faults_enabled", [0, 0])
 
     monkeypatch.setattr(fault_matrix, "STATES", {"100 rad/s": deaf})
-    found = case(PLANT, 7, DAMAGES["open phase b"], "100 rad/s")
-    assert not found.named
+    found = case(PLANT, 7, CASES["open phase b"], "100 rad/s")
+    assert not found.name_correct
     assert not judge([found]).agrees

@@ -15,7 +15,7 @@ from servo_twin.experiments.plant_limits import (
     path_demands,
     top_speed,
 )
-from servo_twin.experiments.rig import COUNT, TICK, Recording, choose_mode, command_speed, spinning, watch
+from servo_twin.experiments.rig import COUNT, TICK, Recording, choose_mode, command_speed, record, spinning
 from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 
@@ -34,19 +34,19 @@ def both(plant: PlantConfig, **factors: float) -> PlantConfig:
 
 
 @pytest.mark.parametrize("factors", [{}, {"friction": 0.3, "inertia": 2.0}])
-def test_the_nominal_shaft_does_not_depend_on_what_is_there(plant: PlantConfig, factors: dict[str, float]) -> None:
+def test_nominal_shaft_does_not_depend_on_the_plant(plant: PlantConfig, factors: dict[str, float]) -> None:
     """The packaged configuration has the nominal values of the packaged plant."""
     for entry, nominal in zip(plant.axes, nominal_shafts(both(plant, **factors), 3), strict=True):
         assert nominal.inertia == pytest.approx(entry.inertia, rel=0.01)
         assert nominal.friction == pytest.approx(entry.friction + plant_limits.PROBE_SPEED * entry.viscous, rel=0.01)
 
 
-def test_the_nominal_shaft_is_worth_more_on_a_stronger_motor(plant: PlantConfig) -> None:
+def test_nominal_shaft_with_a_stronger_motor(plant: PlantConfig) -> None:
     nominal = nominal_shafts(both(plant, psi_m=1.2), 3)[0]
     assert nominal.inertia == pytest.approx(1.2 * plant.axes[0].inertia, rel=0.01)
 
 
-def test_the_nominal_shaft_shows_in_a_smaller_step(plant: PlantConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nominal_shaft_is_measured_with_a_smaller_step(plant: PlantConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the current limit hides the inertia; the friction shows in the large one."""
     genuine, steps = plant_limits._first_current, []
 
@@ -69,7 +69,7 @@ def test_the_nominal_shaft_is_hidden_by_the_current_limit(plant: PlantConfig, mo
         nominal_shafts(plant, 3)
 
 
-def test_path_asks_for_a_half_of_the_current(plant: PlantConfig) -> None:
+def test_path_needs_half_of_the_current(plant: PlantConfig) -> None:
     for entry, demand in zip(plant.axes, path_demands(plant, 3), strict=True):
         needed = entry.inertia * demand.acceleration * SPEED / entry.torque_constant
         # Less by what the ramp takes to come up to its speed at param.acceleration_limit's maximum.
@@ -77,17 +77,17 @@ def test_path_asks_for_a_half_of_the_current(plant: PlantConfig) -> None:
 
 
 class TestTopSpeed:
-    def test_the_plant_as_it_is(self, plant: PlantConfig) -> None:
+    def test_top_speed_of_the_packaged_plant(self, plant: PlantConfig) -> None:
         speeds, note = move_speeds(plant, 3, together=True)
         assert speeds == pytest.approx([SPEED] * 2, rel=1e-4)
         assert note == ""
 
-    def test_heavy_shafts_move_slowly_and_it_is_said(self, plant: PlantConfig) -> None:
+    def test_speed_limits_reduced_for_a_large_inertia(self, plant: PlantConfig) -> None:
         speeds, note = move_speeds(both(plant, inertia=3.0), 3, together=False)
         assert all(0.3 * SPEED < speed < 0.7 * SPEED for speed in speeds)
-        assert "lowered" in note
+        assert "reduced" in note
 
-    def test_bus_takes_the_energy(self, plant: PlantConfig) -> None:
+    def test_energy_limit_of_the_bus(self, plant: PlantConfig) -> None:
         small = plant.with_bus(capacitance=1e-3)
         speed = top_speed(small, [0, 1], SPEED)
         energy = 0.5 * (plant.axes[0].inertia + plant.axes[1].inertia) * speed**2
@@ -103,37 +103,37 @@ class TestTopSpeed:
         assert speed < SPEED
         assert 0.8 * plant_limits.MODULATION * 18.0 < emf < plant_limits.MODULATION * 18.0
 
-    def test_nothing_is_left(self, plant: PlantConfig) -> None:
-        with pytest.raises(SimulationError, match="out of this plant's reach"):
+    def test_unreachable_demand_is_refused(self, plant: PlantConfig) -> None:
+        with pytest.raises(SimulationError, match="not feasible with this plant"):
             top_speed(plant, [0], SPEED, [Demand(1e5, 4.0)] * 2)
 
 
-def test_differences_are_named(plant: PlantConfig) -> None:
+def test_differences_from_nominal_values_as_text(plant: PlantConfig) -> None:
     assert differences(plant, 3) == ()
     notes = differences(plant.with_axis(1, inertia=5.0 * plant.axes[1].inertia), 3)
     assert len(notes) == 1
-    assert "axis2: a current accelerates the shaft 0.2 times as much" in notes[0]
+    assert "axis2: the acceleration per current is 0.2 times" in notes[0]
 
 
 @pytest.mark.parametrize("may_fail", [False, True])
-def test_a_fault_is_not_measured(plant: PlantConfig, may_fail: bool) -> None:
+def test_fault_ends_the_measurement_with_an_error(plant: PlantConfig, may_fail: bool) -> None:
     with spinning(plant, 3) as board:
         board.set_supply(10.0)
         choose_mode(board, 1, "SPEED")
         command_speed(board, 1, 200.0)
         if may_fail:
-            words = watch(board, [1], 1.0, may_fail=True)[1].faults
+            words = record(board, [1], 1.0, may_fail=True)[1].faults
             assert words[-1] & board.catalogue.flag("faults", "UNDER_VOLTAGE").mask
         else:
             with pytest.raises(SimulationError, match=r"axis\d ended in a fault. UNDER_VOLTAGE"):
-                watch(board, [1], 1.0)
+                record(board, [1], 1.0)
 
 
 def test_true_shaft_in_counts(plant: PlantConfig) -> None:
     with spinning(plant, 3) as board:
         choose_mode(board, 0, "SPEED")
         command_speed(board, 0, 10.0)
-        recording = watch(board, [0], 0.2)[0]
+        recording = record(board, [0], 0.2)[0]
     assert recording.position[-1] > 900
     # The position is latched some microseconds before the end of the tick.
     late = recording.omega * TICK / COUNT
@@ -141,7 +141,7 @@ def test_true_shaft_in_counts(plant: PlantConfig) -> None:
 
 
 @pytest.mark.parametrize("beyond", [-0.1, 0.1])
-def test_true_shaft_beyond_an_uneven_edge_does_not_cost_a_count(beyond: float) -> None:
+def test_true_position_tolerates_uneven_edges(beyond: float) -> None:
     """At the first tick an edge that is off its place by a tenth of a count makes the shaft look one count away."""
     ticks = np.arange(200)
     theta = COUNT * np.where(ticks == 0, 7.0 - beyond, 7.0 + 3.0 * np.sin(ticks / 30.0) + 0.5)

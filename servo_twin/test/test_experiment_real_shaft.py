@@ -6,14 +6,14 @@ import dataclasses
 
 import pytest
 from servo_twin.board import Board
-from servo_twin.experiments import real_shaft
-from servo_twin.experiments.real_shaft import EFFECTS
+from servo_twin.experiments import plant_effects
+from servo_twin.experiments.plant_effects import EFFECTS
 from servo_twin.plant import PlantConfig
 
 
 @pytest.mark.usefixtures("level")
-def test_every_figure_lies_within_its_bound() -> None:
-    outcome = real_shaft.run(PlantConfig.load(), seed=5)
+def test_every_figure_is_within_its_bound() -> None:
+    outcome = plant_effects.run(PlantConfig.load(), seed=5)
     assert [(row.name, row.measured, str(row.bound)) for row in outcome.rows if not row.agrees] == []
     assert len(outcome.rows) == len(outcome.panels) * 2 == 14
 
@@ -29,18 +29,18 @@ UNSEEN = {
 
 
 @pytest.mark.parametrize("name", UNSEEN)
-def test_a_part_that_is_not_there_is_noticed(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_missing_effect_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     """The equation still expects it."""
     effect = next(effect for effect in EFFECTS if effect.name == name)
 
-    def measure(board: Board, axis: int) -> real_shaft.Seen:
+    def measure(board: Board, axis: int) -> plant_effects.Comparison:
         nominal = board.plant
         for value, without in UNSEEN[name].items():
             board.set_plant(f"axis{axis + 1}.{value}", without)
         board.plant = nominal
         return effect.measure(board, axis)
 
-    monkeypatch.setattr(real_shaft, "EFFECTS", (dataclasses.replace(effect, measure=measure),))
+    monkeypatch.setattr(plant_effects, "EFFECTS", (dataclasses.replace(effect, measure=measure),))
     monkeypatch.setenv("SERVO_TWIN_LEVEL", "ideal")
-    outcome = real_shaft.run(PlantConfig.load(), seed=5)
+    outcome = plant_effects.run(PlantConfig.load(), seed=5)
     assert [row.agrees for row in outcome.rows] == [False, False]

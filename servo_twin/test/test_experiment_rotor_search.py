@@ -9,7 +9,7 @@ import pytest
 from servo_twin.board import Board
 from servo_twin.experiments import rotor_search
 from servo_twin.experiments.outcome import Outcome
-from servo_twin.experiments.rotor_search import Damage, Search
+from servo_twin.experiments.rotor_search import Search, SearchFault
 from servo_twin.plant import PlantConfig
 
 
@@ -22,22 +22,22 @@ def plant() -> PlantConfig:
 def outcome(plant: PlantConfig) -> Outcome:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rotor_search, "EVERY", 30)
-        patch.setattr(rotor_search, "DAMAGE_EVERY", 120)
+        patch.setattr(rotor_search, "FAULT_EVERY", 120)
         return rotor_search.run(plant, seed=11)
 
 
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fewer angles; what is tested here shows at any of them."""
     monkeypatch.setattr(rotor_search, "EVERY", 180)
-    monkeypatch.setattr(rotor_search, "DAMAGE_EVERY", 240)
-    monkeypatch.setattr(rotor_search, "UNDER_WAY", (0.1,))
+    monkeypatch.setattr(rotor_search, "FAULT_EVERY", 240)
+    monkeypatch.setattr(rotor_search, "DISTURBED_AT", (0.1,))
 
 
 def test_agrees_with_the_reference_design(outcome: Outcome) -> None:
     assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
 
 
-def test_picture_of_f16_shows_every_vector(outcome: Outcome) -> None:
+def test_picture_of_f16_has_every_vector(outcome: Outcome) -> None:
     for axis, curve in enumerate(outcome.panels[1].curves):
         searches = outcome.row(f"axis{axis + 1} from 30 degrees, searches").measured
         assert searches is not None
@@ -70,7 +70,7 @@ def test_a_wrong_angle_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: Pl
     assert len([name for name in wrong if name.endswith("error")]) == 14
 
 
-def test_a_shaft_that_moves_is_no_held_shaft(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
+def test_moving_shaft_is_not_a_blocked_shaft(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
     few(monkeypatch)
     monkeypatch.setattr(Board, "lock_shaft", lambda self, axis, locked=True: None)
     rows = {row.name: row.agrees for row in rotor_search.run(plant, seed=2).rows}
@@ -79,7 +79,7 @@ def test_a_shaft_that_moves_is_no_held_shaft(monkeypatch: pytest.MonkeyPatch, pl
     assert rows["axis1 encoder unplugged: ENCODER_LOST"]
 
 
-def test_a_wrong_name_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
+def test_wrong_fault_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
     few(monkeypatch)
     monkeypatch.setattr(Board, "connect_encoder", lambda self, axis, connected=True: self.lock_shaft(axis))
     rows = {row.name: row.agrees for row in rotor_search.run(plant, seed=2).rows}
@@ -87,7 +87,7 @@ def test_a_wrong_name_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: Pla
     assert rows["axis1 encoder line A dead: ENCODER_LOST"]
 
 
-def test_a_long_way_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
+def test_large_motion_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
     few(monkeypatch)
     monkeypatch.setattr(rotor_search, "TWITCH_COUNTS", 1)
     long = [row.name for row in rotor_search.run(plant, seed=2).rows if not row.agrees]
@@ -95,25 +95,25 @@ def test_a_long_way_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: Plant
     assert all(name.endswith("movement") for name in long)
 
 
-@pytest.mark.parametrize("damage", rotor_search.DAMAGES, ids=lambda damage: damage.name)
-def test_one_axis_may_fail_alone(plant: PlantConfig, damage: Damage) -> None:
-    first, second = rotor_search.find(plant, 3, damage=damage, axes=[1])
+@pytest.mark.parametrize("search_fault", rotor_search.SEARCH_FAULTS, ids=lambda search_fault: search_fault.name)
+def test_one_axis_may_fail_alone(plant: PlantConfig, search_fault: SearchFault) -> None:
+    first, second = rotor_search.find(plant, 3, search_fault=search_fault, axes=[1])
     assert isinstance(first, Search)
     assert first.error is not None
     assert first.faults == frozenset()
     assert second.error is None
-    assert second.faults == {damage.fault}
+    assert second.faults == {search_fault.fault}
 
 
-def test_damages_are_told_apart_without_dead_time_compensation(plant: PlantConfig) -> None:
+def test_faults_are_distinguished_without_dead_time_compensation(plant: PlantConfig) -> None:
     """The host may switch it off; the search compares voltages and does not let it."""
-    for k, damage in enumerate((rotor_search.HELD, rotor_search.UNPLUGGED)):
+    for k, search_fault in enumerate((rotor_search.LOCKED, rotor_search.UNPLUGGED)):
         with Board(rotor_search.start_at(plant, 75.0), seed=k) as board:
             board.write_raw("param.features", [0, 0])
             board.run(0.03)
             for axis in range(2):
-                damage.do(board, axis)
+                search_fault.inject(board, axis)
             board.write("cmd.enable", [1, 1])
             board.run(1.2)
-            wanted = board.catalogue.flag("faults", damage.fault).mask
+            wanted = board.catalogue.flag("faults", search_fault.fault).mask
             assert board.read_raw("axis1.faults") == board.read_raw("axis2.faults") == [wanted]

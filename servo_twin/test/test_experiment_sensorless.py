@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from servo_twin.experiments import minimum_speed, observer, sensorless_load_step, stall, start_up
+from servo_twin.experiments import minimum_speed, observer, sensorless_load_step, sensorless_stall, start_up
 from servo_twin.experiments.observer import Point
 from servo_twin.experiments.outcome import Outcome
 from servo_twin.experiments.rig import TICK
 from servo_twin.experiments.sensorless import Trace, degrees
-from servo_twin.experiments.stall import variance_tells
+from servo_twin.experiments.sensorless_stall import variance_detection_time
 from servo_twin.experiments.start_up import CRITERION_MAX, draws, examine, many
 from servo_twin.plant import PlantConfig
 from servo_twin.runner import HERE, Runner
@@ -62,7 +62,7 @@ def test_observer_agrees_with_the_reference_design(short_observer: None) -> None
     assert wrong(run(observer)) == []
 
 
-def test_observer_notices_errors_and_a_compensation_that_does_nothing(
+def test_errors_and_missing_compensation_violate_the_bounds(
     short_observer: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     genuine = observer.measure
@@ -71,7 +71,7 @@ def test_observer_notices_errors_and_a_compensation_that_does_nothing(
         return {k: dataclasses.replace(p, mean=p.mean + 17.0) for k, p in genuine(*args).items()}
 
     monkeypatch.setattr(observer, "measure", shifted)
-    monkeypatch.setattr(observer, "paper", lambda *_: 0.0)
+    monkeypatch.setattr(observer, "theoretical_error", lambda *_: 0.0)
     slow = (1.0 / 15.0,)
 
     def uncompensated(plant: PlantConfig, seed: int, axis: int) -> Point:
@@ -83,13 +83,15 @@ def test_observer_notices_errors_and_a_compensation_that_does_nothing(
     assert any("not made up over made up" in name for name in names)
 
 
-def test_angle_error_on_paper() -> None:
+def test_angle_error_by_calculation() -> None:
     motor = PLANT.axes[0]
     other = dataclasses.replace(motor, l_q=2.0 * motor.l_q)
     expected = math.degrees(math.atan2((2.0 * 0.512e-3 - 0.4575e-3) * 2.0, 0.0154))
-    assert observer.paper(other, motor, 100.0, 2.0) == pytest.approx(expected, rel=1e-6)
+    assert observer.theoretical_error(other, motor, 100.0, 2.0) == pytest.approx(expected, rel=1e-6)
     hot = dataclasses.replace(motor, r_s=2.0 * motor.r_s)
-    assert 0.0 < observer.paper(hot, motor, 100.0, 2.0) < observer.paper(motor, motor, 100.0, 2.0)
+    assert (
+        0.0 < observer.theoretical_error(hot, motor, 100.0, 2.0) < observer.theoretical_error(motor, motor, 100.0, 2.0)
+    )
 
 
 # ---- start-up -------------------------------------------------------------------------------------------------------
@@ -102,7 +104,7 @@ def test_start_up_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
     assert outcome.row("random starts, success").measured == 100.0
 
 
-def test_start_up_notices_a_shaft_that_does_not_turn() -> None:
+def test_start_up_of_a_blocked_shaft_does_not_agree() -> None:
     stuck = PLANT
     for axis in range(2):
         stuck = stuck.with_axis(axis, friction=10.0)
@@ -111,7 +113,7 @@ def test_start_up_notices_a_shaft_that_does_not_turn() -> None:
     assert not any(start.succeeded for start in starts)
 
 
-def test_random_starts_are_those_of_the_seed() -> None:
+def test_random_starts_are_determined_by_the_seed() -> None:
     assert draws(1, 3) == draws(1, 5)[:3]
     assert draws(1, 3) != draws(2, 3)
     for draw in (draw for board in draws(1, 200) for draw in board):
@@ -119,7 +121,7 @@ def test_random_starts_are_those_of_the_seed() -> None:
         assert 0.15 <= abs(draw.set_point) <= 0.9
 
 
-def test_times_count_from_the_beginning_of_the_start_up() -> None:
+def test_times_are_relative_to_the_start_up() -> None:
     substates = np.array([1] * 10 + [5] * 100 + [3] * 50)
     angle = np.where(np.arange(160) < 70, 1.0, 0.1)
     found = examine(trace(np.zeros(160), substate=substates, angle=angle), 5, 3)
@@ -133,7 +135,7 @@ def test_times_count_from_the_beginning_of_the_start_up() -> None:
 
 
 @pytest.mark.parametrize(("words", "count"), [([], start_up.STARTS), (["--count", "3"], 3)])
-def test_number_of_starts_is_chosen(monkeypatch: pytest.MonkeyPatch, words: list[str], count: int) -> None:
+def test_number_of_starts_is_an_option(monkeypatch: pytest.MonkeyPatch, words: list[str], count: int) -> None:
     counts: list[int] = []
 
     def counted(plant: PlantConfig, seed: int, count: int, runner: Runner) -> list[start_up.Start]:
@@ -156,7 +158,7 @@ def test_minimum_speed_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
     assert outcome.row("axis1, load 25 %, lowest speed").measured == pytest.approx(5.0)
 
 
-def test_minimum_speed_notices_what_is_not_slow(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_high_speed_violates_the_bounds_of_the_minimum_speed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(minimum_speed, "LOADS", (0.0,))
     monkeypatch.setattr(minimum_speed, "STEPS", (0.3, 0.1))
     assert wrong(run(minimum_speed)) == ["axis1, no load, lowest speed", "axis2, no load, lowest speed"]
@@ -171,9 +173,9 @@ def test_load_step_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
     assert wrong(run(sensorless_load_step)) == []
 
 
-def test_load_step_notices_what_was_not_borne() -> None:
+def test_too_large_load_step_is_detected() -> None:
     """More than the current can hold: the shaft goes back, and the step before is what was borne."""
-    it = sensorless_load_step.bear(PLANT, SEED, 0, 0.1, (0.3, 1.2))
+    it = sensorless_load_step.largest_step(PLANT, SEED, 0, 0.1, (0.3, 1.2))
     assert it.torque == pytest.approx(0.3 * 4.0 * PLANT.axes[0].torque_constant, rel=1e-3)
     assert it.end
 
@@ -181,18 +183,18 @@ def test_load_step_notices_what_was_not_borne() -> None:
 # ---- stall ----------------------------------------------------------------------------------------------------------
 
 
-def test_the_variance_alone_tells_noise_and_not_a_steady_speed() -> None:
+def test_variance_detects_noise_and_accepts_a_steady_speed() -> None:
     noise = np.random.default_rng(1).normal(0.0, 30.0, 3000)
-    told = variance_tells(trace(noise), 0.0)
+    told = variance_detection_time(trace(noise), 0.0)
     assert told is not None
-    assert told == pytest.approx((stall.SIZE + stall.HYSTERESIS) * TICK, rel=0.1)
-    assert variance_tells(trace(np.full(3000, 20.0)), 0.0) is None
+    assert told == pytest.approx((sensorless_stall.SIZE + sensorless_stall.HYSTERESIS) * TICK, rel=0.1)
+    assert variance_detection_time(trace(np.full(3000, 20.0)), 0.0) is None
     slow = 20.0 + 4.0 * np.sin(2.0 * np.pi * 4.0 * TICK * np.arange(3000))
-    assert variance_tells(trace(slow), 0.0) is None, "the blind spot of the reference design"
+    assert variance_detection_time(trace(slow), 0.0) is None, "the blind spot of the reference design"
 
 
-def test_stall_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stall, "SPEEDS", (0.2, 0.8))
-    monkeypatch.setattr(stall, "FREQUENCIES", (4.0,))
-    monkeypatch.setattr(stall, "LONG", 2.0)
-    assert wrong(run(stall)) == []
+def test_stall_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sensorless_stall, "SPEEDS", (0.2, 0.8))
+    monkeypatch.setattr(sensorless_stall, "FREQUENCIES", (4.0,))
+    monkeypatch.setattr(sensorless_stall, "LONG", 2.0)
+    assert wrong(run(sensorless_stall)) == []

@@ -17,9 +17,9 @@ from servo_twin.experiments.rig import (
     command_speed,
     features,
     position_of,
+    record,
     set_axis,
     spinning,
-    watch,
 )
 from servo_twin.plant import PlantConfig
 
@@ -43,7 +43,7 @@ def test_a_position_move_at_the_rated_speed_arrives() -> None:
         set_axis(board, "param.over_speed", AXIS, 480.0)
         target = position_of(board, AXIS) + 30 * 4000
         command_position(board, AXIS, target)
-        move = watch(board, [AXIS], 1.2)[AXIS]
+        move = record(board, [AXIS], 1.2)[AXIS]
     assert float(move.omega.max()) > 0.98 * RATED
     assert float(move.i_d.min()) < -0.3
     assert float(move.position.max()) <= target + 2
@@ -51,7 +51,7 @@ def test_a_position_move_at_the_rated_speed_arrives() -> None:
     assert float(np.abs(move.i_d[-100:]).max()) < 0.1
 
 
-def test_turns_backwards_as_well(rated: Board) -> None:
+def test_negative_rated_speed_is_reached(rated: Board) -> None:
     command_speed(rated, AXIS, -RATED)
     rated.run(0.5)
     assert rated.truth(AXIS).omega_m == pytest.approx(-RATED, rel=0.005)
@@ -61,7 +61,7 @@ def test_turns_backwards_as_well(rated: Board) -> None:
 def test_torque_mode_reaches_the_speed_limit(rated: Board) -> None:
     choose_mode(rated, AXIS, "TORQUE")
     set_axis(rated, "cmd.i_q", AXIS, 0.5)
-    run = watch(rated, [AXIS], 0.3)[AXIS]
+    run = record(rated, [AXIS], 0.3)[AXIS]
     assert float(run.omega[-100:].mean()) == pytest.approx(RATED, rel=0.01)
     assert float(run.omega.std()) < 60.0 * RPM
 
@@ -70,10 +70,10 @@ def test_switched_off_in_motion_the_speed_falls_to_what_the_voltage_allows(rated
     rated.set_load(AXIS, field_weakening.STEP)
     rated.run(0.1)
     features(rated, AXIS, FIELD_WEAKENING=False)
-    run = watch(rated, [AXIS], 0.3)[AXIS]
+    run = record(rated, [AXIS], 0.3)[AXIS]
     assert float(np.abs(run.i_d[40:]).mean()) < 0.1
-    aim = field_weakening.formula(PlantConfig.load().axes[AXIS], 24.0, field_weakening.STEP, weak=False)
-    assert float(run.omega[-100:].mean()) == pytest.approx(aim, rel=field_weakening.FORMULA)
+    target = field_weakening.theoretical_speed(PlantConfig.load().axes[AXIS], 24.0, field_weakening.STEP, weak=False)
+    assert float(run.omega[-100:].mean()) == pytest.approx(target, rel=field_weakening.SPEED_TOLERANCE)
 
 
 def test_the_angle_check_raises_no_alarm(rated: Board) -> None:
@@ -82,13 +82,13 @@ def test_the_angle_check_raises_no_alarm(rated: Board) -> None:
     for load, supply in ((field_weakening.STEP, 24.0), (0.02, 19.0), (0.0, 24.0)):
         rated.set_load(AXIS, load)
         rated.set_supply(supply)
-        run = watch(rated, [AXIS], 0.3)[AXIS]  # refuses faults
+        run = record(rated, [AXIS], 0.3)[AXIS]  # refuses faults
         assert float(run.i_d[-100:].mean()) < -0.3
 
 
-def test_a_stop_ends_it(rated: Board) -> None:
+def test_stop_ends_field_weakening(rated: Board) -> None:
     rated.write("cmd.enable", [0, 0])
-    run = watch(rated, [AXIS], 0.4)[AXIS]
+    run = record(rated, [AXIS], 0.4)[AXIS]
     assert float(np.abs(run.omega[-1])) < 1.0
     assert float(np.abs(run.i_d[-100:]).max()) < 0.1
 
@@ -108,10 +108,10 @@ def test_works_without_an_encoder() -> None:
         for load, supply in ((0.0, 24.0), (field_weakening.STEP, 24.0), (0.02, 20.0), (0.02, 24.0)):
             board.set_load(AXIS, load)
             board.set_supply(supply)
-            run = watch(board, [AXIS], 0.4)[AXIS].part(0.2)
-            aim = field_weakening.formula(board.plant.axes[AXIS], supply, load, weak=True)
-            assert float(run.omega.mean()) == pytest.approx(aim, rel=field_weakening.FORMULA)
-            assert float(run.omega.std()) < field_weakening.RESTLESS
+            run = record(board, [AXIS], 0.4)[AXIS].part(0.2)
+            target = field_weakening.theoretical_speed(board.plant.axes[AXIS], supply, load, weak=True)
+            assert float(run.omega.mean()) == pytest.approx(target, rel=field_weakening.SPEED_TOLERANCE)
+            assert float(run.omega.std()) < field_weakening.SPEED_DEVIATION_MAX
             assert float(run.i_d.mean()) < -0.4
             used, true = board.read("axis1.theta_e"), board.plant.axes[AXIS].pole_pairs * board.truth(AXIS).theta_m
             assert isinstance(used, float)
@@ -119,12 +119,12 @@ def test_works_without_an_encoder() -> None:
 
 
 @pytest.mark.parametrize("supply", [24.0, 20.0])
-def test_outputs_off_at_the_rated_speed_spare_the_bus(rated: Board, supply: float) -> None:
+def test_outputs_off_at_the_rated_speed_keep_the_bus_voltage(rated: Board, supply: float) -> None:
     """The rectified back-EMF, 22.3 V between two phases, charges the bus to no more than that."""
     rated.set_supply(supply)
     rated.write_raw("param.on_disable", [0, 0])  # COAST
     rated.write("cmd.enable", [0, 0])
-    run = watch(rated, [AXIS], 0.1)[AXIS]
+    run = record(rated, [AXIS], 0.1)[AXIS]
     assert float(run.u_dc.max()) < max(24.0, 22.4) + 0.2
     assert not run.faults.any()
     assert float(np.abs(run.i_d[2:]).max()) < 0.1
@@ -133,13 +133,13 @@ def test_outputs_off_at_the_rated_speed_spare_the_bus(rated: Board, supply: floa
 def test_a_fault_at_the_rated_speed_coasts(rated: Board) -> None:
     board = rated
     board.connect_encoder(AXIS, False)
-    run = watch(board, [AXIS], 0.3, may_fail=True)[AXIS]
+    run = record(board, [AXIS], 0.3, may_fail=True)[AXIS]
     (first, *_) = np.nonzero(run.faults)[0]
     assert run.state[first] != run.state[0]
     assert float(np.hypot(run.i_d, run.i_q)[first + 1 :].max()) < 0.1
 
 
-def test_the_experiment_agrees_and_notices_that_nothing_is_switched(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_experiment_agrees_and_detects_a_disabled_feature(monkeypatch: pytest.MonkeyPatch) -> None:
     def wrong() -> list[str]:
         return [row.name for row in field_weakening.run(PlantConfig.load(), 3).rows if not row.agrees]
 

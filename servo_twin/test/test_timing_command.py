@@ -34,7 +34,7 @@ def test_agrees_and_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     picture = tmp_path / "timing.png"
     assert main(["timing", "--seed", "3", "--json", "--plot", str(picture)]) == 0
     rows = {row["name"]: row["measured"] for row in json.loads(capsys.readouterr().out)}
-    assert rows["timing: motor 2 behind motor 1, most"] == pytest.approx(180.0, abs=0.3)
+    assert rows["timing: motor 2 behind motor 1, maximum"] == pytest.approx(180.0, abs=0.3)
     assert rows["timing: start interrupt"] == 1.0
     assert picture.stat().st_size > 50_000
 
@@ -45,16 +45,16 @@ def test_all_and_plot_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert not list(tmp_path.iterdir())
 
 
-def test_late_trigger_shows() -> None:
+def test_late_trigger_violates_the_bounds() -> None:
     """1.5 us after the centre the converter still samples before M1, but no longer where the current is the mean."""
     names = wrong(poke(PWMA_SM1_VAL4, lambda value: value + 100))
-    assert "motor 1: currents after the centre, most" in names
+    assert "motor 1: currents after the centre, maximum" in names
 
 
-def test_early_interrupt_shows() -> None:
+def test_early_interrupt_violates_the_bounds() -> None:
     """M1 comes before the third conversion."""
     names = wrong(poke(PWMA_SM1_VAL5, lambda value: value - 120))
-    assert "M1 begins after its data, least" in names
+    assert "M1 begins after its data, minimum" in names
 
 
 def test_a_core_that_is_too_slow_fails_its_rows(capsys: pytest.CaptureFixture[str]) -> None:

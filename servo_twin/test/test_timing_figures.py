@@ -74,8 +74,8 @@ def test_right_timing_agrees() -> None:
     rows = pwm_cycle(trace(ideal()))
     assert wrong(rows) == set()
     by_name = {row.name: row.measured for row in rows}
-    assert by_name["motor 2 behind motor 1, most"] == pytest.approx(180.0)
-    assert by_name["motor 1: currents after the centre, most"] == pytest.approx(
+    assert by_name["motor 2 behind motor 1, maximum"] == pytest.approx(180.0)
+    assert by_name["motor 1: currents after the centre, maximum"] == pytest.approx(
         (60 + FIRST - DEAD / 2) * 0.01, abs=0.01
     )
 
@@ -98,22 +98,22 @@ def longer(vector: int, clocks: int) -> Mistake:
 @pytest.mark.parametrize(
     ("mistake", "row"),
     [
-        (shift(Kind.CYCLE, {4, 5, 6}, 10), "motor 2 behind motor 1, most"),
+        (shift(Kind.CYCLE, {4, 5, 6}, 10), "motor 2 behind motor 1, maximum"),
         (shift(Kind.CYCLE, {1}, 1), "motor 1: counters apart"),
-        (shift(Kind.SAMPLE, {0, 8}, 150), "motor 1: currents after the centre, most"),
-        (shift(Kind.SAMPLE, {0, 8}, -70), "motor 1: currents after the centre, least"),
-        (shift(Kind.SAMPLE, {4, 12}, 150), "motor 1: offsets after the centre, most"),
+        (shift(Kind.SAMPLE, {0, 8}, 150), "motor 1: currents after the centre, maximum"),
+        (shift(Kind.SAMPLE, {0, 8}, -70), "motor 1: currents after the centre, minimum"),
+        (shift(Kind.SAMPLE, {4, 12}, 150), "motor 1: offsets after the centre, maximum"),
         (shift(Kind.SAMPLE, {11}, 3), "scans with both converters together"),
         (without(Kind.SAMPLE, 4), "scans with six pairs in order"),
-        (shift(Kind.SAMPLE, {0, 1, 2, 8, 9, 10}, 2000), "pause after the third pair, least"),
-        (shift(Kind.ENTER, {VECTOR_M1}, -100), "M1 begins after its data, least"),
-        (shift(Kind.SCAN_END, {0}, 100), "M2 begins after its data, least"),
+        (shift(Kind.SAMPLE, {0, 1, 2, 8, 9, 10}, 2000), "pause after the third pair, minimum"),
+        (shift(Kind.ENTER, {VECTOR_M1}, -100), "M1 begins after its data, minimum"),
+        (shift(Kind.SCAN_END, {0}, 100), "M2 begins after its data, minimum"),
         (longer(VECTOR_M2, 2000), "M1 and M2 at the same time"),
         (without(Kind.ENTER, VECTOR_M2), "M2 per PWM period"),
         (shift(Kind.SAMPLE, {3, 11}, 200), "periods with t0, t1, t2, t3 in order"),
     ],
 )
-def test_every_mistake_shows_in_its_row(mistake: Mistake, row: str) -> None:
+def test_every_error_is_in_its_row(mistake: Mistake, row: str) -> None:
     assert row in wrong(pwm_cycle(trace(mistake(ideal()))))
 
 
@@ -129,18 +129,18 @@ def margins(entries: list[Entry]) -> dict[str, float | None]:
     return {row.name: row.measured for row in deadlines.rows(trace(entries), M1_BEGIN)}
 
 
-def test_room_is_what_is_left_from_sample_to_load() -> None:
+def test_margin_from_sample_to_load() -> None:
     """Every kind of handler: with slow loop, protection, watches, supervision, latch, in both loops."""
     due = HALF - 60 - FIRST
     for name, begin in (("M1", M1_BEGIN), ("M2", 232)):
         left = HALF - begin - RELEASE
         for kind in SLOTS.values():
-            assert margins(ideal())[f"{name} {kind}, least room"] == pytest.approx(100.0 * left / due), name + kind
+            assert margins(ideal())[f"{name} {kind}, minimum margin"] == pytest.approx(100.0 * left / due), name + kind
     assert margins(ideal())["core busy"] == pytest.approx(100.0 * 2 * LENGTH / PERIOD, abs=1.0)
     assert wrong(deadlines.rows(trace(ideal()), M1_BEGIN)) == set()
 
 
-def test_the_picture_shows_the_room_of_each_loop() -> None:
+def test_picture_shows_the_margin_of_each_loop() -> None:
     """And of a miss how much too late it is: bars that go back."""
     for loop, begin in zip(LOOPS, (M1_BEGIN, 232), strict=True):
         drawn = picture.margins(trace(ideal()), loop)
@@ -175,19 +175,19 @@ def at_period(slot: int, mistake: Mistake) -> Mistake:
     return do
 
 
-def test_a_miss_is_a_negative_room_however_soon_the_next_load_comes() -> None:
+def test_missed_load_is_a_negative_margin() -> None:
     """Duties that are released right behind their load, in one kind of handler: its row fails, and no other one."""
     late = at_period(4, shift(Kind.WRITE, {MCTRL[0]}, HALF - M1_BEGIN - RELEASE + 1))
     longer_m1 = at_period(4, longer(VECTOR_M1, HALF - M1_BEGIN - LENGTH + 10))
     entries = late(longer_m1(ideal()))
-    assert margins(entries)["M1 with current watches, least room"] == pytest.approx(-100.0 / (HALF - 60 - FIRST))
-    assert wrong(deadlines.rows(trace(entries), M1_BEGIN)) == {"M1 with current watches, least room"}
+    assert margins(entries)["M1 with current watches, minimum margin"] == pytest.approx(-100.0 / (HALF - 60 - FIRST))
+    assert wrong(deadlines.rows(trace(entries), M1_BEGIN)) == {"M1 with current watches, minimum margin"}
 
 
-def test_a_loop_that_begins_late_has_less_room() -> None:
+def test_late_begin_reduces_the_margin() -> None:
     marks = {VECTOR_M2, MCTRL[1]}
     entries = [(c + 1400 if a in marks and k != Kind.SAMPLE else c, k, a, b) for c, k, a, b in ideal()]
-    assert "M2 with protection, least room" in wrong(deadlines.rows(trace(entries), M1_BEGIN))
+    assert "M2 with protection, minimum margin" in wrong(deadlines.rows(trace(entries), M1_BEGIN))
 
 
 def without_duties(entries: list[Entry]) -> list[Entry]:
@@ -196,7 +196,7 @@ def without_duties(entries: list[Entry]) -> list[Entry]:
 
 
 def test_duties_that_are_never_released_are_late() -> None:
-    assert "M1 with current watches, least room" in wrong(deadlines.rows(trace(without_duties(ideal())), M1_BEGIN))
+    assert "M1 with current watches, minimum margin" in wrong(deadlines.rows(trace(without_duties(ideal())), M1_BEGIN))
 
 
 def test_a_loop_without_outputs_has_no_deadline() -> None:
@@ -207,7 +207,7 @@ def test_a_loop_without_outputs_has_no_deadline() -> None:
     off = (16 * PERIOD, int(Kind.WRITE), outputs, 0)
     on = (16 * PERIOD, int(Kind.WRITE), outputs, 0x770)
     assert wrong(deadlines.rows(trace([*entries, off, *later]), M1_BEGIN)) == set()
-    assert "M1 with current watches, least room" in wrong(deadlines.rows(trace([*entries, on, *later]), M1_BEGIN))
+    assert "M1 with current watches, minimum margin" in wrong(deadlines.rows(trace([*entries, on, *later]), M1_BEGIN))
 
 
 def test_what_interrupts_a_handler_is_counted_once() -> None:
@@ -252,7 +252,7 @@ def test_right_start_agrees() -> None:
         (lambda e: [*e, (900, int(Kind.ENTER), VECTOR_M2, 1)], "M1, M2, M1, ... from the start on"),
     ],
 )
-def test_mistake_of_the_start_shows(mistake: Mistake, row: str) -> None:
+def test_error_of_the_start_is_in_its_row(mistake: Mistake, row: str) -> None:
     assert row in wrong(start(trace(mistake(beginning()))))
 
 

@@ -47,7 +47,7 @@ class RecordService:
         Bytes read between two samples of the telemetry.
     times : callable
         Converts uint32 ticks, oldest first, to extended ticks and ROS times [ns].
-    say, warn : callable
+    info, warn : callable
         Receive messages for the log.
     """
 
@@ -61,7 +61,7 @@ class RecordService:
         *,
         piece: int,
         times: Callable[[Any], tuple[Any, Any]],
-        say: Callable[[str], None],
+        info: Callable[[str], None],
         warn: Callable[[str], None],
     ) -> None:
         self._catalogue = catalogue
@@ -69,7 +69,7 @@ class RecordService:
         self._post = post
         self._piece = piece
         self._times = times
-        self._say, self._warn = say, warn
+        self._info, self._warn = info, warn
         self._recording: Recording | None = None
         self._answer: Future[Outcome] | None = None
         self.request = request  # a change applies to the next burst
@@ -119,7 +119,7 @@ class RecordService:
             return
         if self._answer is not None:
             answer, self._answer = self._answer, None
-            self._say(f"recording {recording.text}")
+            self._info(f"recording {recording.text}")
             answer.set_result((True, recording.text))
         burst = step.result()
         if burst is not None:
@@ -145,7 +145,7 @@ class RecordService:
     def _publish(self, burst: Burst, recording: Recording) -> None:
         how = "" if recording.triggered or recording.request.trigger is None else ", stopped before the trigger"
         self._publisher.publish(table_of(burst, f"{recording.text}{how}", self._times))
-        self._say(f"recorded {len(burst.times)} points{how}")
+        self._info(f"recorded {len(burst.times)} points{how}")
 
 
 def table_of(burst: Burst, label: str, times: Callable[[Any], tuple[Any, Any]]) -> Float64MultiArray:

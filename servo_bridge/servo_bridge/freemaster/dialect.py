@@ -7,7 +7,7 @@ from typing import Protocol
 
 from servo_bridge.freemaster.board_info import BoardInfo
 from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
-from servo_bridge.freemaster.line import Ask, Fence
+from servo_bridge.freemaster.line import Fence, SendRequest
 from servo_bridge.freemaster.recorder import Recorder
 
 
@@ -18,13 +18,13 @@ class Dialect(Protocol):
     ``parse_...`` decode the data of a response.
     """
 
-    def identify(self, ask: Ask) -> BoardInfo:
+    def identify(self, send: SendRequest) -> BoardInfo:
         """Identify the target; determines the parameters of later requests."""
 
-    def fence(self, ask: Ask) -> Fence | None:
+    def fence(self, send: SendRequest) -> Fence | None:
         """Request whose response never changes; after `identify`."""
 
-    def get_config(self, ask: Ask, key: str) -> bytes | None:
+    def get_config(self, send: SendRequest, key: str) -> bytes | None:
         """Read a configuration value; None if it does not exist."""
 
     def read_memory(self, address: int, size: int) -> Request: ...
@@ -50,7 +50,7 @@ class Dialect(Protocol):
     def exchange_pipe(self, payload: bytes) -> Request:
         """Request to a pipe; see `Pipe` for its payload."""
 
-    def log_in(self, ask: Ask, level: int, password: str) -> int:
+    def log_in(self, send: SendRequest, level: int, password: str) -> int:
         """Log in with a password; returns the granted level.
 
         Raises
@@ -61,5 +61,5 @@ class Dialect(Protocol):
             If the version has no passwords.
         """
 
-    def recorder(self, ask: Ask, info: BoardInfo, index: int, payload_limit: int) -> Recorder:
+    def recorder(self, send: SendRequest, info: BoardInfo, index: int, payload_limit: int) -> Recorder:
         """Return the recorder with this number."""

@@ -11,7 +11,7 @@ from servo_bridge.freemaster.commands import Request, ScopeSlot, TsaTable
 from servo_bridge.freemaster.commands_v3 import MemoryForm
 from servo_bridge.freemaster.errors import CodecError, FreemasterError, RecorderError, Status, StatusError
 from servo_bridge.freemaster.frames import V3
-from servo_bridge.freemaster.line import Ask, Fence
+from servo_bridge.freemaster.line import Fence, SendRequest
 from servo_bridge.freemaster.recorder import Recorder
 from servo_bridge.freemaster.recorder_v3 import RecorderV3
 
@@ -34,12 +34,12 @@ class DialectV3:
         self._time_base_ns = 0
         self._fence: Fence | None = None
 
-    def identify(self, ask: Ask) -> BoardInfo:
+    def identify(self, send: SendRequest) -> BoardInfo:
         request = commands_v3.get_info()
-        data = _answer_or_none(ask, request)
+        data = _answer_or_none(send, request)
         if data is None:
             request = commands_v3.get_info_brief()
-            data = ask(request).data
+            data = send(request).data
         self._fence = Fence(request.frame, V3.answer(Status.OK, data))
         protocol, flags, _, major, minor, buffer_size = data[:6]
         form = MemoryForm("big" if flags & _BIG_ENDIAN else "little")
@@ -51,7 +51,7 @@ class DialectV3:
             self._time_base_ns = (time_base & 0x3FFF) * _TIME_UNITS[time_base >> 14]
             description = data[10:].split(b"\x00", 1)[0].decode("utf-8", "replace")
             recorders = int(self._recorder_memory > 0)
-        self._form = _known_form(ask, form)
+        self._form = _known_form(send, form)
         return BoardInfo(
             protocol=protocol,
             mtu=max(buffer_size, _MTU_MIN),
@@ -62,10 +62,10 @@ class DialectV3:
             scopes=1,
         )
 
-    def fence(self, ask: Ask) -> Fence | None:
+    def fence(self, send: SendRequest) -> Fence | None:
         return self._fence
 
-    def get_config(self, ask: Ask, key: str) -> bytes | None:
+    def get_config(self, send: SendRequest, key: str) -> bytes | None:
         return None
 
     def read_memory(self, address: int, size: int) -> Request:
@@ -106,33 +106,33 @@ class DialectV3:
     def exchange_pipe(self, payload: bytes) -> Request:
         return commands_v3.exchange_pipe(payload)
 
-    def log_in(self, ask: Ask, level: int, password: str) -> int:
+    def log_in(self, send: SendRequest, level: int, password: str) -> int:
         raise FreemasterError("the board uses FreeMASTER version 3, which has no passwords")
 
-    def recorder(self, ask: Ask, info: BoardInfo, index: int, payload_limit: int) -> Recorder:
+    def recorder(self, send: SendRequest, info: BoardInfo, index: int, payload_limit: int) -> Recorder:
         if index:
             raise RecorderError(f"recorder {index} does not exist; a version 3 target has one")
-        return RecorderV3(ask, self._form, self._recorder_memory, self._time_base_ns, payload_limit)
+        return RecorderV3(send, self._form, self._recorder_memory, self._time_base_ns, payload_limit)
 
 
-def _answer_or_none(ask: Ask, request: Request) -> bytes | None:
+def _answer_or_none(send: SendRequest, request: Request) -> bytes | None:
     """Data of the response; None if the target does not support the command."""
     try:
-        return ask(request).data
+        return send(request).data
     except StatusError as error:
         if error.code == Status.UNKNOWN_COMMAND:
             return None
         raise
 
 
-def _known_form(ask: Ask, form: MemoryForm) -> MemoryForm:
+def _known_form(send: SendRequest, form: MemoryForm) -> MemoryForm:
     """Determine the address form of the target, by read requests."""
     narrow = MemoryForm(form.order, wide=False)
     for candidate in (form, narrow):
-        if _answer_or_none(ask, candidate.get_tsa_info(0)) is not None:
+        if _answer_or_none(send, candidate.get_tsa_info(0)) is not None:
             return candidate
     try:
-        ask(form.read_memory(0, 0))
+        send(form.read_memory(0, 0))
     except StatusError as error:
         return narrow if error.code == Status.UNKNOWN_COMMAND else form
     return form

@@ -8,7 +8,7 @@ from servo_bridge.freemaster import commands
 from servo_bridge.freemaster.board_info import DEFAULT_MTU, BoardInfo
 from servo_bridge.freemaster.errors import FreemasterError, Status, StatusError
 from servo_bridge.freemaster.frames import V4, decode_uleb
-from servo_bridge.freemaster.line import Ask, Fence
+from servo_bridge.freemaster.line import Fence, SendRequest
 from servo_bridge.freemaster.recorder import Recorder
 from servo_bridge.freemaster.recorder_v4 import RecorderV4
 
@@ -34,17 +34,17 @@ class DialectV4:
     get_command_status = staticmethod(commands.get_command_status)
     exchange_pipe = staticmethod(commands.exchange_pipe)
 
-    def identify(self, ask: Ask) -> BoardInfo:
+    def identify(self, send: SendRequest) -> BoardInfo:
         def text(key: str) -> str:
-            value = self.get_config(ask, key)
+            value = self.get_config(send, key)
             return "" if value is None else value.split(b"\x00", 1)[0].decode("utf-8", "replace")
 
         def byte(key: str) -> int:
-            value = self.get_config(ask, key)
+            value = self.get_config(send, key)
             return value[0] if value else 0
 
         def number(key: str) -> int | None:
-            value = self.get_config(ask, key)
+            value = self.get_config(send, key)
             return decode_uleb(value)[0] if value else None
 
         return BoardInfo(
@@ -61,24 +61,24 @@ class DialectV4:
             pipes=byte("PC"),
         )
 
-    def fence(self, ask: Ask) -> Fence | None:
+    def fence(self, send: SendRequest) -> Fence | None:
         request = commands.get_config("PV")
         try:
-            exchange = ask(request)
+            response = send(request)
         except StatusError:
             return None  # a refusal cannot be distinguished from other refusals
-        return Fence(request.frame, V4.answer(exchange.status, exchange.data))
+        return Fence(request.frame, V4.answer(response.status, response.data))
 
-    def get_config(self, ask: Ask, key: str) -> bytes | None:
+    def get_config(self, send: SendRequest, key: str) -> bytes | None:
         try:
-            return commands.parse_config(key, ask(commands.get_config(key)).data)
+            return commands.parse_config(key, send(commands.get_config(key)).data)
         except StatusError as error:
             if error.code in (Status.ACCESS_DENIED, Status.UNKNOWN_COMMAND):
                 return None
             raise
 
-    def log_in(self, ask: Ask, level: int, password: str) -> int:
-        challenge = ask(commands.begin_login(level)).data
+    def log_in(self, send: SendRequest, level: int, password: str) -> int:
+        challenge = send(commands.begin_login(level)).data
         algorithm, end = decode_uleb(challenge)
         if algorithm == commands.NO_PASSWORD:
             return level
@@ -86,7 +86,7 @@ class DialectV4:
             raise FreemasterError(
                 f"the board requires passwords hashed by algorithm {algorithm}; this program supports SHA-1"
             )
-        return ask(commands.finish_login(level, password_key(password, challenge[end:]))).data[0]
+        return send(commands.finish_login(level, password_key(password, challenge[end:]))).data[0]
 
-    def recorder(self, ask: Ask, info: BoardInfo, index: int, payload_limit: int) -> Recorder:
-        return RecorderV4(ask, index, payload_limit)
+    def recorder(self, send: SendRequest, info: BoardInfo, index: int, payload_limit: int) -> Recorder:
+        return RecorderV4(send, index, payload_limit)

@@ -75,7 +75,7 @@ class Exchange:
     status: int = Status.OK
 
 
-Ask = Callable[[Request], Exchange]
+SendRequest = Callable[[Request], Exchange]
 """Sends a request and returns its answer; see `Line.exchange`."""
 
 
@@ -151,8 +151,8 @@ class Line:
         ------
         AnswerTimeoutError, DamagedAnswerError, DisturbedRequestError, StatusError, TransportError
         """
-        left = self.retries if retries is None else retries
-        remaining_ns = (left + 1) * self._latency_ns
+        remaining_retries = self.retries if retries is None else retries
+        remaining_ns = (remaining_retries + 1) * self._latency_ns
         lost = False
         while True:
             if self._unsettled and self._settle():
@@ -165,13 +165,13 @@ class Line:
                 self._round_trip.lost()
                 # Retries count by the sum of their waiting times: the target may just be busy for a moment.
                 remaining_ns -= self.clock() - begin_ns
-                if not request.idempotent or left == 0 or remaining_ns <= 0:
+                if not request.idempotent or remaining_retries == 0 or remaining_ns <= 0:
                     raise
                 self.statistics.retries += 1
                 continue
             except DamagedAnswerError:
                 self._unsettled = lost = True
-                if not request.idempotent or left == 0:
+                if not request.idempotent or remaining_retries == 0:
                     raise
             except StatusError as error:
                 self._unsettled = lost
@@ -179,7 +179,7 @@ class Line:
                 if error.code not in (Status.CHECKSUM, Status.REQUEST_TOO_LONG):
                     self.statistics.refused += 1
                     raise
-                if left == 0:
+                if remaining_retries == 0:
                     if error.code == Status.CHECKSUM:
                         raise DisturbedRequestError(str(error)) from error
                     raise
@@ -187,7 +187,7 @@ class Line:
                 # Both the lost and the repeated request may still be answered.
                 self._unsettled = lost
                 return exchange
-            left -= 1
+            remaining_retries -= 1
             self.statistics.retries += 1
 
     def rest(self, seconds: float) -> None:

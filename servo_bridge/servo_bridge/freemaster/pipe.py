@@ -6,7 +6,7 @@ from typing import Final
 
 from servo_bridge.freemaster.dialect import Dialect
 from servo_bridge.freemaster.errors import CodecError
-from servo_bridge.freemaster.line import Ask
+from servo_bridge.freemaster.line import SendRequest
 
 PORT_MAX: Final = 127
 _TOGGLE: Final = 0x80
@@ -21,7 +21,7 @@ class Pipe:
 
     Parameters
     ----------
-    ask : callable
+    send : callable
         Sends a request; see `Line.exchange`.
     dialect : Dialect
         Version of the protocol.
@@ -34,10 +34,10 @@ class Pipe:
         If the port does not exist.
     """
 
-    def __init__(self, ask: Ask, dialect: Dialect, port: int = 1) -> None:
+    def __init__(self, send: SendRequest, dialect: Dialect, port: int = 1) -> None:
         if not 1 <= port <= PORT_MAX:
             raise CodecError(f"pipe {port} is not 1 .. {PORT_MAX}")
-        self._ask, self._dialect, self._port = ask, dialect, port
+        self._send, self._dialect, self._port = send, dialect, port
         self._odd = False
         self._acknowledged = 0
         self._in_step = False
@@ -67,7 +67,7 @@ class Pipe:
 
     def _exchange(self, data: bytes) -> tuple[bytes, int]:
         head = self._port | (_TOGGLE if self._odd else 0)
-        answer = self._ask(self._dialect.exchange_pipe(bytes((head, self._acknowledged)) + data)).data
+        answer = self._send(self._dialect.exchange_pipe(bytes((head, self._acknowledged)) + data)).data
         if len(answer) < _HEAD or answer[0] != head:
             raise CodecError(f"response {answer.hex(' ') or 'without data'} to a request to pipe {self._port}")
         self._odd = not self._odd

@@ -9,7 +9,7 @@ from servo_bridge.freemaster.commands import Request
 from servo_bridge.freemaster.commands_v3 import MemoryForm
 from servo_bridge.freemaster.errors import RecorderError, Status, StatusError
 from servo_bridge.freemaster.frames import V3
-from servo_bridge.freemaster.line import Ask
+from servo_bridge.freemaster.line import SendRequest
 from servo_bridge.freemaster.recorder import Compare, Limits, SampleMemory, Setup, State, Trigger
 
 _SLOTS_MAX: Final = 8
@@ -59,7 +59,7 @@ class RecorderV3:
 
     Parameters
     ----------
-    ask : callable
+    send : callable
         Sends a request.
     form : MemoryForm
         Form of addresses and numbers.
@@ -71,8 +71,10 @@ class RecorderV3:
         Largest payload of the target [bytes].
     """
 
-    def __init__(self, ask: Ask, form: MemoryForm, memory: int | None, period_ns: int, payload_limit: int) -> None:
-        self._ask = ask
+    def __init__(
+        self, send: SendRequest, form: MemoryForm, memory: int | None, period_ns: int, payload_limit: int
+    ) -> None:
+        self._send = send
         self._form = form
         self._limits = Limits(
             "", memory, period_ns, slots_max=_SLOTS_MAX, divider_max=_NUMBER_MAX + 1, points_max=_NUMBER_MAX
@@ -94,7 +96,7 @@ class RecorderV3:
         if len(request.payload) > self._payload_limit:
             raise RecorderError(f"{len(setup.slots)} variables are too many for the buffer of the board; record fewer")
         try:
-            self._ask(request)
+            self._send(request)
         except StatusError as error:
             if error.code == Status.UNKNOWN_COMMAND:
                 raise RecorderError("the board has no recorder") from error
@@ -110,15 +112,15 @@ class RecorderV3:
         return points
 
     def start(self) -> None:
-        self._ask(Request("STARTREC", 0xC1, b"", 0, framing=V3, statuses=_STATUSES, lengthy=True))
+        self._send(Request("STARTREC", 0xC1, b"", 0, framing=V3, statuses=_STATUSES, lengthy=True))
         self._started = True
 
     def stop(self) -> None:
-        self._ask(Request("STOPREC", 0xC2, b"", 0, framing=V3, statuses=_STATUSES, lengthy=True))
+        self._send(Request("STOPREC", 0xC2, b"", 0, framing=V3, statuses=_STATUSES, lengthy=True))
 
     def state(self) -> State:
         try:
-            status = self._ask(Request("GETRECSTS", 0xC3, b"", 0, framing=V3, statuses=_STATUSES)).status
+            status = self._send(Request("GETRECSTS", 0xC3, b"", 0, framing=V3, statuses=_STATUSES)).status
         except StatusError as error:
             if error.code != Status.NOT_INITIALISED:
                 raise
@@ -132,6 +134,6 @@ class RecorderV3:
             raise RecorderError("the recorder has not been set up")
         size = self._form.address_size
         request = Request("GETRECBUFF", 0xC9 if self._form.wide else 0xC4, b"", size + 2, framing=V3)
-        data = self._ask(request).data
+        data = self._send(request).data
         address, first = self._form.value(data[:size]), self._form.value(data[size:])
         return SampleMemory(address, self._setup.point_size, self._setup.points, first)

@@ -7,7 +7,7 @@ from typing import Final
 from servo_bridge.freemaster.commands import Command, Request
 from servo_bridge.freemaster.errors import CodecError, RecorderError, Status, StatusError
 from servo_bridge.freemaster.frames import decode_uleb, encode_sleb, encode_uleb
-from servo_bridge.freemaster.line import Ask
+from servo_bridge.freemaster.line import SendRequest
 from servo_bridge.freemaster.recorder import Compare, Limits, SampleMemory, Setup, State, Trigger, too_many_points
 
 _CONFIGURE, _VARIABLE, _START, _STOP = 0x01, 0x02, 0x03, 0x04
@@ -72,8 +72,8 @@ def _trigger(trigger: Trigger) -> tuple[int, bytes]:
 class RecorderV4:
     """Recorder of a version 4 target; see `Recorder`."""
 
-    def __init__(self, ask: Ask, index: int, payload_limit: int) -> None:
-        self._ask = ask
+    def __init__(self, send: SendRequest, index: int, payload_limit: int) -> None:
+        self._send = send
         self._index = index
         self._payload_limit = payload_limit
 
@@ -93,7 +93,7 @@ class RecorderV4:
         self.limits().check(setup)
         try:
             for request in set_up(self._index, setup, self._payload_limit):
-                self._ask(request)
+                self._send(request)
             points = self.memory().count
         except StatusError as error:
             raise _explained(error, setup) from error
@@ -128,12 +128,12 @@ class RecorderV4:
         return SampleMemory(address, point_size, count, first)
 
     def _get(self, operation: int) -> bytes:
-        return self._ask(Request("GETREC", Command.GETREC, bytes((self._index, operation)), None)).data
+        return self._send(Request("GETREC", Command.GETREC, bytes((self._index, operation)), None)).data
 
     def _set(self, operation: int) -> None:
         payload = bytes((self._index,)) + _operation(operation)
         # A START that arrives late would begin again.
-        self._ask(Request("SETREC", Command.SETREC, payload, 0, lengthy=True))
+        self._send(Request("SETREC", Command.SETREC, payload, 0, lengthy=True))
 
 
 def _state(data: bytes) -> State:

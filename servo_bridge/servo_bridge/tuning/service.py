@@ -73,7 +73,7 @@ class TuningService:
         effect.
     taken : callable
         Called in the thread of the node after a change of the blocks.
-    say, warn : callable
+    info, warn : callable
         Receive messages for the log, in the thread of the node.
     """
 
@@ -86,14 +86,14 @@ class TuningService:
         *,
         take: Callable[[CommandWrite], Future[int]],
         taken: Callable[[], None],
-        say: Callable[[str], None],
+        info: Callable[[str], None],
         warn: Callable[[str], None],
     ) -> None:
         self.path = path  # a change applies to the next call
         self._memory = _LinkMemory(call)
         self._post = post
         self._take, self._taken = take, taken
-        self._say, self._warn = say, warn
+        self._info, self._warn = info, warn
         self._process = TuningProcess()
         self._busy = False
         self._published: str | None = None  # since the connection
@@ -128,7 +128,7 @@ class TuningService:
     def _answer(self, answer: Future[Outcome], outcome: Outcome) -> None:
         self._busy = False
         success, message = outcome
-        (self._say if success else self._warn)(f"tune: {message.splitlines()[-1]}")
+        (self._info if success else self._warn)(f"tune: {message.splitlines()[-1]}")
         answer.set_result(outcome)
 
     def _publish(self, text: str) -> None:

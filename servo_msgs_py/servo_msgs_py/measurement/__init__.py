@@ -1,1 +1,1 @@
-"""Measurements on a board: what they need of it, and what they make of the samples."""
+"""Measurements on a board: board access, experiments, and evaluation of the samples."""

@@ -1,4 +1,4 @@
-"""What a measurement needs of a board: variables in SI, board time, and its recorder. Pure.
+"""Interface of a board for measurements: variables in SI, board time, and the recorder. Pure.
 
 The same measurement runs on a virtual board in simulated time and on a board at a serial line.
 """
@@ -19,43 +19,43 @@ from servo_msgs_py.catalogue import Catalogue, Variable, axis_name
 from servo_msgs_py.units import PERIOD_NS, SLOW_PERIODS
 
 RECORDER_BYTES: Final = 7680
-"""Samples that the recorder of a board keeps [bytes]."""
+"""Memory of the recorder of a board [bytes]."""
 
 TRIGGER_TIMEOUT: Final = 2.0
-"""In which the trigger of a recording has to come after its start [s]."""
+"""Timeout from the start of a recording to its trigger [s]."""
 
-_TAKE_TIME: Final = 1.0  # in which blocks are taken [s]
+_TAKE_TIME: Final = 1.0  # timeout for applying blocks [s]
 _TAKE_STEP: Final = 0.001
 _ELEMENT: Final = re.compile(r"(?P<name>[^\[\]]+)(\[(?P<index>\d+)\])?")
 
 
 class MeasurementError(RuntimeError):
-    """The measurement cannot be made or has no result; the message says why and what to do."""
+    """The measurement is not possible or has no result; the message contains cause and remedy."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Samples of some variables at common instants."""
+    """Samples of several variables at the same instants."""
 
     step: float  # time between two samples [s]
     columns: Mapping[str, NDArray[np.float64]]  # SI values by name, each of shape (samples,)
 
     @property
     def time(self) -> NDArray[np.float64]:
-        """Since the first sample [s], shape (samples,)."""
+        """Time since the first sample [s], shape (samples,)."""
         size = next(iter(self.columns.values())).size
         return self.step * np.arange(size, dtype=np.float64)
 
 
 class BoardAccess(BlockMemory, Protocol):
-    """A board to measure on. Implementations derive from it."""
+    """A board under measurement. Implementations are derived from it."""
 
     @property
     def catalogue(self) -> Catalogue:
-        """Of its variables."""
+        """Catalogue of its variables."""
 
     def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
-        """Elements of a variable from `first` on, in one write; False if the board finds them out of range."""
+        """Write elements of a variable from `first` on in one request; False if the board refuses the values."""
 
     def read(self, name: str) -> list[float]:
         """All elements of a variable [SI]."""
@@ -63,7 +63,7 @@ class BoardAccess(BlockMemory, Protocol):
         return [float(variable.scale(raw)) for raw in self.read_words(name)]
 
     def write(self, name: str, values: Sequence[float], first: int = 0) -> None:
-        """Write elements of a variable [SI], from element `first` on; for the firmware the others were not written.
+        """Write elements of a variable [SI] from element `first` on; the other elements are not written.
 
         Raises
         ------
@@ -77,13 +77,13 @@ class BoardAccess(BlockMemory, Protocol):
             raise MeasurementError(f"{name}: the board refuses {', '.join(f'{value:g}' for value in values)}")
 
     def clock(self) -> float:
-        """Time that has passed, exchanges included [s]; only differences mean something."""
+        """Elapsed time including communication [s]; only differences are meaningful."""
 
     def wait(self, seconds: float) -> None:
-        """Let board time pass [s]; the board does not miss its host meanwhile."""
+        """Let board time elapse [s]; the board does not detect a loss of its host during the wait."""
 
     def capacity(self, names: Sequence[str]) -> int:
-        """How many samples of these variables fit one recording; elements of arrays as ``name[k]``."""
+        """Number of samples of these variables in one recording; elements of arrays as ``name[k]``."""
 
     def record(
         self,
@@ -97,57 +97,57 @@ class BoardAccess(BlockMemory, Protocol):
         lead: float = 0.0,
         meanwhile: Callable[[bool], None] | None = None,
     ) -> Recording:
-        """Record some variables.
+        """Record several variables.
 
         Parameters
         ----------
         names : sequence of str
-            Variables of one number, or elements of arrays as ``name[k]``.
+            Scalar variables, or elements of arrays as ``name[k]``.
         samples : int
-            How many to take; see `capacity`.
+            Number of samples; see `capacity`.
         every : int
-            Take every so many-th call of the loop.
+            Calls of the loop per sample.
         slow : bool
             Sample the slow loop instead of every PWM period.
         start : callable, optional
-            Called when the recorder is armed; it writes what is to be recorded.
+            Called when the recorder is armed; starts the process to be recorded.
         trigger : str, optional
-            Variable: the first sample is the one at which it is above zero; on a serial line it takes as long as the
-            recording, less `lead`, until `start` is called, because the memory has to be full once. By default the
-            recording begins before `start` is called, on a serial line by up to 0.3 s.
+            Variable: the first sample is the one at which it is above zero. On a serial line `start` is called only
+            after the length of the recording less `lead`, because the memory has to be filled once. By default the
+            recording begins before the call of `start`, on a serial line by up to 0.3 s.
         lead : float, optional
-            Time that `start` takes at least before the trigger comes [s].
+            Minimum time from the call of `start` to the trigger [s].
         meanwhile : callable, optional
-            Called again and again, on a serial line some ten times a second, from before `start` until the samples
-            have been read. Its argument says whether the memory is full: then nothing depends on the axis any more,
-            while a serial line may take seconds to read the samples.
+            Called repeatedly, on a serial line about ten times a second, from before `start` until the samples have
+            been read. Its argument is True once the memory is full: from then on the motion of the axis does not affect
+            the recording, while reading the samples over a serial line can take seconds.
 
         Raises
         ------
         MeasurementError
-            If it cannot be recorded, or the trigger does not come within `TRIGGER_TIMEOUT`.
+            If the recording is not possible, or the trigger does not occur within `TRIGGER_TIMEOUT`.
         """
 
 
 def step_of(every: int, slow: bool) -> float:
-    """Time between two samples of `BoardAccess.record` [s]."""
+    """Sampling period of `BoardAccess.record` [s]."""
     return every * PERIOD_NS * (SLOW_PERIODS if slow else 1) * 1e-9
 
 
 def element_of(catalogue: Catalogue, name: str) -> tuple[Variable, int]:
-    """Variable and element that a name of a recorded number means.
+    """Variable and index of the element from the name of a recorded number.
 
     Raises
     ------
     MeasurementError
-        If there is no such number.
+        If it does not exist.
     """
     match = _ELEMENT.fullmatch(name)
     variable = None if match is None else catalogue.variables.get(match["name"])
     if match is None or variable is None or variable.type == "block":
-        raise MeasurementError(f"{name!r} is no variable that a recorder can sample")
+        raise MeasurementError(f"{name!r} is not a variable that can be recorded")
     if match["index"] is None and variable.count > 1:
-        raise MeasurementError(f"{name} is an array; name one element, such as {name}[0]")
+        raise MeasurementError(f"{name} is an array; write one element, such as {name}[0]")
     index = int(match["index"] or 0)
     if index >= variable.count:
         raise MeasurementError(f"{variable.name} has elements 0 .. {variable.count - 1}")
@@ -155,7 +155,7 @@ def element_of(catalogue: Catalogue, name: str) -> tuple[Variable, int]:
 
 
 def send_configuration(access: BoardAccess, blocks: Mapping[int, Mapping[str, int]]) -> AppliedBlocks:
-    """Let the board take configuration blocks, all with the same slow tick.
+    """Send configuration blocks to the board and apply all in the same slow tick.
 
     Parameters
     ----------
@@ -167,17 +167,17 @@ def send_configuration(access: BoardAccess, blocks: Mapping[int, Mapping[str, in
     Raises
     ------
     AxisConfigError, BlockRefusedError
-        If the board cannot take them, or refuses.
+        If a block is invalid, or the board refuses it.
     """
     for axis, block in blocks.items():
         send_block(access, axis, block)
-    left = round(_TAKE_TIME / _TAKE_STEP)
+    remaining = round(_TAKE_TIME / _TAKE_STEP)
 
     def wait() -> bool:
-        nonlocal left
-        left -= 1
+        nonlocal remaining
+        remaining -= 1
         access.wait(_TAKE_STEP)
-        return left > 0
+        return remaining > 0
 
     return take_blocks(access, sorted(blocks), wait)
 
@@ -195,7 +195,7 @@ def refuse_faults(access: BoardAccess, axis: int) -> None:
 
 @contextmanager
 def faults_refused(access: BoardAccess, axis: int) -> Iterator[None]:
-    """A fault of the axis at the end of the block, or behind an error in it, is the error: see `refuse_faults`."""
+    """Raise `refuse_faults` instead of any other error if the axis has a fault at the end of the block."""
     try:
         yield
     except MeasurementError:

@@ -1,7 +1,7 @@
-"""The axis under test: what it has to be like before, commands and motion under guard, and the way back. Pure.
+"""Axis during a measurement: preconditions, supervised commands, restoration of the initial state. Pure.
 
-A set-point is written again within `param.command_timeout` as long as it is wanted: when the host falls silent, the
-board stops the shaft.
+Active set-points are rewritten within `param.command_timeout`: if the host stops communicating, the board stops the
+shaft.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ from servo_msgs_py.measurement.access import (
     send_configuration,
 )
 
-LOOK: Final = 0.02  # between two looks at the board [s]
-REST_SPEED: Final = 0.5  # of a shaft that stands without current [rad/s]
-HELD_SPEED: Final = 1.0  # of one that is held: position control moves it by a count [rad/s]
+POLL_TIME: Final = 0.02  # polling period of conditions [s]
+REST_SPEED: Final = 0.5  # largest speed at rest without current [rad/s]
+HELD_SPEED: Final = 1.0  # largest speed at rest under position control, which can move the shaft by a count [rad/s]
 
-_REST_MAX: Final = 6.0  # until a shaft without current stands [s]
-_HOLD_MAX: Final = 5.0  # until one that is stopped does [s]
-_RENEWED: Final = 0.25  # of the time-out, between two writes of a set-point
-_RENEW_MAX: Final = 0.25  # the same where set-points do not expire [s]
-_INSTANT: Final = 1e-6  # less than a write takes [s]
-_TRIES: Final = 3
+_REST_MAX: Final = 6.0  # timeout for coming to rest without current [s]
+_HOLD_MAX: Final = 5.0  # timeout for coming to rest under control [s]
+_REFRESH_PART: Final = 0.25  # interval of rewriting a set-point, relative to its timeout
+_REFRESH_MAX: Final = 0.25  # the same interval if set-points do not expire [s]
+_INSTANT: Final = 1e-6  # shorter than any write [s]
+_ATTEMPTS: Final = 3
 _COMMANDS: Final = ("cmd.i_q", "cmd.speed", "cmd.mode")
-_NOT_OF_AN_AXIS: Final = ("param.monitor",)
-"""Arrays whose elements are not the axes."""
+_NOT_PER_AXIS: Final = ("param.monitor",)
+"""Arrays that do not have one element per axis."""
 _OTHER_MOTION: Final = ("EXPIRED", "STARVED", "POSITION", "NOT_HOMED", "INPUT")
 
 Step = tuple[str, Callable[[], None]]
-"""Something to be brought back, and what does it."""
+"""Name and function of a restoration step."""
 
 
 class AxisUnderTest:
-    """One axis of a board that is being measured.
+    """One axis of a board during a measurement.
 
     Parameters
     ----------
@@ -52,14 +52,14 @@ class AxisUnderTest:
     axis : int
         Index of the axis.
     report : callable, optional
-        Gets a line about what is done, and about what could not be brought back.
+        Called with a line of text about each step, and about failed restorations.
     """
 
     def __init__(self, access: BoardAccess, axis: int, report: Callable[[str], None] = lambda text: None) -> None:
         self.access, self.axis, self.name, self.report = access, axis, axis_name(axis), report
-        self.unrestored: list[str] = []  # what is not as it was before, each with the reason; complete after `restored`
+        self.unrestored: list[str] = []  # failed restorations with their causes; complete after `restored`
         self._set_point: tuple[str, float] | None = None
-        self._due = 0.0  # when it has to be written again, by the clock of the access [s]
+        self._due = 0.0  # next time of rewriting it, on the clock of the access [s]
         self._find_interval()
 
     # ---- variables ---------------------------------------------------------------------------------------------------
@@ -75,7 +75,7 @@ class AxisUnderTest:
         return self.access.catalogue.label(enum, int(self.value(variable)))
 
     def masks(self, kind: str) -> dict[str, int]:
-        """Bits of flags by name."""
+        """Bit masks of flags by name."""
         return {flag.name: flag.mask for flag in self.access.catalogue.flags[kind]}
 
     def write(self, variable: str, value: float) -> None:
@@ -88,82 +88,86 @@ class AxisUnderTest:
 
     @property
     def substate(self) -> str:
-        """Of RUN; empty in another state."""
+        """Substate of RUN; empty in another state."""
         return self.label("substate") if self.label("state") == "RUN" else ""
 
     # ---- set-points --------------------------------------------------------------------------------------------------
 
     def mode(self, mode: str) -> None:
-        """Another mode; a set-point of the last one is not kept up any more."""
+        """Change the mode; the previous set-point is no longer rewritten."""
         self.release()
         self.write_word("cmd.mode", self.access.catalogue.enums["control_mode_t"][mode])
 
     def command(self, variable: str, value: float) -> None:
-        """Write a set-point [SI], and keep it up from now on; an expiry of the last one meanwhile is refused."""
+        """Write a set-point [SI] and rewrite it from now on; an error if the previous one has expired."""
         if self._set_point is not None:
             self.refuse_limits("EXPIRED")
         self.write(variable, value)
         self._set_point, self._due = (variable, value), self.access.clock() + self._interval
 
     def release(self) -> None:
-        """Keep up no set-point any more: the next one may come after the last one has expired."""
+        """Stop rewriting the set-point, so that it may expire before the next one."""
         self._set_point = None
 
     def command_timeout(self, seconds: float) -> None:
-        """Another time after which set-points of the board expire [s]."""
+        """Change the timeout of set-points on the board [s]."""
         self.access.write("param.command_timeout", [seconds])
         self._find_interval()
 
     def _find_interval(self) -> None:
         timeout = self.access.read("param.command_timeout")[0]
-        self._interval = _RENEWED * timeout if timeout else _RENEW_MAX
+        self._interval = _REFRESH_PART * timeout if timeout else _REFRESH_MAX
 
     def renew(self) -> None:
         """Write the set-point again."""
         if self._set_point is not None:
             self.command(*self._set_point)
 
-    # ---- under guard -------------------------------------------------------------------------------------------------
+    # ---- supervision -------------------------------------------------------------------------------------------------
 
     def wait(self, seconds: float) -> None:
-        """Let time pass [s]; the set-point is kept up, also where exchanges have taken the time."""
+        """Wait [s] while rewriting the set-point; it is also rewritten if communication has taken the whole time."""
         while True:
-            self._keep_up()
+            self._refresh()
             if seconds < _INSTANT:
                 return
             part = seconds if self._set_point is None else min(seconds, max(self._due - self.access.clock(), _INSTANT))
             self.access.wait(part)
             seconds -= part
 
-    def _keep_up(self) -> None:
+    def _refresh(self) -> None:
         if self._set_point is not None and self.access.clock() > self._due - _INSTANT:
             self.renew()
 
-    def reached(self, condition: Callable[[], bool], seconds: float, *, guarded: bool = True) -> bool:
-        """Wait for a condition, at most `seconds` [s]; a fault is refused if `guarded`. False: it has not come."""
-        for _ in range(math.ceil(seconds / LOOK - 1e-6)):
+    def reached(self, condition: Callable[[], bool], seconds: float, *, refuse_on_fault: bool = True) -> bool:
+        """Wait up to `seconds` [s] for a condition; False at the timeout. A fault is an error if `refuse_on_fault`."""
+        for _ in range(math.ceil(seconds / POLL_TIME - 1e-6)):
             if condition():
                 return True
-            if guarded:
+            if refuse_on_fault:
                 refuse_faults(self.access, self.axis)
-            self.wait(LOOK)
+            self.wait(POLL_TIME)
         return condition()
 
     def until(
-        self, condition: Callable[[], bool], seconds: float, problem: str, remedy: str = "", *, guarded: bool = True
+        self,
+        condition: Callable[[], bool],
+        seconds: float,
+        problem: str,
+        remedy: str = "",
+        *,
+        refuse_on_fault: bool = True,
     ) -> None:
-        """The same; a `MeasurementError` if it does not come."""
-        if not self.reached(condition, seconds, guarded=guarded):
+        """Like `reached`; a `MeasurementError` at the timeout."""
+        if not self.reached(condition, seconds, refuse_on_fault=refuse_on_fault):
             raise MeasurementError(f"{self.name} {problem} within {seconds:g} s{remedy}")
 
     def refuse_limits(self, *names: str) -> None:
-        """Refuse some limits; by default all in which a shaft does not turn as it is asked to."""
+        """Raise an error if limits are active; by default all that make the shaft deviate from its set-point."""
         word = int(self.value("limits"))
         for flag in self.access.catalogue.active("limits", word):
             if flag.name in (names or _OTHER_MOTION):
-                raise MeasurementError(
-                    f"{self.name} is held back. {flag.name}: {flag.cause}. {flag.remedy}".rstrip(". ")
-                )
+                raise MeasurementError(f"{self.name} is limited. {flag.name}: {flag.cause}. {flag.remedy}".rstrip(". "))
 
     def record(
         self,
@@ -177,32 +181,40 @@ class AxisUnderTest:
         lead: float = 0.0,
         meanwhile: Callable[[bool], None] = lambda full: None,
     ) -> Recording:
-        """Variables of the axis, from the beginning of a test signal on if `triggered`; see `BoardAccess.record`.
+        """Record variables of the axis, if `triggered` from the start of a test signal on; see `BoardAccess.record`.
 
-        The set-point is kept up; a fault meanwhile is refused.
+        The set-point is rewritten during the recording; a fault is an error.
         """
 
-        def attend(full: bool) -> None:
+        def supervise(full: bool) -> None:
             meanwhile(full)
-            self._keep_up()
+            self._refresh()
 
         names = [f"{self.name}.{column}" for column in columns]
         trigger = f"{self.name}.test_point" if triggered else None
         with faults_refused(self.access, self.axis):
-            return self.access.record(names, samples, every, slow, start, trigger=trigger, lead=lead, meanwhile=attend)
+            return self.access.record(
+                names, samples, every, slow, start, trigger=trigger, lead=lead, meanwhile=supervise
+            )
 
-    # ---- rest and outputs --------------------------------------------------------------------------------------------
+    # ---- standstill and outputs ------------------------------------------------------------------------------------
 
-    def stands(self) -> bool:
-        """Whether a shaft without current is at rest."""
+    def is_at_rest(self) -> bool:
+        """Whether the shaft is at rest without current."""
         return abs(self.value("speed")) < REST_SPEED
 
-    def stand(self) -> None:
-        """Wait for that."""
-        self.until(self.stands, _REST_MAX, "does not come to rest", ": something turns the shaft", guarded=False)
+    def wait_for_rest(self) -> None:
+        """Wait until the shaft is at rest."""
+        self.until(
+            self.is_at_rest,
+            _REST_MAX,
+            "does not come to rest",
+            ": an external torque moves the shaft",
+            refuse_on_fault=False,
+        )
 
     def hold(self) -> None:
-        """Stop at the limit and hold the position."""
+        """Stop with maximum deceleration and hold the position."""
         self.mode("POSITION")
         self.until(
             lambda: abs(self.value("speed")) < HELD_SPEED and abs(self.value("speed_ref")) < HELD_SPEED,
@@ -211,61 +223,61 @@ class AxisUnderTest:
         )
 
     def enable(self, substate: str, seconds: float) -> None:
-        """Outputs on, until a sub-state is reached, at most `seconds` [s]."""
+        """Enable the outputs and wait for a substate, up to `seconds` [s]."""
         self.write_word("cmd.enable", 1)
         problem = f"has not reached {substate}"
-        self.until(lambda: self.substate == substate, seconds, problem, ": is the board in order?")
+        self.until(lambda: self.substate == substate, seconds, problem, ": check the board")
 
     def off(self, rest: bool = True) -> None:
-        """Outputs off, and the shaft at rest if `rest`."""
+        """Disable the outputs and, if `rest`, wait for standstill."""
         self.release()
         self.write_word("cmd.enable", 0)
 
         def ended() -> bool:
-            return self.label("state") in ("STOP", "FAULT") and (not rest or self.stands())
+            return self.label("state") in ("STOP", "FAULT") and (not rest or self.is_at_rest())
 
-        remedy = ": something turns the shaft; take the load off, or balance it"
-        self.until(ended, _REST_MAX, "does not come to rest with its outputs off", remedy, guarded=False)
+        remedy = ": an external torque moves the shaft; remove the load, or balance it"
+        self.until(ended, _REST_MAX, "does not come to rest with its outputs off", remedy, refuse_on_fault=False)
         self.wait(0.1)
 
-    # ---- the way back ------------------------------------------------------------------------------------------------
+    # ---- restoration ------------------------------------------------------------------------------------------------
 
     @contextmanager
     def restored(self, steps: Sequence[Step], remedy: str = "") -> Iterator[None]:
-        """Whatever ends the block, do all of these steps, each on its own and several times if need be.
+        """Execute all of these steps at the end of the block, also after an error; each failed step is repeated.
 
-        A Ctrl-C meanwhile only repeats the step that it ends. What could not be done is reported.
+        Ctrl-C during a step only causes its repetition. Failed steps are reported.
 
         Raises
         ------
         MeasurementError
-            If something could not be done, and nothing else has ended the block.
+            If a step has failed, and no other error has ended the block.
         """
         try:
             yield
         finally:
             self.release()
-            self.unrestored = [f"{what}: {reason}" for what, step in steps if (reason := _done(step))]
+            self.unrestored = [f"{name}: {reason}" for name, step in steps if (reason := _execute(step))]
             for text in self.unrestored:
                 self.report(f"NOT RESTORED: {text}")
         if self.unrestored:
             raise MeasurementError(self.restoring_text(remedy))
 
     def restoring_text(self, remedy: str = "") -> str:
-        """What is not as before, and what to do about it; empty if all is."""
-        text = f"{self.name} is not as it was before: {'; '.join(self.unrestored)}{remedy}"
+        """Failed restorations with remedy; empty if there are none."""
+        text = f"{self.name} could not be restored: {'; '.join(self.unrestored)}{remedy}"
         return text if self.unrestored else ""
 
 
-def _done(step: Callable[[], None]) -> str:
-    """Do something; returns why it cannot be done."""
+def _execute(step: Callable[[], None]) -> str:
+    """Execute a step; returns the cause of its failure, or an empty text."""
     reason = ""
-    for _ in range(_TRIES):
+    for _ in range(_ATTEMPTS):
         try:
             step()
         except KeyboardInterrupt:
             reason = "ended by Ctrl-C"
-        except Exception as error:  # a lost line is an error of the access's own
+        except Exception as error:  # the access has its own error for a lost link
             reason = str(error) or type(error).__name__
         else:
             return ""
@@ -273,7 +285,7 @@ def _done(step: Callable[[], None]) -> str:
 
 
 class AxisState:
-    """Configuration, parameters, mode and set-points of an axis with its outputs off, as they are now.
+    """Current configuration, parameters, mode and set-points of an axis with its outputs off.
 
     Parameters
     ----------
@@ -287,8 +299,7 @@ class AxisState:
         names = [
             name
             for name, variable in access.catalogue.variables.items()
-            if name in _COMMANDS
-            or (name.startswith("param.") and variable.count == AXES and name not in _NOT_OF_AN_AXIS)
+            if name in _COMMANDS or (name.startswith("param.") and variable.count == AXES and name not in _NOT_PER_AXIS)
         ]
         self._words = {name: access.read_words(name)[it.axis] for name in names}
         self._timeout = access.read_words("param.command_timeout")
@@ -298,16 +309,16 @@ class AxisState:
         return self._words[name]
 
     def value(self, name: str) -> float:
-        """The same in SI."""
+        """The same value in SI."""
         return float(self._it.access.catalogue[name].scale(self._words[name]))
 
     @property
-    def steps(self) -> list[Step]:
-        """What brings all of it back; parameters are read back."""
+    def restore_steps(self) -> list[Step]:
+        """Steps that restore the stored state; parameters are verified."""
         it = self._it
 
         def configuration() -> None:
-            it.stand()  # one of another motor is refused before
+            it.wait_for_rest()  # a configuration of another motor is refused in motion
             send_configuration(it.access, {it.axis: self._block})
 
         steps: list[Step] = [
@@ -315,13 +326,13 @@ class AxisState:
             ("configuration", configuration),
             ("param.command_timeout", lambda: self._write("param.command_timeout", self._timeout, 0)),
         ]
-        # a configuration brings default values of parameters with it, so these come later; mode and set-points last
+        # A configuration resets parameters, so they follow it; mode and set-points are last.
         for name in sorted(self._words, key=lambda name: name in _COMMANDS):
             steps.append((name, partial(self._write, name, [self._words[name]], it.axis)))
         return steps
 
     def _write(self, name: str, words: Sequence[int], first: int) -> None:
         access = self._it.access
-        taken = access.write_words(name, words, first)
-        if not taken or access.read_words(name)[first : first + len(words)] != list(words):
+        accepted = access.write_words(name, words, first)
+        if not accepted or access.read_words(name)[first : first + len(words)] != list(words):
             raise MeasurementError(f"the board refuses {list(words)}")

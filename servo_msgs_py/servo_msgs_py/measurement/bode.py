@@ -1,11 +1,10 @@
-"""Measure the open loop of a controller on a running axis, beside what the tuning code predicts for it. Pure.
+"""Measurement of the open loop of a controller on a running axis, with the prediction of the tuning code. Pure.
 
-A swept sine is added on the board behind or before a controller, as often as the loop runs. The recorder takes it with
-what the loop makes of it; `frequency_response` does the rest. The loops stay closed.
+The board adds a swept sine at the input or output of a controller in every call of the loop. The recorder samples it
+with the signals of the loop; `frequency_response` evaluates them. The loops stay closed.
 
-Speed and position loop are measured while the shaft turns at a constant speed, so that friction is a constant; current
-loops with a current that holds the rotor (mode TEST), so that no phase current passes zero, where dead time is not
-linear.
+Speed and position loop are measured at a constant speed, so that friction is constant; current loops with a current
+that holds the rotor (mode TEST), so that no phase current crosses zero, where dead time is nonlinear.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from servo_msgs_py.measurement.bode_plan import (
     Band,
     BodeRequest,
     Settings,
-    completed,
+    complete_settings,
     motion_text,
     notes,
     refuse_settings,
@@ -36,27 +35,27 @@ from servo_msgs_py.measurement.prediction import Prediction
 from servo_msgs_py.measurement.test_signal import full_scale, prepare_test_signal
 from servo_msgs_py.tuning.configuration import Board as BoardValues
 
-_CHECKS: Final = 2  # recordings with half the amplitude
-_LINEAR, _LINEAR_DEGREES = 0.05, 3.0  # what they may change
-_SIGNAL_PART: Final = 0.9  # of a sweep, that a recording has to hold
+_CHECKS: Final = 2  # recordings at half amplitude
+_LINEAR, _LINEAR_DEGREES = 0.05, 3.0  # largest change at half amplitude: relative crossover, phase margin [degrees]
+_SIGNAL_PART: Final = 0.9  # smallest part of the test signal in a recording
 _LIMIT_PART: Final = 0.98
 _VOLTAGE: Final = ("u_d", "u_q")
 
 
 @dataclass(frozen=True)
 class Bode:
-    """A measured loop and its prediction."""
+    """Measured open loop and its prediction."""
 
     settings: Settings  # of the measurement
     bands: tuple[Band, ...]  # sweeps
     response: Response  # open loop
-    figures: Figures  # crossover, margins and resonances of it
-    prediction: Prediction  # by the tuning code
-    notes: tuple[str, ...]  # for the reader, a sentence each
+    figures: Figures  # its crossover, margins and resonances
+    prediction: Prediction  # of the tuning code
+    notes: tuple[str, ...]  # remarks, one sentence each
 
     @property
     def confirmed(self) -> bool:
-        """Whether the data determine the crossover, and half the amplitude does not contradict."""
+        """Whether the crossover is determined and does not depend on the amplitude."""
         crossover = self.figures.crossover
         return crossover is not None and math.isfinite(crossover.sigma)
 
@@ -66,7 +65,7 @@ def measure(
     request: BodeRequest,
     *,
     enable: bool = False,
-    say: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
     progress: Callable[[str, int, int], None] = lambda *_: None,
 ) -> Bode:
     """Measure an open loop.
@@ -76,74 +75,74 @@ def measure(
     access : BoardAccess
         The board.
     request : BodeRequest
-        What to measure.
+        Specification of the measurement.
     enable : bool
-        Enable the axis where it is not, and disable it afterwards.
-    say : callable
-        Gets a sentence about the motion that is about to begin.
+        Enable the axis if it is not enabled, and disable it afterwards.
+    report : callable
+        Called with a sentence about the motion before it begins.
     progress : callable
-        Gets what is done, and how many recordings of all are.
+        Called with the current step, the number of completed recordings and their total number.
 
     Raises
     ------
     MeasurementError
-        If it cannot be measured; a loop whose figures are not determined is no error.
+        If the measurement is not possible; undetermined figures are not an error.
     ConfigError
-        If there is no prediction: no configuration gives what the board has.
+        If no configuration corresponds to the one of the board, so that there is no prediction.
     """
-    settings, prediction, bands = completed(access, request)
+    settings, prediction, bands = complete_settings(access, request)
     refuse_settings(access, settings, bands)
-    say(motion_text(settings, bands))
+    report(motion_text(settings, bands))
     total = len(bands) * settings.repeats + _CHECKS
-    rig = BodeRig(access, settings, say)
+    rig = BodeRig(access, settings, report)
     with rig.prepared(enable):
-        home = rig.value("position")
+        initial = rig.value("position")
 
         def swept(band: Band, amplitude: float, repeats: int, done: int) -> Response:
             prepare_test_signal(access, settings.axis, settings.signal(band, amplitude))
-            taken = []
+            recordings = []
             if not settings.loop.slow:
                 progress("voltage", done, total)
                 recording = rig.recorded(band, 0.0, _VOLTAGE)
                 _refuse_voltage(access, settings.axis, prediction.it.board, recording)
             for repeat in range(repeats):
                 progress(f"{band.f_min:.3g} .. {band.f_max:.3g} Hz", done + repeat, total)
-                # Back to where it was: the ways of the recordings do not add up.
-                speed = -settings.speed if rig.value("position") > home else settings.speed
-                taken.append(rig.recorded(band, speed))
-            return _estimated(access, settings, band, taken)
+                # Return towards the initial position, so that the travel does not accumulate.
+                speed = -settings.speed if rig.value("position") > initial else settings.speed
+                recordings.append(rig.recorded(band, speed))
+            return _estimated(access, settings, band, recordings)
 
         response = joined(
             [swept(band, settings.amplitude, settings.repeats, k * settings.repeats) for k, band in enumerate(bands)]
         )
-        found, told = figures(response), notes(settings, prediction)
+        found, remarks = figures(response), notes(settings, prediction)
         if found.crossover is not None:
             crossover = found.crossover.value
             (band, *_) = [band for band in bands if band.f_min <= crossover <= band.f_max] or bands
             half = figures(swept(band, 0.5 * settings.amplitude, _CHECKS, total - _CHECKS))
             found, note = _compared(found, half)
-            told += note
+            remarks += note
         progress("done", total, total)
-    return Bode(settings, bands, response, found, prediction, tuple(told))
+    return Bode(settings, bands, response, found, prediction, tuple(remarks))
 
 
 def _compared(found: Figures, half: Figures) -> tuple[Figures, list[str]]:
-    """Figures whose uncertainty holds what half the amplitude changes; without one where that is too much.
+    """Include the change at half amplitude in the uncertainty; reject the figures if it is too large.
 
-    Steps of a sensor and friction change the figures the more the smaller the test signal is: what half of it changes
-    is about what is still wrong with the whole, as long as it is little.
+    Errors by quantisation and friction are inversely proportional to the amplitude, so this change estimates the
+    remaining error at full amplitude.
     """
     pairs = ((found.crossover, half.crossover), (found.phase_margin, half.phase_margin))
     compared = [_with_difference(one, other) for one, other in pairs if one is not None and other is not None]
     if len(compared) < len(pairs):
-        return _unconfirmed(found), ["half the amplitude gives no result: use a larger amplitude"]
+        return _unconfirmed(found), ["no result at half amplitude: use a larger amplitude"]
     crossover, margin = compared
     assert half.crossover is not None
     assert half.phase_margin is not None
     if 2.0 * crossover.sigma > _LINEAR * crossover.value or 2.0 * margin.sigma > _LINEAR_DEGREES:
         note = (
-            f"half the amplitude gives a crossover of {half.crossover.value:.4g} Hz and a phase margin of "
-            f"{half.phase_margin.value:.4g} degrees: friction or the steps of a sensor matter; give a larger amplitude"
+            f"at half amplitude the crossover is {half.crossover.value:.4g} Hz and the phase margin "
+            f"{half.phase_margin.value:.4g} degrees: friction or quantisation matters; use a larger amplitude"
         )
         return _unconfirmed(found), [note]
     return replace(found, crossover=crossover, phase_margin=margin), []
@@ -154,7 +153,7 @@ def _with_difference(one: Measured, other: Measured) -> Measured:
 
 
 def _unconfirmed(found: Figures) -> Figures:
-    """The same values, with an unknown uncertainty."""
+    """The same values with unknown uncertainty."""
 
     def unknown(figure: Measured | None) -> Measured | None:
         return None if figure is None else Measured(figure.value, math.inf)
@@ -167,11 +166,11 @@ def _unconfirmed(found: Figures) -> Figures:
     )
 
 
-def _estimated(access: BoardAccess, settings: Settings, band: Band, taken: Sequence[Recording]) -> Response:
-    """The open loop within a band."""
+def _estimated(access: BoardAccess, settings: Settings, band: Band, recordings: Sequence[Recording]) -> Response:
+    """Open loop in a band."""
     loop = settings.loop
     scale = full_scale(access, loop.point)
-    signals = [loop.signals(settings.axis, recording, scale) for recording in taken]
+    signals = [loop.signals(settings.axis, recording, scale) for recording in recordings]
     instrument, error, output = (np.array(rows) for rows in zip(*signals, strict=True))
     _refuse_short_signal(settings, instrument)
     _refuse_saturation(access, settings, error)
@@ -179,18 +178,18 @@ def _estimated(access: BoardAccess, settings: Settings, band: Band, taken: Seque
 
 
 def _refuse_short_signal(settings: Settings, signals: NDArray[np.float64]) -> None:
-    """Refuse recordings in which the board has ended the test signal before its time."""
+    """Raise an error if the board has ended the test signal early."""
     for signal in signals:
         (active,) = np.nonzero(signal)
         if active.size and active[-1] < _SIGNAL_PART * SWEEP_PART * signal.size:
             raise MeasurementError(
-                f"the board has ended the test signal of {axis_name(settings.axis)} before its time: a switch, a "
-                "set-point that expired, or another program; look at axisN.limits and axisN.inputs, and try again"
+                f"the board has ended the test signal of {axis_name(settings.axis)} too early: a switch, an expired "
+                "set-point, or another program; check axisN.limits and axisN.inputs, and try again"
             )
 
 
 def _refuse_voltage(access: BoardAccess, axis: int, board: BoardValues, recording: Recording) -> None:
-    """A voltage at its limit makes another loop of a current loop."""
+    """Raise an error if the voltage reaches its limit, where a current loop is nonlinear."""
     d, q = (recording.columns[f"{axis_name(axis)}.{column}"] for column in _VOLTAGE)
     word = int(access.read("param.features")[axis])
     limit = board.voltage_max
@@ -200,13 +199,13 @@ def _refuse_voltage(access: BoardAccess, axis: int, board: BoardValues, recordin
     if maximum >= _LIMIT_PART * limit:
         raise MeasurementError(
             f"the voltage of {axis_name(axis)} reaches {maximum:.3g} V with the test signal, "
-            f"the bus gives {limit:.3g} V; "
-            "give a smaller amplitude, lower param.i_q_limit, or look at the supply"
+            f"the bus allows {limit:.3g} V; "
+            "use a smaller amplitude, lower param.i_q_limit, or check the supply"
         )
 
 
 def _refuse_saturation(access: BoardAccess, settings: Settings, error: NDArray[np.float64]) -> None:
-    """A set-point that reaches its limit makes another loop of it."""
+    """Raise an error if a set-point reaches its limit, where the loop is nonlinear."""
     loop = settings.loop
     if not loop.slow:
         return
@@ -215,5 +214,5 @@ def _refuse_saturation(access: BoardAccess, settings: Settings, error: NDArray[n
     if maximum >= _LIMIT_PART * limit:
         raise MeasurementError(
             f"the set-point reaches {maximum:.3g} {loop.unit} with the test signal, {variable} is {limit:.3g}; "
-            "give a smaller amplitude"
+            "use a smaller amplitude"
         )

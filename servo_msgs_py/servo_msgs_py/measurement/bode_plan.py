@@ -1,4 +1,4 @@
-"""What a measurement of an open loop is: sweeps, amplitude and speed, as the axis permits them. Pure."""
+"""Plan of an open-loop measurement within the limits of the axis: sweeps, amplitude and speed. Pure."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Reco
 from servo_msgs_py.measurement.prediction import Prediction, predict
 from servo_msgs_py.measurement.test_signal import SweptSine, refuse_test_signal
 
-SWEEP_PART: Final = 0.8  # of a recording; the rest is for the loop to come to rest
-BASE_PART: Final = 0.5  # of the current limit: i_d that holds the rotor while a current loop is measured
-SETTLE: Final = 0.3  # at the constant speed [s]
+SWEEP_PART: Final = 0.8  # of a recording; the remainder is for the decay of the response
+BASE_PART: Final = 0.5  # of the current limit: i_d that holds the rotor during the measurement of a current loop
+SETTLE: Final = 0.3  # settling time at the constant speed [s]
 
-_TURNS_MIN: Final = 4.0  # of the lowest frequency within a sweep of its own
-_STRETCH: Final = 1.3  # by which a sweep may begin lower, with fewer turns, before another one is spent on the rest
+_CYCLES_MIN: Final = 4.0  # of the lowest frequency in a sweep
+_STRETCH: Final = 1.3  # factor by which a sweep may begin lower, with fewer cycles, instead of an additional sweep
 _NYQUIST_PART: Final = 0.8
 _BELOW, _ABOVE = 5.0, 10.0  # default band around the predicted crossover
-_SLOW_PART: Final = 0.4  # of the current limit, that the default amplitude of a slow loop asks for
-_FAST_PART: Final = 0.15  # the same as amplitude of a current loop
-_BASE_OVER: Final = 2.5  # and over the amplitude: no phase current passes zero, where the dead time is not linear
-_EXCURSION: Final = 0.7  # of the constant speed: the shaft shall not turn round
-_DEFAULT_EXCURSION: Final = 30.0  # without a constant speed [rad/s]
+_SLOW_PART: Final = 0.4  # of the current limit: largest current at the default amplitude of a slow loop
+_FAST_PART: Final = 0.15  # of the current limit: default amplitude of a current loop
+_BASE_OVER: Final = 2.5  # holding current over amplitude: no phase current crosses zero, where dead time is nonlinear
+_EXCURSION: Final = 0.7  # of the constant speed: largest speed amplitude, without reversal of the shaft
+_DEFAULT_EXCURSION: Final = 30.0  # the same without a constant speed [rad/s]
 _SPEED_PART: Final = {"speed": 0.15, "position": 0.1}  # of the speed limit: default speed
-_RESOLUTIONS: Final = 20.0  # of the M/T method; below them its steps change the gain by percents
-_LINE: Final = 0.5  # for the exchanges at a serial line by which a motion begins and ends [s]
+_RESOLUTIONS: Final = 20.0  # of the M/T method; below this amplitude quantisation changes the gain by percents
+_LINE: Final = 0.5  # communication time on a serial line at begin and end of a motion [s]
 _TIME_MAX: Final = 30.0  # longest motion [s]
 
 
 @dataclass(frozen=True)
 class Loop:
-    """One loop that can be measured."""
+    """Properties of a loop that can be measured."""
 
-    name: str  # for the command line
-    point: str  # where the test signal is added, a name of ``test_point_t``
+    name: str  # on the command line
+    point: str  # input of the test signal, a name of ``test_point_t``
     slow: bool  # sampled by the slow loop
-    columns: tuple[str, ...]  # variables of the axis to record, besides the test signal
+    columns: tuple[str, ...]  # recorded variables of the axis in addition to the test signal
     unit: str  # of the test signal
 
     def signals(self, axis: int, recording: Recording, scale: float) -> tuple[NDArray[np.float64], ...]:
@@ -50,7 +50,7 @@ class Loop:
         name = axis_name(axis)
         first, *others = (recording.columns[f"{name}.{column}"] for column in self.columns)
         signal = scale * recording.columns[f"{name}.test_signal"]
-        if self.slow:  # the set-point holds the signal; the loop gives back the rest of it, with the opposite sign
+        if self.slow:  # set-point = test signal - output of the open loop
             return signal, first, signal - first
         return signal, others[0] + signal - first, first
 
@@ -68,7 +68,7 @@ LOOPS: Final = {
 
 @dataclass(frozen=True)
 class BodeRequest:
-    """What to measure."""
+    """Specification of a measurement."""
 
     axis: int  # index
     loop: str  # a name of `LOOPS`
@@ -76,15 +76,15 @@ class BodeRequest:
     f_min: float | None = None  # lower end of the band [Hz]; None: a fifth of the predicted crossover
     f_max: float | None = None  # upper end [Hz]; None: ten times the predicted crossover
     speed: float | None = None
-    """Constant speed during the measurement [rad/s]; 0: about the position where the shaft is; None: a part of the
-    speed limit that `way_max` and the soft limits leave room for."""
-    way_max: float = math.inf  # largest angle of the shaft, to each side [rad]
+    """Constant speed during the measurement [rad/s]; 0: at standstill; None: a part of the speed limit, reduced if
+    `travel_max` or the soft limits require it."""
+    travel_max: float = math.inf  # largest rotation of the shaft in each direction [rad]
     repeats: int = 4  # recordings per band
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is measured: the fields of `BodeRequest` without gaps, and what follows from them."""
+    """Complete settings of a measurement: the values of `BodeRequest` with defaults, and derived values."""
 
     axis: int  # index
     loop: Loop
@@ -92,30 +92,30 @@ class Settings:
     f_min: float  # lower end of the band [Hz]
     f_max: float  # upper end of the band [Hz]
     speed: float  # constant speed during the measurement [rad/s]
-    way_max: float  # largest angle of the shaft, to each side [rad]
+    travel_max: float  # largest rotation of the shaft in each direction [rad]
     repeats: int  # recordings per band
-    swing: float = 0.0  # largest speed by which the test signal moves the shaft, as predicted [rad/s]
-    deceleration: float = math.inf  # with which the shaft comes to rest afterwards [rad/s^2]
+    speed_amplitude: float = 0.0  # predicted speed amplitude by the test signal [rad/s]
+    deceleration: float = math.inf  # of the shaft after the measurement [rad/s^2]
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Variables of the axis to record."""
+        """Recorded variables of the axis."""
         return ("test_signal", *self.loop.columns)
 
     def signal(self, band: Band, amplitude: float) -> SweptSine:
         """Test signal of a band; `amplitude` in the unit of the loop."""
         return SweptSine(self.loop.point, amplitude, band.f_min, band.f_max, band.sweep_seconds)
 
-    def way_turning(self, band: Band) -> float:
-        """How far the shaft turns in one recording at most, until it is stopped [rad]."""
-        return abs(self.speed) * band.turning_seconds + self.swing / (2.0 * math.pi * band.f_min)
+    def travel_per_recording(self, band: Band) -> float:
+        """Largest rotation of the shaft during one recording, until its stop begins [rad]."""
+        return abs(self.speed) * band.rotation_seconds + self.speed_amplitude / (2.0 * math.pi * band.f_min)
 
-    def way(self, bands: Sequence[Band]) -> float:
-        """How far it turns in one of all recordings at most [rad]."""
+    def travel(self, bands: Sequence[Band]) -> float:
+        """Largest rotation of the shaft in any recording, including the stop [rad]."""
         if not self.loop.slow:
-            return math.pi  # the rotor goes to where the current vector points
-        stop = (abs(self.speed) + self.swing) ** 2 / (2.0 * self.deceleration)
-        return max(map(self.way_turning, bands)) + stop
+            return math.pi  # the rotor aligns with the current vector
+        stop = (abs(self.speed) + self.speed_amplitude) ** 2 / (2.0 * self.deceleration)
+        return max(map(self.travel_per_recording, bands)) + stop
 
 
 @dataclass(frozen=True)
@@ -139,34 +139,34 @@ class Band:
         return SWEEP_PART * self.seconds
 
     @property
-    def turning_seconds(self) -> float:
-        """For which the shaft turns in the recording [s]."""
+    def rotation_seconds(self) -> float:
+        """Duration of the rotation during the recording [s]."""
         return SETTLE + _LINE + self.seconds
 
 
 def bands_of(f_min: float, f_max: float, capacity: int, slow: bool) -> tuple[Band, ...]:
-    """Divide a band `f_min` .. `f_max` [Hz] so that each part fits a recording, from low to high frequencies.
+    """Divide a band `f_min` .. `f_max` [Hz] into parts of one recording each, in ascending order.
 
-    A recording has to be long enough for some turns of its lowest frequency, and sampled often enough for its highest.
+    A recording has to contain several cycles of its lowest frequency, and to sample its highest frequency.
     `capacity`: samples of a recording.
 
     Raises
     ------
     MeasurementError
-        If there is no such band below half the sampling frequency.
+        If the band is not below half the sampling frequency.
     """
     loop_step = step_of(1, slow)
     highest = 0.5 * _NYQUIST_PART / loop_step
     top = min(f_max, highest)
     if not 0.0 < f_min < top:
-        raise MeasurementError(f"the band {f_min:g} .. {f_max:g} Hz has to lie between 0 and {highest:g} Hz")
+        raise MeasurementError(f"the band {f_min:g} .. {f_max:g} Hz must be between 0 and {highest:g} Hz")
     bands: list[Band] = []
     while True:
         longest = max(int(0.5 * _NYQUIST_PART / (top * loop_step)), 1)
-        enough = math.ceil(_TURNS_MIN / (SWEEP_PART * capacity * f_min * loop_step))
+        enough = math.ceil(_CYCLES_MIN / (SWEEP_PART * capacity * f_min * loop_step))
         every = min(longest, enough)
         step = every * loop_step
-        lowest = _TURNS_MIN / (SWEEP_PART * capacity * step)
+        lowest = _CYCLES_MIN / (SWEEP_PART * capacity * step)
         bottom = lowest if lowest > _STRETCH * f_min else f_min
         bands.insert(0, Band(bottom, top, every, capacity, step))
         if bottom <= f_min:
@@ -174,53 +174,63 @@ def bands_of(f_min: float, f_max: float, capacity: int, slow: bool) -> tuple[Ban
         top = bottom
 
 
-def completed(access: BoardAccess, request: BodeRequest) -> tuple[Settings, Prediction, tuple[Band, ...]]:
-    """What is measured, the prediction at its speed, and the sweeps."""
+def complete_settings(access: BoardAccess, request: BodeRequest) -> tuple[Settings, Prediction, tuple[Band, ...]]:
+    """Complete settings, prediction at the measured speed, and sweeps."""
     axis, loop = request.axis, LOOPS[request.loop]
     prediction = predict(access, axis, loop.name, request.speed or 0.0)
     crossover = prediction.margins.crossover or 0.1 * prediction.nyquist
     f_min = crossover / _BELOW if request.f_min is None else request.f_min
     f_max = crossover * _ABOVE if request.f_max is None else request.f_max
     f_max = min(f_max, _NYQUIST_PART * prediction.nyquist)
-    way_max = min(request.way_max, _room(access, axis))
+    travel_max = min(request.travel_max, _free_travel(access, axis))
     speed = 0.0 if request.speed is None else request.speed
     deceleration = access.read("param.acceleration_limit")[axis]
     settings = Settings(
-        axis, loop, request.amplitude or 0.0, f_min, f_max, speed, way_max, request.repeats, deceleration=deceleration
+        axis,
+        loop,
+        request.amplitude or 0.0,
+        f_min,
+        f_max,
+        speed,
+        travel_max,
+        request.repeats,
+        deceleration=deceleration,
     )
     capacity = access.capacity([f"{axis_name(axis)}.{column}" for column in settings.columns])
     bands = bands_of(f_min, f_max, capacity, loop.slow)
     if request.speed is None and loop.slow:
-        wanted = _SPEED_PART[loop.name] * access.read("param.speed_limit")[axis]
-        speed = min(wanted, _speed_within(0.8 * way_max, max(band.turning_seconds for band in bands), deceleration))
+        speed_default = _SPEED_PART[loop.name] * access.read("param.speed_limit")[axis]
+        speed = min(
+            speed_default, _speed_within(0.8 * travel_max, max(band.rotation_seconds for band in bands), deceleration)
+        )
         settings, prediction = replace(settings, speed=speed), replace(prediction, speed=speed)
     if request.amplitude is None:
         settings = replace(settings, amplitude=_default_amplitude(access, settings, prediction))
     if loop.slow:
-        settings = replace(settings, swing=settings.amplitude * prediction.excursion(f_min, f_max)[0])
+        settings = replace(settings, speed_amplitude=settings.amplitude * prediction.excursion(f_min, f_max)[0])
     return settings, prediction, bands
 
 
 def _default_amplitude(access: BoardAccess, settings: Settings, prediction: Prediction) -> float:
-    """As much as the limits allow without the shaft turning round, or a current reaching its limit."""
+    """Largest amplitude without a reversal of the shaft, and with the current below its limit."""
     current = access.read("param.i_q_limit")[settings.axis]
     if not settings.loop.slow:
         return _FAST_PART * current
     speed_gain, current_gain = prediction.excursion(settings.f_min, settings.f_max)
-    room = _EXCURSION * abs(settings.speed) if settings.speed else _DEFAULT_EXCURSION
-    return min(room / speed_gain, _SLOW_PART * current / current_gain)
+    speed_max = _EXCURSION * abs(settings.speed) if settings.speed else _DEFAULT_EXCURSION
+    return min(speed_max / speed_gain, _SLOW_PART * current / current_gain)
 
 
-def _speed_within(way: float, seconds: float, deceleration: float) -> float:
-    """Speed at which a shaft turns for a time and comes to rest within a way [rad/s]."""
-    if math.isinf(way):
+def _speed_within(travel: float, seconds: float, deceleration: float) -> float:
+    """Constant speed at which the rotation in a time, including the stop, equals `travel` [rad/s]."""
+    if math.isinf(travel):
         return math.inf
-    turning = deceleration * seconds
-    return math.sqrt(turning**2 + 2.0 * deceleration * way) - turning
+    speed_of_time = deceleration * seconds
+    return math.sqrt(speed_of_time**2 + 2.0 * deceleration * travel) - speed_of_time
 
 
-def _room(access: BoardAccess, axis: int) -> float:
-    """Way to the nearer soft limit that is in force [rad]."""
+def _free_travel(access: BoardAccess, axis: int) -> float:
+    """Distance to the nearer active soft limit [rad]."""
     word = int(access.read("param.features")[axis])
     if not any(flag.name == "POSITION_LIMITS" for flag in access.catalogue.active("features", word)):
         return math.inf
@@ -230,78 +240,87 @@ def _room(access: BoardAccess, axis: int) -> float:
 
 
 def refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Band]) -> None:
-    """Refuse what the axis cannot do, or what its limits or the user forbid."""
+    """Raise an error if the axis cannot execute the measurement, or a limit of the axis or the user forbids it."""
     name, loop = axis_name(settings.axis), settings.loop
     if access.catalogue.label("feedback_kind_t", int(access.read("param.feedback")[settings.axis])) != "ENCODER":
-        raise MeasurementError(f"{name} runs without its encoder (param.feedback); only loops with one are measured")
-    longest = max(band.turning_seconds for band in bands)
+        raise MeasurementError(
+            f"{name} runs without its encoder (param.feedback); only loops with an encoder can be measured"
+        )
+    longest = max(band.rotation_seconds for band in bands)
     if longest > _TIME_MAX:
         raise MeasurementError(
-            f"from {settings.f_min:.3g} Hz on a recording would take {longest:.3g} s, more than {_TIME_MAX:g} s; "
-            "give a higher lowest frequency"
+            f"with a lowest frequency of {settings.f_min:.3g} Hz a recording would take {longest:.3g} s, more than "
+            f"{_TIME_MAX:g} s; use a higher lowest frequency"
         )
     speed_limit = access.read("param.speed_limit")[settings.axis]
     current_limit = access.read("param.i_q_limit")[settings.axis]
     if not settings.amplitude > 0.0:
-        raise MeasurementError(f"the amplitude {settings.amplitude:g} {loop.unit} is not above 0")
-    fastest = abs(settings.speed) + settings.swing
+        raise MeasurementError(f"the amplitude {settings.amplitude:g} {loop.unit} must be above 0")
+    fastest = abs(settings.speed) + settings.speed_amplitude
     if fastest > speed_limit:
         raise MeasurementError(
-            f"{fastest:.4g} rad/s with the test signal are above the limit of {name}, "
-            f"{speed_limit:.4g} rad/s (param.speed_limit); give a lower speed"
+            f"{fastest:.4g} rad/s with the test signal exceed the limit of {name}, "
+            f"{speed_limit:.4g} rad/s (param.speed_limit); use a lower speed"
         )
     maximum = (0.5 if loop.slow else BASE_PART / _BASE_OVER) * current_limit
     if loop.name != "position" and settings.amplitude > maximum:
         raise MeasurementError(
-            f"an amplitude of {settings.amplitude:.4g} A is too much for the limit of {name}, {current_limit:.4g} A "
-            f"(param.i_q_limit); give at most {maximum:.4g} A"
+            f"an amplitude of {settings.amplitude:.4g} A is too large for the limit of {name}, {current_limit:.4g} A "
+            f"(param.i_q_limit); use at most {maximum:.4g} A"
         )
     if settings.speed and not loop.slow:
-        raise MeasurementError("a current loop is measured without a speed; leave it away")
+        raise MeasurementError("a current loop is measured at standstill; omit the speed")
     for band in bands:
         refuse_test_signal(access, settings.signal(band, settings.amplitude))
     if not loop.slow:
         _refuse_brake(access, settings.axis)
-    way = settings.way(bands)
-    if way > settings.way_max:
+    travel = settings.travel(bands)
+    if travel > settings.travel_max:
         raise MeasurementError(
-            f"{name} would turn by up to {way:.3g} rad to each side, more than the {settings.way_max:.3g} rad allowed; "
-            "give a lower speed, a smaller amplitude, a higher lowest frequency, or a wider range"
+            f"{name} would rotate by up to {travel:.3g} rad in each direction, allowed are "
+            f"{settings.travel_max:.3g} rad; use a lower speed, a smaller amplitude, a higher lowest "
+            "frequency, or a wider range"
         )
 
 
 def _refuse_brake(access: BoardAccess, axis: int) -> None:
-    """Mode TEST looks for no rotor: behind a holding brake there may be a load that its current does not hold."""
+    """Raise an error for an axis with a brake: mode TEST has no rotor search, so its current may not hold the load."""
     brake = access.catalogue.flag("inputs", "BRAKE_OPEN").mask
     if read_block(access, axis)["pins.fitted"] & brake:
         raise MeasurementError(
-            f"{axis_name(axis)} has a holding brake (pins.fitted), and mode TEST, in which a current loop is measured, "
-            "does not hold a load; take the load off and the brake out of the configuration"
+            f"{axis_name(axis)} has a holding brake (pins.fitted), and mode TEST, used for a current loop, "
+            "does not hold a load; remove the load, and the brake from the configuration"
         )
 
 
 def motion_text(settings: Settings, bands: Sequence[Band]) -> str:
-    """What the shaft is going to do."""
+    """Description of the motion."""
     name, loop = axis_name(settings.axis), settings.loop
-    way = settings.way(bands)
-    how = f" to and fro at {abs(settings.speed):.4g} rad/s" if settings.speed else ""
+    travel = settings.travel(bands)
+    how = f" in alternating directions at {abs(settings.speed):.4g} rad/s" if settings.speed else ""
     if not loop.slow:
-        how = " to where a current holds it"
+        how = " into alignment with a current vector"
     return (
-        f"{name} turns{how}, up to {way:.3g} rad to each side, with a test signal of {settings.amplitude:.3g} "
-        f"{loop.unit} from {settings.f_min:.3g} to {settings.f_max:.3g} Hz; Ctrl-C stops it"
+        f"{name} rotates{how}, up to {travel:.3g} rad in each direction, with a test signal of "
+        f"{settings.amplitude:.3g} {loop.unit} from {settings.f_min:.3g} to {settings.f_max:.3g} Hz; Ctrl-C stops it"
     )
 
 
 def notes(settings: Settings, prediction: Prediction) -> list[str]:
-    """What makes a difference between prediction and measurement."""
+    """Causes of differences between prediction and measurement."""
     if not settings.loop.slow:
         return []
     if settings.speed == 0.0:
-        return ["measured at standstill: friction and rare encoder edges affect the result; give --speed"]
+        return ["measured at standstill: friction and infrequent encoder edges affect the result; use --speed"]
     board = prediction.it.board
     resolution = abs(settings.speed) / (board("timer_clock") * board.tick)
-    if settings.loop.name == "speed" and not prediction.observed and settings.swing < _RESOLUTIONS * resolution:
-        steps = f"the speed swings by {settings.swing:.3g} rad/s, the M/T method has steps of {resolution:.2g} rad/s"
-        return [f"{steps}: the gain may be off by some percent; give a larger amplitude or a lower speed"]
+    if (
+        settings.loop.name == "speed"
+        and not prediction.observed
+        and settings.speed_amplitude < _RESOLUTIONS * resolution
+    ):
+        steps = (
+            f"speed amplitude {settings.speed_amplitude:.3g} rad/s, resolution of the M/T method {resolution:.2g} rad/s"
+        )
+        return [f"{steps}: the error of the gain may be some percent; use a larger amplitude or a lower speed"]
     return []

@@ -1,4 +1,4 @@
-"""A measured loop for people and for programs: text, numbers, rows of a table, a picture."""
+"""Output of a measurement: text, JSON, table, picture."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ COLUMNS: Final = (
     "predicted gain [dB]",
     "predicted phase [degrees]",
 )
-"""Head of `rows`."""
+"""Column names of `rows`."""
 
 _CONFIDENCE: Final = 2.0  # standard deviations: 95 %
 _DECIBELS: Final = 20.0 / np.log(10.0)
 
 
 def predicted_curve(bode: Bode) -> Response:
-    """The prediction at the measured frequencies."""
+    """Prediction at the measured frequencies."""
     f = bode.response.frequency
     return Response(f, bode.prediction.response(f), np.zeros_like(f), np.ones_like(f))
 
@@ -53,7 +53,7 @@ def rows(bode: Bode) -> NDArray[np.float64]:
 
 
 def _aligned(degrees: NDArray[np.float64], to: NDArray[np.float64], good: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Turns are added until both curves are in the same one, in the mean of the good points."""
+    """Phase unwrapping: add multiples of 360 degrees so that both curves agree on average at the valid points."""
     if not good.any():
         return degrees
     return np.asarray(degrees - 360.0 * np.round(np.median((degrees - to)[good]) / 360.0))
@@ -70,15 +70,15 @@ def _comparison(bode: Bode) -> list[tuple[str, str, Measured | None, float | Non
 
 
 def text(bode: Bode) -> str:
-    """Figures beside their prediction, as a page."""
+    """Figures and their predictions as text."""
     return "\n".join(_lines(bode)) + "\n"
 
 
 def _lines(bode: Bode) -> Iterator[str]:
     settings = bode.settings
-    turning = f" at {settings.speed:.4g} rad/s" if settings.speed else ""
+    motion = f" at {settings.speed:.4g} rad/s" if settings.speed else ""
     yield (
-        f"{axis_name(settings.axis)}, {settings.loop.name} loop{turning}: {settings.repeats} sweeps of "
+        f"{axis_name(settings.axis)}, {settings.loop.name} loop{motion}: {settings.repeats} sweeps of "
         f"{settings.amplitude:.3g} {settings.loop.unit}, {settings.f_min:.3g} .. {settings.f_max:.3g} Hz"
     )
     for name, unit, measured, predicted in _comparison(bode):
@@ -93,9 +93,9 @@ def _lines(bode: Bode) -> Iterator[str]:
         yield f"  {kind:13} {resonance.frequency:.4g} Hz, {resonance.height:+.1f} dB"
     good = int(bode.response.good.sum())
     points = f"{good} of {bode.response.good.size} points have a sufficient coherence"
-    yield f"  {points}; +- is for 95 %" if bode.confirmed else f"  {points}"
+    yield f"  {points}; +-: 95 % confidence" if bode.confirmed else f"  {points}"
     if bode.figures.crossover is not None and not bode.confirmed:
-        yield "  not confirmed: the figures depend on the amplitude, their uncertainty is not known"
+        yield "  not confirmed: the figures depend on the amplitude, their uncertainty is unknown"
     yield from (f"  not determined: {why}" for why in bode.figures.undetermined)
     yield from (f"  note: {note}" for note in bode.notes)
 
@@ -113,7 +113,7 @@ def _difference(unit: str, measured: Measured | None, predicted: float | None) -
 
 
 def as_dict(bode: Bode) -> dict[str, Any]:
-    """Everything as plain numbers; SI, frequencies in Hz, phases in degrees, margins of the gain as factors."""
+    """All results as numbers: SI, frequencies in Hz, phases in degrees, gain margins as factors."""
     settings, predicted = bode.settings, bode.prediction.margins
     return {
         "axis": axis_name(settings.axis),
@@ -139,17 +139,17 @@ def _plain(measured: Measured | None) -> dict[str, float | None] | None:
 
 
 def _finite(row: list[float]) -> list[float | None]:
-    """JSON knows no infinity."""
+    """Replace values that JSON cannot represent by None."""
     return [value if np.isfinite(value) else None for value in row]
 
 
 def draw(bode: Bode, path: Path) -> None:
-    """Gain, phase and coherence over the frequency, with the prediction and 95 % confidence.
+    """Plot gain, phase and coherence over frequency, with the prediction and 95 % confidence.
 
     Raises
     ------
     MeasurementError
-        If matplotlib is missing or does not know the format.
+        If matplotlib is missing or does not support the format.
     OSError
         If the file cannot be written.
     """
@@ -157,7 +157,7 @@ def draw(bode: Bode, path: Path) -> None:
         from matplotlib.figure import Figure
         from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
     except ImportError:
-        raise MeasurementError("a picture needs matplotlib: pip install matplotlib") from None
+        raise MeasurementError("matplotlib is required for a picture: pip install matplotlib") from None
     table, good = rows(bode), bode.response.good
     figure = Figure(figsize=(8.0, 8.0), dpi=100, layout="constrained")
     gain, phase, coherence = figure.subplots(3, 1, sharex=True, height_ratios=[3, 3, 1])

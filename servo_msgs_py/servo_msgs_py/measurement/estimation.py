@@ -1,4 +1,4 @@
-"""Closed-form estimates from the recordings of a motor test. Missing samples (NaN) are left out. Pure."""
+"""Closed-form estimates from the recordings of a motor test. Missing samples (NaN) are omitted. Pure."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from servo_msgs_py.measurement.access import MeasurementError, Recording
 from servo_msgs_py.measurement.least_squares import mean_of
 from servo_msgs_py.measurement.log import MeasurementLog
 from servo_msgs_py.measurement.motor_values import Estimate, MotorEstimates
-from servo_msgs_py.measurement.spinning import balance, flux, friction, second_half, steady_of, torque_of
+from servo_msgs_py.measurement.rotating_vector import follow_vector, sensor_errors
+from servo_msgs_py.measurement.speed_runs import balance, flux, friction, second_half, steady_of, torque_of
 from servo_msgs_py.measurement.standstill import Ohmic, impedance, ohmic
-from servo_msgs_py.measurement.turning import sensor_errors, turning
 
 BAND: Final = {"d": (400.0, 2500.0), "q": (700.0, 2500.0)}
-"""Frequencies that inductances are taken from [Hz]; below, the rotor gives way to a current across the vector."""
+"""Frequency bands for the inductances [Hz]; below them the rotor follows a current perpendicular to the vector."""
 
-PLAIN: Final = 0.45
-"""Time at each speed without a current along the flux [s]."""
+PLAIN_TIME: Final = 0.45
+"""Duration of each run without a d-axis current [s]."""
 
-FLUX_FIRST: Final = 0.1
-"""Relative uncertainty of the flux of a turning vector: what dead time and drops do to it is not known."""
+FLUX_UNCERTAINTY: Final = 0.1
+"""Relative uncertainty of the flux from a rotating vector, for the unknown effect of dead time and voltage drops."""
 
-FOLLOWS: Final = 0.15
-"""Part by which a shaft that swings about a turning vector may seem slower or faster."""
+FOLLOW_TOLERANCE: Final = 0.15
+"""Relative tolerance of the mean speed of a shaft that oscillates about a rotating vector."""
 
 
 def _columns(log: MeasurementLog, point: str) -> tuple[str, str, str]:
@@ -36,7 +36,7 @@ def _columns(log: MeasurementLog, point: str) -> tuple[str, str, str]:
 
 
 def resistance_of(log: MeasurementLog) -> Ohmic:
-    """Resistance of winding and switch, and lost voltage, from current after current."""
+    """Resistance of winding and switch, and lost voltage, from a series of currents."""
     name = axis_name(log.axis)
     points = []
     for recording in log.labelled("level"):
@@ -45,91 +45,92 @@ def resistance_of(log: MeasurementLog) -> Ohmic:
         if math.isfinite(i_d) and math.isfinite(u_d):
             points.append((i_d, u_d, max(error, 1e-3)))
     if len(points) < 4:
-        raise MeasurementError(f"{len(points)} currents with samples do not determine the resistance: measure again")
+        raise MeasurementError(f"{len(points)} currents with samples are too few for the resistance: measure again")
     current, voltage, sigma = (np.array(column) for column in zip(*points, strict=True))
     return ohmic(current, voltage, sigma)
 
 
 def inductances_of(log: MeasurementLog, r: float) -> dict[str, Estimate]:
-    """``l_d``, ``l_q`` and ``delay`` from swept sines; `r` with the switch [ohm]."""
+    """``l_d``, ``l_q`` and ``delay`` from swept sines; `r` includes the switch [ohm]."""
     of_d = impedance(log.labelled("sweep_d"), _columns(log, "d"), r, BAND["d"])
     delay = of_d.delay.value
     of_q = impedance(log.labelled("sweep_q"), _columns(log, "q"), r, BAND["q"], swings=True, delay=delay)
     return {"l_d": of_d.inductance, "l_q": of_q.inductance, "delay": of_d.delay}
 
 
-def inductance_at_less(log: MeasurementLog, r: float) -> Estimate | None:
-    """``l_d`` [H] with less current along the flux, to be compared; None: not measured. `r`: resistance [ohm]."""
-    made = log.labelled("sweep_d_low")
-    return impedance(made, _columns(log, "d"), r, BAND["d"]).inductance if made else None
+def inductance_at_low_current(log: MeasurementLog, r: float) -> Estimate | None:
+    """``l_d`` [H] at a smaller d-axis current for comparison; None: not measured. `r`: resistance [ohm]."""
+    recordings = log.labelled("sweep_d_low")
+    return impedance(recordings, _columns(log, "d"), r, BAND["d"]).inductance if recordings else None
 
 
-def turning_of(log: MeasurementLog, r: float) -> dict[str, Estimate]:
-    """``pole_pairs``, gains and offsets from a vector that turns slowly, both ways.
+def rotation_of(log: MeasurementLog, r: float) -> dict[str, Estimate]:
+    """``pole_pairs``, gains and offsets from a vector that rotates slowly in both directions.
 
     Raises
     ------
     MeasurementError
-        If the shaft does not follow it, or the encoder counts the other way.
+        If the shaft does not follow the vector, or the encoder counts in the opposite direction.
     """
     name = axis_name(log.axis)
     slow = log.labelled("turn_slow")
     if not slow:
-        raise MeasurementError("there is no recording of a turning vector")
-    found = [turning(one.columns[f"{name}.position"], one.columns[f"{name}.test_angle"]) for one in slow]
+        raise MeasurementError("there is no recording of a rotating vector")
+    found = [follow_vector(one.columns[f"{name}.position"], one.columns[f"{name}.test_angle"]) for one in slow]
     if len({one.pole_pairs for one in found}) != 1 or len({one.direction for one in found}) != 1:
-        raise MeasurementError("the shaft follows the turning vector in one direction only: it is held or loaded")
+        raise MeasurementError("the shaft follows the rotating vector in one direction only: it is blocked or loaded")
     if found[0].direction < 0:
         raise MeasurementError(
-            "the encoder counts against the direction in which the phases follow each other: swap its lines A and B,"
-            " or two wires of the motor"
+            "the encoder counts against the phase sequence: swap its lines A and B, or two wires of the motor"
         )
     return {"pole_pairs": Estimate(float(found[0].pole_pairs), 0.0), **sensor_errors(slow, name, r)}
 
 
 def _speeds(recording: Recording, name: str) -> tuple[float, float]:
-    """Mean speeds of vector and shaft, electrical and mechanical [rad/s]."""
+    """Mean speeds of vector (electrical) and shaft (mechanical) [rad/s]."""
     angle, position = (recording.columns[f"{name}.{key}"] for key in ("test_angle", "position"))
     usable = np.isfinite(angle) & np.isfinite(position)
     time = recording.time[usable]
     return tuple(float(np.polyfit(time, y, 1)[0]) for y in (np.unwrap(angle[usable]), position[usable]))  # type: ignore[return-value]
 
 
-def follows(recording: Recording, name: str, pairs: float) -> bool:
-    """Whether the shaft goes with a turning vector; `pairs`: number of pole pairs."""
+def shaft_follows(recording: Recording, name: str, pairs: float) -> bool:
+    """Whether the shaft follows a rotating vector; `pairs`: number of pole pairs."""
     electrical, shaft = _speeds(recording, name)
-    return abs(shaft * pairs - electrical) < FOLLOWS * abs(electrical)
+    return abs(shaft * pairs - electrical) < FOLLOW_TOLERANCE * abs(electrical)
 
 
 def flux_of(log: MeasurementLog, l_d: float, pairs: float) -> dict[str, Estimate]:
-    """A first ``psi_m`` [V s] from the voltage that a rotor induces which follows a turning vector; `l_d` [H].
+    """First estimate of ``psi_m`` [V s] from the back-EMF of a rotor that follows a rotating vector; `l_d` [H].
 
     Raises
     ------
     MeasurementError
-        If it does not follow, or induces nothing.
+        If the rotor does not follow, or induces no voltage.
     """
     name = axis_name(log.axis)
-    fast = [one for one in log.labelled("turn_fast") if follows(one, name, pairs)][-2:]
+    fast = [one for one in log.labelled("turn_fast") if shaft_follows(one, name, pairs)][-2:]
     speeds = [_speeds(one, name)[0] for one in fast]
     if len(fast) < 2 or speeds[0] * speeds[1] > 0.0:
-        raise MeasurementError("the shaft does not follow a turning vector: it is held, or needs more current")
+        raise MeasurementError(
+            "the shaft does not follow a rotating vector: it is blocked, or the current is too small"
+        )
     means = [mean_of(one.columns[f"{name}.u_q"])[0] for one in fast]
     current = mean_of(fast[0].columns[f"{name}.i_d"])[0]
     induced = (means[0] - means[1]) / (speeds[0] - speeds[1]) - l_d * current
     if not induced > 1e-4:
-        raise MeasurementError("the turning rotor induces no voltage: it has no magnets, or a wire is open")
-    return {"psi_m": Estimate(induced, FLUX_FIRST * induced)}
+        raise MeasurementError("the rotating rotor induces no voltage: it has no magnets, or a wire is open")
+    return {"psi_m": Estimate(induced, FLUX_UNCERTAINTY * induced)}
 
 
-def running_of(log: MeasurementLog, known: dict[str, Estimate], direct: Ohmic) -> dict[str, Estimate]:
+def speed_runs_of(log: MeasurementLog, known: dict[str, Estimate], direct: Ohmic) -> dict[str, Estimate]:
     """``psi_m``, friction, ``load`` and ``inertia`` from runs at several speeds."""
     name = axis_name(log.axis)
     runs = log.labelled("speed")
     held = [steady_of(second_half(run), name) for run in log.labelled("hold")]
     plain = [steady_of(run, name) for run in log.labelled("plain")]
     if len(held) < 4 or len(plain) < 4:
-        raise MeasurementError(f"{len(held)} runs do not determine flux and friction: measure again")
+        raise MeasurementError(f"{len(held)} runs are too few for flux and friction: measure again")
     pairs, l_d, l_q = round(known["pole_pairs"].value), known["l_d"].value, known["l_q"].value
     psi = flux(held, pairs, direct, float(log.notes["limits"]["voltage"]), l_d, l_q, known["delay"].value)
     i_d, i_q = (np.array([getattr(point, key).value for point in plain]) for key in ("i_d", "i_q"))
@@ -137,11 +138,11 @@ def running_of(log: MeasurementLog, known: dict[str, Estimate], direct: Ohmic) -
     sigma = 1.5 * pairs * psi.value * np.array([point.i_q.sigma for point in plain])
     acceleration = np.array([point.acceleration for point in plain])
     inertia = Estimate(0.0, 0.0)
-    for _ in range(3):  # each needs a little of the other
+    for _ in range(3):  # friction and inertia depend on each other slightly
         parts = friction(plain, torque - inertia.value * acceleration, sigma)
-        taken = parts["friction"].value, parts["viscous"].value, parts["load"].value
-        inertia, _ = balance(runs, name, (pairs, psi.value, l_d, l_q), taken)
-    # torque is measured in terms of the flux
+        resistance_torque = parts["friction"].value, parts["viscous"].value, parts["load"].value
+        inertia, _ = balance(runs, name, (pairs, psi.value, l_d, l_q), resistance_torque)
+    # the torque is computed from the flux and shares its relative error
     scaled = {key: _with_part(value, psi.sigma / psi.value) for key, value in parts.items()}
     return {"psi_m": psi, **scaled, "inertia": _with_part(inertia, psi.sigma / psi.value)}
 
@@ -151,7 +152,7 @@ def _with_part(estimate: Estimate, part: float) -> Estimate:
 
 
 def estimates_of(log: MeasurementLog) -> MotorEstimates:
-    """Everything that the recordings of a test determine, and why they do not determine the rest."""
+    """All values determined by the recordings of a test, and the causes of undetermined ones."""
     r_on = float(log.notes["limits"]["r_on"])
     values: dict[str, Estimate] = {}
     undetermined: dict[str, str] = {}
@@ -175,11 +176,11 @@ def estimates_of(log: MeasurementLog) -> MotorEstimates:
     attempt("l_d l_q delay", lambda: inductances_of(log, total))
     if "l_d" not in values:
         return MotorEstimates(values, undetermined)
-    if attempt("pole_pairs gain_ratio", lambda: turning_of(log, total)):
+    if attempt("pole_pairs gain_ratio", lambda: rotation_of(log, total)):
         attempt("psi_m", lambda: flux_of(log, values["l_d"].value, values["pole_pairs"].value))
-        attempt("psi_m friction viscous load inertia", lambda: running_of(log, values, resistance_of(log)))
-    else:  # a rotor that is held has not come to the vector either
+        attempt("psi_m friction viscous load inertia", lambda: speed_runs_of(log, values, resistance_of(log)))
+    else:  # a blocked rotor has not aligned with the vector
         for name in ("l_d", "l_q"):
             values.pop(name)
-            undetermined[name] = "the rotor does not follow a current vector: it may lie at any angle to it"
+            undetermined[name] = "the rotor does not follow a current vector: its angle to the vector is unknown"
     return MotorEstimates(values, undetermined)

@@ -1,11 +1,11 @@
 """Open-loop frequency response and margins, with uncertainty, from recordings of a closed loop. Pure.
 
-The loop is closed while it is measured, so error and output both hold the disturbances, and output over error would be
-biased towards the inverse of the controller. The test signal d knows nothing of the disturbances: as an instrument
-variable it gives the open loop L = S_od / S_ed without that bias (Ljung, System Identification, 2nd ed., 7.6 and 13.5).
+In closed loop, error and output both contain the disturbances, so the quotient of output and error would be biased
+towards the inverse of the controller. The test signal d is not correlated with the disturbances; as an instrumental
+variable it gives an unbiased estimate L = S_od / S_ed (Ljung, System Identification, 2nd ed., 7.6 and 13.5).
 
-A test signal begins and ends within its recording, and the loop is at rest, or in steady motion, before and after. Then
-the discrete Fourier transform of a whole recording has no leakage, and a constant is in its first bin alone.
+A test signal begins and ends within its recording, with the loop at rest or in steady motion before and after it.
+Therefore the discrete Fourier transform of a whole recording has no leakage, and a constant affects its first bin only.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 COHERENCE_MIN: Final = 0.6
-"""Points below it determine nothing."""
+"""Smallest coherence of a valid point."""
 
 _SIGMA_MAX: Final = 0.3
-"""Nor do points with a larger relative standard deviation."""
+"""Largest relative standard deviation of a valid point."""
 
 _GROUPS: Final = 40  # per decade
-_NEAR: Final = 1.5  # the fit around a crossing takes frequencies within this factor
+_NEAR: Final = 1.5  # the fit at a crossing uses frequencies within this factor
 _FIT_POINTS: Final = 4
 _RESONANCE_MIN: Final = 3.0  # [dB]
 _RESONANCE_SIGMAS: Final = 5.0
@@ -41,11 +41,11 @@ class Response:
     frequency: _Float  # (n,) [Hz]
     value: _Complex  # (n,), complex gain
     sigma: _Float  # (n,), standard deviation of `value` over its magnitude: relative one of the gain, phase in [rad]
-    coherence: _Float  # (n,), between test signal and error, or test signal and output, whichever is less; 0 .. 1
+    coherence: _Float  # (n,), the smaller of test signal to error and test signal to output; 0 .. 1
 
     @property
     def good(self) -> NDArray[np.bool_]:
-        """Points that determine something, shape (frequencies,)."""
+        """Valid points, shape (frequencies,)."""
         return np.asarray((self.coherence >= COHERENCE_MIN) & (self.sigma <= _SIGMA_MAX))
 
     @property
@@ -55,16 +55,16 @@ class Response:
 
     @property
     def degrees(self) -> _Float:
-        """Phase without jumps, the first one above -360 and at most 0 [degrees]."""
+        """Unwrapped phase, at the first point above -360 and at most 0 [degrees]."""
         return np.asarray(np.degrees(_phase(self.value)))
 
 
 @dataclass(frozen=True)
 class Measured:
-    """A number from a measurement."""
+    """A measured value with its uncertainty."""
 
-    value: float  # infinite where it is not known
-    sigma: float  # standard deviation; infinite where it is not known
+    value: float  # infinite if unknown
+    sigma: float  # standard deviation; infinite if unknown
 
 
 @dataclass(frozen=True)
@@ -72,18 +72,18 @@ class Resonance:
     """A peak or a notch of the gain."""
 
     frequency: float  # [Hz]
-    height: float  # over the gain around it; of a notch negative [dB]
+    height: float  # relative to the surrounding gain, negative for a notch [dB]
 
 
 @dataclass(frozen=True)
 class Figures:
-    """What a measured open loop amounts to; None: not determined."""
+    """Crossover, margins, resonances; None: not determined."""
 
-    crossover: Measured | None  # frequency at which the gain is 1 [Hz]; that of the smallest phase margin
+    crossover: Measured | None  # frequency of unity gain [Hz]; of several the one with the smallest phase margin
     phase_margin: Measured | None  # [degrees]
-    gain_margin: Measured | None  # factor by which the gain may grow
+    gain_margin: Measured | None  # factor by which the gain may increase
     resonances: tuple[Resonance, ...]  # by frequency
-    undetermined: tuple[str, ...]  # why a figure is None, a sentence each
+    undetermined: tuple[str, ...]  # causes of figures that are None, a sentence each
 
 
 # ---- from samples to points ------------------------------------------------------------------------------------------
@@ -104,7 +104,7 @@ def estimate(step: float, instrument: _Float, error: _Float, output: _Float, f_m
     Returns
     -------
     Response
-        One point per group of frequencies; a group has a fortieth of a decade, or one frequency of the transform.
+        One point per group of frequencies; a group is a fortieth of a decade, or a single frequency of the transform.
     """
     samples = instrument.shape[1]
     frequency = np.fft.rfftfreq(samples, step)
@@ -132,12 +132,12 @@ def _point(f: _Float, d: _Complex, e: _Complex, o: _Complex) -> tuple[float, com
     powers = np.vstack([((f - middle) / span) ** k for k in range(orders)])  # (orders, bins)
     z, x = ((signal[None] * powers[:, None]).reshape(orders, -1).T for signal in (d, e))  # (equations, orders)
     y = o.ravel()
-    freedom = y.size - orders
+    degrees_of_freedom = y.size - orders
     cross = z.conj().T @ x
-    if freedom < 1 or np.linalg.cond(cross) > 1e12:
+    if degrees_of_freedom < 1 or np.linalg.cond(cross) > 1e12:
         return middle, 0.0j, math.inf, 0.0
     line = np.linalg.solve(cross, z.conj().T @ y)
-    noise = float((np.abs(y - x @ line) ** 2).sum()) / freedom
+    noise = float((np.abs(y - x @ line) ** 2).sum()) / degrees_of_freedom
     inverse = np.linalg.inv(cross)
     variance = noise * float((inverse @ (z.conj().T @ z) @ inverse.conj().T)[0, 0].real)
     size = abs(line[0])
@@ -146,14 +146,14 @@ def _point(f: _Float, d: _Complex, e: _Complex, o: _Complex) -> tuple[float, com
 
 
 def _coherence(z: _Complex, y: _Complex) -> float:
-    """Part of the energy of y that the columns of z explain, without what they explain by chance."""
+    """Coefficient of determination of y by the columns of z, corrected for the number of columns."""
     total = float((np.abs(y) ** 2).sum())
     if total <= 0.0:
         return 0.0
     fit, *_ = np.linalg.lstsq(z, y, rcond=None)
-    rest = float((np.abs(y - z @ fit) ** 2).sum())
+    residual = float((np.abs(y - z @ fit) ** 2).sum())
     size, orders = z.shape
-    return float(np.clip(1.0 - rest / total * size / (size - orders), 0.0, 1.0))
+    return float(np.clip(1.0 - residual / total * size / (size - orders), 0.0, 1.0))
 
 
 def joined(responses: Sequence[Response]) -> Response:
@@ -171,12 +171,12 @@ def joined(responses: Sequence[Response]) -> Response:
 
 
 def figures(response: Response) -> Figures:
-    """Crossover, margins and resonances of a measured open loop; only from points that determine something."""
+    """Crossover, margins and resonances of a measured open loop from its valid points."""
     good = response.good
     f, value, sigma = response.frequency[good], response.value[good], response.sigma[good]
     if f.size < _FIT_POINTS:
-        why = f"only {f.size} of {good.size} points have a coherence of {COHERENCE_MIN:g}: the signal is too small"
-        return Figures(None, None, None, (), (f"crossover, margins: {why}",))
+        cause = f"only {f.size} of {good.size} points have a coherence of {COHERENCE_MIN:g}: the signal is too small"
+        return Figures(None, None, None, (), (f"crossover, margins: {cause}",))
     gain, phase = np.log(np.abs(value)), _phase(value)
     weight = 1.0 / np.maximum(sigma, 1e-5)
     span = f"{f[0]:.3g} .. {f[-1]:.3g} Hz"
@@ -190,16 +190,16 @@ def figures(response: Response) -> Figures:
         crossover, phase_margin = Measured(c.frequency, c.sigma), Measured(margin, math.degrees(c.other_sigma))
     else:
         side = "above" if gain.mean() > 0.0 else "below"
-        why = f"the gain stays {side} 1" if not _sign_changes(gain) else "too few good points around a gain of 1"
-        undetermined.append(f"crossover, phase margin: {why} from {span}, where the coherence is sufficient")
+        cause = f"the gain is always {side} 1" if not _sign_changes(gain) else "too few valid points near unity gain"
+        undetermined.append(f"crossover, phase margin: {cause} in {span}, the range with sufficient coherence")
 
     first = f[0] if crossover is None else crossover.value
-    turned = [
+    crossings_180 = [
         fit
         for k in _half_turns(phase)
         if f[k + 1] > first and (fit := _crossing(f, phase - _half_turn(phase, k), gain, weight, k)) is not None
     ]
-    rising = [Measured(math.exp(-c.other), math.exp(-c.other) * c.other_sigma) for c in turned if c.other < 0.0]
+    rising = [Measured(math.exp(-c.other), math.exp(-c.other) * c.other_sigma) for c in crossings_180 if c.other < 0.0]
     if rising:
         gain_margin = min(rising, key=lambda m: m.value)
     else:
@@ -208,7 +208,7 @@ def figures(response: Response) -> Figures:
 
 
 def _phase(value: _Complex) -> _Float:
-    """Without jumps [rad]; the first one above -2 pi and at most 0."""
+    """Unwrapped phase [rad], at the first point above -2 pi and at most 0."""
     if value.size == 0:
         return np.zeros(0)
     phase = np.unwrap(np.angle(value))
@@ -216,47 +216,47 @@ def _phase(value: _Complex) -> _Float:
 
 
 def _wrapped(degrees: float) -> float:
-    """Within -180 .. 180."""
+    """Angle in -180 .. 180."""
     return (degrees + 180.0) % 360.0 - 180.0
 
 
 def _sign_changes(values: _Float) -> list[int]:
-    """Indices in front of a change of sign."""
+    """Indices before a change of sign."""
     return [int(k) for k in np.nonzero((values[:-1] > 0.0) != (values[1:] > 0.0))[0]]
 
 
-def _turns(phase: _Float) -> NDArray[np.int64]:
+def _revolutions(phase: _Float) -> NDArray[np.int64]:
     return np.floor((phase - math.pi) / (2.0 * math.pi)).astype(np.int64)
 
 
 def _half_turns(phase: _Float) -> list[int]:
-    """Indices in front of a passage of the phase through an odd multiple of 180 degrees."""
-    turns = _turns(phase)
-    return [int(k) for k in np.nonzero(turns[:-1] != turns[1:])[0]]
+    """Indices before a crossing of the phase with an odd multiple of 180 degrees."""
+    revolutions = _revolutions(phase)
+    return [int(k) for k in np.nonzero(revolutions[:-1] != revolutions[1:])[0]]
 
 
 def _half_turn(phase: _Float, k: int) -> float:
-    """The multiple that is passed behind index k [rad]."""
-    return math.pi + 2.0 * math.pi * float(max(_turns(phase[k : k + 2])))
+    """The odd multiple of 180 degrees that is crossed after index k [rad]."""
+    return math.pi + 2.0 * math.pi * float(max(_revolutions(phase[k : k + 2])))
 
 
 @dataclass(frozen=True)
 class _Crossing:
-    """Where one quantity is zero: frequency [Hz] and the other quantity there, with standard deviations."""
+    """Zero of one quantity: frequency [Hz] and the other quantity there, with standard deviations."""
 
     frequency: float  # [Hz]
     sigma: float  # standard deviation [Hz]
-    other: float  # the other quantity there
+    other: float  # other quantity at this frequency
     other_sigma: float  # its standard deviation
 
 
 def _crossing(f: _Float, zero: _Float, other: _Float, weight: _Float, k: int) -> _Crossing | None:
-    """Fit both quantities by parabolas over log f around index k, and find where the first is zero.
+    """Fit both quantities by parabolas over log f near index k, and find the zero of the first one.
 
     Returns
     -------
     _Crossing or None
-        None when there are too few points on a side, or the parabola does not pass zero among them.
+        None if there are too few points on one side, or the parabola has no zero between them.
     """
     centre = math.sqrt(f[k] * f[k + 1])
     near = (f > centre / _NEAR) & (f < centre * _NEAR)
@@ -267,7 +267,7 @@ def _crossing(f: _Float, zero: _Float, other: _Float, weight: _Float, k: int) ->
     scaled = basis * weight[near, None]
     covariance = np.linalg.inv(scaled.T @ scaled)
     first, second = (covariance @ scaled.T @ (values[near] * weight[near]) for values in (zero, other))
-    # Points scatter more than they say where the loop is not linear: the larger one counts.
+    # In a nonlinear loop the scatter of the points exceeds their standard deviations: use the larger one.
     freedom = max(int(near.sum()) - basis.shape[1], 1)
     spread = [
         max(1.0, math.sqrt(float((((values[near] - basis @ fit) * weight[near]) ** 2).sum()) / freedom))
@@ -281,20 +281,20 @@ def _crossing(f: _Float, zero: _Float, other: _Float, weight: _Float, k: int) ->
     row = root ** np.arange(basis.shape[1])
     slope = np.arange(basis.shape[1]) * root ** np.maximum(np.arange(basis.shape[1]) - 1, 0)
     deviation = math.sqrt(float(row @ covariance @ row))
-    steep, turn = float(slope @ first), float(slope @ second)
-    if steep == 0.0:
+    slope_zero, slope_other = float(slope @ first), float(slope @ second)
+    if slope_zero == 0.0:
         return None
-    place = spread[0] * deviation / abs(steep)
+    place = spread[0] * deviation / abs(slope_zero)
     return _Crossing(
         centre * math.exp(root),
         centre * math.exp(root) * place,
         float(row @ second),
-        math.hypot(spread[1] * deviation, turn * place),
+        math.hypot(spread[1] * deviation, slope_other * place),
     )
 
 
 def _resonances(f: _Float, gain: _Float, sigma: _Float) -> tuple[Resonance, ...]:
-    """Peaks and notches against a straight fall of 20 dB per decade, higher than both sides by more than by chance."""
+    """Significant peaks and notches relative to a slope of -20 dB per decade."""
     level = 20.0 / math.log(10.0) * (gain + np.log(f))
     deviation = 20.0 / math.log(10.0) * sigma
     found = [
@@ -306,14 +306,14 @@ def _resonances(f: _Float, gain: _Float, sigma: _Float) -> tuple[Resonance, ...]
 
 
 def _between(f: _Float, level: _Float, k: int) -> float:
-    """Frequency of the extreme of the parabola through a point and its neighbours."""
+    """Frequency of the extremum of the parabola through a point and its neighbours."""
     fit = np.polyfit(np.log(f[k - 1 : k + 2] / f[k]), level[k - 1 : k + 2], 2)
     place = -0.5 * float(fit[1] / fit[0]) if fit[0] != 0.0 else 0.0
     return float(np.clip(f[k] * math.exp(place), f[k - 1], f[k + 1]))
 
 
 def _peaks(level: _Float, deviation: _Float, sign: float) -> list[tuple[int, float]]:
-    """Index and height of the peaks that stand out on both sides [dB]."""
+    """Index and height [dB] of the peaks that are significant on both sides."""
     result = []
     for k in range(1, level.size - 1):
         if level[k] < level[k - 1] or level[k] <= level[k + 1]:

@@ -1,4 +1,4 @@
-"""Least squares with uncertainties, as far as the closed-form estimates need them. Pure."""
+"""Least squares with uncertainties for the closed-form estimates. Pure."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 BATCHES: Final = 8
-"""Parts of a recording whose means count as independent: samples next to each other are not."""
+"""Number of parts of a recording whose means are treated as independent; neighbouring samples are correlated."""
 
 _STEPS: Final = 12
 _RELATIVE: Final = 1e-4  # step of a numerical derivative
 
 
 def mean_of(samples: Floats) -> tuple[float, float]:
-    """Mean and its standard uncertainty, in the unit of the samples, from batch means; NaN is left out."""
+    """Mean and its standard uncertainty, in the unit of the samples, from batch means; NaN is omitted."""
     usable = samples[np.isfinite(samples)]
     if usable.size < BATCHES:
         return float("nan"), float("inf")
@@ -34,20 +34,20 @@ def fit_linear(columns: Floats, y: Floats, sigma: Floats | None = None) -> tuple
     columns : ndarray, shape (n, p)
     y : ndarray, shape (n,)
     sigma : ndarray, shape (n,), optional
-        Standard uncertainties; the residuals scale the covariance where they are larger than these explain.
+        Standard uncertainties; the covariance is scaled by the residuals if these exceed the uncertainties.
 
     Returns
     -------
     parameters : ndarray, shape (p,)
     covariance : ndarray, shape (p, p)
     rms : float
-        Of the weighted residuals.
+        RMS of the weighted residuals.
     """
     weight = np.ones_like(y) if sigma is None else 1.0 / sigma
     a, b = columns * weight[:, None], y * weight
     x: Floats = np.linalg.lstsq(a, b, rcond=None)[0].astype(np.float64)
-    free = max(y.size - x.size, 1)
-    variance = float(((b - a @ x) ** 2).sum()) / free
+    degrees_of_freedom = max(y.size - x.size, 1)
+    variance = float(((b - a @ x) ** 2).sum()) / degrees_of_freedom
     scale = variance if sigma is None else max(variance, 1.0)
     return x, np.linalg.pinv(a.T @ a) * scale, float(np.sqrt(variance))
 
@@ -58,9 +58,9 @@ def fit_nonlinear(residual: Callable[[Floats], Floats], start: Floats, scale: Fl
     Parameters
     ----------
     residual : callable
-        Parameters of shape (p,) to residuals of shape (n,), independent of each other and of one variance.
+        Maps parameters of shape (p,) to independent residuals of shape (n,) with equal variance.
     start, scale : ndarray, shape (p,)
-        First guess; size of each parameter.
+        Initial values; magnitude of each parameter.
 
     Returns
     -------
@@ -89,6 +89,6 @@ def fit_nonlinear(residual: Callable[[Floats], Floats], start: Floats, scale: Fl
             damping *= 5.0
         if not improved:
             break
-    free = max(r.size - x.size, 1)
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(r @ r) / free
+    degrees_of_freedom = max(r.size - x.size, 1)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * float(r @ r) / degrees_of_freedom
     return x, covariance * np.outer(scale, scale)

@@ -1,7 +1,7 @@
-"""A measurement as a list of what was done and recorded: kept in a file, and repeated on another board. Pure.
+"""Record of the calls and recordings of a measurement, stored in a file, and its replay on another board. Pure.
 
-A file is a numpy archive: ``log`` is JSON with the calls in their order, ``r0``, ``r1`` .. are the recordings, one
-column per variable. A missing sample is NaN.
+A file is a numpy archive: ``log`` is JSON with the calls in order, ``r0``, ``r1`` .. are the recordings, one column per
+variable. A missing sample is NaN.
 """
 
 from __future__ import annotations
@@ -21,7 +21,16 @@ from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Reco
 
 FORMAT: Final = 1
 
-_NO_LOG: Final = (KeyError, ValueError, IndexError, TypeError, AttributeError, EOFError, zipfile.BadZipFile, zlib.error)
+_MALFORMED: Final = (
+    KeyError,
+    ValueError,
+    IndexError,
+    TypeError,
+    AttributeError,
+    EOFError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 @dataclass(frozen=True)
@@ -29,34 +38,34 @@ class Call:
     """One call of a `BoardAccess`."""
 
     kind: str  # ``write``, ``wait`` or ``record``
-    arguments: tuple[Any, ...]  # of `BoardAccess.write_words`; the seconds; of `BoardAccess.record` without ``start``
-    inner: tuple[Call, ...] = ()  # what ``start`` of a recording has called
-    label: str = ""  # what a recording is for
+    arguments: tuple[Any, ...]  # of `BoardAccess.write_words`; seconds; of `BoardAccess.record` without ``start``
+    inner: tuple[Call, ...] = ()  # calls made by ``start`` of a recording
+    label: str = ""  # purpose of a recording
     stage: str = ""  # part of the measurement
 
 
 @dataclass
 class MeasurementLog:
-    """Calls in their order, and what was recorded."""
+    """Calls and recordings in order."""
 
-    axis: int  # index of the axis that was measured
+    axis: int  # index of the measured axis
     calls: list[Call] = field(default_factory=list)
-    recordings: list[Recording] = field(default_factory=list)  # one per call of that kind
-    notes: dict[str, Any] = field(default_factory=dict)  # what else was known: limits, first estimates, board time
+    recordings: list[Recording] = field(default_factory=list)  # one per ``record`` call
+    notes: dict[str, Any] = field(default_factory=dict)  # additional data: limits, first estimates, board time
 
     def labelled(self, label: str) -> list[Recording]:
-        """Recordings of one purpose, in their order."""
-        made = [call for call in self.calls if call.kind == "record"]
-        return [recording for call, recording in zip(made, self.recordings, strict=True) if call.label == label]
+        """Recordings with a label, in order."""
+        calls = [call for call in self.calls if call.kind == "record"]
+        return [recording for call, recording in zip(calls, self.recordings, strict=True) if call.label == label]
 
     @property
     def labels(self) -> list[str]:
-        """Purpose of each recording."""
+        """Label of each recording."""
         return [call.label for call in self.calls if call.kind == "record"]
 
     @property
     def seconds(self) -> float:
-        """Board time that the calls have taken at least [s]."""
+        """Minimum board time of all calls [s]."""
         return sum(map(_seconds, self.calls))
 
     def save(self, path: Path) -> None:
@@ -84,7 +93,7 @@ class MeasurementLog:
         Raises
         ------
         MeasurementError
-            If it is none.
+            If its contents are malformed.
         OSError
             If it cannot be read.
         """
@@ -100,9 +109,9 @@ class MeasurementLog:
                     recordings.append(Recording(float(head["step"]), columns))
                 calls, notes = [_of_json(call) for call in text["calls"]], dict(text["notes"])
                 return cls(int(text["axis"]), calls, recordings, notes)
-        except _NO_LOG:
+        except _MALFORMED:
             raise MeasurementError(
-                f"{path} is no measurement of identify, or a part of one: name its measurement.npz, or measure again"
+                f"{path} is not a complete measurement of identify: use its measurement.npz, or measure again"
             ) from None
 
 
@@ -133,14 +142,14 @@ def _of_json(entry: Mapping[str, Any]) -> Call:
 
 
 class LoggedAccess(BoardAccess):
-    """Access that writes down what is done.
+    """Access that logs all calls.
 
     Parameters
     ----------
     access : BoardAccess
         The board.
     log : MeasurementLog
-        Where to write it.
+        The log.
     """
 
     def __init__(self, access: BoardAccess, log: MeasurementLog) -> None:
@@ -166,7 +175,7 @@ class LoggedAccess(BoardAccess):
         return self._access.clock()
 
     def wait(self, seconds: float) -> None:
-        """Let board time pass [s], and note it."""
+        """Let board time elapse [s], and log it."""
         self._calls.append(Call("wait", (seconds,), stage=self.stage))
         self._access.wait(seconds)
 
@@ -185,7 +194,7 @@ class LoggedAccess(BoardAccess):
         lead: float = 0.0,
         meanwhile: Callable[[bool], None] | None = None,
     ) -> Recording:
-        """Record with `label`, which holds for one recording; what `meanwhile` does is not written down."""
+        """Record with `label`, which applies to one recording; calls in `meanwhile` are not logged."""
         outer, label = self._calls, self.label
         inner: list[Call] = []
         self.label = ""
@@ -215,22 +224,22 @@ class LoggedAccess(BoardAccess):
 
 
 def repeat(log: MeasurementLog, access: BoardAccess, skipped: Collection[str] = ()) -> list[Recording]:
-    """Do the same to another board.
+    """Replay the calls of a log on another board.
 
     Parameters
     ----------
     skipped : collection of str
-        Stages that are left out; their recordings are those of the log.
+        Stages to omit; their recordings are copied from the log.
 
     Returns
     -------
     list of Recording
-        What it shows, one for each of the log.
+        One recording for each one in the log.
 
     Raises
     ------
     MeasurementError
-        If it cannot be recorded.
+        If a recording is not possible.
     """
     recordings: list[Recording] = []
     for call in log.calls:

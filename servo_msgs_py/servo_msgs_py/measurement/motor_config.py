@@ -1,4 +1,4 @@
-"""Configurations for a motor: of which nothing is known, and of which the values have been measured. Pure."""
+"""Configurations for an unknown motor, and for a motor with measured values. Pure."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from servo_msgs_py.tuning.reading import parse
 from servo_msgs_py.tuning.tuned import Tuned, tuned
 
 SPEED_USE: Final = 0.8
-"""Part of the speed that the voltage reaches without load."""
+"""Speed set-point limit, relative to the no-load speed at the available voltage."""
 
 SPEED_RATIO: Final = 1.3
-"""Over-speed, over the largest set-point."""
+"""Over-speed threshold, relative to the largest set-point."""
 
 SALIENT_USE: Final = 0.5
-"""Part of the current at which reluctance turns a rotor away from the vector."""
+"""Current limit for salient rotors, relative to the current at which reluctance moves the rotor off the vector."""
 
 ACCELERATION_USE: Final = 0.5
-"""Part of the current limit for the ramp of the speed."""
+"""Current for the speed ramp, relative to the current limit."""
 
 PATH_OMEGA_MAX: Final = 0.2
-"""omega_n Ts of the path filter, whose format ends at 0.25."""
+"""Largest omega_n Ts of the path filter; its format ends at 0.25."""
 
 TICK: Final = 0.5e-3  # [s]
 
 SPEED_BANDWIDTHS: Final = (75.0, 60.0, 45.0, 30.0, 20.0, 12.0, 8.0, 5.0)
-"""Tried in this order until the loops are stable and the tool has no warning about them [Hz]."""
+"""Tried in this order until the loops are stable and the tuning tool reports no warning [Hz]."""
 
 SLOW_LOOPS_SPEED_BANDWIDTH: Final = 12.0  # [Hz]
 SLOW_LOOPS_CURRENT_BANDWIDTH: Final = 300.0  # [Hz]
@@ -41,35 +41,35 @@ PHASE_MIN: Final = 50.0  # of the speed loop [degrees]
 def configured(
     base: Mapping[str, Any], axis: int, limits: Limits, motor: Mapping[str, float], **groups: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """A ``servo.toml`` whose motor is another one.
+    """A ``servo.toml`` for another motor.
 
     Parameters
     ----------
     base : mapping
-        Parsed file that the rest is taken from.
+        Parsed file with the remaining entries.
     axis : int
         Index of the axis.
     limits : Limits
     motor : mapping
         ``r_s``, ``l_d``, ``l_q``, ``psi_m``, ``pole_pairs``, ``inertia``, ``friction``, ``viscous`` [SI].
     **groups : mapping
-        Further entries of the axis, by group.
+        Additional entries of the axis, by group.
     """
     table = copy.deepcopy(dict(base))
     board, own = table["board"], table.setdefault(axis_name(axis), {})
     board["nominal_voltage"] = limits.voltage
-    own.pop("exact", None)  # raw numbers, of another motor
+    own.pop("exact", None)  # raw numbers of another motor
     for group in (own, table.get("defaults", {})):
-        group.get("winding", {}).pop("thermal_resistance", None)  # follows from the rated current
+        group.get("winding", {}).pop("thermal_resistance", None)  # derived from the rated current
     current = limits.current
     pairs, psi, inertia = motor["pole_pairs"], motor["psi_m"], motor["inertia"]
-    reach = limits.voltage / math.sqrt(3.0) * board.get("voltage_use", 1.0)
-    # idle speed, less what the friction's current takes
+    voltage_max = limits.voltage / math.sqrt(3.0) * board.get("voltage_use", 1.0)
+    # no-load speed, reduced by the voltage drop of the friction current
     friction_current = motor["friction"] / (1.5 * pairs * psi)
-    idle = max(reach - friction_current * motor["r_s"], 0.2 * reach) / (pairs * psi)
-    speed = _rounded(min(limits.speed, SPEED_USE * idle))
-    push = 1.5 * pairs * psi * current
-    acceleration = _rounded(ACCELERATION_USE * max(push - motor["friction"], 0.1 * push) / inertia)
+    no_load_speed = max(voltage_max - friction_current * motor["r_s"], 0.2 * voltage_max) / (pairs * psi)
+    speed = _rounded(min(limits.speed, SPEED_USE * no_load_speed))
+    torque_max = 1.5 * pairs * psi * current
+    acceleration = _rounded(ACCELERATION_USE * max(torque_max - motor["friction"], 0.1 * torque_max) / inertia)
     rated = min(own.get("motor", {}).get("rated_current", 0.5 * current), 0.7 * current)
     own["motor"] = {
         **{name: motor[name] for name in ("r_s", "l_d", "l_q", "psi_m", "inertia")},
@@ -80,7 +80,7 @@ def configured(
     }
     own["friction"] = {
         **own.get("friction", {}),
-        "coulomb": min(motor["friction"], 0.9 * push),
+        "coulomb": min(motor["friction"], 0.9 * torque_max),
         "viscous": max(motor["viscous"], 0.0),
     }
     own["limits"] = {
@@ -91,14 +91,14 @@ def configured(
         "over_speed": SPEED_RATIO * speed,
     }
     defaults = table.get("defaults", {})
-    # the path filter asks for accelerations up to omega_n v / e (E40): the slower the axis, the less of the current
-    use_max = PATH_OMEGA_MAX / TICK * speed * inertia / (math.e * push)
+    # the path filter requires accelerations up to omega_n v / e (E40): the slower the axis, the less current is used
+    use_max = PATH_OMEGA_MAX / TICK * speed * inertia / (math.e * torque_max)
     control = {**defaults.get("control", {}), **own.get("control", {})}
     if control.get("path_current_use", math.inf) > use_max:
         own["control"] = {**own.get("control", {}), "path_current_use": _rounded(use_max)}
     search = {**defaults.get("rotor_search", {}), **own.get("rotor_search", {})}
     saliency = motor["l_q"] - motor["l_d"]
-    # beyond psi / (L_q - L_d) a rotor does not lie along a vector any more, but across it
+    # above psi / (L_q - L_d) a rotor aligns perpendicular to the current vector
     along = SALIENT_USE * psi / saliency if saliency > 0.0 else math.inf
     own["rotor_search"] = {
         **own.get("rotor_search", {}),
@@ -127,7 +127,7 @@ def tuned_axis(table: Mapping[str, Any], axis: int) -> Tuned:
     Raises
     ------
     ConfigError
-        If it cannot work.
+        If the configuration is not possible.
     """
     configuration = parse(table, Catalogue.load())
     return tuned(configuration.axes[axis], configuration)
@@ -136,17 +136,17 @@ def tuned_axis(table: Mapping[str, Any], axis: int) -> Tuned:
 def fitted(
     base: Mapping[str, Any], axis: int, limits: Limits, motor: Mapping[str, float], *, slow_loops: bool = False
 ) -> dict[str, Any]:
-    """The same with the bandwidths that this motor bears; its values in SI by name.
+    """The same with the highest bandwidths possible for this motor; values in SI by name.
 
     Parameters
     ----------
     slow_loops : bool
-        Slow loops, which turn less of the noise of currents and speed into voltage.
+        Low bandwidths, which amplify the noise of currents and speed less.
 
     Raises
     ------
     ConfigError
-        If none works; the reason is that of the slowest.
+        If no bandwidth is possible; the cause is the one of the lowest bandwidth.
     """
     problem: ConfigError | None = None
     for bandwidth in SPEED_BANDWIDTHS:
@@ -172,6 +172,6 @@ def fitted(
 
 
 def _rounded(value: float) -> float:
-    """Three digits, downwards."""
+    """Value rounded down to three digits."""
     digits = 10.0 ** (math.floor(math.log10(value)) - 2)
     return math.floor(value / digits) * digits

@@ -1,4 +1,4 @@
-"""An axis whose motor is not known: protection and configuration while it is tested, and recordings. Pure."""
+"""Axis with an unknown motor: protection and configuration during its tests, and recordings. Pure."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from servo_msgs_py.tuning.formats import GAIN
 
 TICK: Final = 0.5e-3  # [s]
 PROTECTION: Final = "protection"
-"""Stage of a log: limits around the place of the shaft, and what brings the board back; of one board only."""
-_TURNS_MIN: Final = 3.0  # to both sides: a turning vector turns a rotor of one pole pair so far
+"""Stage of a log: limits around the position of the shaft, and restoration; specific to one board."""
+_REVOLUTIONS_MIN: Final = 3.0  # in each direction: rotation by a rotating vector with one pole pair
 LATENCY: Final = 0.1
-"""For the exchanges of a serial line, in which a shaft turns on [s]."""
-STOPPED: Final = 0.1  # after the set-point has reached 0 [s]
+"""Communication time on a serial line during which a shaft continues to rotate [s]."""
+STOPPED: Final = 0.1  # wait after the set-point has reached 0 [s]
 COMMAND_TIMEOUT: Final = 1.0
-"""After which the board stops the shaft when set-points stop coming [s]: longer than a slow line is silent."""
+"""Timeout of set-points after which the board stops the shaft [s]: longer than any pause on a slow line."""
 NOMINAL: Final[Mapping[str, float]] = {
     "r_s": 0.5,
     "l_d": 0.4e-3,
@@ -39,19 +39,19 @@ NOMINAL: Final[Mapping[str, float]] = {
     "friction": 0.0,
     "viscous": 0.0,
 }
-"""What the controller is told before anything is known; only the current controllers work with it, with other gains."""
+"""Motor values before any measurement; only the current controllers use them, with other gains."""
 
 _MARK: Final = 0.1
-"""Length of a test signal without amplitude, which marks the beginning of a recording [s]."""
+"""Length of a test signal with zero amplitude, which marks the beginning of a recording [s]."""
 _SAMPLES: Final = 1280
-_SWEEP_CALLS: Final = 1100  # of a test signal; the rest of the recording is its decay
+_SWEEP_CALLS: Final = 1100  # length of a test signal; the remaining samples contain its decay
 _SWEEP_BAND: Final = (150.0, 3000.0)  # [Hz]
-_POSSIBLE: Final[Sequence[Mapping[str, float]]] = ({"inertia": 1e-6}, {"inertia": 1e-5}, {"inertia": 1e-3})
-"""Motors for which there has to be a configuration before anything moves."""
+_TRIAL_MOTORS: Final[Sequence[Mapping[str, float]]] = ({"inertia": 1e-6}, {"inertia": 1e-5}, {"inertia": 1e-3})
+"""Motors for which a configuration must be possible before any motion."""
 
 
 class MotorRig(AxisUnderTest):
-    """The axis, within limits that its user gives and that the board keeps to.
+    """The axis, within limits given by the user and enforced by the board.
 
     Parameters are those of `MotorTest`.
     """
@@ -63,34 +63,34 @@ class MotorRig(AxisUnderTest):
     ) -> None:
         super().__init__(access, axis, report)
         self.limits, self._base = limits, base
-        self._low = self._high = 0.0  # where the shaft stays between [rad]
-        self._over_speed = math.inf  # of the board's protection [rad/s]
-        self._kept = 0  # features that protect and that the user has switched on
+        self._low = self._high = 0.0  # position limits [rad]
+        self._over_speed = math.inf  # over-speed threshold of the board [rad/s]
+        self._protection_features = 0  # protective features enabled by the user
 
     # ---- protection --------------------------------------------------------------------------------------------------
 
     def keep_protection(self, found: AxisState) -> None:
-        """Stay within what protects the axis already; a `MeasurementError` if that leaves too little room."""
+        """Respect the existing protection of the axis; a `MeasurementError` if its limits are too narrow."""
         catalogue, flags, features = self.access.catalogue, self.masks("features"), found.word("param.features")
-        self._kept = features & flags["OVER_SPEED"]
+        self._protection_features = features & flags["OVER_SPEED"]
         speed = min(self.limits.speed, found.value("param.speed_limit"))
-        if self._kept:
+        if self._protection_features:
             self._over_speed = found.value("param.over_speed")
             speed = min(speed, self._over_speed / SPEED_RATIO)
-        here, room = self.value("position"), 2.0 * math.pi * self.limits.turns
-        self._low = max(here - room, catalogue["param.position_min"].minimum)
-        self._high = min(here + room, catalogue["param.position_max"].maximum)
+        position, travel = self.value("position"), 2.0 * math.pi * self.limits.turns
+        self._low = max(position - travel, catalogue["param.position_min"].minimum)
+        self._high = min(position + travel, catalogue["param.position_max"].maximum)
         if features & flags["POSITION_LIMITS"]:
             self._low = max(self._low, found.value("param.position_min"))
             self._high = min(self._high, found.value("param.position_max"))
-        turns = self.room / (2.0 * math.pi)
-        if turns < _TURNS_MIN * (1.0 - 1e-6):
+        turns = self.free_travel / (2.0 * math.pi)
+        if turns < _REVOLUTIONS_MIN * (1.0 - 1e-6):
             raise MeasurementError(
-                f"{max(turns, 0.0):.3g} turns to both sides are too few, {_TURNS_MIN:g} are needed: raise --turns-max,"
-                " or widen param.position_min and param.position_max"
+                f"{max(turns, 0.0):.3g} revolutions in each direction are too few, required are "
+                f"{_REVOLUTIONS_MIN:g}: raise --turns-max, or widen param.position_min and param.position_max"
             )
         self.limits = dataclasses.replace(self.limits, speed=speed, turns=turns)
-        for motor in _POSSIBLE:
+        for motor in _TRIAL_MOTORS:
             try:
                 self.fitted({**NOMINAL, **motor})
             except MeasurementError as error:
@@ -99,13 +99,13 @@ class MotorRig(AxisUnderTest):
                 ) from None
 
     @property
-    def room(self) -> float:
-        """Way to the nearer limit [rad]."""
-        here = self.value("position")
-        return min(here - self._low, self._high - here)
+    def free_travel(self) -> float:
+        """Distance to the nearer limit [rad]."""
+        position = self.value("position")
+        return min(position - self._low, self._high - position)
 
-    def unmonitored(self, monitors: int, *faults: str) -> None:
-        """Switch on these monitors but for some faults; those of a simulated board stay off."""
+    def enable_monitors_except(self, monitors: int, *faults: str) -> None:
+        """Enable these monitors except for some faults; monitors disabled for a simulated board remain off."""
         masks = self.masks("faults")
         stage, self.access.stage = self.access.stage, PROTECTION
         self.write_word("param.faults_enabled", monitors & ~sum(masks[name] for name in faults))
@@ -114,7 +114,7 @@ class MotorRig(AxisUnderTest):
     # ---- configuration -----------------------------------------------------------------------------------------------
 
     def configure(self, kp: float, ki: float, *, live: bool = False) -> None:
-        """Current controllers with these gains [V/A], [V/(A s)]."""
+        """Configure current controllers with these gains [V/A], [V/(A s)]."""
         scales = Scales.of(self.access.catalogue)
         to = scales.i / scales.u_s
         raw = {"kp": round(math.ldexp(kp * to, 24)), "ki": max(round(math.ldexp(ki * PERIOD * to, 24)), 1)}
@@ -125,40 +125,40 @@ class MotorRig(AxisUnderTest):
             self._features()
 
     def configure_for(self, table: Mapping[str, Any]) -> None:
-        """The configuration of a motor, from `fitted`."""
+        """Send the configuration of a motor, from `fitted`."""
         self._send(table, {})
         self._features()
 
     def fitted(self, motor: Mapping[str, float]) -> dict[str, Any]:
-        """``servo.toml`` with the bandwidths that a motor bears; its values in SI by name."""
+        """``servo.toml`` with the bandwidths possible for a motor; its values in SI by name."""
         try:
             return fitted(self._base, self.axis, self.limits, motor, slow_loops=True)
         except ConfigError as error:
             raise MeasurementError(f"the controller cannot be tuned for the test: {error}") from None
 
     def _send(self, table: Mapping[str, Any], members: Mapping[str, int]) -> None:
-        """Let the board take a configuration, with some members of the block replaced."""
+        """Send a configuration to the board, with some members of the block replaced."""
         try:
             block = {**tuned_axis(table, self.axis).block, **members}
         except ConfigError as error:
             raise MeasurementError(f"the controller cannot be tuned for the test: {error}") from None
         AxisConfigTable.load().check(block)
-        self.wait(0.0)  # a set-point is kept up on both sides of so many exchanges
+        self.wait(0.0)  # refreshes the set-point before and after this long exchange
         send_configuration(self.access, {self.axis: block})
         self.wait(0.0)
         self.write("param.i_q_limit", self.limits.current)
 
     def _features(self) -> None:
-        """Only what keeps voltages what they are asked to be, no compensation of what is measured; and protection."""
+        """Enable features for exact voltages, no compensation of measured effects; and protection."""
         flags = self.masks("features")
         plain = flags["BUS_COMPENSATION"] | flags["ANTI_WINDUP"] | flags["ENHANCED_MT"]
         self.write_word("param.features", plain)
         stage, self.access.stage = self.access.stage, PROTECTION
         self.write("param.position_min", self._low)
         self.write("param.position_max", self._high)
-        if self._kept:
+        if self._protection_features:
             self.write("param.over_speed", min(self._over_speed, SPEED_RATIO * self.limits.speed))
-        self.write_word("param.features", plain | flags["POSITION_LIMITS"] | self._kept)
+        self.write_word("param.features", plain | flags["POSITION_LIMITS"] | self._protection_features)
         self.access.stage = stage
 
     # ---- recordings --------------------------------------------------------------------------------------------------
@@ -167,11 +167,11 @@ class MotorRig(AxisUnderTest):
         return self.access.capacity([f"{self.name}.{column}" for column in columns])
 
     def signal(self, point: str, amplitude: float, f_min: float, f_max: float, seconds: float) -> None:
-        """Describe a test signal on a current: amplitude [A], band [Hz], length [s]."""
+        """Write a test signal on a current: amplitude [A], band [Hz], length [s]."""
         prepare_test_signal(self.access, self.axis, SweptSine(f"I_{point}", amplitude, f_min, f_max, seconds))
 
     def mark(self) -> None:
-        """Describe a test signal that only marks the beginning of a recording."""
+        """Write a test signal that only marks the beginning of a recording."""
         self.signal("D", 0.0, 1.0, 1.0, _MARK)
 
     def start_signal(self, point: str) -> None:
@@ -193,7 +193,7 @@ class MotorRig(AxisUnderTest):
         start: Callable[[], None] | None = None,
         lead: float = 0.0,
     ) -> Recording:
-        """A recording of the slow loop; with `start` from a test signal on, at least `lead` [s] later."""
+        """A recording of the slow loop; with `start` it begins at a test signal, at least `lead` [s] later."""
         self.access.label = label
         return self.record(columns, samples, every, True, start, triggered=start is not None, lead=lead)
 
@@ -209,16 +209,16 @@ class MotorRig(AxisUnderTest):
         *,
         mark: bool = True,
     ) -> Recording:
-        """A recording that begins when a speed [rad/s] is reached; the shaft stops before samples are read.
+        """A recording that begins at a constant speed [rad/s]; the shaft stops before the samples are read.
 
         Parameters
         ----------
         times : tuple of float
-            For reaching the speed, and for stopping [s].
+            Times for acceleration and for stopping [s].
         begin : callable
-            What is done at the first sample.
+            Called at the first sample.
         mark : bool
-            Whether a test signal without amplitude marks the first sample; otherwise `begin` starts one.
+            Whether a test signal with zero amplitude marks the first sample; otherwise `begin` starts one.
         """
 
         def start() -> None:

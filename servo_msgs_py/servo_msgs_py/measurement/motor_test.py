@@ -1,10 +1,10 @@
-"""The tests that find out the values of a motor of which only voltage and current limit are known. Pure.
+"""Identification tests of a motor of which only voltage and current limit are known. Pure.
 
-The order is one of growing knowledge. A current vector at a fixed angle holds the rotor: resistance and lost voltage,
-then inductances, with current controllers that get better with every estimate. The vector turns: pole pairs, direction,
-flux.
-Then the rotor search of the firmware can work, and torque pulses give a first inertia; at last the axis runs at several
-speeds under control: friction, load, inertia, and flux again. Sub-states, limits and faults are the board's own.
+Each test uses the results of the previous ones. A current vector at a fixed angle holds the rotor: resistance and lost
+voltage, then inductances, with current controllers adapted to each estimate. The vector rotates: pole pairs, direction,
+flux. Then the rotor search of the firmware is possible, and torque pulses give a first inertia; finally the axis runs
+at several speeds under control: friction, load, inertia, and a better flux. Substates, limits and faults are those of
+the board.
 """
 
 from __future__ import annotations
@@ -22,67 +22,66 @@ from servo_msgs_py.measurement.access import BoardAccess, MeasurementError, Reco
 from servo_msgs_py.measurement.axis_under_test import REST_SPEED, AxisState
 from servo_msgs_py.measurement.estimation import (
     BAND,
-    PLAIN,
+    PLAIN_TIME,
     flux_of,
-    follows,
     inductances_of,
     resistance_of,
-    turning_of,
+    rotation_of,
+    shaft_follows,
 )
 from servo_msgs_py.measurement.log import LoggedAccess, MeasurementLog
 from servo_msgs_py.measurement.motor_rig import COMMAND_TIMEOUT, LATENCY, NOMINAL, PROTECTION, STOPPED, TICK, MotorRig
 from servo_msgs_py.measurement.motor_values import Estimate, Limits
-from servo_msgs_py.measurement.spinning import balance
+from servo_msgs_py.measurement.speed_runs import balance
 from servo_msgs_py.measurement.standstill import PERIOD, impedance
 from servo_msgs_py.units import PERIOD_NS
 
-FIRST_KP: Final = 0.05  # V/A; stable from 0.03 mH on
-FIRST_KI: Final = 10.0  # V/(A s); stable from 0.05 ohm on
+FIRST_KP: Final = 0.05  # V/A; stable above 0.03 mH
+FIRST_KI: Final = 10.0  # V/(A s); stable above 0.05 ohm
 LEVELS: Final = tuple(float(level) for level in np.linspace(0.2, 1.0, 9))
-"""Currents for the resistance, parts of the limit."""
-VECTOR: Final = 0.7  # part of the current limit that holds the rotor while it is tested
+"""Currents for the resistance, relative to the limit."""
+VECTOR: Final = 0.7  # current that holds the rotor during its test, relative to the limit
 SWEEP: Final[Mapping[str, float]] = {"d": 0.28, "q": 0.2}
-"""Amplitudes, parts of the current limit: the currents of all phases keep their signs."""
+"""Amplitudes relative to the current limit, small enough that no phase current changes its sign."""
 SWEEPS: Final = 3
-VECTOR_LOW: Final = 0.35  # part of the current limit at which the inductance is compared
+VECTOR_LOW: Final = 0.35  # current for the comparison of the inductance, relative to the limit
 SWEEP_LOW: Final = 0.2  # amplitude of the test signal there
-VOLTAGE_USE: Final = 0.6  # part of the voltage that the resistance may take; the rest turns the rotor
+VOLTAGE_USE: Final = 0.6  # largest resistive voltage drop, relative to the voltage
 TURN: Final = "turn"
 PULSES: Final = "pulses"
-"""Stages that a simulation of the measurement may leave out: they begin and end at rest."""
+"""Stages that a simulation of the measurement can omit: they begin and end at rest."""
 ROUNDS: Final = 7
-LOOP: Final = 400.0  # Hz, of the current loop once the inductance is known
+LOOP: Final = 400.0  # bandwidth of the current loop with known inductance [Hz]
 TURN_SLOW: Final = 2.0 * math.pi * 2.0  # electrical [rad/s]
 TURN_FAST: Final = tuple(2.0 * math.pi * turns for turns in (12.0, 6.0, 3.0))
-"""Tried in this order until the rotor follows."""
+"""Speeds, tried in this order until the rotor follows."""
 TURN_RAMP: Final = 120.0  # electrical [rad/s^2]
 TURN_SETTLE: Final = 0.1  # [s]
-PULSE: Final = 0.5  # part of the current limit
-PULSE_SPEED: Final = 0.5  # that the board permits meanwhile, part of the largest
+PULSE: Final = 0.5  # relative to the current limit
+PULSE_SPEED: Final = 0.5  # speed limit of the board during the pulses, relative to the largest speed
 PULSE_MAX: Final = 1.5  # [s]
-MOVED: Final = 0.03  # by a shaft that is not held [rad]
-BRAKED: Final = 0.15  # time constant with which torque brakes the shaft after a pulse [s]
+MOVED: Final = 0.03  # smallest movement of a shaft that is not blocked [rad]
+BRAKE_TIME: Final = 0.15  # time constant of the deceleration after a pulse [s]
 SPEEDS: Final = (0.3, 0.6, 1.0)
-SEARCHED: Final = 0.5
-"""Time between the rotor search and the first run [s]: where the test is simulated, the search may take longer."""
-ALONG: Final = 0.4  # current along the flux at constant speed, part of the limit
-ALONG_VOLTAGE: Final = 0.3  # part of the voltage that it may take
-ALONG_FREQUENCY: Final = 0.4  # [Hz]
-ALONG_TIME: Final = 0.8  # [s]
-HOLD_SAMPLES: Final = 640  # of every second slow tick, from the beginning of that current
-ROOM_USE: Final = 0.9  # of the way to the limits
-OVERSHOOT: Final = 1.18  # speed over its set-point after a reversal
-SETTLE: Final = 0.3  # s, at a new speed
+SEARCH_PAUSE: Final = 0.5
+"""Wait between the rotor search and the first run [s], because a simulated search can take longer."""
+FLUX_CURRENT: Final = 0.4  # d-axis current at constant speed, relative to the limit
+FLUX_CURRENT_VOLTAGE: Final = 0.3  # its largest voltage drop, relative to the voltage
+FLUX_CURRENT_FREQUENCY: Final = 0.4  # [Hz]
+FLUX_CURRENT_TIME: Final = 0.8  # [s]
+HOLD_SAMPLES: Final = 640  # every second slow tick, from the beginning of that current
+ROOM_USE: Final = 0.9  # travel used, relative to the distance to the limits
+OVERSHOOT: Final = 1.18  # of the speed after a reversal, relative to the set-point
+SETTLE: Final = 0.3  # at a new speed [s]
 SETTLE_BEFORE: Final = 0.15  # before the speed is changed [s]
-SETTLE_HOLD: Final = 0.45  # before a current along the flux: what is left of a change acts as flux [s]
-APPROACH_MAX: Final = 1.2  # time in which a speed is reached [s]
+SETTLE_HOLD: Final = 0.45  # before a d-axis current: a remaining transient would distort the flux [s]
+APPROACH_MAX: Final = 1.2  # longest acceleration time [s]
 
-BLIND: Final = ("PHASE_LOST", "ENCODER_LOST", "ANGLE_MISMATCH", "STALLED", "CURRENT_SENSE")
-"""Faults whose monitors need to know the motor; the tests at standstill look for what these stand for themselves."""
+MODEL_BASED_FAULTS: Final = ("PHASE_LOST", "ENCODER_LOST", "ANGLE_MISMATCH", "STALLED", "CURRENT_SENSE")
+"""Faults whose monitors need motor values; the tests at standstill detect their causes themselves."""
 
 REMEDY: Final = (
-    ". Do not enable it: bring the shaft to rest and restart the board, which then takes the configuration that it has"
-    " stored"
+    ". Do not enable it: bring the shaft to rest and restart the board, which then loads its stored configuration"
 )
 
 _SPIN: Final = ("position", "speed", "speed_ref", "i_q", "i_d")
@@ -91,7 +90,7 @@ _HELD: Final = ("position", "i_q", "i_d", "u_q", "u_d")
 
 
 class MotorTest:
-    """One axis of a board, from unknown to estimated.
+    """Identification of the motor of one axis.
 
     Parameters
     ----------
@@ -100,11 +99,11 @@ class MotorTest:
     axis : int
         Index of the axis.
     limits : Limits
-        What the test keeps to.
+        Limits of the test.
     base : mapping
-        Parsed ``servo.toml`` for what is not of the motor.
+        Parsed ``servo.toml`` for entries other than motor values.
     report : callable, optional
-        Gets a line for each step.
+        Called with a line of text for each step.
     """
 
     def __init__(
@@ -119,35 +118,35 @@ class MotorTest:
         self.log.notes["limits"] = dataclasses.asdict(limits)
         self._rig = MotorRig(LoggedAccess(access, self.log), axis, limits, base, report)
         self._values: dict[str, Estimate] = {}
-        self._current = limits.current  # largest, less where the resistance takes too much voltage [A]
+        self._current = limits.current  # largest current, reduced if the resistive voltage drop is too large [A]
 
-    # ---- what a caller runs ------------------------------------------------------------------------------------------
+    # ---- interface ------------------------------------------------------------------------------------------
 
     def run(self) -> MeasurementLog:
-        """Make all tests; the board is left as it was found, outputs off.
+        """Run all tests; afterwards the board is in its initial state, outputs off.
 
-        What could not be brought back is in `unrestored`, whatever else happens, and is reported.
+        Failed restorations are in `unrestored` in any case, and are reported.
 
         Raises
         ------
         MeasurementError, BlockRefusedError
-            If a test cannot be made; the reason names what to do.
+            If a test is not possible; the message contains the remedy.
         """
         self._check()
         rig = self._rig
         found = AxisState(rig)
         rig.keep_protection(found)
-        with rig.restored(found.steps, REMEDY):
+        with rig.restored(found.restore_steps, REMEDY):
             try:
                 rig.command_timeout(COMMAND_TIMEOUT)
                 monitors = found.word("param.faults_enabled")
-                # they judge voltages by a resistance and current controllers that are not known yet
-                rig.unmonitored(monitors, *BLIND)
+                # these monitors depend on a resistance and current controllers that are still unknown
+                rig.enable_monitors_except(monitors, *MODEL_BASED_FAULTS)
                 self._standstill()
-                self._turn()
-                # without dead-time compensation small currents look like none to the monitors of phases and converters;
-                # all have shown their current by now
-                rig.unmonitored(monitors, "PHASE_LOST", "CURRENT_SENSE")
+                self._rotate()
+                # without dead-time compensation, monitors of phases and converters can treat small currents as zero;
+                # all phases and converters have been tested by now
+                rig.enable_monitors_except(monitors, "PHASE_LOST", "CURRENT_SENSE")
                 self._spin()
             finally:
                 rig.access.stage = PROTECTION
@@ -155,18 +154,18 @@ class MotorTest:
 
     @property
     def unrestored(self) -> Sequence[str]:
-        """What is not as it was before, each with the reason."""
+        """Failed restorations with their causes."""
         return self._rig.unrestored
 
     @property
     def restoring_text(self) -> str:
-        """What to do about that; empty if there is nothing."""
+        """Text about failed restorations with remedy; empty if there are none."""
         return self._rig.restoring_text(REMEDY)
 
     # ---- steps -------------------------------------------------------------------------------------------------------
 
     def _check(self) -> None:
-        """Refuse what cannot be tested; nothing is written."""
+        """Check that the axis can be tested, without writing to the board."""
         rig = self._rig
         states = rig.access.catalogue.enums["state_t"]
         for axis in range(AXES):
@@ -175,26 +174,26 @@ class MotorTest:
             reason = (
                 "its configuration can only be changed with outputs off"
                 if axis == rig.axis
-                else "the set-points of both axes would expire later than they should"
+                else "the command timeout of both axes is changed during the test"
             )
             raise MeasurementError(f"{axis_name(axis)} is enabled: disable it first, {reason}")
         refuse_faults(rig.access, rig.axis)
         if (state := rig.label("state")) != "STOP":
             raise MeasurementError(f"{rig.name} is in {state}, not in STOP: wait, or clear its faults")
-        volts, named = rig.access.read("u_dc")[0], rig.limits.voltage
-        if abs(volts / named - 1.0) > 0.2:
+        volts, nominal = rig.access.read("u_dc")[0], rig.limits.voltage
+        if abs(volts / nominal - 1.0) > 0.2:
             raise MeasurementError(
-                f"the bus has {volts:.3g} V, and {named:g} V were named: correct --voltage, or the supply"
+                f"the bus voltage is {volts:.3g} V, --voltage is {nominal:g} V: correct --voltage, or the supply"
             )
-        # a cogging rotor swings when the board has just been switched on; a load takes its time to turn the shaft
-        if not (rig.reached(rig.stands, 2.0) and self._stays()):
-            raise MeasurementError("the shaft turns before the test begins: take the load off, or balance it")
+        # after power-on a rotor with cogging oscillates; a load needs time to move the shaft
+        if not (rig.reached(rig.is_at_rest, 2.0) and self._remains_at_rest()):
+            raise MeasurementError("the shaft moves before the test: remove the load, or balance it")
 
-    def _stays(self) -> bool:
-        """Whether a shaft that stands goes on to do so."""
+    def _remains_at_rest(self) -> bool:
+        """True if the shaft stays at rest."""
         begin = self._rig.value("position")
         self._rig.wait(0.2)
-        return abs(self._rig.value("position") - begin) < MOVED and self._rig.stands()
+        return abs(self._rig.value("position") - begin) < MOVED and self._rig.is_at_rest()
 
     def _standstill(self) -> None:
         rig = self._rig
@@ -206,15 +205,15 @@ class MotorTest:
         rig.command("cmd.i_q", 0.0)
         rig.enable("TEST", 1.0)
         rig.command("cmd.i_q", VECTOR * current)
-        self._follow(VECTOR * current, 4.0)
+        self._wait_for_current(VECTOR * current, 4.0)
         rig.wait(0.3)
         r = self._ratio()
-        reach = VOLTAGE_USE * rig.limits.voltage / math.sqrt(3.0)
-        current = self._current = min(rig.limits.current, reach / r)
+        voltage_max = VOLTAGE_USE * rig.limits.voltage / math.sqrt(3.0)
+        current = self._current = min(rig.limits.current, voltage_max / r)
         rig.command("cmd.i_q", VECTOR * current)
         rig.wait(0.1)
         self._first_inductance(r)
-        rig.report("holding the rotor: current by current")
+        rig.report("holding the rotor: series of currents")
         self._levels()
         found = resistance_of(self.log)
         self._values["r_s"] = Estimate(found.resistance.value - rig.limits.r_on, found.resistance.sigma)
@@ -226,14 +225,14 @@ class MotorTest:
             for _ in range(SWEEPS):
                 rig.sweep(f"sweep_{point}", point, SWEEP[point] * current)
         self._values.update(inductances_of(self.log, found.resistance.value))
-        # with less current along the flux: does the iron saturate?
+        # smaller d-axis current, for saturation of the iron
         rig.command("cmd.i_q", VECTOR_LOW * current)
         rig.wait(0.1)
         rig.sweep("sweep_d_low", "d", SWEEP_LOW * current)
         self.log.notes["bias"] = {"l_d": VECTOR * current, "l_d_low": VECTOR_LOW * current}
 
     def _first_inductance(self, r: float) -> None:
-        """Current controllers made for the inductance of the d axis."""
+        """Adapt the current controllers to the inductance of the d axis."""
         rig = self._rig
         kp = FIRST_KP
         names = f"{rig.name}.i_d", f"{rig.name}.u_d", f"{rig.name}.test_signal"
@@ -245,14 +244,14 @@ class MotorTest:
                 found = Estimate(kp / (2.0 * math.pi * LOOP), math.inf)
             known = found.part < 0.3
             minimum = found.value - 2.0 * found.sigma if known else kp / (2.0 * math.pi * LOOP)
-            wanted = 2.0 * math.pi * LOOP * found.value
-            gain = wanted if known else min(3.0 * kp, 2.0 * math.pi * LOOP * max(minimum, kp / 1e4))
+            gain_wanted = 2.0 * math.pi * LOOP * found.value
+            gain = gain_wanted if known else min(3.0 * kp, 2.0 * math.pi * LOOP * max(minimum, kp / 1e4))
             rig.configure(gain, gain / max(found.value, 1e-6) * r, live=True)
-            if known and wanted < 4.0 * kp:
+            if known and gain_wanted < 4.0 * kp:
                 return
-            kp = wanted if known else 3.0 * kp
+            kp = gain_wanted if known else 3.0 * kp
         raise MeasurementError(
-            "the current does not answer to a test signal: is the motor connected, and all three of its wires?"
+            "the current does not respond to a test signal: check the connection of all three motor wires"
         )
 
     def _levels(self) -> None:
@@ -262,25 +261,27 @@ class MotorTest:
             rig.wait(0.06)
             rig.slow("level", ("i_d", "u_d"), 100)
 
-    def _turn(self) -> None:
+    def _rotate(self) -> None:
         rig = self._rig
-        rig.report("turning the rotor: pole pairs, direction, flux")
+        rig.report("rotating vector: pole pairs, direction, flux")
         rig.access.stage = TURN
         rig.command("cmd.i_q", self._current)
         rig.wait(0.1)
         names = ("position", "test_angle", "u_d", "u_q", "i_d", "i_q")
         rig.write("param.acceleration_limit", TURN_RAMP / NOMINAL["pole_pairs"])
-        for way in (1.0, -1.0):
-            self._turned("turn_slow", names, 450, 4, way * TURN_SLOW)
+        for direction in (1.0, -1.0):
+            self._record_rotating("turn_slow", names, 450, 4, direction * TURN_SLOW)
         r = self._values["r_s"].value + rig.limits.r_on
-        self._values.update(turning_of(self.log, r))
+        self._values.update(rotation_of(self.log, r))
         pairs = self._values["pole_pairs"].value
-        room = 2.0 * math.pi * rig.limits.turns * pairs
+        travel_max = 2.0 * math.pi * rig.limits.turns * pairs
         for electrical in TURN_FAST:
-            if electrical**2 / TURN_RAMP + electrical * (TURN_SETTLE + 500 * TICK + LATENCY) > room:
+            if electrical**2 / TURN_RAMP + electrical * (TURN_SETTLE + 500 * TICK + LATENCY) > travel_max:
                 continue
-            made = [self._turned("turn_fast", names, 250, 2, way * electrical) for way in (1.0, -1.0)]
-            if all(follows(one, rig.name, pairs) for one in made):
+            recordings = [
+                self._record_rotating("turn_fast", names, 250, 2, direction * electrical) for direction in (1.0, -1.0)
+            ]
+            if all(shaft_follows(one, rig.name, pairs) for one in recordings):
                 break
         self._values.update(flux_of(self.log, self._values["l_d"].value, self._values["pole_pairs"].value))
         rig.access.stage = ""
@@ -318,20 +319,20 @@ class MotorTest:
         rig.mode("SPEED")
         rig.command("cmd.speed", 0.0)
         rig.enable("SPIN", 8.0)
-        rig.wait(SEARCHED)
+        rig.wait(SEARCH_PAUSE)
         self._speeds(table[rig.name]["limits"], inertia)
         rig.off()
 
     def _pulses(self, motor: Mapping[str, float]) -> tuple[float, float]:
-        """Inertia and Coulomb friction, from torque to both sides."""
+        """Inertia and Coulomb friction from torque in both directions."""
         rig = self._rig
-        part, way_max = PULSE, 0.25 * rig.limits.turns * 2.0 * math.pi
+        part, travel_max = PULSE, 0.25 * rig.limits.turns * 2.0 * math.pi
         target = 0.25 * self._speed_max()
         for _ in range(3):
             start, begin = rig.value("position"), rig.access.read("tick")[0]
             rig.command("cmd.i_q", part * rig.limits.current)
             seconds = reached = moved = 0.0
-            while seconds < PULSE_MAX and moved < way_max and (reached < target or moved < MOVED):
+            while seconds < PULSE_MAX and moved < travel_max and (reached < target or moved < MOVED):
                 rig.wait(0.002)
                 reached = abs(rig.value("speed"))
                 seconds = ((rig.access.read("tick")[0] - begin) % 2**32) * PERIOD_NS * 1e-9
@@ -342,19 +343,19 @@ class MotorTest:
                 break
             part *= 1.4
         else:
-            raise MeasurementError("the shaft does not move with full torque: it is held, or the load is too large")
+            raise MeasurementError("the shaft does not move at full torque: it is blocked, or the load is too large")
         current = part * rig.limits.current
-        braking = current * seconds / (max(reached, 1.0) * BRAKED)
+        braking = current * seconds / (max(reached, 1.0) * BRAKE_TIME)
         self._brake(braking, current)
         seconds = max(seconds, 0.01)
         every = max(math.ceil(4.5 * seconds / TICK / rig.capacity(_SPIN)), 1)
         samples = max(int(2.2 * seconds / TICK / every), 12)
         recordings = []
-        for way in (-1.0, 1.0):
+        for direction in (-1.0, 1.0):
 
-            def pulse(way: float = way) -> None:
+            def pulse(direction: float = direction) -> None:
                 rig.start_signal("D")
-                for part_of_time, torque in ((1.0, way), (0.7, -way)):
+                for part_of_time, torque in ((1.0, direction), (0.7, -direction)):
                     rig.command("cmd.i_q", torque * current)
                     rig.wait(part_of_time * seconds)
                 rig.command("cmd.i_q", 0.0)
@@ -367,11 +368,13 @@ class MotorTest:
             recordings, rig.name, (round(motor["pole_pairs"]), motor["psi_m"], motor["l_d"], motor["l_q"]), None
         )
         if found.value <= 0.0:
-            raise MeasurementError("torque pulses give no inertia: the shaft is held, or something else turns it")
+            raise MeasurementError(
+                "torque pulses give no inertia: the shaft is blocked, or an external torque acts on it"
+            )
         return found.value, coulomb.value
 
     def _brake(self, gain: float, maximum: float) -> None:
-        """Bring the shaft to rest by torque.
+        """Stop the shaft by torque.
 
         Parameters
         ----------
@@ -388,25 +391,27 @@ class MotorTest:
             rig.command("cmd.i_q", -math.copysign(min(gain * abs(speed), maximum), speed))
             rig.wait(0.005)
         rig.command("cmd.i_q", 0.0)
-        rig.stand()
+        rig.wait_for_rest()
 
     def _speeds(self, limits: Mapping[str, float], inertia: float) -> None:
         rig = self._rig
         acceleration = limits["acceleration"]
         maximum = min(limits["speed"], self._speed_max(), rig.limits.speed / OVERSHOOT)
-        # a reversal returns the energy of the shaft to the bus
+        # a reversal feeds the kinetic energy of the shaft back into the bus
         maximum = min(maximum, math.sqrt(2.0 * rig.limits.energy / inertia))
         maximum = min(maximum, APPROACH_MAX * acceleration)
-        # each recording begins and ends at rest, and those to both sides take turns
-        room = ROOM_USE * rig.room
-        longest = max(SETTLE + PLAIN, SETTLE_HOLD + ALONG_TIME) + LATENCY
-        while maximum * longest + maximum**2 / acceleration > room:
+        # each recording begins and ends at rest, and the direction alternates
+        travel_max = ROOM_USE * rig.free_travel
+        longest = max(SETTLE + PLAIN_TIME, SETTLE_HOLD + FLUX_CURRENT_TIME) + LATENCY
+        while maximum * longest + maximum**2 / acceleration > travel_max:
             maximum *= 0.95
         r = self._values["r_s"].value + rig.limits.r_on
-        along = min(ALONG * rig.limits.current, ALONG_VOLTAGE * rig.limits.voltage / math.sqrt(3.0) / r)
+        flux_current = min(
+            FLUX_CURRENT * rig.limits.current, FLUX_CURRENT_VOLTAGE * rig.limits.voltage / math.sqrt(3.0) / r
+        )
         before = 0.0
         for part in SPEEDS:
-            speeds = [way * part * maximum for way in (1.0, -1.0)]
+            speeds = [direction * part * maximum for direction in (1.0, -1.0)]
             for speed in speeds:
                 seconds = abs(speed - before) / acceleration + SETTLE
                 every = math.ceil(seconds / TICK / rig.capacity(_SPIN))
@@ -416,37 +421,39 @@ class MotorTest:
                 before = speed
             for speed in speeds:
                 ramp = abs(speed) / acceleration
-                rig.moving("plain", _PLAIN, round(PLAIN / TICK), 1, speed, (ramp + SETTLE, ramp + STOPPED))
+                rig.moving("plain", _PLAIN, round(PLAIN_TIME / TICK), 1, speed, (ramp + SETTLE, ramp + STOPPED))
             for speed in speeds:
-                # a current along the flux: the phase currents hardly come near zero, where dead time takes a voltage
-                # that is not known well; a slow sine does not step
+                # With a d-axis current the phase currents are rarely near zero, where the dead-time voltage is
+                # uncertain; a slow sine has no steps.
                 ramp = abs(speed) / acceleration
                 times = ramp + SETTLE_HOLD, ramp + STOPPED
-                rig.signal("D", along, ALONG_FREQUENCY, ALONG_FREQUENCY, ALONG_TIME)
+                rig.signal("D", flux_current, FLUX_CURRENT_FREQUENCY, FLUX_CURRENT_FREQUENCY, FLUX_CURRENT_TIME)
                 begin = partial(rig.start_signal, "D")
                 rig.moving("hold", _HELD, HOLD_SAMPLES, 2, speed, times, begin, mark=False)
-                rig.wait(max(ALONG_TIME - 2.0 * HOLD_SAMPLES * TICK - times[1], 0.0) + TICK)
+                rig.wait(max(FLUX_CURRENT_TIME - 2.0 * HOLD_SAMPLES * TICK - times[1], 0.0) + TICK)
 
-    def _turned(self, label: str, columns: Sequence[str], samples: int, every: int, electrical: float) -> Recording:
-        """A recording while the vector turns with an electrical speed [rad/s]."""
+    def _record_rotating(
+        self, label: str, columns: Sequence[str], samples: int, every: int, electrical: float
+    ) -> Recording:
+        """A recording with a vector rotating at an electrical speed [rad/s]."""
         times = abs(electrical) / TURN_RAMP + TURN_SETTLE, abs(electrical) / TURN_RAMP + STOPPED
         return self._rig.moving(label, columns, samples, every, electrical / NOMINAL["pole_pairs"], times)
 
     def _ratio(self) -> float:
-        """Voltage over current of a rotor that is held [ohm]."""
+        """Quotient of voltage and current with a held rotor [ohm]."""
         columns = self._rig.slow("ratio", ("i_d", "u_d"), 100).columns
         i_d, u_d = (float(np.nanmean(column)) for column in columns.values())
         return max(u_d / i_d, 0.02)
 
-    def _follow(self, current: float, seconds: float) -> None:
-        """Wait until a current flows."""
+    def _wait_for_current(self, current: float, seconds: float) -> None:
+        """Wait until the current is reached."""
         rig = self._rig
         if rig.reached(lambda: abs(rig.value("i_d") - current) < 0.05 * current + 0.02, seconds):
             return
-        flows, volts = rig.value("i_d"), rig.value("u_d")
+        measured, volts = rig.value("i_d"), rig.value("u_d")
         raise MeasurementError(
-            f"{flows:.2f} A flow instead of {current:.2f} A at {volts:.1f} V: the winding is open or takes more voltage"
-            " than there is; check the wires, or lower --current"
+            f"the current is {measured:.2f} A instead of {current:.2f} A at {volts:.1f} V: the winding is open or its"
+            " resistance is too high for the bus voltage; check the wires, or lower --current"
         )
 
     def _speed_max(self) -> float:

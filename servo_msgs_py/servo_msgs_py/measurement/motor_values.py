@@ -1,4 +1,4 @@
-"""What is estimated of a motor, with its uncertainty, and what a controller is tuned for. Pure."""
+"""Estimated motor values with uncertainties, and the limits of a measurement. Pure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 COVERAGE: Final = 1.96
-"""Half the width of a 95 % interval, over the standard uncertainty."""
+"""Half the width of a 95 % interval, relative to the standard uncertainty."""
 
 UNITS: Final[Mapping[str, str]] = {
     "r_s": "ohm",
@@ -26,17 +26,17 @@ UNITS: Final[Mapping[str, str]] = {
     "offset_alpha": "A",
     "offset_beta": "A",
 }
-"""What can be estimated, and its unit.
+"""Values that can be estimated, and their units.
 
-``r_s`` is without the switches' resistance. ``dead_voltage`` is what a leg loses in its dead time and its switches
-together: at one bus voltage these are one number. ``gain_ratio`` is gain of phase a over that of b and c; the offsets
-are what the board's calibration has left, along phase a and across it.
+``r_s`` excludes the resistance of the switches. ``dead_voltage`` is the voltage lost in a leg by dead time and switches
+together, which cannot be separated at one bus voltage. ``gain_ratio`` is the gain of phase a relative to phases b and
+c; the offsets remain after the calibration of the board, along phase a and perpendicular to it.
 """
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and how well it is known."""
+    """A value and its uncertainty."""
 
     value: float  # SI
     sigma: float  # standard uncertainty
@@ -48,16 +48,16 @@ class Estimate:
 
     @property
     def part(self) -> float:
-        """Half the width of the interval over the value: a ratio, not negative."""
+        """Half the width of the interval relative to the value, not negative."""
         return COVERAGE * self.sigma / abs(self.value) if self.value else math.inf
 
 
 @dataclass(frozen=True)
 class MotorEstimates:
-    """What a measurement has found out about an axis."""
+    """Results of a measurement of an axis."""
 
     values: Mapping[str, Estimate]  # by the names of `UNITS`
-    undetermined: Mapping[str, str]  # why a value is not known, by name
+    undetermined: Mapping[str, str]  # cause of an undetermined value, by name
 
     def __getitem__(self, name: str) -> float:
         return self.values[name].value
@@ -65,14 +65,14 @@ class MotorEstimates:
 
 @dataclass(frozen=True)
 class Limits:
-    """What the user permits, and knows."""
+    """Limits and known values given by the user."""
 
     voltage: float  # nominal voltage of the bus [V]
     current: float  # largest current [A, peak]
     speed: float = 200.0  # largest speed [rad/s]
-    turns: float = 20.0  # the shaft stays within so many turns to both sides
-    energy: float = 0.4  # that the bus can take from a braking shaft [J]
-    r_on: float = 0.0  # resistance of a switch, which a measurement cannot tell from the winding's [ohm]
+    turns: float = 20.0  # largest rotation of the shaft in each direction [revolutions]
+    energy: float = 0.4  # energy that the bus can absorb from a decelerating shaft [J]
+    r_on: float = 0.0  # resistance of a switch, which a measurement cannot separate from the winding [ohm]
 
     def __post_init__(self) -> None:
         for name in ("voltage", "current", "speed", "turns", "energy"):

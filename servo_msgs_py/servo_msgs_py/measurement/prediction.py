@@ -1,4 +1,4 @@
-"""What the tuning code predicts for a loop of a board: the same model and the same margins as its report. Pure."""
+"""Prediction of a loop of a board by the tuning code: same model and margins as in its report. Pure."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ from servo_msgs_py.tuning.tuned import Tuned, tuned
 
 _GRID: Final = 200
 _TIMEOUTS: Final = (0.5, 0.5)
-"""Of the host and of commands [s]; a configuration must have them, but no gain depends on them."""
+"""Of the host and of commands [s]; required in a configuration, but without effect on gains."""
 
 
 def tuned_of_blocks(access: BoardAccess, axis: int, blocks: Sequence[Mapping[str, int]]) -> Tuned:
-    """Gains and nominal values of configuration blocks; a `ConfigError` if no configuration gives them."""
+    """Gains and nominal values of configuration blocks; a `ConfigError` if no configuration corresponds to them."""
     configuration = parse(restore_table(blocks, _TIMEOUTS, access.catalogue), access.catalogue)
     return tuned(configuration.axes[axis], configuration)
 
 
 def tuned_of_board(access: BoardAccess, axis: int) -> Tuned:
-    """Gains and nominal values that a board has in force; see `tuned_of_blocks`."""
+    """Gains and nominal values of the active configuration of a board; see `tuned_of_blocks`."""
     return tuned_of_blocks(access, axis, [read_block(access, number) for number in range(AXES)])
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """An open loop as the tuning code models it."""
+    """Model of an open loop by the tuning code."""
 
     it: Tuned  # gains and nominal values
     loop: str  # ``current``, ``current_d``, ``speed`` or ``position``
-    speed: float  # of the shaft [rad/s], for the age of the speed of the M/T method; 0: edges are frequent
+    speed: float  # of the shaft [rad/s], for the measurement delay of the M/T method; 0: edges are frequent
     observed: bool  # whether the speed observer is on
 
     @property
@@ -78,7 +78,7 @@ class Prediction:
         return margins(self._open, 2.0 * math.pi * self.nyquist)
 
     def excursion(self, f_min: float, f_max: float) -> tuple[float, float]:
-        """What the test signal of the loop does at most within a band [Hz], per unit of its amplitude.
+        """Largest effect of the test signal of the loop within a band [Hz], relative to its amplitude.
 
         Returns
         -------
@@ -104,7 +104,7 @@ def predict(access: BoardAccess, axis: int, loop: str, speed: float) -> Predicti
     Raises
     ------
     ConfigError
-        If no configuration gives what the board has.
+        If no configuration corresponds to the one of the board.
     """
     word = int(access.read("param.features")[axis])
     observed = any(flag.name == "SPEED_OBSERVER" for flag in access.catalogue.active("features", word))

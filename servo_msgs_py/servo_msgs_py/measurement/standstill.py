@@ -1,4 +1,4 @@
-"""Resistance, lost voltage, inductances and delay of a motor whose rotor a current vector holds. Pure."""
+"""Resistance, lost voltage, inductances and delay of a motor whose rotor is held by a current vector. Pure."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from servo_msgs_py.units import PERIOD_NS
 Complex = NDArray[np.complex128]
 
 PERIOD: Final = PERIOD_NS * 1e-9  # [s]
-SMOOTHED: Final = 6  # neighbouring frequencies whose cross spectra are added
+SMOOTHED: Final = 6  # number of neighbouring frequencies whose cross spectra are summed
 
 
 def switching_share(x: Floats) -> Floats:
-    """Part of the lost voltage of a leg at a current, over the current within which it changes its sign.
+    """Lost voltage of a leg relative to its full value; `x`: current relative to the range of sign changes.
 
-    The current of a leg that is close to zero changes its sign within a period of the PWM: then dead time and drops
-    of both signs act. Between both ends a cubic is close to what is measured.
+    A current close to zero changes its sign within a PWM period: then dead time and voltage drops of both signs
+    act. A cubic approximates measured values in this range.
     """
     clipped = np.clip(x, -1.0, 1.0)
     share: Floats = clipped * (1.5 - 0.5 * clipped * clipped)
@@ -33,16 +33,16 @@ def switching_share(x: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Ohmic:
-    """What direct current shows."""
+    """Results with direct current."""
 
     resistance: Estimate  # of winding and one switch [ohm]
-    lost: Estimate  # voltage that a leg loses by dead time and forward drops [V]
-    band: float  # current of a leg below which it loses only a part of that [A]
-    rms: float  # of the residuals [V]
+    lost: Estimate  # voltage lost in a leg by dead time and forward drops [V]
+    band: float  # current of a leg below which only a part of it is lost [A]
+    rms: float  # RMS of the residuals [V]
 
 
 def ohmic(current: Floats, voltage: Floats, sigma: Floats) -> Ohmic:
-    """Line through voltages over currents along phase a, which phases b and c bring back in halves.
+    """Fit of voltages to currents along phase a, with half the current back in each of phases b and c.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def ohmic(current: Floats, voltage: Floats, sigma: Floats) -> Ohmic:
     best: Ohmic | None = None
     minimum = np.inf
     for band in np.linspace(0.02, 0.6, 59) * float(np.abs(current).max()):
-        # mean of leg a against the mean of b and c, times 2/3
+        # mean of leg a minus mean of b and c, times 2/3
         shape = (2.0 / 3.0) * (switching_share(current / band) + switching_share(0.5 * current / band))
         (r, lost), covariance, rms = fit_linear(np.column_stack([current, shape]), voltage, sigma)
         if rms < minimum:
@@ -65,11 +65,11 @@ def ohmic(current: Floats, voltage: Floats, sigma: Floats) -> Ohmic:
 
 @dataclass(frozen=True)
 class Impedance:
-    """What a test signal shows."""
+    """Results with a test signal."""
 
     inductance: Estimate  # [H]
-    delay: Estimate  # from a sample of the current to the load of the duty that follows from it [s]
-    swing: float  # voltage per integral of the current, of a rotor that moves with it [V/(A s)]
+    delay: Estimate  # from a sample of the current to the load of the resulting duty cycle [s]
+    swing: float  # voltage per integral of the current, from oscillation of the rotor [V/(A s)]
 
 
 def _response(omega: Floats, r: float, inductance: float, delay: float, swing: float) -> Complex:
@@ -93,20 +93,20 @@ def impedance(
     swings: bool = False,
     delay: float | None = None,
 ) -> Impedance:
-    """Inductance from recordings of a swept sine; the signal itself is the instrument, so noise does not bias it.
+    """Inductance from recordings of a swept sine; the signal is the instrumental variable, so noise causes no bias.
 
     Parameters
     ----------
     recordings : list of Recording
-        Every PWM period, with the decay behind the signal.
+        Sampled every PWM period, including the decay after the signal.
     names : tuple of str
         Columns of current, voltage and test signal.
     r : float
         Resistance [ohm].
     band : tuple of float
-        Frequencies that are used [Hz].
+        Evaluated frequencies [Hz].
     swings : bool
-        Whether the current turns the rotor.
+        Whether the current causes oscillations of the rotor.
     delay : float, optional
         Known delay [s].
     """
@@ -144,18 +144,18 @@ def impedance(
 def spectra(
     recordings: Sequence[Recording], names: tuple[str, str, str], band: tuple[float, float]
 ) -> tuple[Floats, Complex, Complex]:
-    """What repetitions of one test signal show.
+    """Cross spectra with the test signal, averaged over repetitions.
 
     Returns
     -------
     omega : ndarray, shape (n,)
         Frequencies [rad/s].
     current, voltage : ndarray of complex, shape (n,)
-        In terms of the signal, which is no noise.
+        Spectra relative to the test signal, which is free of noise.
     """
     columns = [_mean_of_repetitions([recording.columns[name] for recording in recordings]) for name in names]
     size = columns[0].size
-    # what the signal leaves behind has decayed in the last samples: their mean is the direct part
+    # the response has decayed in the last samples: their mean is the constant component
     i, u, d = (np.fft.rfft(column - column[-max(size // 16, 4) :].mean()) for column in columns)
     frequency = np.fft.rfftfreq(size, recordings[0].step)
     inside = np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]))
@@ -167,14 +167,14 @@ def spectra(
 
 
 def _mean_of_repetitions(columns: Sequence[Floats]) -> Floats:
-    """Mean of each sample, without those that are missing; a straight line where all are."""
+    """Mean of each sample over the repetitions, without missing ones; linear interpolation if all are missing."""
     table = np.stack(columns)
     usable = np.isfinite(table)
     counts = usable.sum(axis=0)
     at = np.arange(counts.size)
-    there = counts > 0
-    if not there.any():
+    available = counts > 0
+    if not available.any():
         raise MeasurementError("all samples of a test signal are missing: measure again")
-    means = np.where(usable, table, 0.0).sum(axis=0)[there] / counts[there]
-    bridged: Floats = np.interp(at, at[there], means)
+    means = np.where(usable, table, 0.0).sum(axis=0)[available] / counts[available]
+    bridged: Floats = np.interp(at, at[available], means)
     return bridged

@@ -243,14 +243,14 @@ def _top_speed(it: Tuned, current: float) -> float:
 
 def _reach(it: Tuned) -> Reach:
     axis, k_t = it.axis, it.axis.torque_constant
-    asked = it.axis("limits.speed") * it.used.path_omega_n / math.e
+    path_acceleration = it.axis("limits.speed") * it.used.path_omega_n / math.e
     per_acceleration = axis("motor.inertia") / k_t
     return Reach(
         speed_idle=_top_speed(it, 0.0),
         speed_rated=_top_speed(it, axis("motor.rated_current")),
         path_omega_n=it.used.path_omega_n,
-        path_acceleration=asked,
-        path_current=asked * per_acceleration,
+        path_acceleration=path_acceleration,
+        path_current=path_acceleration * per_acceleration,
         ramp_current=axis("limits.acceleration") * per_acceleration,
         friction_current=(axis("friction.coulomb") + axis("friction.viscous") * axis("limits.speed")) / k_t,
     )

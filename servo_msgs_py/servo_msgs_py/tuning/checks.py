@@ -39,9 +39,9 @@ def check(configuration: Configuration, catalogue: Catalogue) -> None:
 
 def _board(board: Board, scales: Scales, catalogue: Catalogue) -> None:
     """Check frequencies, voltages, dead time and timeouts."""
-    for key, wanted in (("pwm_frequency", 1e9 / PERIOD_NS), ("slow_divider", SLOW_PERIODS)):
-        if board(key) != wanted:
-            raise board.refused(key, "fixed by the firmware", f"write {wanted:g}")
+    for key, expected in (("pwm_frequency", 1e9 / PERIOD_NS), ("slow_divider", SLOW_PERIODS)):
+        if board(key) != expected:
+            raise board.refused(key, "fixed by the firmware", f"write {expected:g}")
     order = ("under_voltage", "nominal_voltage", "over_voltage")
     for lower, higher in itertools.pairwise(order):
         if board(lower) >= board(higher):

@@ -92,12 +92,12 @@ def _margins(it: Tuned, figures: Assessment) -> Iterator[str]:
     for loop in figures.loops:
         if loop.name not in _ENTRIES or not loop.in_force:
             continue
-        what = f"{_entry(it, _ENTRIES[loop.name])}: the {loop.name} loop has a"
+        text = f"{_entry(it, _ENTRIES[loop.name])}: the {loop.name} loop has a"
         phase, gain = loop.margins.phase, loop.margins.gain
         if phase is not None and phase < PHASE_MIN:
-            yield f"{what} phase margin of {phase:.1f} deg, less than {PHASE_MIN:g}; lower it"
+            yield f"{text} phase margin of {phase:.1f} deg, less than {PHASE_MIN:g}; lower it"
         if gain is not None and gain < GAIN_MIN:
-            yield f"{what} gain margin of {gain:.2f}, less than {GAIN_MIN:g}; lower it"
+            yield f"{text} gain margin of {gain:.2f}, less than {GAIN_MIN:g}; lower it"
 
 
 def _inertias(it: Tuned, figures: Assessment) -> Iterator[str]:
@@ -134,10 +134,10 @@ def _field_weakening(it: Tuned) -> Iterator[str]:
         return
     for name, loop in field_weakening_loops(it.axis, it.board, it.block).items():
         if loop.gain * GAIN_MIN > 1.0:
-            what = (
+            text = (
                 f"{_entry(it, 'field_weakening.bandwidth')}: the loop {name} has a gain margin of {1 / loop.gain:.2f}"
             )
-            yield f"{what}, less than {GAIN_MIN:g}; lower it or field_weakening.current_use"
+            yield f"{text}, less than {GAIN_MIN:g}; lower it or field_weakening.current_use"
 
 
 def _rounding(it: Tuned) -> Iterator[str]:
@@ -153,8 +153,8 @@ def _sign(it: Tuned) -> Iterator[str]:
     axis, board = it.axis, it.board
     minimum = board("nominal_voltage") * board("dead_time") / min(axis("motor.l_d"), axis("motor.l_q"))
     if axis("sensing.sign_current") < minimum:
-        what = f"the current of this winding can change by {minimum:.3g} A during a dead time and reverse"
-        yield f"{_entry(it, 'sensing.sign_current')}: {what}; write about {SIGN_FACTOR * minimum:.2g}"
+        text = f"the current of this winding can change by {minimum:.3g} A during a dead time and reverse"
+        yield f"{_entry(it, 'sensing.sign_current')}: {text}; write about {SIGN_FACTOR * minimum:.2g}"
 
 
 def _follows(it: Tuned) -> Iterator[str]:
@@ -162,8 +162,8 @@ def _follows(it: Tuned) -> Iterator[str]:
     flux = axis("rotor_search.follow_flux") * axis("motor.psi_m") * math.radians(axis("rotor_search.turn_angle"))
     seen = flux / axis("rotor_search.turn_time")
     if seen < FOLLOW_VOLTAGE_MIN:
-        what = f"a following rotor gives {1e3 * seen:.2g} mV, below the error by dead time and switch drops"
-        yield f"{_entry(it, 'rotor_search.turn_time')}: {what}; write about {flux / FOLLOW_VOLTAGE_RECOMMENDED:.2g}"
+        text = f"a following rotor gives {1e3 * seen:.2g} mV, below the error by dead time and switch drops"
+        yield f"{_entry(it, 'rotor_search.turn_time')}: {text}; write about {flux / FOLLOW_VOLTAGE_RECOMMENDED:.2g}"
 
 
 def _sensorless(it: Tuned, figures: Assessment) -> Iterator[str]:
@@ -178,8 +178,8 @@ def _sensorless(it: Tuned, figures: Assessment) -> Iterator[str]:
     yield from _back_emf(it, found)
     for case in found.poles:
         if any(abs(pole.z) >= 1.0 for pole in case.poles):
-            what = f"with R x {case.r_s:g} and L x {case.inductance:g} the gains of the observer are unstable"
-            yield f"{it.axis.name}.observer at {case.speed:g} rad/s: {what}; lower observer.bandwidth"
+            text = f"with R x {case.r_s:g} and L x {case.inductance:g} the gains of the observer are unstable"
+            yield f"{it.axis.name}.observer at {case.speed:g} rad/s: {text}; lower observer.bandwidth"
     if needs_observer(it.axis):
         yield from _observed_speed(it, figures)
 
@@ -193,20 +193,20 @@ def _back_emf(it: Tuned, found: SensorlessFigures) -> Iterator[str]:
         yield f"{_entry(it, 'motor.r_s')}: sensorless, {hidden} during braking; lower that limit, or use the encoder"
     part = found.unexplained_speed / limit
     if it.axis("observer.pll_size") * part > PLL_SIZE_MAX:
-        what = f"dead time and switch drops give a speed error of {found.unexplained_speed:.3g} rad/s"
-        yield f"{_entry(it, 'observer.pll_size')}: {what}; write about {PLL_SIZE_RECOMMENDED / part:.2g}"
+        text = f"dead time and switch drops give a speed error of {found.unexplained_speed:.3g} rad/s"
+        yield f"{_entry(it, 'observer.pll_size')}: {text}; write about {PLL_SIZE_RECOMMENDED / part:.2g}"
     if found.unexplained_speed > SPEED_ERROR_MAX * it.sensorless.start_up.minimum_speed:
-        what = f"dead time and switch drops give a speed error of {found.unexplained_speed:.3g} rad/s, sensorless"
-        yield f"{_entry(it, 'start_up.minimum_speed')}: {what}; write about {part / SPEED_ERROR_RECOMMENDED:.2g}"
+        text = f"dead time and switch drops give a speed error of {found.unexplained_speed:.3g} rad/s, sensorless"
+        yield f"{_entry(it, 'start_up.minimum_speed')}: {text}; write about {part / SPEED_ERROR_RECOMMENDED:.2g}"
 
 
 def _observed_speed(it: Tuned, figures: Assessment) -> Iterator[str]:
     for lock in figures.sensorless.locks:
         phase = lock.speed_margins.phase
         if phase is not None and phase < PHASE_MIN:
-            what = f"at {lock.speed:.3g} rad/s the speed loop has a phase margin of {phase:.1f} deg"
-            yield f"{_entry(it, 'observer.speed_part')}: {what}, less than {PHASE_MIN:g}; lower it"
+            text = f"at {lock.speed:.3g} rad/s the speed loop has a phase margin of {phase:.1f} deg"
+            yield f"{_entry(it, 'observer.speed_part')}: {text}, less than {PHASE_MIN:g}; lower it"
     lock = figures.sensorless.locks[0]
     if lock.back_emf < it.axis("emf_check.spin_floor"):
-        what = f"the back-EMF of {lock.back_emf:.2g} V at {lock.speed:.3g} rad/s is below emf_check.spin_floor"
-        yield f"{_entry(it, 'start_up.minimum_speed')}: {what}; raise it"
+        text = f"the back-EMF of {lock.back_emf:.2g} V at {lock.speed:.3g} rad/s is below emf_check.spin_floor"
+        yield f"{_entry(it, 'start_up.minimum_speed')}: {text}; raise it"

@@ -37,25 +37,25 @@ class Entry:
         ConfigError
             If it is not a number or out of range.
         """
-        wanted = self._wanted()
+        expected = self._expected()
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise refused(name, repr(value), "not a number", f"write {wanted}")
+            raise refused(name, repr(value), "not a number", f"write {expected}")
         try:
             number = float(value)
         except OverflowError:
             number = math.inf
         if not math.isfinite(number):
-            raise refused(name, number, "not a finite number", f"write {wanted}")
+            raise refused(name, number, "not a finite number", f"write {expected}")
         size = abs(number) if self.signed else number
         if size < VALUE_MIN and not (size == 0.0 and self.zero):
-            raise refused(name, number, "too small", f"write {wanted}")
+            raise refused(name, number, "too small", f"write {expected}")
         if size > min(self.maximum, VALUE_MAX):
-            raise refused(name, number, "too large", f"write {wanted}")
+            raise refused(name, number, "too large", f"write {expected}")
         if self.whole and number % 1.0 != 0.0:
-            raise refused(name, number, "not a whole number", f"write {wanted}")
+            raise refused(name, number, "not a whole number", f"write {expected}")
         return number
 
-    def _wanted(self) -> str:
+    def _expected(self) -> str:
         kind = "a whole number" if self.whole else "a number"
         minimum = "of either sign" if self.signed else "from 0" if self.zero else "above 0"
         maximum = f" up to {self.maximum:g}" if math.isfinite(self.maximum) else ""

@@ -149,8 +149,8 @@ def _ramps(axis: Axis, it: StartUp) -> None:
         reason = f"its torque of {minimum:.3g} N m does not overcome the friction, {friction:.3g} N m"
         raise axis.refused(f"start_up.current_{key}", reason, "raise it, or limits.current, or correct friction")
     if it.torque >= 1.0:
-        asked = f"{it.speed_final:.3g} rad/s in {it.speed_time:.3g} s require {it.acceleration:.4g} rad/s^2"
-        reason = f"{asked}, with friction {it.torque:.3g} times the torque of the start-up current"
+        required = f"{it.speed_final:.3g} rad/s in {it.speed_time:.3g} s require {it.acceleration:.4g} rad/s^2"
+        reason = f"{required}, with friction {it.torque:.3g} times the torque of the start-up current"
         remedy = "raise it or the start_up currents, or correct motor.inertia"
         raise axis.refused(entry, reason, remedy)
 

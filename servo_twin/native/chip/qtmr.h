@@ -29,8 +29,7 @@ typedef struct {
     uint64_t hold_clock;                  /* clock for which HOLD is to be computed */
     unsigned raw;                         /* levels at the inputs, bit per input */
     unsigned in;                          /* levels behind the filters */
-    uint64_t
-        change_clock[QTMR_CHANNELS]; /* time at which a new level passes the filter of an input; CHIP_NEVER: none */
+    uint64_t change_clock[QTMR_CHANNELS]; /* time at which a new level passes the filter; CHIP_NEVER: none */
     uint32_t delay[QTMR_CHANNELS];        /* delay of the filter of an input [clocks] */
     uint64_t quiet_clock;                 /* the first change_clock, if that edge is deferrable; else CHIP_NEVER */
     unsigned deferrable_edges;            /* number of coming edges whose only effect is a count */

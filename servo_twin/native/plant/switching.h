@@ -117,8 +117,7 @@ typedef struct {
     bool stale; /* `next` has to be found again */
     uint64_t supply_clock; /* clock up to which the bus has been advanced */
     double i_bus[BOARD_AXES], di_bus[BOARD_AXES]; /* current that an axis draws at supply_clock, its slope [A], [A/s] */
-    double
-        charge_booked[BOARD_AXES]; /* charge that the bus has given at this current since the axis was advanced [A s] */
+    double charge_booked[BOARD_AXES]; /* charge drawn at this current since the axis was advanced [A s] */
     double u_h[BOARD_AXES]; /* integral of the bus voltage since then [V s] */
     uint64_t window, window_clock; /* length and end of the present window [clocks] */
     unsigned windows; /* windows since the last step of the temperatures */

@@ -1,7 +1,7 @@
 """Experiments of the reference design, repeated on the virtual board in simulated time.
 
-One module per experiment: ``NAME``, ``HELP`` (what the reference design shows) and ``run(plant, seed) -> Outcome``.
-Bounds come from the reference design or from the physics of the plant that is given, never from an earlier run.
+One module per experiment: ``NAME``, ``HELP`` (results of the reference design) and ``run(plant, seed) -> Outcome``.
+Bounds follow from the reference design or from the physics of the given plant, never from an earlier run.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from servo_twin.plant import PlantConfig
 class Experiment:
     """An entry of the registry."""
 
-    name: str  # on the command line
+    name: str  # name on the command line
     help: str  # text for the command line
     run: Callable[[PlantConfig, int], Outcome]  # the experiment on a plant with a seed
     add_options: Callable[[argparse.ArgumentParser], None] | None = None  # adds its options to a parser
     with_options: Callable[[argparse.Namespace], Callable[[PlantConfig, int], Outcome]] | None = None
-    """The experiment as its parsed options request it."""
+    """Creates the experiment from parsed options."""
 
 
 def _entry(module: ModuleType) -> Experiment:
@@ -37,10 +37,10 @@ def _entry(module: ModuleType) -> Experiment:
 _MODULES: Final = """
     anti_windup position rotor_search mt_speed path_filter stiffness low_speed bus_ripple two_axes braking feed_forward
     friction speed_observer soft_limits homing supervision field_weakening pins observer start_up minimum_speed
-    sensorless_load_step stall winding real_shaft fault_matrix fault_campaign
+    sensorless_load_step sensorless_stall winding plant_effects fault_matrix fault_campaign
 """
 
 EXPERIMENTS: Final[Mapping[str, Experiment]] = {
     entry.name: entry for entry in (_entry(import_module(f"{__name__}.{module}")) for module in _MODULES.split())
 }
-"""By their names, in the order of ``servo-sim experiment all``."""
+"""Experiments by name, in the order of ``servo-sim experiment all``."""

@@ -1,4 +1,4 @@
-"""F21 and F22: a sine that asks for more current than the limit allows, with and without anti-windup."""
+"""F21 and F22: sinusoidal speed that exceeds the current limit, with and without anti-windup."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from servo_msgs_py.catalogue import Catalogue
 
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import inertia_ratio
-from servo_twin.experiments.rig import RPM, TICK, Recording, command_speed, largest, set_up, spinning, watch
+from servo_twin.experiments.rig import RPM, TICK, Recording, command_speed, largest, record, set_up, spinning
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "anti-windup"
@@ -27,36 +27,36 @@ FREQUENCY: Final = 20.0
 WARM_UP: Final = 10  # periods
 MEASURED: Final = 10  # periods
 
-DEPTH: Final = 0.88
-"""What the limited current can accelerate, over what the sine asks for. 1 A does this to the shaft of F21."""
+ACCELERATION_RATIO: Final = 0.88
+"""Acceleration with the limited current, relative to the required one, as with 1 A and the shaft of F21."""
 
 CURRENT_MAX: Final = 4.0  # limit of the drive [A]
 
-HIGHER_MIN: Final = 1.1
-"""Peak without anti-windup over the peak with it."""
+PEAK_RATIO_MIN: Final = 1.1
+"""Smallest ratio of the peaks without and with anti-windup."""
 
-LATER_MIN: Final = 1.25
-"""Lag without over the lag with it; friction takes some of the windup away."""
+LAG_RATIO_MIN: Final = 1.25
+"""Smallest ratio of the lags without and with anti-windup; friction reduces the windup."""
 
 
 def whole_ticks(frequency: float) -> float:
-    """The nearest frequency whose quarter period is a whole number of slow ticks [Hz]."""
+    """Nearest frequency with a quarter period of whole slow ticks [Hz]."""
     return 0.25 / (TICK * max(round(0.25 / (TICK * frequency)), 1))
 
 
 def current_limit(axis: AxisPlant, frequency: float) -> float:
-    """Limit that saturates a shaft as deeply as 1 A does the one of F21 [A], in steps of 0.01 A."""
-    torque = DEPTH * axis.inertia * AMPLITUDE * 2.0 * np.pi * frequency
+    """Current limit for the same saturation as with 1 A and the shaft of F21 [A], in steps of 0.01 A."""
+    torque = ACCELERATION_RATIO * axis.inertia * AMPLITUDE * 2.0 * np.pi * frequency
     return float(np.clip(round(torque / axis.torque_constant, 2), 0.1, CURRENT_MAX))
 
 
 def top_frequency(axis: AxisPlant) -> float:
-    """Highest frequency for which the drive has the current that saturates a shaft so [Hz]."""
-    return CURRENT_MAX * axis.torque_constant / (DEPTH * axis.inertia * AMPLITUDE * 2.0 * np.pi)
+    """Highest frequency with a feasible current limit [Hz]."""
+    return CURRENT_MAX * axis.torque_constant / (ACCELERATION_RATIO * axis.inertia * AMPLITUDE * 2.0 * np.pi)
 
 
 def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) -> Recording:
-    """Run the sine of a frequency [Hz] once; the last periods."""
+    """Run a sine of this frequency [Hz]; returns the last periods."""
     limit, warm_up = current_limit(plant.axes[AXIS], frequency), WARM_UP / frequency
     with spinning(plant, seed) as board:
         parameters = {"i_q_limit": limit, "acceleration_limit": largest(board, "acceleration_limit")}
@@ -65,13 +65,13 @@ def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) 
         def act(k: int) -> None:
             command_speed(board, AXIS, AMPLITUDE * np.sin(2.0 * np.pi * frequency * k * TICK))
 
-        return watch(board, [AXIS], warm_up + MEASURED / frequency, act)[AXIS].part(warm_up)
+        return record(board, [AXIS], warm_up + MEASURED / frequency, act)[AXIS].part(warm_up)
 
 
 def half_waves(speed: NDArray[np.float64], frequency: float) -> tuple[list[float], list[float]]:
-    """Height [rad/s] and lag [degrees] of every peak; the set-point's sine begins with the signal.
+    """Height [rad/s] and lag [degrees] of every peak; the sine of the set-point starts with the signal.
 
-    Each is looked for in the half period that follows the peak of the set-point.
+    Each peak is searched in the half period after the peak of the set-point.
     """
     half = round(0.5 / frequency / TICK)
     peaks: list[float] = []
@@ -85,7 +85,7 @@ def half_waves(speed: NDArray[np.float64], frequency: float) -> tuple[list[float
 
 @experiment(NAME)
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
-    """Both runs: the mean peak of the speed feedback, its lag, and the part of the time at the current limit."""
+    """Both runs: mean peak of the speed feedback, its lag, and the fraction of the time at the current limit."""
     frequency = whole_ticks(min(FREQUENCY / inertia_ratio(plant, seed, AXIS), top_frequency(plant.axes[AXIS])))
     limit = current_limit(plant.axes[AXIS], frequency)
     both = with_it, without = [respond(plant, seed, frequency, anti_windup) for anti_windup in (True, False)]
@@ -93,14 +93,14 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     peaks, lags = ([float(np.mean(wave[k])) for wave in waves] for k in range(2))
     lsb = Catalogue.load()["param.i_q_limit"].lsb
     saturated = [float(np.mean(np.abs(r.i_q_ref) >= limit - 2.0 * lsb)) for r in both]
-    asked, higher = AMPLITUDE / RPM, peaks[0] / RPM
+    commanded, higher = AMPLITUDE / RPM, peaks[0] / RPM
     judge = Judge()
-    yield judge("peak with", higher, "rpm", 0.95 * asked, 1.1 * asked, reference="F21: almost no overshoot")
+    yield judge("peak with", higher, "rpm", 0.95 * commanded, 1.1 * commanded, reference="F21: almost no overshoot")
     yield judge("lag with", lags[0], "deg", 0.0, 20.0, reference="F21: small lag")
     yield judge("time at the limit with", saturated[0], "", 0.05, 0.8, reference="F21: at the limit while accelerating")
-    minimum = HIGHER_MIN * max(higher, asked)
+    minimum = PEAK_RATIO_MIN * max(higher, commanded)
     yield judge("peak without", peaks[1] / RPM, "rpm", minimum, reference="F22: overshoot at every peak")
-    yield judge("lag without", lags[1], "deg", LATER_MIN * lags[0], reference="F22: clear lag")
+    yield judge("lag without", lags[1], "deg", LAG_RATIO_MIN * lags[0], reference="F22: clear lag")
     yield judge("time at the limit without", saturated[1], "", saturated[0], reference="F22: longer at the limit")
     yield _panel("F21: with anti-windup", with_it, frequency)
     yield _panel("F22: without anti-windup", without, frequency)
@@ -111,9 +111,9 @@ def _panel(title: str, recording: Recording, frequency: float) -> Panel:
     first = WARM_UP / frequency
     part = recording.part(first, first + 3.0 / frequency)
     time = 1e3 * (part.time - first)
-    asked = AMPLITUDE * np.sin(2.0 * np.pi * frequency * (part.time - TICK))
+    commanded = AMPLITUDE * np.sin(2.0 * np.pi * frequency * (part.time - TICK))
     curves = (
-        Curve("set-point", time, asked / RPM),
+        Curve("set-point", time, commanded / RPM),
         Curve("speed", time, part.speed / RPM),
         Curve("i_q* [A] x 500", time, part.i_q_ref * 500.0),
     )

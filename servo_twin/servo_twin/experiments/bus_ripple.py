@@ -1,4 +1,4 @@
-"""Current ripple that a rippling bus leaves, with and without compensation."""
+"""Current ripple by a ripple of the bus voltage, with and without compensation."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.experiments.rig import RPM, TICK, Recording, set_up, spinning, watch
+from servo_twin.experiments.rig import RPM, TICK, Recording, record, set_up, spinning
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "bus-ripple"
@@ -21,47 +21,49 @@ cycles. The reference design has the compensation in its fast loop (2.3, F7), to
 voltage, and shows no measurement."""
 
 FREQUENCY: Final = 100.0  # [Hz]
-SWING: Final = 0.1  # of the supply, up and down
+AMPLITUDE: Final = 0.1  # of the supply, relative
 SPEED: Final = 1500.0 * RPM
-LOAD: Final = 1.0  # torque of the load, as current [A]
-FOLLOWS: Final = 0.75
-"""Part of the load's current that may go into following the supply down: the source takes no energy back."""
+LOAD: Final = 1.0  # load torque, as current [A]
+DISCHARGE_FRACTION: Final = 0.75
+"""Fraction of the load current for discharging the capacitor with the falling supply, which cannot absorb energy."""
 
 SETTLE: Final = 0.8  # [s]
 MEASURED: Final = 0.5  # [s]
 SHOWN: Final = 0.05  # [s]
-LEFT_MAX: Final = 0.25  # of the ripple without compensation
+RIPPLE_RATIO_MAX: Final = 0.25  # ripple with compensation relative to the ripple without
 NOMINAL: Final = 2.0  # [A]
-RIPPLE_MAX: Final = 0.01  # of the nominal current
+RIPPLE_MAX: Final = 0.01  # relative to the nominal current
 
 
 def capacitance(plant: PlantConfig, axis: int) -> float:
-    """Capacitor that the load can empty as fast as the supply falls, at most the plant's [F]."""
+    """Capacitance that the load can discharge as fast as the supply falls, at most that of the plant [F]."""
     current = LOAD * plant.axes[axis].torque_constant * SPEED / plant.bus.u_source
-    fastest = 2.0 * math.pi * FREQUENCY * SWING * plant.bus.u_source
-    return min(FOLLOWS * current / fastest, plant.bus.capacitance)
+    fastest = 2.0 * math.pi * FREQUENCY * AMPLITUDE * plant.bus.u_source
+    return min(DISCHARGE_FRACTION * current / fastest, plant.bus.capacitance)
 
 
 def amplitude(signal: NDArray[np.float64], frequency: float) -> float:
-    """Amplitude of one frequency [Hz] in a signal (samples,) that covers whole periods of it, in its unit."""
+    """Amplitude of one frequency [Hz] in a signal (samples,) with whole periods, in its unit."""
     wave = np.exp(-2j * np.pi * frequency * TICK * np.arange(signal.size))
     return float(2.0 * abs(np.mean((signal - signal.mean()) * wave)))
 
 
 def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> Recording:
-    """Turn an axis under load on a rippling bus."""
+    """Rotate an axis under load with a ripple of the supply."""
     plant = plant.with_bus(capacitance=capacitance(plant, axis))
     volts = plant.bus.u_source
     acceleration = {"acceleration_limit": 4.0 * SPEED / SETTLE}
     with spinning(plant, seed) as board:
         set_up(board, axis, "SPEED", SPEED, parameters=acceleration, BUS_COMPENSATION=compensated)
-        board.set_load(axis, LOAD * plant.axes[axis].torque_constant)  # braking would lift a bus that is so small
-        watch(board, [axis], 0.5 * SETTLE)
+        board.set_load(
+            axis, LOAD * plant.axes[axis].torque_constant
+        )  # braking would raise the voltage of the small capacitor
+        record(board, [axis], 0.5 * SETTLE)
 
         def act(k: int) -> None:
-            board.set_supply(volts + SWING * volts * math.sin(2.0 * math.pi * FREQUENCY * k * TICK))
+            board.set_supply(volts + AMPLITUDE * volts * math.sin(2.0 * math.pi * FREQUENCY * k * TICK))
 
-        return watch(board, [axis], 0.5 * SETTLE + MEASURED, act)[axis].part(0.5 * SETTLE)
+        return record(board, [axis], 0.5 * SETTLE + MEASURED, act)[axis].part(0.5 * SETTLE)
 
 
 @experiment(NAME)
@@ -77,8 +79,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         speeds = [amplitude(r.omega, FREQUENCY) / RPM for r in both]
         ratio, part = currents[0] / max(currents[1], 1e-9), 100.0 * currents[0] / NOMINAL
         judge = Judge(f"{name}, ", "F7: compensated")
-        yield judge("ripple of the bus", bus, "%", 80.0 * SWING, 110.0 * SWING, reference="10 %")
-        yield judge("current ripple, with over without", ratio, maximum=LEFT_MAX)
+        yield judge("ripple of the bus", bus, "%", 80.0 * AMPLITUDE, 110.0 * AMPLITUDE, reference="10 %")
+        yield judge("current ripple, with over without", ratio, maximum=RIPPLE_RATIO_MAX)
         yield judge("current ripple with", part, "% of 2 A", maximum=100.0 * RIPPLE_MAX)
         yield (
             f"{name}: i_q ripple {1e3 * currents[0]:.3g} mA with, {1e3 * currents[1]:.3g} mA without; "
@@ -88,7 +90,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         curves = [Curve(label, _milliseconds(r), r.i_q_true) for label, r in shown.items()]
         yield Panel(f"{name}: true i_q", "time [ms]", "i_q [A]", curves)
     last = _shown(with_it)
-    yield Panel("the bus", "time [ms]", "bus [V]", [Curve("bus", _milliseconds(last), last.u_dc)])
+    yield Panel("bus voltage", "time [ms]", "bus [V]", [Curve("bus", _milliseconds(last), last.u_dc)])
 
 
 def _shown(recording: Recording) -> Recording:

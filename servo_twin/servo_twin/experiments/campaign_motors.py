@@ -1,4 +1,4 @@
-"""Motors of the experiment fault-campaign: those of the plant, and others, each with a firmware tuned for it."""
+"""Motors of the experiment fault-campaign: the plant's and others, each with a firmware tuned for it."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ else:
     import tomli as tomllib
 
 OWN: Final = ("axis1", "axis2")
-"""The motors of the plant, as the experiment names them."""
+"""Names of the motors of the plant."""
 
 _TABLES: Final[Mapping[str, Mapping[str, Any]]] = tomllib.loads(
     Path(__file__).with_name("motors.toml").read_text(encoding="utf-8")
 )
 
 OTHERS: Final = tuple(_TABLES)
-"""The motors of ``motors.toml``."""
+"""Names of the motors in ``motors.toml``."""
 
 MOTORS: Final = OWN + OTHERS
-"""All of them."""
+"""Names of all motors."""
 
 OBSERVED_MIN: Final = 0.2
-"""Part of the speed limit from which on an axis without an encoder has to bear its full current."""
+"""Speed, relative to the limit, above which a sensorless axis must support its full current."""
 
 SLOWEST: Final = 1.1
-"""Slowest speed without an encoder, over the one at which the start-up gives the axis up."""
+"""Lowest sensorless speed, relative to the minimum speed of the start-up."""
 
 DEVIATION: Final[Mapping[str, tuple[float, float]]] = {
-    "r_s": (0.9, 1.25),  # a warm winding has a quarter more
+    "r_s": (0.9, 1.25),  # 25 % by a warm winding
     "l_d": (0.85, 1.15),
     "l_q": (0.85, 1.15),
     "psi_m": (0.95, 1.05),
@@ -52,7 +52,7 @@ DEVIATION: Final[Mapping[str, tuple[float, float]]] = {
     "friction": (0.5, 1.5),
     "viscous": (0.5, 1.5),
 }
-"""Range of a motor's true values, as parts of the nominal ones."""
+"""Range of the true values of a motor, relative to the nominal values."""
 
 
 @dataclass(frozen=True)
@@ -60,23 +60,23 @@ class Motor:
     """One motor on its board."""
 
     name: str  # one of `MOTORS`
-    axis: int  # index of its axis
+    axis: int  # index of the axis
     plant: PlantConfig  # nominal values of both motors of the board
-    group: str  # names the board: that of the plant, or the plant that the firmware is tuned for
+    group: str  # motors of the board's firmware; empty: the motors of the plant
 
     @classmethod
     def of(cls, name: str, plant: PlantConfig) -> Motor:
-        """A motor by its name; `plant` has those that are not in ``motors.toml``, and bus and sensors of all.
+        """Motor by name; `plant` contains the motors that are not in ``motors.toml``, and bus and sensors for all.
 
         Raises
         ------
         SimulationError
-            If there is none of that name.
+            If the name is unknown.
         """
         if name in OWN:
             return cls(name, OWN.index(name), plant, "")
         if name not in OTHERS:
-            raise SimulationError(f"no motor {name!r}; there are {', '.join(MOTORS)}")
+            raise SimulationError(f"unknown motor {name!r}; motors: {', '.join(MOTORS)}")
         first = OTHERS.index(name) // AXES * AXES
         pair = [OTHERS[(first + k) % len(OTHERS)] for k in range(AXES)]
         for axis, other in enumerate(pair):
@@ -85,32 +85,32 @@ class Motor:
 
     @property
     def nominal(self) -> AxisPlant:
-        """What the controller takes this motor for."""
+        """Nominal values of the controller for this motor."""
         return self.plant.axes[self.axis]
 
     @property
     def observable(self) -> bool:
-        """Whether the observer can tell its back-EMF from what a warm winding takes besides the nominal resistance."""
+        """True if the back-EMF exceeds the voltage error of the observer by the resistance of a warm winding."""
         if not self.group:
-            return True  # the experiments without an encoder show that
+            return True  # shown by the sensorless experiments
         motor, limits = self.nominal, _TABLES[self.name]["limits"]
         unknown = (DEVIATION["r_s"][1] - 1.0) * motor.r_s * float(limits["current"])
         return motor.pole_pairs * motor.psi_m * OBSERVED_MIN * float(limits["speed"]) > unknown
 
     @property
     def slowest(self) -> float:
-        """Lowest set-point without an encoder, as a part of the speed limit."""
+        """Lowest sensorless set-point, relative to the speed limit."""
         servo = servo_table()
         own = _TABLES[self.name] if self.group else servo[self.name]
         start_up = {**servo["defaults"]["start_up"], **own.get("start_up", {})}
         return SLOWEST * float(start_up["minimum_speed"])
 
     def firmware(self) -> Firmware | None:
-        """The firmware for its board, of the level of this bench; None: the usual one."""
+        """Firmware for the board, of the level `rig.level`; None: the standard firmware."""
         return _firmware(self.group, level()) if self.group else None
 
     def board(self, plant: PlantConfig, seed: int) -> Board:
-        """Its board, just switched on, on a plant that may deviate from the nominal values."""
+        """New board with a plant that may deviate from the nominal values."""
         return fresh_board(plant, seed, self.firmware())
 
 
@@ -122,7 +122,7 @@ def _truth(table: Mapping[str, Any]) -> dict[str, float]:
 
 @functools.cache
 def _firmware(group: str, kind: Level) -> Firmware:
-    """Built once: a campaign is of one state of the sources."""
+    """Firmware of a group, built once per process."""
     return build_firmware(_configuration(group), kind)
 
 
@@ -133,7 +133,7 @@ def _configuration(group: str) -> str:
 
 
 def deviating(plant: PlantConfig, rng: random.Random) -> PlantConfig:
-    """Copy of a plant whose motors deviate from their nominal values."""
+    """Copy of a plant with random deviations from the nominal values."""
     for axis, nominal in enumerate(plant.axes):
         changes = {name: getattr(nominal, name) * rng.uniform(*part) for name, part in DEVIATION.items()}
         plant = plant.with_axis(axis, **changes)

@@ -1,4 +1,4 @@
-"""What an axis is doing when something breaks: states of the experiment fault-campaign, with random parameters."""
+"""Operating states of the experiment fault-campaign, with random parameters."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from servo_twin.plant import AxisPlant
 from servo_twin.simulation import SimulationError
 
 BOOT: Final = 0.03  # reset to STOP [s]
-REACHED: Final = 5.0  # for any state [s]
-OTHER_PART: Final = 0.3  # of its speed limit, at which the other axis turns
-PROVOKED_PART: Final = 0.2  # of its speed limit, at which a silent axis is asked to move
-OBSERVED_PART: Final = 0.3  # the same without an encoder
-LOAD_STEPS: Final = 20  # of a load that grows, as an axis without an encoder cannot bear a blow
+REACHED_TIME: Final = 5.0  # timeout for reaching a state [s]
+OTHER_SPEED: Final = 0.3  # speed of the other axis, relative to its speed limit
+PROVOKED_SPEED: Final = 0.2  # speed of the motion command after an undetected fault, relative to the speed limit
+PROVOKED_SPEED_SENSORLESS: Final = 0.3  # the same for a sensorless axis
+LOAD_STEPS: Final = 20  # steps of a load ramp: a sensorless axis does not tolerate a large load step
 
 
 @dataclass
 class Bench:
-    """A board, the axis that is looked at, and the other one."""
+    """Board with the tested axis and the other one."""
 
     board: Board
     axis: int
     motor: AxisPlant  # true parameters
-    sensorless: bool = False  # the axis works without its encoder
-    slowest: float = 0.0  # part of its speed limit below which no speed is commanded then
-    wanted: float = 0.0  # largest speed that was commanded, magnitude [rad/s]; for a current: the speed limit
-    torque_of_load: float = 0.0  # external torque [N m]
+    sensorless: bool = False  # the axis uses the observer
+    slowest: float = 0.0  # lowest sensorless set-point, relative to the speed limit
+    commanded_speed: float = 0.0  # largest commanded speed [rad/s]; in torque mode the speed limit
+    load_torque: float = 0.0  # external torque [N m]
     speed_limit: float = field(init=False)  # [rad/s]
     acceleration: float = field(init=False)  # limit [rad/s^2]
     current: float = field(init=False)  # limit of i_q [A]
@@ -54,15 +54,15 @@ class Bench:
 
     @property
     def other_speed(self) -> float:
-        """At which the other axis turns [rad/s]."""
-        return OTHER_PART * self.other_limit
+        """Speed of the other axis [rad/s]."""
+        return OTHER_SPEED * self.other_limit
 
-    # ---- what it says
+    # ---- state
     def _which(self, axis: int | None) -> int:
         return self.axis if axis is None else axis
 
     def word(self, name: str, axis: int | None = None) -> int:
-        """A variable of an axis as it stands in memory."""
+        """Raw value of a variable of an axis."""
         return rig.word(self.board, self._which(axis), name)
 
     def place(self, axis: int | None = None) -> str:
@@ -70,43 +70,45 @@ class Bench:
         return named_faults.place(self.board, self._which(axis))
 
     def faults(self, axis: int | None = None) -> set[str]:
-        """Faults of an axis by their names."""
+        """Names of the faults of an axis."""
         return named_faults.faults(self.board, self._which(axis))
 
     def first_fault(self, axis: int | None = None) -> str:
-        """Name of the first fault, empty without one."""
+        """Name of the first fault; empty: none."""
         return named_faults.first_fault(self.board, self._which(axis))
 
     def until(self, what: str, holds: Callable[[], bool]) -> None:
-        """Run until something holds, which nothing but a fault prevents."""
-        for _ in range(round(REACHED / rig.TICK)):
+        """Run until a condition holds; raises `SimulationError` on a fault or timeout."""
+        for _ in range(round(REACHED_TIME / rig.TICK)):
             if holds():
                 return
             if self.word("faults") or self.word("faults", self.other):
                 break
             self.board.run(rig.TICK)
         faults = self.faults() | self.faults(self.other)
-        raise SimulationError(f"{what} was not reached but {self.place()}; faults: {', '.join(sorted(faults)) or '-'}")
+        raise SimulationError(
+            f"{what} was not reached; state {self.place()}, faults: {', '.join(sorted(faults)) or '-'}"
+        )
 
-    # ---- what it is told
+    # ---- commands
     def enable(self, on: bool = True) -> None:
         rig.set_axis(self.board, "cmd.enable", self.axis, float(on))
 
     def speed(self, speed: float) -> None:
-        """Speed set-point [rad/s] in speed mode."""
-        self.wanted = max(self.wanted, abs(speed))
+        """Write a speed set-point [rad/s] in speed mode."""
+        self.commanded_speed = max(self.commanded_speed, abs(speed))
         rig.choose_mode(self.board, self.axis, "SPEED")
         rig.command_speed(self.board, self.axis, speed)
 
     def turn(self, turns: float) -> None:
-        """Move by so many turns of the shaft [1], in position mode."""
-        self.wanted = self.speed_limit
+        """Move by a number of revolutions in position mode."""
+        self.commanded_speed = self.speed_limit
         rig.choose_mode(self.board, self.axis, "POSITION")
         rig.command_position(self.board, self.axis, rig.position_of(self.board, self.axis) + round(4000.0 * turns))
 
     def torque(self, current: float) -> None:
-        """Current set-point [A] in torque mode."""
-        self.wanted = self.speed_limit
+        """Write a current set-point [A] in torque mode."""
+        self.commanded_speed = self.speed_limit
         rig.choose_mode(self.board, self.axis, "TORQUE")
         rig.set_axis(self.board, "cmd.i_q", self.axis, current)
 
@@ -115,24 +117,24 @@ class Bench:
 
     def load(self, part: float) -> None:
         """Set the load torque, as a part of the torque at the current limit."""
-        self.torque_of_load = part * self.current * self.motor.torque_constant
-        self.board.set_load(self.axis, self.torque_of_load)
+        self.load_torque = part * self.current * self.motor.torque_constant
+        self.board.set_load(self.axis, self.load_torque)
 
     def load_pulse(self, part: float) -> None:
-        """The same against the motion, if the bus can take it; the bus need not take what drives a shaft."""
+        """Set a load that opposes the motion for positive `part`, if the axis is in SPIN."""
         if self.place() == "SPIN":
             self.load(math.copysign(part, self.board.truth(self.axis).omega_m))
 
     def provoke(self, sign: float) -> None:
-        """Ask the axis to move, whatever it was told before."""
+        """Command the axis to move, regardless of earlier commands."""
         self.load(0.0)
         rig.set_axis(self.board, "cmd.quick_stop", self.axis, 0.0)
         self.enable()
-        self.speed(sign * (OBSERVED_PART if self.sensorless else PROVOKED_PART) * self.speed_limit)
+        self.speed(sign * (PROVOKED_SPEED_SENSORLESS if self.sensorless else PROVOKED_SPEED) * self.speed_limit)
 
-    # ---- ways into the states
+    # ---- preparation of states
     def boot(self) -> None:
-        """From reset to STOP; the other axis turns."""
+        """From reset to STOP, with the other axis rotating."""
         self.board.write("param.host_timeout", 30.0)
         self.board.run(BOOT)
         if self.sensorless:
@@ -150,7 +152,7 @@ class Bench:
         self.board.run(rig.SETTLED)
 
     def turning(self, speed: float) -> None:
-        """Turn at a constant speed [rad/s], with the encoder or without."""
+        """Rotate at a constant speed [rad/s], with encoder or sensorless."""
         if self.sensorless:
             self.enable()
             self.speed(speed)
@@ -162,27 +164,27 @@ class Bench:
 
 
 Event = tuple[float, Callable[[], None]]
-"""Something that is done after so many seconds."""
+"""Time of an action [s], and the action."""
 
 
 @dataclass(frozen=True)
 class Script:
-    """What goes on from the moment at which a state is reached."""
+    """Stimulus after a state has been reached."""
 
     window: float  # the fault is injected within this time [s]
-    events: list[Event] = field(default_factory=list)  # commands to the axis in this time and afterwards
-    wait: float = 0.7  # for the detection, after the fault [s]
+    events: list[Event] = field(default_factory=list)  # actions during and after this time
+    wait: float = 0.7  # time for the detection [s]
 
 
 @dataclass(frozen=True)
 class State:
-    """What an axis is doing."""
+    """Operating state of an axis."""
 
     name: str
-    begin: Callable[[Bench, random.Random], Script]  # brings a board that has just been switched on into it
-    sensorless: bool = False  # without an encoder
+    begin: Callable[[Bench, random.Random], Script]  # brings a new board into the state
+    sensorless: bool = False  # uses the observer
     calibrated: bool = True  # the offsets of the current amplifiers have been measured
-    aligned: bool = True  # the rotor position is known, no rotor search before the next motion
+    aligned: bool = True  # the rotor position is known, the next motion needs no rotor search
 
 
 def _sign(rng: random.Random) -> float:
@@ -230,7 +232,7 @@ def _move(bench: Bench, rng: random.Random) -> Script:
 
 
 def _constant(minimum: float, maximum: float, load: float = 0.0) -> Callable[[Bench, random.Random], Script]:
-    """At a speed between parts of the limit. A load brakes: what drives the shaft for long, no bus would take back."""
+    """Constant speed in a range relative to the limit. The load brakes, as the bus cannot absorb energy for long."""
 
     def begin(bench: Bench, rng: random.Random) -> Script:
         bench.boot()
@@ -285,7 +287,7 @@ def _coasting(bench: Bench, rng: random.Random) -> Script:
 
 
 def _swinging(bench: Bench, rng: random.Random) -> Script:
-    """Speed set-points of a sine, for as long as there are any."""
+    """Sinusoidal speed set-points."""
     bench.boot()
     bench.hold()
     speed, frequency = _part(bench, rng, 0.1, 0.6), rng.uniform(2.0, 10.0)
@@ -355,15 +357,15 @@ STATES: Final[Mapping[str, State]] = {
         State("observer, stop", _observed_stop, sensorless=True),
     )
 }
-"""All of them, by name."""
+"""Operating states by name."""
 
 
-# ---- nothing breaks
-LENGTH: Final = 3.0  # s
+# ---- trials without a fault
+LENGTH: Final = 3.0  # [s]
 
 
 def _ripple(bench: Bench, rng: random.Random) -> list[Event]:
-    """The supply swings by two volts."""
+    """Sinusoidal variation of the supply by 2 V."""
     frequency, step = rng.uniform(50.0, 300.0), 0.001
 
     def at(k: int) -> Event:
@@ -373,8 +375,8 @@ def _ripple(bench: Bench, rng: random.Random) -> list[Event]:
     return [at(k) for k in range(round(LENGTH / step))]
 
 
-def _order(bench: Bench, rng: random.Random) -> Callable[[], None]:
-    """Anything that a host may ask of an axis, at any time."""
+def _command(bench: Bench, rng: random.Random) -> Callable[[], None]:
+    """Random valid command."""
     speed = _part(bench, rng, 0.0, 1.0)
     turns = _sign(rng) * 10.0 ** rng.uniform(-2.0, 1.0)
     current = rng.uniform(-1.0, 1.0) * bench.current
@@ -391,13 +393,13 @@ def _order(bench: Bench, rng: random.Random) -> Callable[[], None]:
 
 
 def _manoeuvres(bench: Bench, rng: random.Random) -> Script:
-    """One order after the other, whether the last one has been carried out or not, and load pulses."""
+    """Sequence of random commands, without waiting for completion, and load pulses."""
     bench.boot()
     bench.hold()
     events, moment = _ripple(bench, rng), 0.0
     while moment < LENGTH:
-        events.append((moment, _order(bench, rng)))
-        events.append((moment + 1e-3, bench.enable))  # the one that has withdrawn the drive, too
+        events.append((moment, _command(bench, rng)))
+        events.append((moment + 1e-3, bench.enable))  # also after a disable command
         events.append((moment + 1e-3, lambda: rig.set_axis(bench.board, "cmd.quick_stop", bench.axis, 0.0)))
         torque, length = rng.uniform(-0.4, 0.4), rng.uniform(0.005, 0.1)
         events.append((moment + 0.01, lambda torque=torque: bench.load_pulse(torque)))  # type: ignore[misc]
@@ -407,7 +409,7 @@ def _manoeuvres(bench: Bench, rng: random.Random) -> Script:
 
 
 def _observed_manoeuvres(bench: Bench, rng: random.Random) -> Script:
-    """Speeds of either sign, stops among them, and small load pulses."""
+    """Random speeds of both signs, stops, and small load pulses."""
     bench.boot()
     bench.turning(_part(bench, rng, 0.1, 0.9))
     events, moment = _ripple(bench, rng), 0.0
@@ -428,4 +430,4 @@ MANOEUVRES: Final[Mapping[str, State]] = {
         State("observer, manoeuvres", _observed_manoeuvres, sensorless=True),
     )
 }
-"""States in which nothing is to break."""
+"""States for trials without a fault."""

@@ -1,4 +1,4 @@
-"""``servo-sim experiment``: run experiments, print and write what they gave."""
+"""``servo-sim experiment``: run experiments, print and write the results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
     Parameters
     ----------
     verbs : argparse subparsers
-        Where to add it.
+        Subparsers of ``servo-sim``.
     common : ArgumentParser
         Parent with ``--seed``, ``--plant`` and ``--json``.
     levelled : ArgumentParser
@@ -46,30 +46,41 @@ def add_parser(verbs: Any, common: argparse.ArgumentParser, levelled: argparse.A
         )
         if entry.add_options is not None:
             entry.add_options(parser)
-        parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the picture to this file")
-        parser.add_argument("--out", type=Path, metavar="FOLDER", help="table, picture and summary to this folder")
+        parser.add_argument("--plot", type=Path, metavar="FILE", help="file for the picture")
+        parser.add_argument("--out", type=Path, metavar="FOLDER", help="folder for table, picture and summary")
         parser.set_defaults(run=_run, names=[entry.name])
-    everything = names.add_parser("all", parents=[common, levelled], help="all of them, one after the other")
+    everything = names.add_parser("all", parents=[common, levelled], help="run all experiments")
     everything.add_argument(
-        "--out", type=Path, default=_OUT, metavar="FOLDER", help="tables, pictures, summary (default: %(default)s)"
+        "--out",
+        type=Path,
+        default=_OUT,
+        metavar="FOLDER",
+        help="folder for tables, pictures, summary (default: %(default)s)",
     )
     everything.set_defaults(run=_run, names=list(EXPERIMENTS), plot=None)
     both = names.add_parser(
         "levels",
         parents=[common],
-        help="all of them at both levels of the board, and how these differ",
+        help="run all experiments at both levels of the board and compare them",
         description=levels.HELP,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     both.add_argument(
-        "--only", nargs="+", choices=list(EXPERIMENTS), default=list(EXPERIMENTS), metavar="NAME", help="only these"
+        "--only",
+        nargs="+",
+        choices=list(EXPERIMENTS),
+        default=list(EXPERIMENTS),
+        metavar="NAME",
+        help="experiments (default: all)",
     )
-    both.add_argument("--out", type=Path, default=_OUT, metavar="FOLDER", help="for levels.json (default: %(default)s)")
+    both.add_argument(
+        "--out", type=Path, default=_OUT, metavar="FOLDER", help="folder for levels.json (default: %(default)s)"
+    )
     both.set_defaults(run=_run_levels)
 
 
 def _first_sentence(text: str) -> str:
-    """Up to the first full stop at the end of a word."""
+    """First sentence of a text, without the full stop."""
     return re.split(r"(?<=[a-z)])\.(?=\s|$)", " ".join(text.split()), maxsplit=1)[0]
 
 
@@ -82,24 +93,24 @@ def run_experiments(
     level: Level | None = None,
     options: argparse.Namespace | None = None,
 ) -> list[Outcome]:
-    """Run experiments one after the other, print their tables and fill the folder as they finish.
+    """Run experiments, print their tables and write the files of each when it is finished.
 
     Parameters
     ----------
     names : sequence of str
-        Names of the registry.
+        Names in `EXPERIMENTS`.
     plant : PlantConfig
-        What is really there.
+        Plant data.
     seed : int
-        Of every random number.
+        Seed of all random numbers.
     folder : Path or None
-        Where tables, pictures and ``summary.json`` go.
+        Folder for tables, pictures and ``summary.json``.
     quiet : bool
-        Print no tables.
+        Do not print tables.
     level : {"registers", "ideal"}, optional
-        Of the boards; by default what the environment names, or `FAST_LEVEL`.
+        Level of the boards; by default the environment variable, or `FAST_LEVEL`.
     options : argparse.Namespace, optional
-        Parsed options of the only experiment that is named.
+        Parsed options, if there is only one experiment.
     """
     outcomes: list[Outcome] = []
     with at_level(level):
@@ -120,7 +131,7 @@ def run_experiments(
 
 
 def _differences(plant: PlantConfig, seed: int) -> tuple[str, ...]:
-    """What every table has to say about this plant; what cannot even be found out the experiments say themselves."""
+    """Notes about this plant for every table; empty if they cannot be determined, as the experiments report that."""
     try:
         return differences(plant, seed)
     except SimulationError:
@@ -128,13 +139,13 @@ def _differences(plant: PlantConfig, seed: int) -> tuple[str, ...]:
 
 
 def _attempt(name: str, plant: PlantConfig, seed: int, options: argparse.Namespace | None) -> Outcome:
-    """Run one experiment; a plant that it cannot run on is a result, too."""
+    """Run one experiment; an error is returned as a row that does not agree."""
     entry = EXPERIMENTS[name]
     run = entry.run if options is None or entry.with_options is None else entry.with_options(options)
     try:
         return run(plant, seed)
     except SimulationError as error:
-        row = Row("can be run", "it was", None, "", Bound(1.0, 1.0))
+        row = Row("can be run", "yes", None, "", Bound(1.0, 1.0))
         return Outcome(name, (row,), (), (str(error),))
 
 

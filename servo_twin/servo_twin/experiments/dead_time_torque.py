@@ -1,10 +1,9 @@
-"""Torque that the controller asks for and the inverter keeps back, and how far that moves a shaft.
+"""Torque error by dead time and switch drops near zero current, and the resulting shaft displacement.
 
-Dead time and the drops of switches and diodes hold a phase at zero until the current controller has wound up against
-them. On the averaged plant they fade away with the current; where every edge of the gates counts they stay, and around
-zero they keep back as much current as friction needs (`KEPT_BACK`; the axes turn with 40 mA). What a feature of the
-control does with its set-point of the current is one thing, what becomes of that current another; experiments that are
-about the former take the latter out, or allow for it.
+The averaged plant models the error as proportional to the current near zero. On the switching plant a phase current
+stays at zero until the controller has compensated the error; about 60 mA (`DEAD_ZONE_CURRENT`) are lost, more than the
+friction current of 40 mA. Experiments about feed-forward subtract this displacement, because it is an error of the
+inverter.
 """
 
 from __future__ import annotations
@@ -18,78 +17,78 @@ from numpy.typing import NDArray
 from servo_twin.experiments.rig import COUNT, TICK, Recording
 from servo_twin.plant import AxisPlant
 
-KEPT_BACK: Final = 0.06
-"""Current around zero that dead time and drops keep back where every edge of the gates counts [A]."""
+DEAD_ZONE_CURRENT: Final = 0.06
+"""Width of the dead zone of the current by dead time and drops on the switching plant [A]."""
 
 SPEED_LOOP: Final = 2.0 * math.pi * 75.0
-"""Bandwidth of the speed controller [rad/s], which answers such a torque."""
+"""Bandwidth of the speed controller [rad/s]."""
 
 INTEGRAL: Final = SPEED_LOOP / 5.0
-"""Corner frequency of its integral part [rad/s]."""
+"""Corner frequency of the integral part of the speed controller [rad/s]."""
 
 POSITION_GAIN: Final = 60.0
-"""Of the position controller [1/s]."""
+"""Gain of the position controller [1/s]."""
 
-ANSWERED: Final = 0.2
-"""Twelve of its time constants: a constant torque has moved the shaft as far as it will [s]."""
+SETTLING_TIME: Final = 0.2
+"""Settling time of the displacement: twelve time constants of the position controller [s]."""
 
 
-def pushed(recording: Recording, axis: AxisPlant, *, position: bool, heavier: float = 1.0) -> NDArray[np.float64]:
-    """How far the shaft is from where it would be if the current flowed that was asked for [counts].
+def displacement(recording: Recording, axis: AxisPlant, *, position: bool, heavier: float = 1.0) -> NDArray[np.float64]:
+    """Shaft displacement caused by the difference between true current and set-point [counts].
 
     Parameters
     ----------
     recording : Recording
-        Of the axis, with the plant's own current in it.
+        Recording of the axis, with the true current.
     axis : AxisPlant
-        Its motor.
+        Motor of the axis.
     position : bool
-        Under position control; else under speed control.
+        Position control; false: speed control.
     heavier : float
-        Inertia over the one that the loops are tuned for: they are so much slower.
+        Inertia relative to the tuning; the bandwidth is lower by this factor.
     """
-    lacking = axis.torque_constant * (recording.i_q_true - recording.i_q_ref)
-    return answer(lacking, axis, position=position, heavier=heavier)
+    torque_error = axis.torque_constant * (recording.i_q_true - recording.i_q_ref)
+    return response(torque_error, axis, position=position, heavier=heavier)
 
 
-def answer(
+def response(
     torques: NDArray[np.float64], axis: AxisPlant, *, position: bool, heavier: float = 1.0
 ) -> NDArray[np.float64]:
-    """How far torques move a shaft against the linear loops, with the bandwidths that servo.toml gives them [counts].
+    """Response of the shaft to torques, with linear control loops and the bandwidths of servo.toml [counts].
 
     Parameters
     ----------
     torques : ndarray
         One per slow tick [N m].
     axis, position, heavier
-        As for `pushed`.
+        See `displacement`.
     """
     bandwidth = SPEED_LOOP / heavier
     gain = POSITION_GAIN if position else 0.0
-    speed = way = integral = 0.0
-    ways: list[float] = []
+    speed = position_error = integral = 0.0
+    displacements: list[float] = []
     for torque in torques:
-        error = speed + gain * way
+        error = speed + gain * position_error
         integral += TICK * error
         speed += TICK * (float(torque) / axis.inertia - bandwidth * (error + INTEGRAL * integral))
-        way += TICK * speed
-        ways.append(way)
-    return np.asarray(ways) / COUNT
+        position_error += TICK * speed
+        displacements.append(position_error)
+    return np.asarray(displacements) / COUNT
 
 
-def whole_counts(recording: Recording, axis: AxisPlant, after: float, heavier: float = 1.0) -> float:
-    """The most that it moves a shaft under position control from `after` on [s], as a position shows it [counts]."""
-    way = pushed(recording, axis, position=True, heavier=heavier)
-    return float(round(np.abs(way[recording.time > after]).max(initial=0.0)))
+def displacement_counts(recording: Recording, axis: AxisPlant, after: float, heavier: float = 1.0) -> float:
+    """Largest displacement under position control after `after` [s], rounded to counts."""
+    position_error = displacement(recording, axis, position=True, heavier=heavier)
+    return float(round(np.abs(position_error[recording.time > after]).max(initial=0.0)))
 
 
-def swerve_at(recording: Recording, axis: AxisPlant, target: float, within: float) -> float:
-    """The same from when the set-point is within so many counts of a target [counts]."""
+def displacement_at(recording: Recording, axis: AxisPlant, target: float, within: float) -> float:
+    """Largest displacement after the set-point is within `within` counts of a target [counts]."""
     near = np.abs(recording.position_ref - target) <= within
-    return whole_counts(recording, axis, float(recording.time[int(np.argmax(near))])) if near.any() else 0.0
+    return displacement_counts(recording, axis, float(recording.time[int(np.argmax(near))])) if near.any() else 0.0
 
 
-def swerve(axis: AxisPlant) -> int:
-    """How far `KEPT_BACK` moves a shaft under position control before the loops have answered [counts]."""
-    torques = np.full(round(ANSWERED / TICK), axis.torque_constant * KEPT_BACK)
-    return round(float(np.abs(answer(torques, axis, position=True)).max()))
+def displacement_max(axis: AxisPlant) -> int:
+    """Largest displacement of a shaft under position control by `DEAD_ZONE_CURRENT` [counts]."""
+    torques = np.full(round(SETTLING_TIME / TICK), axis.torque_constant * DEAD_ZONE_CURRENT)
+    return round(float(np.abs(response(torques, axis, position=True)).max()))

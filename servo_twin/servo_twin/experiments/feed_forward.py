@@ -1,4 +1,4 @@
-"""Position moves with what is known about them fed forward: speed, acceleration, friction."""
+"""Position moves with feed-forward of speed, acceleration and friction."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.experiments import rig
-from servo_twin.experiments.dead_time_torque import swerve_at
+from servo_twin.experiments.dead_time_torque import displacement_at
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.plant_limits import move_speeds, nominal_shafts
 from servo_twin.experiments.rig import COUNT, TICK, Recording
@@ -33,21 +33,21 @@ CHOICES: Final[Mapping[str, Mapping[str, bool]]] = {
     "speed, acceleration": {"SPEED_FORWARD": True, "ACCELERATION_FORWARD": True},
     "all": {"SPEED_FORWARD": True, "ACCELERATION_FORWARD": True, "FRICTION": True},
 }
-SPEED_LEFT_MAX: Final = 0.25
-"""Part of the following error that may be left with the speed: the lag of E44 goes, that of the acceleration stays."""
+SPEED_ERROR_RATIO_MAX: Final = 0.25
+"""Permitted following error with speed feed-forward, relative to none: only the lag by the acceleration remains."""
 
-ACCELERATION_LEFT_MAX: Final = 0.75
-"""Part of that which may be left with the acceleration: the torque still comes a slow loop late."""
+ACCELERATION_ERROR_RATIO_MAX: Final = 0.75
+"""Permitted following error with acceleration, relative to speed only: the torque is one slow loop late."""
 
-OVERSHOOT_OF_WRONG: Final = 0.1
-OVERSHOOT_OF_FRICTION: Final = 1.0
-"""Counts that current against a friction pushes which is not there, per part of the friction that is."""
-"""Of the error that a wrong nominal inertia brings, what may come out beyond the target."""
+INERTIA_OVERSHOOT_MAX: Final = 0.1
+"""Permitted overshoot by a wrong nominal inertia, relative to its following error."""
+FRICTION_OVERSHOOT_MAX: Final = 1.0
+"""Permitted overshoot by an excessive friction current, per relative excess [counts]."""
 
-REST: Final = 0.8  # recorded after the ramp's end [s]
+REST: Final = 0.8  # recorded after the end of the ramp [s]
 ARRIVED: Final = 2.0  # [counts]
-SETTLE_WORSE_MAX: Final = 0.01
-"""A time constant of the path filter [s]."""
+SETTLING_INCREASE_MAX: Final = 0.01
+"""Permitted increase of the settling time: a time constant of the path filter [s]."""
 
 REFERENCE_LAG: Final = "E44: a plain gain trails"
 REFERENCE_OVERSHOOT: Final = "2.7.3: position must not overshoot"
@@ -59,32 +59,32 @@ class Move:
 
     recording: Recording
     error: float  # largest distance of the true shaft from the shaped set-point [counts]
-    overshoot: float  # farthest beyond the target [counts]
+    overshoot: float  # largest distance beyond the target [counts]
     settling: float | None
-    """From the command until the shaft stays within 2 counts of the target, and what it swerves [s]."""
-    swerve: float  # motion by current that the inverter keeps back, after the set-point has arrived [counts]
+    """From the command until the shaft stays within 2 counts of the target plus the displacement [s]."""
+    displacement: float  # displacement by the inverter after the end of the set-point [counts]
 
     @property
     def window(self) -> float:
         """Distance from the target within which the shaft has settled [counts].
 
-        It comes down to it like exp(-t / lag), so that a wider one, on a plant that lets it swerve, is reached earlier.
+        The error decays like exp(-t / lag), so that a wider window, on a plant with displacement, is reached earlier.
         """
-        return ARRIVED + self.swerve
+        return ARRIVED + self.displacement
 
 
 def measure(recording: Recording, target: int, shaft: AxisPlant) -> Move:
-    """Judge a move of a shaft that began at rest with the recording; `target` in counts."""
-    swerve = swerve_at(recording, shaft, target, ARRIVED)
+    """Evaluate a move that starts at standstill with the recording; `target` in counts."""
+    displacement = displacement_at(recording, shaft, target, ARRIVED)
     error = float(np.abs(recording.position_ref - recording.shaft).max())
-    settling = rig.arrives(recording, target, ARRIVED + swerve, 0.0)
-    return Move(recording, error, rig.overshoot(recording, target), settling, swerve)
+    settling = rig.settling_time(recording, target, ARRIVED + displacement, 0.0)
+    return Move(recording, error, rig.overshoot(recording, target), settling, displacement)
 
 
 def travel(
     plant: PlantConfig, seed: int, turns: float, switches: Mapping[str, bool], speeds: list[float]
 ) -> list[Move]:
-    """Both axes at once, from rest, with speed limits [rad/s]."""
+    """Move both axes simultaneously, from standstill, with speed limits [rad/s]."""
     with rig.spinning(plant, seed) as board:
         for axis in range(AXES):
             rig.features(board, axis, **switches)
@@ -96,45 +96,45 @@ def travel(
                 rig.command_position(board, axis, target)
 
         seconds = turns * COUNTS_PER_TURN * COUNT / min(speeds) + REST
-        both = rig.watch(board, range(AXES), seconds, rig.at({TICK: go}))
+        both = rig.record(board, range(AXES), seconds, rig.at({TICK: go}))
     return [measure(both[axis], target, plant.axes[axis]) for axis, target in enumerate(targets)]
 
 
 @dataclass(frozen=True)
 class Mismatch:
-    """True inertia or friction against the nominal value."""
+    """True and nominal inertia or friction."""
 
-    there: float  # true value
-    nominal: float  # in the same unit
+    true: float  # true value
+    nominal: float  # nominal value, in the same unit
 
     @property
     def heavier(self) -> float:
-        """What acceleration costs a loop tuned for less inertia; 1 for less than nominal."""
-        return max(self.there / self.nominal, 1.0)
+        """True value relative to the nominal one, at least 1."""
+        return max(self.true / self.nominal, 1.0)
 
     @property
     def lighter(self) -> float:
-        """By how much a late torque costs more than the acceleration itself; 1 for more than nominal."""
-        return max(self.nominal / self.there, 1.0)
+        """Nominal value relative to the true one, at least 1."""
+        return max(self.nominal / self.true, 1.0)
 
     @property
     def wrong(self) -> float:
-        """Error of feed-forward over what is needed (ratio)."""
-        return abs(self.there - self.nominal) / self.there
+        """Relative error of the feed-forward."""
+        return abs(self.true - self.nominal) / self.true
 
 
 def error_bound(speed_error: float, inertia: Mismatch) -> float:
-    """Following error that may be left with the acceleration fed forward, too [counts].
+    """Permitted following error with acceleration feed-forward [counts].
 
-    A part of the error with the speed alone [counts], for the torque that comes late; the error that a wrong nominal
-    inertia brings back; three counts.
+    A fraction of the error with speed feed-forward alone [counts], for the delay of the torque; the error by a wrong
+    nominal inertia; three counts.
     """
-    return (ACCELERATION_LEFT_MAX * inertia.lighter + inertia.wrong) * speed_error + ARRIVED + 1.0
+    return (ACCELERATION_ERROR_RATIO_MAX * inertia.lighter + inertia.wrong) * speed_error + ARRIVED + 1.0
 
 
 @experiment(NAME)
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
-    """Every distance, every choice, both axes at once."""
+    """Every distance, every choice, both axes simultaneously."""
     speeds, lowered = move_speeds(plant, seed, together=True)
     nominals = list(zip(plant.axes, nominal_shafts(plant, seed), strict=True))
     inertias = [Mismatch(entry.inertia, nominal.inertia) for entry, nominal in nominals]
@@ -159,25 +159,25 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
 
 def _rows(judge: Judge, moves: Mapping[str, Move], inertia: Mismatch, friction: Mismatch) -> Iterator[Row]:
     none, speed = moves["none"], moves["speed"]
-    left, maximum = speed.error / max(none.error, 1e-9), SPEED_LEFT_MAX * inertia.heavier
-    yield judge("following error, speed over none", left, maximum=maximum, reference=REFERENCE_LAG)
+    ratio, maximum = speed.error / max(none.error, 1e-9), SPEED_ERROR_RATIO_MAX * inertia.heavier
+    yield judge("following error, speed over none", ratio, maximum=maximum, reference=REFERENCE_LAG)
     for choice in ("speed, acceleration", "all"):
         maximum = error_bound(speed.error, inertia)
         yield judge(f"following error, {choice}", moves[choice].error, "counts", maximum=maximum)
     forward = [move for choice, move in moves.items() if choice != "none"]
-    pushed = OVERSHOOT_OF_FRICTION * (friction.lighter - 1.0)
-    swerve = max(move.swerve for move in forward)
-    maximum = ARRIVED + swerve + OVERSHOOT_OF_WRONG * inertia.wrong * speed.error + pushed
+    friction_overshoot = FRICTION_OVERSHOOT_MAX * (friction.lighter - 1.0)
+    displacement = max(move.displacement for move in forward)
+    maximum = ARRIVED + displacement + INERTIA_OVERSHOOT_MAX * inertia.wrong * speed.error + friction_overshoot
     beyond = max(move.overshoot for move in forward)
     yield judge("overshoot, worst", beyond, "counts", maximum=maximum, reference=REFERENCE_OVERSHOOT)
-    later = _later(none.settling, [move.settling for move in forward])
+    later = _settling_increase(none.settling, [move.settling for move in forward])
     lag = none.error * COUNT / max(float(np.abs(none.recording.omega).max()), 1e-9)
-    apart = SETTLE_WORSE_MAX + lag * math.log(max(move.window for move in moves.values()) / ARRIVED)
-    yield judge("settling, latest less none", later, "s", maximum=SETTLE_WORSE_MAX, apart=apart)
+    apart = SETTLING_INCREASE_MAX + lag * math.log(max(move.window for move in moves.values()) / ARRIVED)
+    yield judge("settling, latest less none", later, "s", maximum=SETTLING_INCREASE_MAX, apart=apart)
 
 
-def _later(without: float | None, forward: list[float | None]) -> float | None:
-    """How much later the last of several moves settles [s]; None if one of them does not."""
+def _settling_increase(without: float | None, forward: list[float | None]) -> float | None:
+    """Additional settling time of the slowest of several moves [s]; None: one does not settle."""
     settled = [time for time in forward if time is not None]
     if without is None or len(settled) < len(forward):
         return None

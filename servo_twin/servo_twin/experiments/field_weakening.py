@@ -1,4 +1,4 @@
-"""Field weakening: rated speed at 24 V, its voltage margin, load steps, a supply that sags, faults, other motors."""
+"""Field weakening: rated speed at 24 V, voltage margin, load steps, supply sags, faults, other motors."""
 
 from __future__ import annotations
 
@@ -18,61 +18,62 @@ from servo_msgs_py.tuning.field_weakening import top_speed as speed_left
 from servo_twin.board import Board
 from servo_twin.experiments.outcome import BEYOND, Curve, Item, Judge, Panel, Row, experiment
 from servo_twin.experiments.plant_limits import MODULATION
-from servo_twin.experiments.rig import RPM, TICK, Recording, at, command_speed, set_up, spinning, watch
+from servo_twin.experiments.rig import RPM, TICK, Recording, at, command_speed, record, set_up, spinning
 from servo_twin.fault_injection import HotPowerStage
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "field-weakening"
 HELP: Final = """\
-The drive at its rated 4000 rpm, where the back-EMF takes the whole voltage of 24 V, with and without the feature
+The drive at its rated 4000 rpm, where the back-EMF reaches the voltage limit at 24 V, with and without the feature
 FIELD_WEAKENING: torque over speed, voltage margin, load steps, a supply that sags and returns, a fault, motors that
-differ by 10 % from their nominal data, and both axes at once. The reference design ends at 3000 rpm without it."""
+differ by 10 % from their nominal data, and both axes together. The reference design ends at 3000 rpm, without field
+weakening."""
 
 AXIS: Final = 0
 RATED: Final = 4000.0 * RPM
-CURRENT: Final = 4.0  # of the drive [A],
-I_D_MAX: Final = 3.0  # the part of it that it lets field weakening have [A],
-MARGIN: Final = 0.3  # and the voltage that this keeps free [V]
+CURRENT: Final = 4.0  # current limit of the drive [A]
+I_D_MAX: Final = 3.0  # limit of the field-weakening current [A]
+MARGIN: Final = 0.3  # voltage margin of the field weakening [V]
 
 LOADS: Final = (0.02, 0.045, 0.08, 0.12)  # [N m]
-STEP: Final = LOADS[1]  # that the rated speed bears
+STEP: Final = LOADS[1]  # load step that is feasible at rated speed
 SAGS: Final = (22.0, 20.0, 17.5)  # [V]
 SAG_LOAD: Final = 0.03  # [N m]
 BOTH_SAG: Final = 20.0  # [V]
-OVER_VOLTAGE: Final = 33.0  # of the drive [V]
-NOISE: Final = 0.5  # of the bus [V]
+OVER_VOLTAGE: Final = 33.0  # limit of the drive [V]
+NOISE: Final = 0.5  # noise of the bus voltage [V]
 FAULT_SEEN: Final = 0.1  # [s]
-HOT: Final = 110.0  # of the power stage: a fault that lets the shaft coast [deg C]
+HOT: Final = 110.0  # temperature of the power stage: a fault with coasting [deg C]
 
 RUN_UP: Final = 0.25  # [s]
-SETTLE: Final = 0.3  # from a change to what is measured [s]
+SETTLE: Final = 0.3  # settling time before a measurement [s]
 MEASURED: Final = 0.1  # [s]
-DIP: Final = 0.05  # in which a load step shows at its largest [s]
-REACHED: Final = 0.005  # of the rated speed
-FORMULA: Final = 0.02
-"""Part of the speed by which a shaft may be off from what voltage and current leave on paper: drops and dead time that
-are not quite compensated, losses of the bus, and currents that are not quite those of the best torque."""
-FREE: Final = 0.12  # by which the mean of the free voltage may be off MARGIN [V]
-RESTLESS: Final = 30.0 * RPM
-"""Standard deviation of a steady speed. It is largest at 3333 rpm, where the voltage is sampled 18 times per electrical
-turn: the ripple of dead time and drops then looks like a slow change."""
-I_D_RESTLESS: Final = 0.15  # and of its i_d: noise of currents and speed [A]
-RETURN: Final = 0.25  # from the return of the supply until the speed is back [s]
-BEYOND_RATED: Final = 0.04  # of the speed, after a load has gone
-WORSE: Final = 1.25  # speed that a load step takes at the rated speed, over that at half of it
-DEVIATION: Final = 0.1  # of the motors, up and down
+DROP_WINDOW: Final = 0.05  # time window of the largest speed drop after a load step [s]
+REACHED: Final = 0.005  # permitted error, relative to the rated speed
+SPEED_TOLERANCE: Final = 0.02
+"""Permitted relative deviation from the theoretical speed: imperfect compensation of drops and dead time, losses of the
+bus, and deviations from the currents of maximum torque."""
+MARGIN_TOLERANCE: Final = 0.12  # permitted deviation of the mean voltage margin [V]
+SPEED_DEVIATION_MAX: Final = 30.0 * RPM
+"""Largest standard deviation of a constant speed. It is largest at 3333 rpm with 18 voltage samples per electrical
+revolution: the ripple of dead time and drops is aliased to a low frequency."""
+I_D_DEVIATION_MAX: Final = 0.15  # largest standard deviation of i_d: noise of currents and speed [A]
+RECOVERY_TIME_MAX: Final = 0.25  # permitted time from the return of the supply to rated speed [s]
+OVERSHOOT_MAX: Final = 0.04  # permitted relative overshoot of the speed after a load is removed
+DROP_RATIO_MAX: Final = 1.25  # permitted speed drop by a load step at rated speed, relative to that at half of it
+DEVIATION: Final = 0.1  # relative deviations of the motors, of both signs
 
 Events = Mapping[float, Callable[[Board], object]]
-"""What happens at which time from the set-point on [s]."""
+"""Actions by time since the set-point [s]."""
 
 
 def free_voltage(recording: Recording) -> NDArray[np.float64]:
-    """What the stator voltage leaves of its limit [V]."""
+    """Voltage limit minus stator voltage [V]."""
     return np.asarray(MODULATION * recording.u_dc - np.hypot(recording.u_d, recording.u_q))
 
 
-def formula(axis: AxisPlant, volts: float, load: float, *, weak: bool) -> float:
-    """Speed that voltage and current leave on paper, RATED at most [rad/s]."""
+def theoretical_speed(axis: AxisPlant, volts: float, load: float, *, weak: bool) -> float:
+    """Theoretical speed for this voltage and current, at most RATED [rad/s]."""
     voltage = MODULATION * volts - (MARGIN if weak else 0.0)
 
     def torque(speed: float) -> float:
@@ -83,7 +84,7 @@ def formula(axis: AxisPlant, volts: float, load: float, *, weak: bool) -> float:
 
 @contextmanager
 def at_rated(plant: PlantConfig, seed: int, axes: Sequence[int], *, weak: bool) -> Iterator[Board]:
-    """A board whose axes are told to turn at the rated speed; they are on their way."""
+    """Board with axes that are commanded to rated speed and accelerate."""
     with spinning(plant, seed) as board:
         for axis in axes:
             set_up(board, axis, "SPEED", RATED, parameters={"speed_limit": RATED}, FIELD_WEAKENING=weak)
@@ -100,10 +101,10 @@ def run_with(
     weak: bool = True,
     may_fail: bool = False,
 ) -> Mapping[int, Recording]:
-    """Run up to the rated speed, with events."""
+    """Run to rated speed, with events."""
     with at_rated(plant, seed, axes, weak=weak) as board:
         act = at({time: functools.partial(do, board) for time, do in events.items()})
-        return watch(board, axes, seconds, act, may_fail=may_fail)
+        return record(board, axes, seconds, act, may_fail=may_fail)
 
 
 def _load(torque: float, axes: Sequence[int] = (AXIS,)) -> Callable[[Board], object]:
@@ -118,20 +119,22 @@ def _supply(volts: float) -> Callable[[Board], object]:
     return lambda board: board.set_supply(volts)
 
 
-def _speed(judge: Judge, recording: Recording, aim: float) -> Row:
-    """Mean speed against the one on paper [rad/s]."""
-    says, aim = f"{BEYOND}; {aim / RPM:.0f} rpm on paper", aim / RPM
+def _speed(judge: Judge, recording: Recording, target: float) -> Row:
+    """Mean speed, compared with the theoretical one [rad/s]."""
+    says, target = f"{BEYOND}; {target / RPM:.0f} rpm on paper", target / RPM
     speed = float(recording.omega.mean()) / RPM
-    return judge("speed", speed, "rpm", (1.0 - FORMULA) * aim, (1.0 + FORMULA) * aim, reference=says)
+    return judge(
+        "speed", speed, "rpm", (1.0 - SPEED_TOLERANCE) * target, (1.0 + SPEED_TOLERANCE) * target, reference=says
+    )
 
 
 def _free(judge: Judge, recording: Recording, maximum: float | None = None) -> Row:
-    return judge("voltage kept free", free_voltage(recording).mean(), "V", MARGIN - FREE, maximum)
+    return judge("voltage kept free", free_voltage(recording).mean(), "V", MARGIN - MARGIN_TOLERANCE, maximum)
 
 
-def _wandering(judge: Judge, recording: Recording) -> Iterator[Row]:
-    yield judge("wandering speed", recording.omega.std() / RPM, "rpm", 0.0, RESTLESS / RPM)
-    yield judge("wandering i_d", recording.i_d.std(), "A", 0.0, I_D_RESTLESS)
+def _deviation_rows(judge: Judge, recording: Recording) -> Iterator[Row]:
+    yield judge("wandering speed", recording.omega.std() / RPM, "rpm", 0.0, SPEED_DEVIATION_MAX / RPM)
+    yield judge("wandering i_d", recording.i_d.std(), "A", 0.0, I_D_DEVIATION_MAX)
 
 
 # ---- torque over speed -----------------------------------------------------------------------------------------------
@@ -149,12 +152,12 @@ def _load_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
     for load, weak in itertools.product(LOADS, (True, False)):
         recording = loaded(plant, seed, load, weak=weak)
         judge = Judge(f"{1e3 * load:g} mN m {'with' if weak else 'without'}: ")
-        yield _speed(judge, recording, formula(axis, volts, load, weak=weak))
+        yield _speed(judge, recording, theoretical_speed(axis, volts, load, weak=weak))
         speeds[weak].append(float(recording.omega.mean()))
         if weak:
-            yield _free(judge, recording, MARGIN + FREE)
-            yield from _wandering(judge, recording)
-    on_paper = formula(axis, volts, STEP, weak=True) - formula(axis, volts, STEP, weak=False)
+            yield _free(judge, recording, MARGIN + MARGIN_TOLERANCE)
+            yield from _deviation_rows(judge, recording)
+    on_paper = theoretical_speed(axis, volts, STEP, weak=True) - theoretical_speed(axis, volts, STEP, weak=False)
     gained = (speeds[True][1] - speeds[False][1]) / RPM
     yield Judge(f"{1e3 * STEP:g} mN m: ")("speed gained", gained, "rpm", 0.5 * on_paper / RPM)
     grid = np.linspace(0.5 * RATED, 1.1 * RATED, 121)
@@ -172,7 +175,7 @@ def _load_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
 
 
 def _step_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
-    """A load comes and goes, and the shaft returns to rest."""
+    """Load step, removal of the load, and stop."""
     rest = RUN_UP + 2.0 * SETTLE
     events: Events = {
         RUN_UP: _load(STEP),
@@ -181,32 +184,34 @@ def _step_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
     }
     whole = run_with(plant, seed, events, rest + SETTLE + MEASURED)[AXIS]
     idle, high = whole.part(RUN_UP - MEASURED, RUN_UP), float(whole.part(0.0, rest).omega.max())
-    dip = RATED - float(whole.part(RUN_UP, RUN_UP + DIP).omega.min())
+    dip = RATED - float(whole.part(RUN_UP, RUN_UP + DROP_WINDOW).omega.min())
     near = RATED * (1.0 - REACHED) / RPM, RATED * (1.0 + REACHED) / RPM
     judge = Judge("run-up without load: ")
     yield judge("speed", float(idle.omega.mean()) / RPM, "rpm", *near)
-    yield _free(judge, idle, MARGIN + FREE)
+    yield _free(judge, idle, MARGIN + MARGIN_TOLERANCE)
     judge, at_rest = Judge(), whole.part(rest + SETTLE)
-    yield judge("load step: speed lost over that at 2000 rpm", dip / _dip_at(plant, seed, 0.5 * RATED), "", 0.0, WORSE)
-    yield judge("highest speed, load gone", high / RPM, "rpm", 0.0, (1.0 + BEYOND_RATED) * RATED / RPM)
+    yield judge(
+        "load step: speed lost over that at 2000 rpm", dip / _dip_at(plant, seed, 0.5 * RATED), "", 0.0, DROP_RATIO_MAX
+    )
+    yield judge("highest speed, load gone", high / RPM, "rpm", 0.0, (1.0 + OVERSHOOT_MAX) * RATED / RPM)
     yield judge("at rest again: i_d", np.abs(at_rest.i_d).mean(), "A", 0.0, 0.1)
     yield _panel("run-up, load step, stop", whole)
 
 
 def _dip_at(plant: PlantConfig, seed: int, speed: float) -> float:
-    """Speed that a load step takes from a slower shaft [rad/s]."""
+    """Speed drop by a load step at a lower speed [rad/s]."""
     with at_rated(plant, seed, [AXIS], weak=False) as board:
         command_speed(board, AXIS, speed)
-        watch(board, [AXIS], RUN_UP)
+        record(board, [AXIS], RUN_UP)
         board.set_load(AXIS, STEP)
-        return speed - float(watch(board, [AXIS], DIP)[AXIS].omega.min())
+        return speed - float(record(board, [AXIS], DROP_WINDOW)[AXIS].omega.min())
 
 
 # ---- a supply that sags ----------------------------------------------------------------------------------------------
 
 
 def sag(plant: PlantConfig, seed: int, volts: float, axes: Sequence[int] = (AXIS,)) -> Mapping[int, Recording]:
-    """The supply falls to a voltage [V] under load, and returns after SETTLE + MEASURED."""
+    """The supply drops to a voltage [V] under load, and returns after SETTLE + MEASURED."""
     events = {
         RUN_UP - MEASURED: _load(SAG_LOAD, axes),
         RUN_UP: _supply(volts),
@@ -220,10 +225,10 @@ def _sag_rows(judge: Judge, axis: AxisPlant, recording: Recording, volts: float)
     low, after = recording.part(back - MEASURED, back), recording.part(back)
     again = after.time[np.abs(after.omega - RATED) > 2.0 * REACHED * RATED]
     time = float(again[-1]) - back if again.size else 0.0
-    yield _speed(judge, low, formula(axis, volts, SAG_LOAD, weak=True))
+    yield _speed(judge, low, theoretical_speed(axis, volts, SAG_LOAD, weak=True))
     yield _free(judge, low)
-    yield from _wandering(judge, low)
-    yield judge("back after its return", time, "s", 0.0, RETURN)
+    yield from _deviation_rows(judge, low)
+    yield judge("back after its return", time, "s", 0.0, RECOVERY_TIME_MAX)
     maximum = (1.0 + 2.0 * REACHED) * RATED / RPM
     yield judge("highest speed then", float(after.omega.max()) / RPM, "rpm", 0.0, maximum)
 
@@ -232,7 +237,7 @@ def _sag_rows(judge: Judge, axis: AxisPlant, recording: Recording, volts: float)
 
 
 def _fault_rows(plant: PlantConfig, seed: int) -> Iterator[Row]:
-    """The outputs go off in field weakening under load, for a fault that coasts: at a whole bus and a sagging one."""
+    """A fault with coasting in field weakening under load, at normal and reduced supply."""
     hot = RUN_UP + MEASURED
     for volts in (plant.bus.u_source, BOTH_SAG):
         events: Events = {
@@ -243,7 +248,7 @@ def _fault_rows(plant: PlantConfig, seed: int) -> Iterator[Row]:
         recording = run_with(plant, seed, events, hot + FAULT_SEEN, may_fail=True)[AXIS]
         judge, found = Judge(f"fault at {volts:g} V: "), np.nonzero(recording.faults)[0]
         after = recording.part(float(recording.time[found[0]])) if found.size else recording
-        # The capacitor may still be above a supply that has just sagged.
+        # The capacitor may still be above the reduced supply.
         charged = float(recording.part(hot - TICK, hot).u_dc.max())
         emf = math.sqrt(3.0) * plant.axes[AXIS].pole_pairs * plant.axes[AXIS].psi_m * RATED
         yield judge.true("noticed", found.size > 0)
@@ -257,16 +262,16 @@ def _fault_rows(plant: PlantConfig, seed: int) -> Iterator[Row]:
 
 
 def _motor_rows(plant: PlantConfig, seed: int) -> Iterator[Row]:
-    """The plant's motor deviates from its nominal values."""
+    """Motors that deviate from their nominal values."""
     axis, volts = plant.axes[AXIS], plant.bus.u_source
     for (what, names), sign in itertools.product((("psi_m", ("psi_m",)), ("L", ("l_d", "l_q"))), (-1.0, 1.0)):
         factor = 1.0 + sign * DEVIATION
         other = plant.with_axis(AXIS, **{name: factor * getattr(axis, name) for name in names})
         recording = loaded(other, seed, LOADS[0], weak=True)
         judge = Judge(f"{what} {100.0 * sign * DEVIATION:+.0f} %: ")
-        yield _speed(judge, recording, formula(other.axes[AXIS], volts, LOADS[0], weak=True))
+        yield _speed(judge, recording, theoretical_speed(other.axes[AXIS], volts, LOADS[0], weak=True))
         yield _free(judge, recording)
-        yield next(_wandering(judge, recording))
+        yield next(_deviation_rows(judge, recording))
 
 
 def _panel(title: str, recording: Recording) -> Panel:
@@ -295,4 +300,4 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         yield from _sag_rows(judge, plant.axes[axis], recording, BOTH_SAG)
     yield from _fault_rows(plant, seed)
     yield from _motor_rows(plant, seed)
-    yield f"axis {AXIS + 1}; i_d down to -{I_D_MAX:g} A of {CURRENT:g} A, {MARGIN:g} V kept free"
+    yield f"axis {AXIS + 1}; i_d down to -{I_D_MAX:g} A of {CURRENT:g} A, voltage margin {MARGIN:g} V"

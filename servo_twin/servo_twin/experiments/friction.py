@@ -1,4 +1,4 @@
-"""Current against friction, fed forward: reversals and starts, with right and wrong nominal values."""
+"""Feed-forward of the friction current: reversals and starts, with right and wrong nominal values."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.experiments import rig
-from servo_twin.experiments.dead_time_torque import answer, pushed
+from servo_twin.experiments.dead_time_torque import displacement, response
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import nominal_shafts
 from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording
@@ -28,59 +28,59 @@ with feed-forward of speed and acceleration in both runs. The true friction is e
 of it: the loop has to supply the difference."""
 
 TIMES: Final = (1.0, 2.0, 0.5)
-"""True friction over the nominal one."""
+"""True friction relative to the nominal value."""
 
 SPEED: Final = 50.0 * RPM
 SPEED_FREQUENCY: Final = 1.0  # [Hz]
-WAY: Final = 0.1  # amplitude of the position's sine [turns]
-WAY_FREQUENCY: Final = 2.0  # [Hz]
+AMPLITUDE: Final = 0.1  # of the position sine [turns]
+POSITION_FREQUENCY: Final = 2.0  # [Hz]
 START: Final = 10.0 * RPM
-START_WATCHED: Final = 0.1  # [s]
+START_TIME: Final = 0.1  # [s]
 SETTLE: Final = 0.5  # [s]
 MEASURED: Final = 2.0  # [s], whole periods
 
-START_HIDDEN: Final = 2.0
-"""Between two edges of track B [counts]: before the second one M/T has no speed."""
+START_QUANTISATION: Final = 2.0
+"""Distance of two edges of track B [counts]: the M/T method has no speed before the second edge."""
 
-HIDDEN: Final = 0.75
-"""What the encoder's counts leave, root mean square [counts]."""
+QUANTISATION: Final = 0.75
+"""RMS error by the quantisation of the encoder [counts]."""
 
 
 @dataclass(frozen=True)
 class Shaft:
-    """What judges a run: the motor, and its inertia over the one that the loops are tuned for, if that is less."""
+    """Motor and inertia ratio for the evaluation of a run."""
 
     axis: AxisPlant
-    heavier: float  # inertia over the one that the loops are tuned for; 1 for less
+    heavier: float  # inertia relative to the tuning, at least 1
 
 
-def left(times: float) -> float:
-    """Part of the friction [1] that compensation leaves or adds when it is `times` the nominal one."""
+def uncompensated(times: float) -> float:
+    """Uncompensated fraction of the friction [1], if the friction is `times` the nominal value."""
     return abs(times - 1.0) / times
 
 
-def behind(recording: Recording) -> NDArray[np.float64]:
-    """How far the true shaft is behind the way that the speed set-point asks for [counts]."""
-    asked = np.cumsum(recording.speed_ref) * TICK
-    return np.asarray((asked - (recording.theta - recording.theta[0])) / COUNT)
+def position_lag(recording: Recording) -> NDArray[np.float64]:
+    """Lag of the true shaft behind the integral of the speed set-point [counts]."""
+    reference = np.cumsum(recording.speed_ref) * TICK
+    return np.asarray((reference - (recording.theta - recording.theta[0])) / COUNT)
 
 
-# ---- what the axes do, both at once, without the feature and with it -------------------------------------------------
+# ---- runs of both axes, without and with the feature -----------------------------------------------------------------
 
 
 def start(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recording]:
-    """From rest to a low speed."""
+    """Start from standstill to a low speed."""
     with rig.spinning(plant, seed) as board:
         for axis in range(AXES):
             rig.set_up(board, axis, "SPEED", FRICTION=on)
-        rig.watch(board, [0], 10 * TICK)
+        rig.record(board, [0], 10 * TICK)
         for axis in range(AXES):
             rig.command_speed(board, axis, START)
-        return rig.watch(board, range(AXES), START_WATCHED)
+        return rig.record(board, range(AXES), START_TIME)
 
 
 def reverse_speed(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recording]:
-    """Sine of the speed."""
+    """Sinusoidal speed."""
     with rig.spinning(plant, seed) as board:
         for axis in range(AXES):
             rig.set_up(board, axis, "SPEED", FRICTION=on)
@@ -89,100 +89,100 @@ def reverse_speed(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recordin
             for axis in range(AXES):
                 rig.command_speed(board, axis, SPEED * math.sin(2.0 * math.pi * SPEED_FREQUENCY * k * TICK))
 
-        return rig.watch(board, range(AXES), SETTLE + MEASURED, act)
+        return rig.record(board, range(AXES), SETTLE + MEASURED, act)
 
 
 def reverse_position(plant: PlantConfig, seed: int, on: bool) -> dict[int, Recording]:
-    """Sine of the position, speed and acceleration fed forward in both runs."""
+    """Sinusoidal position, with feed-forward of speed and acceleration in both runs."""
     with rig.spinning(plant, seed) as board:
         starts = [rig.position_of(board, axis) for axis in range(AXES)]
         for axis in range(AXES):
             rig.set_up(board, axis, FRICTION=on, SPEED_FORWARD=True, ACCELERATION_FORWARD=True)
 
         def act(k: int) -> None:
-            way = 0.5 * (1.0 - math.cos(2.0 * math.pi * WAY_FREQUENCY * k * TICK))
+            position = 0.5 * (1.0 - math.cos(2.0 * math.pi * POSITION_FREQUENCY * k * TICK))
             for axis, start in enumerate(starts):
-                rig.command_position(board, axis, round(start + 2.0 * WAY * COUNTS_PER_TURN * way))
+                rig.command_position(board, axis, round(start + 2.0 * AMPLITUDE * COUNTS_PER_TURN * position))
 
-        return rig.watch(board, range(AXES), SETTLE + MEASURED, act)
+        return rig.record(board, range(AXES), SETTLE + MEASURED, act)
 
 
-# ---- what is measured ------------------------------------------------------------------------------------------------
+# ---- figures ---------------------------------------------------------------------------------------------------------
 
 
 def _rms(signal: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(signal**2)))
 
 
-def expected_at_start(shaft: Shaft, rest: float) -> float:
-    """Root mean square of the way that a part of the friction takes by itself at a start [counts].
+def expected_at_start(shaft: Shaft, fraction: float) -> float:
+    """RMS position lag at a start by a fraction `fraction` of the friction alone [counts].
 
-    Not to be had from a run without the feature: what the encoder hides at a start takes the shaft ahead, and what
-    friction takes is to be seen only less that.
+    Cannot be measured in the run without feed-forward: at the start the encoder resolution adds an error of opposite
+    sign.
     """
-    torques = np.full(round(START_WATCHED / TICK), rest * shaft.axis.friction)
-    return _rms(answer(torques, shaft.axis, position=False, heavier=shaft.heavier))
+    torques = np.full(round(START_TIME / TICK), fraction * shaft.axis.friction)
+    return _rms(response(torques, shaft.axis, position=False, heavier=shaft.heavier))
 
 
 def lost_at_start(recording: Recording, shaft: Shaft) -> float:
-    """Root mean square of the lost way, but for what the inverter costs [counts]."""
-    return _rms(behind(recording) + pushed(recording, shaft.axis, position=False, heavier=shaft.heavier))
+    """RMS position lag, without the part caused by the inverter [counts]."""
+    return _rms(position_lag(recording) + displacement(recording, shaft.axis, position=False, heavier=shaft.heavier))
 
 
 def lost_at_reversals(recording: Recording, shaft: Shaft) -> float:
-    """Root mean square of the lost way about its mean, over whole periods, but for what the inverter costs [counts]."""
-    way = behind(recording) + pushed(recording, shaft.axis, position=False, heavier=shaft.heavier)
-    way = way[round(SETTLE / TICK) :]
-    return _rms(way - way.mean())
+    """RMS of the position lag about its mean, over whole periods, without the part of the inverter [counts]."""
+    position = position_lag(recording) + displacement(recording, shaft.axis, position=False, heavier=shaft.heavier)
+    position = position[round(SETTLE / TICK) :]
+    return _rms(position - position.mean())
 
 
 def following_error(recording: Recording, shaft: Shaft) -> float:
-    """Root mean square of the true following error, over whole periods, but for what the inverter costs [counts]."""
-    cost = pushed(recording, shaft.axis, position=True, heavier=shaft.heavier)
+    """RMS of the true following error, over whole periods, without the part caused by the inverter [counts]."""
+    cost = displacement(recording, shaft.axis, position=True, heavier=shaft.heavier)
     return _rms((recording.position_ref - recording.shaft + cost)[round(SETTLE / TICK) :])
 
 
 @dataclass(frozen=True)
 class Task:
-    """What the axes do, what is measured of it, and how it is drawn."""
+    """A run, its figure and its curve."""
 
     name: str
-    note: str  # its name in the notes
-    run: Callable[[PlantConfig, int, bool], dict[int, Recording]]  # both axes, without the feature or with it
+    note: str  # name in the notes
+    run: Callable[[PlantConfig, int, bool], dict[int, Recording]]  # runs both axes, without or with the feature
     figure: str
-    measure: Callable[[Recording, Shaft], float]  # root mean square [counts]
+    measure: Callable[[Recording, Shaft], float]  # RMS figure [counts]
     label: str
     signal: Callable[[Recording], NDArray[np.float64]]  # curve of the picture [counts]
-    shown: float  # begin of the picture [s]
+    shown: float  # start of the picture [s]
 
 
 END: Final = SETTLE + MEASURED
 TASKS: Final = (
-    Task("start from rest", "start", start, "lost way", lost_at_start, "behind", behind, 0.0),
+    Task("start from rest", "start", start, "lost way", lost_at_start, "lag", position_lag, 0.0),
     Task(
         "reversals of speed", "reversals of speed", reverse_speed, "lost way", lost_at_reversals,
-        "behind", behind, END - 1.0 / SPEED_FREQUENCY,
+        "lag", position_lag, END - 1.0 / SPEED_FREQUENCY,
     ),
     Task(
         "reversals of position", "of position", reverse_position, "following error", following_error,
-        "following error", lambda r: np.asarray(r.position_ref - r.shaft), END - 1.0 / WAY_FREQUENCY,
+        "following error", lambda r: np.asarray(r.position_ref - r.shaft), END - 1.0 / POSITION_FREQUENCY,
     ),
 )  # fmt: skip
 
 
-def deviation_max(task: Task, without: Recording, shaft: Shaft, rest: float) -> float:
-    """What may be left of an error [counts]: the part of the friction that is, and what the encoder hides.
+def deviation_max(task: Task, without: Recording, shaft: Shaft, fraction: float) -> float:
+    """Permitted remaining error [counts]: part of the uncompensated friction, and encoder quantisation.
 
-    The loop is slower, and what it does not see grows, as much as the shaft is heavier than nominal.
+    With a larger inertia the loop is slower, and the quantisation error increases by the same factor.
     """
     if task.run is start:
-        return expected_at_start(shaft, rest) + START_HIDDEN
-    return rest * task.measure(without, shaft) + HIDDEN * shaft.heavier
+        return expected_at_start(shaft, fraction) + START_QUANTISATION
+    return fraction * task.measure(without, shaft) + QUANTISATION * shaft.heavier
 
 
 @experiment(NAME)
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
-    """Three frictions, three tasks, without and with."""
+    """Three frictions, three tasks, without and with the feature."""
     nominals = nominal_shafts(plant, seed)
     torques = ", ".join(f"{axis_name(axis)} {1e3 * nominal.friction:.3g} mN m" for axis, nominal in enumerate(nominals))
     yield f"the friction of the plant is set, Coulomb only, from the nominal values: {torques}"
@@ -200,7 +200,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             for task, without, with_it in found:
                 value, bound = (
                     task.measure(with_it[axis], shaft),
-                    deviation_max(task, without[axis], shaft, left(times)),
+                    deviation_max(task, without[axis], shaft, uncompensated(times)),
                 )
                 yield judge(f"{task.name}, {task.figure}, rms", value, "counts", maximum=bound)
                 if times == 1.0:
@@ -212,7 +212,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
 def _note(
     times: float, shafts: list[Shaft], found: list[tuple[Task, dict[int, Recording], dict[int, Recording]]]
 ) -> str:
-    """The figures, and how much of it the current costs that the inverter kept back."""
+    """Note with the figures and the part caused by the inverter."""
     parts = [
         f"{task.note} "
         + " and ".join(
@@ -223,13 +223,13 @@ def _note(
     ]
     last = found[-1][2]
     costs = " and ".join(
-        f"{_rms(pushed(last[axis], s.axis, position=True, heavier=s.heavier)[round(SETTLE / TICK) :]):.2g}"
+        f"{_rms(displacement(last[axis], s.axis, position=True, heavier=s.heavier)[round(SETTLE / TICK) :]):.2g}"
         for axis, s in enumerate(shafts)
     )
     return (
         f"friction x {times:g}, both axes, without -> with, rms [counts]: "
         + ", ".join(parts)
-        + f"; taken out of the last: {costs}, for current that did not flow"
+        + f"; subtracted from the last: {costs}, caused by the inverter"
     )
 
 

@@ -1,4 +1,4 @@
-"""Homing to hard stops, from rubber to steel, and to switches at random places; no stop; an axis that is not homed."""
+"""Homing to hard stops (rubber to steel) and to switches; missing stop; axis that is not homed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from servo_twin.plant import STOP_STIFFNESS_MAX, PlantConfig
 
 NAME: Final = "homing"
 HELP: Final = """\
-Beyond the reference design, whose position counts from where the rotor was first found (E41). Shown: both axes home to
+Beyond the reference design, whose position is relative to the rotor search (E41). Shown: both axes home to
 hard stops at random positions on both sides, with random stiffness and damping, twice each: spread, repeatability and
 position error against the true angle of the stop, current and force of the contact. The same with home switches,
 starting off and on the switch. A missing stop is a fault within the configured distance. With the feature HOMING an
@@ -35,41 +35,41 @@ KINDS: Final[Mapping[str, tuple[float, float]]] = {"rubber": (0.3, 3.0), "plasti
 """Stiffness of a stop [N m/rad]."""
 
 TRIALS: Final = 4
-DAMPING: Final = (0.05, 0.7)  # of the shaft on the stop
-AWAY: Final = (0.3, 9.0)  # from where the shaft is at the start [rad]
-ELSEWHERE: Final = 1.0  # from the stop, before the second homing [rad]
-LONGEST: Final = 12.0  # of a homing [s]
-NEAR: Final = 0.05  # where the contact is looked at closely [rad]
-CLOSELY: Final = TICK_NS // 8
+DAMPING: Final = (0.05, 0.7)  # damping ratio of the shaft at the stop
+AWAY: Final = (0.3, 9.0)  # distance from the start [rad]
+SECOND_START: Final = 1.0  # distance from the stop before the second homing [rad]
+HOMING_TIMEOUT: Final = 12.0  # timeout of a homing [s]
+NEAR: Final = 0.05  # distance from the stop with fine sampling [rad]
+FINE_STEP: Final = TICK_NS // 8
 FAR: Final = 20.0  # [rad]
 SPEED: Final = 60.0  # [rad/s]
 
 SPREAD_MAX: Final = 3.0
-"""Of three contacts, which differ in where friction lets the shaft come to rest [counts]."""
+"""Permitted spread of three contacts, which differ by friction [counts]."""
 
 PLACE_MAX: Final = 2.0
-"""Beyond what friction may hold back: a count at each end [counts]."""
+"""Permitted error in addition to the error by friction [counts]: one count at each end."""
 
-ON_SWITCH: Final = (0.1, 0.6)  # beyond the edge, where a homing may begin [rad]
-WIDE: Final = 30.0  # a switch is closed so far beyond its edge [rad]
+START_ON_SWITCH: Final = (0.1, 0.6)  # start beyond the edge of a switch [rad]
+SWITCH_WIDTH: Final = 30.0  # width of a switch [rad]
 BEYOND_EDGE: Final = (-1.0, 6.0)
-"""Where the edge of a switch is found [counts]: a count of the encoder, and three slow ticks (one until it is read,
-two of the filter) at the speed of the first approach. The others are slower in the mean, but not at every instant."""
+"""Permitted position of the detected edge of a switch [counts]: a count of the encoder, and three slow ticks (one until
+reading, two of the filter) at the speed of the first approach. The other approaches are slower on average only."""
 
 SWITCH_SPREAD: Final = BEYOND_EDGE[1] - 1.0
-"""Of three edges, which differ in the speed at each [counts]."""
+"""Permitted spread of three edges, which differ by the speed at each [counts]."""
 
 CURRENT_MAX: Final = 1.25
-"""Of the limit, the true current, the largest of some ten thousand instants: dead time and noise."""
+"""Largest true current relative to the limit, of some ten thousand samples: dead time and noise."""
 
 OVERSHOOT: Final = 1.2
-"""Speed at the contact over that of the configuration, by the ripple of the M/T method at so low a speed; and, squared,
-what a lag of half a tick adds to the force."""
+"""Speed at the contact relative to the configured one: ripple of the M/T method at low speed; squared, also the
+additional force by a lag of half a tick."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What the board is configured with: speed [rad/s], current [A], reach [rad], turns."""
+    """Configuration of the homing of a board."""
 
     speed: float  # [rad/s]
     current: float  # [A]
@@ -78,7 +78,7 @@ class Settings:
 
     @classmethod
     def of(cls, board: Board) -> Settings:
-        """Those of axis 1, which are those of both."""
+        """Settings of axis 1; axis 2 has the same."""
         block, members = read_block(Replica(board), 0), AxisConfigTable.load().members
         return cls(*(block[f"home.{name}"] * members[f"home.{name}"].lsb for name in cls.__dataclass_fields__))
 
@@ -94,18 +94,18 @@ class Stop:
 
 @dataclass(frozen=True)
 class Contact:
-    """What two homings of an axis to the same stop have shown."""
+    """Result of two homings of an axis to the same stop."""
 
     done: bool  # both have succeeded
-    spread: float  # larger one of both [counts]
-    repeats: float  # distance of the two references, beyond what friction may hold back [counts]
-    place: float  # distance of the first one from where the current holds the shaft against the stop, likewise
-    current: float  # largest true current over the limit, without the ripple
-    force: float  # largest torque of the stop over what the current and the moving shaft can do to an ideal spring
+    spread: float  # larger spread of both [counts]
+    repeats: float  # distance of the two references, minus the permitted error by friction [counts]
+    place: float  # first reference from the equilibrium at the stop, minus the error by friction [counts]
+    current: float  # largest true current relative to the limit, without the ripple
+    force: float  # largest torque of the stop relative to that of an ideal spring with this current and kinetic energy
 
 
 def stops_of(plant: PlantConfig, seed: int, kind: str, trial: int) -> tuple[PlantConfig, list[Stop]]:
-    """The plant with random stops on both axes."""
+    """Plant with random stops on both axes."""
     rnd = random.Random(f"{NAME} {kind} {trial} {seed}")
     plant = plant.drawn(seed)
     low, high = (math.log(k) for k in KINDS[kind])
@@ -125,47 +125,47 @@ def stops_of(plant: PlantConfig, seed: int, kind: str, trial: int) -> tuple[Plan
     return plant, stops
 
 
-def ask(board: Board, axis: int, method: str, position: float = 0.0) -> None:
+def start_homing(board: Board, axis: int, method: str, position: float = 0.0) -> None:
     """Write ``cmd.home`` with the position of the reference [rad]."""
     rig.set_axis(board, "cmd.home_position", axis, position)
     rig.set_axis(board, "cmd.home", axis, board.catalogue.enums["home_method_t"][method])
 
 
 def _labels(board: Board, what: str) -> list[str]:
-    """``home_state`` or ``home_result`` of both axes in words."""
+    """``home_state`` or ``home_result`` of both axes as text."""
     return [board.catalogue.label(f"{what}_t", rig.word(board, axis, what)) for axis in range(AXES)]
 
 
 def _home(board: Board, method: str, stops: list[Stop]) -> tuple[list[float], list[float]]:
-    """Home both axes: largest current [A] and torque of the stop [N m] of each; looks closely while a shaft hits."""
+    """Home both axes: largest current [A] and stop torque [N m] of each, with fine sampling at the contact."""
     for axis in range(AXES):
-        ask(board, axis, method)
+        start_homing(board, axis, method)
     currents, torques = [0.0] * AXES, [0.0] * AXES
-    end = board.time_ns + round(LONGEST * 1e9)
-    begun = False
+    end = board.time_ns + round(HOMING_TIMEOUT * 1e9)
+    started = False
     while board.time_ns < end:
-        close = False
+        fine = False
         for axis, entry in enumerate(board.plant.axes):
             truth = board.truth(axis)
-            deep = max(truth.theta_m - entry.stop_max, entry.stop_min - truth.theta_m)
-            torques[axis] = max(torques[axis], max(deep, 0.0) * stops[axis].stiffness)
+            penetration = max(truth.theta_m - entry.stop_max, entry.stop_min - truth.theta_m)
+            torques[axis] = max(torques[axis], max(penetration, 0.0) * stops[axis].stiffness)
             currents[axis] = max(currents[axis], abs(truth.i_q))
-            close = close or (deep > -NEAR and abs(truth.omega_m) > 0.1)
-        board.advance(board.time_ns + (CLOSELY if close else TICK_NS))
+            fine = fine or (penetration > -NEAR and abs(truth.omega_m) > 0.1)
+        board.advance(board.time_ns + (FINE_STEP if fine else TICK_NS))
         states = _labels(board, "home_state")
-        begun = begun or "HOMING" in states
-        if begun and "HOMING" not in states:
+        started = started or "HOMING" in states
+        if started and "HOMING" not in states:
             break
     board.run(0.1)
     return currents, torques
 
 
 def _wait(board: Board, longest: float) -> None:
-    """Until no axis is homing, at most `longest` [s]."""
+    """Run until no axis is homing, at most `longest` [s]."""
     board.run(0.01)
     end = board.time_ns + round(longest * 1e9)
     while board.time_ns < end and "HOMING" in _labels(board, "home_state"):
-        board.write("cmd.enable", [1.0] * AXES)  # the host is there
+        board.write("cmd.enable", [1.0] * AXES)  # keep-alive of the host
         board.run(0.1)
 
 
@@ -179,17 +179,17 @@ def _zeros(board: Board) -> list[float]:
 
 
 def contacts(plant: PlantConfig, seed: int, kind: str, trial: int) -> list[Contact]:
-    """Home both axes twice to the same stops, from different places."""
+    """Home both axes twice to the same stops, from different positions."""
     plant, stops = stops_of(plant, seed, kind, trial)
-    way = 1.0 if trial % 2 == 0 else -1.0
-    method = "STOP_POSITIVE" if way > 0.0 else "STOP_NEGATIVE"
+    direction = 1.0 if trial % 2 == 0 else -1.0
+    method = "STOP_POSITIVE" if direction > 0.0 else "STOP_NEGATIVE"
     with rig.spinning(plant, seed) as board:
         home = Settings.of(board)
         currents, torques = _home(board, method, stops)
         zeros, results, spreads = [_zeros(board)], [_labels(board, "home_result")], [_spreads(board)]
         for axis, state in enumerate(_labels(board, "home_state")):
             if state == "KNOWN":
-                rig.command_position(board, axis, round(-way * min(ELSEWHERE, stops[axis].away) / COUNT))
+                rig.command_position(board, axis, round(-direction * min(SECOND_START, stops[axis].away) / COUNT))
         board.run(1.0)
         _home(board, method, stops)
         zeros.append(_zeros(board))
@@ -199,16 +199,16 @@ def contacts(plant: PlantConfig, seed: int, kind: str, trial: int) -> list[Conta
     for axis, entry in enumerate(plant.axes):
         push = home.current * entry.torque_constant
         stick = entry.friction / stops[axis].stiffness / COUNT
-        edge = entry.stop_max if way > 0.0 else entry.stop_min
-        rest = edge + way * push / stops[axis].stiffness
-        late = stops[axis].stiffness * OVERSHOOT * home.speed / plant.pwm_frequency  # a step of the plant
+        edge = entry.stop_max if direction > 0.0 else entry.stop_min
+        equilibrium = edge + direction * push / stops[axis].stiffness
+        late = stops[axis].stiffness * OVERSHOOT * home.speed / plant.pwm_frequency  # an integration step of the plant
         hit = late + push + math.sqrt(push**2 + stops[axis].stiffness * entry.inertia * (OVERSHOOT * home.speed) ** 2)
         found.append(
             Contact(
                 done=all(result[axis] == "DONE" for result in results),
                 spread=max(spread[axis] for spread in spreads),
                 repeats=max(abs(zeros[0][axis] - zeros[1][axis]) / COUNT - stick, 0.0),
-                place=max(abs(zeros[0][axis] - rest) / COUNT - stick, 0.0),
+                place=max(abs(zeros[0][axis] - equilibrium) / COUNT - stick, 0.0),
                 current=(currents[axis] - ripple(plant, axis, home.current)) / home.current,
                 force=torques[axis] / hit,
             )
@@ -221,45 +221,45 @@ def contacts(plant: PlantConfig, seed: int, kind: str, trial: int) -> list[Conta
 
 @dataclass(frozen=True)
 class Switch:
-    """A homing to a switch: success, place of the reference beyond the switch's edge and spread [counts]."""
+    """Result of a homing to a switch."""
 
     done: bool
-    place: float  # of the reference beyond the switch's edge [counts]
-    spread: float  # of the reference [counts]
+    place: float  # position of the reference beyond the edge of the switch [counts]
+    spread: float  # spread of the reference [counts]
 
 
 def to_switches(plant: PlantConfig, seed: int, trial: int) -> list[Switch]:
-    """Home both axes to switches that are closed from a random angle on, in every second trial from on the switch."""
+    """Home both axes to switches at random angles, in every second trial with a start on the switch."""
     rnd = random.Random(f"{NAME} switch {trial} {seed}")
-    plant, way = plant.drawn(seed), (1.0 if trial // 2 % 2 == 0 else -1.0)
+    plant, direction = plant.drawn(seed), (1.0 if trial // 2 % 2 == 0 else -1.0)
     edges: list[float] = []
     for axis, entry in enumerate(plant.axes):
         assert not isinstance(entry.theta_start, str)
-        away = rnd.uniform(*AWAY) if trial % 2 == 0 else -rnd.uniform(*ON_SWITCH)
-        edges.append(entry.theta_start + way * away)
-        closed = sorted((edges[-1], edges[-1] + way * WIDE))
+        away = rnd.uniform(*AWAY) if trial % 2 == 0 else -rnd.uniform(*START_ON_SWITCH)
+        edges.append(entry.theta_start + direction * away)
+        closed = sorted((edges[-1], edges[-1] + direction * SWITCH_WIDTH))
         plant = plant.with_axis(axis, pins=replace(entry.pins, home_from=closed[0], home_to=closed[1]))
     with rig.prepared(lambda board: fit(board, "home")), rig.spinning(plant, seed) as board:
         for axis in range(AXES):
-            ask(board, axis, "SWITCH_POSITIVE" if way > 0.0 else "SWITCH_NEGATIVE")
-        _wait(board, LONGEST)
+            start_homing(board, axis, "SWITCH_POSITIVE" if direction > 0.0 else "SWITCH_NEGATIVE")
+        _wait(board, HOMING_TIMEOUT)
         zeros, results, spreads = _zeros(board), _labels(board, "home_result"), _spreads(board)
         return [
-            Switch(result == "DONE", way * (zero - edge) / COUNT, spread)
+            Switch(result == "DONE", direction * (zero - edge) / COUNT, spread)
             for result, zero, edge, spread in zip(results, zeros, edges, spreads, strict=True)
         ]
 
 
-# ---- what cannot be found --------------------------------------------------------------------------------------------
+# ---- missing references ----------------------------------------------------------------------------------------------
 
 
 def missing(plant: PlantConfig, seed: int) -> Iterator[Row]:
-    """Send both axes to stops that are not there."""
+    """Home both axes to missing stops."""
     with rig.spinning(plant, seed) as board:
         home = Settings.of(board)
         starts = [board.truth(axis).theta_m for axis in range(AXES)]
         for axis in range(AXES):
-            ask(board, axis, "STOP_NEGATIVE")
+            start_homing(board, axis, "STOP_NEGATIVE")
         _wait(board, 2.0 * math.pi * home.turns_max / home.speed + 1.0)
         board.run(0.2)
         for axis, result in enumerate(_labels(board, "home_result")):
@@ -272,29 +272,29 @@ def missing(plant: PlantConfig, seed: int) -> Iterator[Row]:
 
 @dataclass(frozen=True)
 class Unhomed:
-    """Axes with the feature that are not homed, sent away by a far position and by a speed."""
+    """Axes with the feature HOMING that are not homed, with a far position and a speed as set-points."""
 
-    here: list[int]  # where they were enabled [counts]
-    still: dict[int, Recording]  # after the far position
-    turning: dict[int, Recording]  # with the speed
-    reach: float  # how far they may turn [counts]
+    start: list[int]  # position at the enable [counts]
+    stationary: dict[int, Recording]  # after the far position set-point
+    turning: dict[int, Recording]  # with the speed set-point
+    reach: float  # permitted distance [counts]
     mask: int  # bit of the expected limit
 
 
 def unhomed(plant: PlantConfig, seed: int) -> Unhomed:
-    """Send both axes away, by a far position and by a speed."""
+    """Write a far position and then a speed to both axes."""
     with rig.spinning(plant, seed) as board:
         mask, reach = board.catalogue.flag("limits", "NOT_HOMED").mask, Settings.of(board).reach / COUNT
-        here = [rig.position_of(board, axis) for axis in range(AXES)]
+        start = [rig.position_of(board, axis) for axis in range(AXES)]
         for axis in range(AXES):
             rig.features(board, axis, HOMING=True)
         board.run(0.01)
         for axis in range(AXES):
-            rig.command_position(board, axis, here[axis] + round(FAR / COUNT))
-        still = rig.watch(board, range(AXES), 0.3)
+            rig.command_position(board, axis, start[axis] + round(FAR / COUNT))
+        stationary = rig.record(board, range(AXES), 0.3)
         for axis in range(AXES):
             rig.set_up(board, axis, "SPEED", SPEED)
-        return Unhomed(here, still, rig.watch(board, range(AXES), 1.0), reach, mask)
+        return Unhomed(start, stationary, rig.record(board, range(AXES), 1.0), reach, mask)
 
 
 # ---- the experiment --------------------------------------------------------------------------------------------------
@@ -302,7 +302,7 @@ def unhomed(plant: PlantConfig, seed: int) -> Unhomed:
 
 @experiment(NAME)
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
-    """All kinds of stops, none, and an axis that is not homed."""
+    """All kinds of stops, a missing stop, and axes that are not homed."""
     places: list[Curve] = []
     for kind in KINDS:
         found = [c for trial in range(TRIALS) for c in contacts(plant, seed, kind, trial)]
@@ -324,17 +324,17 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield from missing(plant, seed)
     it = unhomed(plant, seed)
     curves: list[Curve] = []
-    for axis, (still, turning) in enumerate(zip(it.still.values(), it.turning.values(), strict=True)):
-        judge, way = Judge(f"{axis_name(axis)}, not homed: "), turning.shaft - it.here[axis]
-        named = still.limits[-1] & turning.limits[-1] & it.mask
-        yield judge("moves for a far set-point", np.ptp(still.shaft), "counts", maximum=2.0)
-        yield judge("turns by a speed", way.max(), "counts", 0.9 * it.reach, it.reach + 4.0)
+    for axis, (stationary, turning) in enumerate(zip(it.stationary.values(), it.turning.values(), strict=True)):
+        judge, direction = Judge(f"{axis_name(axis)}, not homed: "), turning.shaft - it.start[axis]
+        named = stationary.limits[-1] & turning.limits[-1] & it.mask
+        yield judge("moves for a far set-point", np.ptp(stationary.shaft), "counts", maximum=2.0)
+        yield judge("turns by a speed", direction.max(), "counts", 0.9 * it.reach, it.reach + 4.0)
         yield judge.true("names itself", bool(named))
-        curves.append(Curve(axis_name(axis), turning.time, way / COUNTS_PER_TURN))
-    beyond = "beyond what friction over stiffness may hold back, or beyond the edge of a switch"
-    yield f"{2 * TRIALS} pairs of homings each; places: {beyond}"
-    yield Panel("place of the reference", "homing", "off, beyond friction [counts]", places)
-    yield Panel("speed set-point, not homed", "time [s]", "from where it was enabled [turns]", curves)
+        curves.append(Curve(axis_name(axis), turning.time, direction / COUNTS_PER_TURN))
+    beyond = "distance from the stop minus friction / stiffness, or from the edge of a switch"
+    yield f"{2 * TRIALS} pairs of homings each; position of the reference: {beyond}"
+    yield Panel("position of the reference", "homing", "error beyond friction [counts]", places)
+    yield Panel("speed set-point, not homed", "time [s]", "position from the enable [turns]", curves)
 
 
 def _places(label: str, places: list[float], style: str) -> Curve:

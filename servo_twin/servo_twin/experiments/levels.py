@@ -1,4 +1,4 @@
-"""Every figure of the experiments at both levels of the board, side by side."""
+"""Comparison of the figures of the experiments at both levels of the board."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ FILE: Final = "levels.json"
 _HEAD: Final = ("figure", *LEVELS, "difference", "unit", "bound", "agrees")
 
 
-def reach(bound: Bound) -> float:
-    """How far apart two values may be that agree with a bound, in its unit."""
+def permitted_difference(bound: Bound) -> float:
+    """Permitted difference of two values for a bound, in its unit."""
     if bound.minimum is not None and bound.maximum is not None:
         return bound.maximum - bound.minimum
     return math.inf if bound.maximum is None else abs(bound.maximum)
@@ -36,27 +36,27 @@ class Pair:
     """A figure at both levels."""
 
     name: str  # experiment and figure
-    ideal: Row | None  # as measured; None: the experiment could not be run at this level
-    registers: Row | None  # likewise
+    ideal: Row | None  # row at level ideal; None: the experiment failed
+    registers: Row | None  # row at level registers; None: the experiment failed
 
     @property
     def difference(self) -> float | None:
-        """Registers less ideal, in the unit of the figure."""
+        """Value at level registers minus value at level ideal, in the unit of the figure."""
         first = self.ideal.measured if self.ideal is not None else None
         second = self.registers.measured if self.registers is not None else None
         return None if first is None or second is None else second - first
 
     @property
     def difference_max(self) -> float | None:
-        """How large the difference may be, in the same unit: wider where the plant has imperfections."""
+        """Permitted difference, in the unit of the figure."""
         rows = [row for row in (self.ideal, self.registers) if row is not None]
         if len(rows) < len(LEVELS):
             return None
-        return max(reach(row.bound) if row.apart is None else row.apart for row in rows)
+        return max(permitted_difference(row.bound) if row.apart is None else row.apart for row in rows)
 
     @property
     def part(self) -> float | None:
-        """Difference over how large it may be: 0 for equal figures, infinite for others that ought to be equal."""
+        """Difference relative to the permitted one: infinite if no difference is permitted."""
         difference, maximum = self.difference, self.difference_max
         if difference is None or maximum is None or math.isnan(difference):
             return None
@@ -112,23 +112,23 @@ def _cells(pair: Pair) -> tuple[str, ...]:
 
 
 def _text(value: float | None) -> str:
-    return "never" if value is None or not math.isfinite(value) else f"{value:.4g}"
+    return "none" if value is None or not math.isfinite(value) else f"{value:.4g}"
 
 
 def table(name: str, every: Sequence[Pair]) -> str:
-    """Figures of one experiment for people; where each level has its own bound, that of the ideal one comes first."""
+    """Figures of one experiment as text; with different bounds the bound of level ideal comes first."""
     lines = [_HEAD, *(_cells(pair) for pair in every if pair.name.startswith(f"{name}: "))]
     return "\n".join([name, "", *(f"  {row.rstrip()}" for row in columns(lines))]) + "\n"
 
 
 def overview(every: Sequence[Pair]) -> str:
-    """One line per experiment: how many figures agree, and which of them differs most for what it may."""
-    head = ("experiment", "figures", "agree", "largest difference", "of what it may be", "figure")
+    """One line per experiment: number of figures that agree, and the largest relative difference."""
+    head = ("experiment", "figures", "agree", "largest difference", "of the permitted", "figure")
     lines = [head]
     for name in dict.fromkeys(pair.name.partition(": ")[0] for pair in every):
-        mine = [pair for pair in every if pair.name.startswith(f"{name}: ")]
-        agree = sum(pair.agrees for pair in mine)
-        measured = [(pair.part, pair) for pair in mine if pair.part is not None]
+        own = [pair for pair in every if pair.name.startswith(f"{name}: ")]
+        agree = sum(pair.agrees for pair in own)
+        measured = [(pair.part, pair) for pair in own if pair.part is not None]
         if measured:
             part, pair = max(measured, key=lambda found: found[0])
             unit = next((row.unit for row in (pair.ideal, pair.registers) if row is not None), "")
@@ -136,12 +136,12 @@ def overview(every: Sequence[Pair]) -> str:
             worst = (largest, "inf" if math.isinf(part) else f"{part:.2f}", pair.name.partition(": ")[2])
         else:
             worst = ("", "", "")
-        lines.append((name, str(len(mine)), str(agree), *worst))
+        lines.append((name, str(len(own)), str(agree), *worst))
     return "\n".join(f"  {row.rstrip()}" for row in columns(lines)) + "\n"
 
 
 def write(folder: Path, every: Sequence[Pair]) -> Path:
-    """Write ``levels.json``; returns where it is."""
+    """Write ``levels.json``; returns its path."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / FILE
     text = json.dumps([pair.as_dict() for pair in every], indent=2, allow_nan=False, ensure_ascii=False)

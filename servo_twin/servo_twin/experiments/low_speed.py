@@ -9,7 +9,7 @@ import numpy as np
 from servo_msgs_py.catalogue import AXES, axis_name
 
 from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
-from servo_twin.experiments.rig import COUNT, RPM, Recording, set_up, spinning, watch
+from servo_twin.experiments.rig import COUNT, RPM, Recording, record, set_up, spinning
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "low-speed"
@@ -23,28 +23,28 @@ SPEEDS: Final = (1.0, 5.0, 20.0)  # [rpm]
 SETTLE: Final = 1.0  # [s]
 MEASURED: Final = 4.0  # [s]
 
-RARE: Final = 10.0
-"""Below, an edge of track B comes every six slow loops at most: here the enhanced method has to help [rpm]."""
+RARE_EDGES: Final = 10.0
+"""Below this speed, with at most one edge of track B per six slow loops, the enhanced method must be better [rpm]."""
 
-BETTER_MAX: Final = 0.9
-"""Deviation with the enhanced method over that with the plain one, at the speed at which it helps most."""
+DEVIATION_RATIO_MAX: Final = 0.9
+"""Permitted ratio of the deviations, enhanced to plain, at the most favourable speed."""
 
-CHANCE: Final = 1.25
-"""The same at any speed: where both methods see the same edges, the rest is noise."""
+NOISE_RATIO_MAX: Final = 1.25
+"""Permitted ratio of the deviations at any speed: with the same edges, the difference is noise."""
 
-WAY_MAX: Final = 8.0
-"""The shaft is so far from where the set-point wants it, at the most, after the time measured [counts]."""
+POSITION_ERROR_MAX: Final = 8.0
+"""Permitted position error after the measured time [counts]."""
 
 
 def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Recording:
-    """Closed loop at a constant set-point [rad/s], once it has settled."""
+    """Closed loop at a constant set-point [rad/s], after settling."""
     with spinning(plant, seed) as board:
         set_up(board, axis, "SPEED", speed, ENHANCED_MT=enhanced)
-        return watch(board, [axis], SETTLE + MEASURED)[axis].part(SETTLE)
+        return record(board, [axis], SETTLE + MEASURED)[axis].part(SETTLE)
 
 
 def deviation(recording: Recording, speed: float) -> float:
-    """Root mean square of the true speed's deviation from the set-point, over the set-point [1]."""
+    """RMS deviation of the true speed, relative to the set-point [1]."""
     return float(np.sqrt(np.mean((recording.omega - speed) ** 2)) / speed)
 
 
@@ -59,13 +59,13 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             plain, better = both = [hold_speed(plant, seed, axis, speed, enhanced) for enhanced in (False, True)]
             rms, means = [deviation(r, speed) for r in both], [float(r.omega.mean()) for r in both]
             ratio = rms[1] / max(rms[0], 1e-9)
-            if rpm < RARE:
+            if rpm < RARE_EDGES:
                 rare.append(ratio)
-            says = "2.4.6: better" if rpm < RARE else "2.4.6: no difference when edges come often"
-            lost = abs(means[1] - speed) * MEASURED / COUNT
+            says = "2.4.6: better" if rpm < RARE_EDGES else "2.4.6: no difference when edges come often"
+            position_error = abs(means[1] - speed) * MEASURED / COUNT
             judge = Judge(f"{what}, ", NOT_SHOWN)
-            yield judge("deviation enhanced over plain", ratio, maximum=CHANCE, reference=says)
-            yield judge("way lost with enhanced", lost, "counts", maximum=WAY_MAX)
+            yield judge("deviation enhanced over plain", ratio, maximum=NOISE_RATIO_MAX, reference=says)
+            yield judge("way lost with enhanced", position_error, "counts", maximum=POSITION_ERROR_MAX)
             yield (
                 f"{what}: deviation {100 * rms[0]:.3g} % plain, {100 * rms[1]:.3g} % enhanced; true mean "
                 f"{means[0] / RPM:.3g} and {means[1] / RPM:.3g} rpm"
@@ -73,7 +73,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             if axis == 0:
                 yield _panel(what, rpm, plain, better)
         judge = Judge(f"{axis_name(axis)}, where it helps most, ", "2.4.6: better when edges are rare")
-        yield judge("deviation enhanced over plain", min(rare), maximum=BETTER_MAX)
+        yield judge("deviation enhanced over plain", min(rare), maximum=DEVIATION_RATIO_MAX)
 
 
 def _panel(title: str, rpm: float, plain: Recording, better: Recording) -> Panel:

@@ -1,4 +1,4 @@
-"""Lowest speed at which an axis without an encoder turns steadily."""
+"""Lowest steady speed of a sensorless axis."""
 
 from __future__ import annotations
 
@@ -12,7 +12,16 @@ from servo_msgs_py.catalogue import AXES, axis_name
 from servo_twin.board import Board
 from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.rig import RPM, TICK, command_speed
-from servo_twin.experiments.sensorless import Trace, back_emf, dead_voltage, ended, follow, let_go, limits_of, started
+from servo_twin.experiments.sensorless import (
+    Trace,
+    back_emf,
+    dead_voltage,
+    ended,
+    ended_without_load,
+    follow,
+    limits_of,
+    started,
+)
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "minimum-speed"
@@ -24,46 +33,46 @@ maintained: its mean within 3 % of the set-point, without standstill. Below that
 fault, and must never run away."""
 
 STEPS: Final = (0.3, 0.15, 0.1, 0.08, 0.07, 0.06, 0.05, 0.045, 0.04, 0.035, 0.03, 0.025, 0.02)
-"""Set-points, parts of the speed limit."""
+"""Set-points, relative to the speed limit."""
 
 LOADS: Final = (0.0, 0.25, 0.5)
-"""Parts of the torque at the current limit."""
+"""Loads, relative to the torque at the current limit."""
 
 REFERENCE_MAX: Final = 5.0
-"""The reference design's minimum speed, in percent of the maximum."""
+"""Minimum speed of the reference design [% of the maximum]."""
 
-LOST: Final = 0.4
-"""A back-EMF that is a smaller part of what dead time and drops take is no minimum that a motor could be blamed for."""
+EMF_MIN: Final = 0.4
+"""Smallest back-EMF for the bound, relative to the voltage of dead time and drops."""
 
 MEAN_MAX: Final = 0.03
-"""Deviation of the true mean from the set-point, over it, at the most."""
+"""Permitted relative error of the true mean speed."""
 
-SETTLE: Final = 0.5  # after each step [s]
-MEASURED: Final = 0.75  # then [s]
-LOADING: Final = 0.4  # the load grows so slowly that the speed hardly falls [s]
+SETTLE: Final = 0.5  # settling time after each step [s]
+MEASURED: Final = 0.75  # time of the measurement [s]
+LOADING: Final = 0.4  # ramp of the load, slow enough for a small speed drop [s]
 
-AWAY_MAX: Final = 1.5
-"""Largest speed at the end, over the highest set-point: it must not run away where it can no longer be observed."""
+RUNAWAY_MAX: Final = 1.5
+"""Largest speed relative to the highest set-point: no runaway when the rotor is not observable."""
 
 
 @dataclass(frozen=True)
 class Descent:
-    """One axis on its way down."""
+    """Decreasing speeds of one axis."""
 
-    speeds: tuple[float, ...]  # speeds that were held [rad/s]
-    end: str  # what ended it
-    fastest: float  # largest true speed in the direction of the set-point or against it [rad/s]
-    trace: Trace  # the lowest speed that was held
+    speeds: tuple[float, ...]  # maintained speeds [rad/s]
+    end: str  # reason of the end
+    fastest: float  # largest magnitude of the true speed [rad/s]
+    trace: Trace  # trace at the lowest maintained speed
 
 
 def loaded(board: Board, axis: int, torque: float) -> None:
-    """Let a load [N m] against positive motion grow."""
+    """Increase a load [N m] against positive motion."""
     ticks = round(LOADING / TICK)
     follow(board, [], LOADING, lambda k: board.set_load(axis, torque * (k + 1) / ticks))
 
 
 def descend(plant: PlantConfig, seed: int, axis: int, load: float, steps: Sequence[float]) -> Descent:
-    """One axis with a load, as a part of the torque at the current limit; steps are parts of the speed limit."""
+    """Decrease the speed in steps (relative to the limit), with a load relative to the torque at the current limit."""
     motor = plant.axes[axis]
     with started(plant, seed, {axis: 1.0}) as board:
         limit, current = limits_of(board, axis)
@@ -75,7 +84,7 @@ def descend(plant: PlantConfig, seed: int, axis: int, load: float, steps: Sequen
         for part in steps:
             speed = part * limit
             command_speed(board, axis, speed)
-            trace = follow(board, [axis], SETTLE + MEASURED, lambda _: let_go(board, axis))[axis]
+            trace = follow(board, [axis], SETTLE + MEASURED, lambda _: ended_without_load(board, axis))[axis]
             fastest = max(fastest, float(np.abs(trace.omega).max()))
             if why := ended(board, axis) or _not_held(trace, speed):
                 end = why
@@ -87,17 +96,17 @@ def descend(plant: PlantConfig, seed: int, axis: int, load: float, steps: Sequen
 
 
 def _not_held(trace: Trace, speed: float) -> str:
-    """Why a speed is not held; empty when it is."""
+    """Reason why a speed is not maintained; empty: it is."""
     omega = trace.part(SETTLE).omega
     mean = float(omega.mean())
     if abs(mean / speed - 1.0) > MEAN_MAX:
         return f"a mean of {mean / RPM:.3g} rpm"
-    return "a shaft that stood" if float(omega.min()) <= 0.0 else ""
+    return "standstill" if float(omega.min()) <= 0.0 else ""
 
 
 def _lowest_speed_max(plant: PlantConfig, axis: int, limit: float) -> float:
-    """The reference design's figure, or what a weak back-EMF allows [% of the limit of the speed, in rad/s]."""
-    minimum = LOST * dead_voltage(plant, axis) / back_emf(plant.axes[axis], limit)
+    """Bound of the lowest speed: reference design, or limit by a small back-EMF [% of the speed limit]."""
+    minimum = EMF_MIN * dead_voltage(plant, axis) / back_emf(plant.axes[axis], limit)
     return max(REFERENCE_MAX, 100.0 * minimum)
 
 
@@ -118,7 +127,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             yield judge(
                 "lowest speed", part, "% of limit", maximum=_lowest_speed_max(plant, axis, limit), reference=says
             )
-            yield judge("largest speed", it.fastest / it.speeds[0], maximum=AWAY_MAX)
+            yield judge("largest speed", it.fastest / it.speeds[0], maximum=RUNAWAY_MAX)
             yield (
                 f"{what}: down to {lowest / RPM:.3g} rpm, ripple {100.0 * float(r.omega.std()) / lowest:.2g} %, "
                 f"angle error up to {float(np.abs(r.error).max()):.2g} deg; ended by {it.end}"

@@ -1,4 +1,4 @@
-"""Four ways to measure speed on the same shaft: M, T, M/T and enhanced M/T (DRM 2.4.4 to 2.4.6, F17 to F19)."""
+"""Four methods of speed measurement on the same shaft: M, T, M/T and enhanced M/T (DRM 2.4.4 to 2.4.6, F17 to F19)."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from servo_msgs_py.units import COUNTS_PER_TURN, PERIOD_NS
 
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
-from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording, edge_shift, features, fresh_board, watch
+from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording, edge_shift, features, fresh_board, record
 from servo_twin.plant import PlantConfig
 
 NAME: Final = "mt-speed"
 HELP: Final = """\
 Speed from encoder pulses by the methods M, T, M/T and enhanced M/T, on one shaft, motor off and driven from outside.
-The reference design says: M is poor at low speed, T at high speed, M/T joins what is good in both (2.4.4); when the
-shaft slows down M/T stagnates until the next pulse (2.4.5, F18), the enhanced method does not (2.4.6, F19: M2 = 4 and
+According to the reference design M is inaccurate at low speed, T at high speed, M/T at neither (2.4.4); during
+deceleration M/T stagnates until the next pulse (2.4.5, F18), the enhanced method does not (2.4.6, F19: M2 = 4 and
 TMR3 = 2, 5, 8, 11 give 1, 4/5, 4/8, 4/11 of the speed, the next pulse after 12 gives 1/3)."""
 
 AXIS: Final = 0
@@ -31,12 +31,12 @@ BRAKE_FROM: Final = 60.0 * RPM
 BRAKE_TIME: Final = 0.4  # [s]
 BRAKE_REST: Final = 0.15  # [s]
 SNAPSHOT: Final = -0.5 * PERIOD_NS * 1e-9
-"""The speed of a slow tick is measured so long after the tick's end [s]."""
+"""Time of the speed measurement of a slow tick, relative to the end of the tick [s]."""
 
 FLOOR: Final = 1.05
-"""Allowed error in units of 1/M2: two time stamps cut off to whole ticks, and a little for the fraction format.
+"""Permitted error in units of 1/M2: two truncated time stamps, and the fraction format.
 
-In place of the one tick it is one and what the edges may be off, where they do not lie in their places.
+With deviating edges their largest deviation is added to the one tick.
 """
 
 F19_M2: Final = 4
@@ -46,12 +46,12 @@ F19_FACTORS: Final = (Fraction(1), Fraction(4, 5), Fraction(4, 8), Fraction(4, 1
 
 
 def enhanced_factor(m2: int, timer: int) -> Fraction:
-    """F19: what is left of the last speed, measured over `m2` ticks, when `timer` ticks have gone since its edge."""
+    """F19: factor of the last speed, measured over `m2` ticks, at `timer` ticks after its edge."""
     return Fraction(m2, timer) if timer > m2 else Fraction(1)
 
 
 def worked_example() -> tuple[Fraction, ...]:
-    """The five factors of F19; the last one is the speed of the next edge, E33."""
+    """The five factors of F19; the last one is the speed at the next edge, E33."""
     return (*(enhanced_factor(F19_M2, timer) for timer in F19_TIMER), Fraction(F19_M2, F19_NEXT))
 
 
@@ -68,9 +68,9 @@ class Edges:
 
 
 def edges_of(recording: Recording, start_angle: float, shift: float = 0.0) -> Edges:
-    """Edges of a shaft that only turns forwards; its acceleration is constant within each slow tick.
+    """Edges of a shaft that rotates forwards, with constant acceleration within each slow tick.
 
-    All of them so many counts from their places, if there is a `shift`.
+    All edges are shifted by `shift` [counts].
     """
     theta = np.concatenate([[start_angle], np.maximum.accumulate(recording.theta)])
     omega = np.concatenate([[recording.omega[0]], recording.omega])
@@ -79,47 +79,47 @@ def edges_of(recording: Recording, start_angle: float, shift: float = 0.0) -> Ed
     number = np.arange(first_edge, end).astype(np.int64)
     angle = (number + shift) * COUNT
     k = np.clip(np.searchsorted(theta, angle, side="left") - 1, 0, theta.size - 2)
-    way = angle - theta[k]
+    distance = angle - theta[k]
     whole = theta[k + 1] - theta[k]
-    # The mean speed tells the speed at the beginning better than a stop within the tick would.
+    # The initial speed follows more accurately from the mean speed than from a stop within the tick.
     first, last = omega[k], 2.0 * whole / TICK - omega[k]
     slope = (last - first) / TICK
-    root = np.sqrt(np.maximum(first**2 + 2.0 * slope * way, 0.0))
-    inside = np.divide(2.0 * way, first + root, out=np.zeros_like(way), where=first + root > 0.0)
+    root = np.sqrt(np.maximum(first**2 + 2.0 * slope * distance, 0.0))
+    inside = np.divide(2.0 * distance, first + root, out=np.zeros_like(distance), where=first + root > 0.0)
     return Edges(time[k] + np.clip(inside, 0.0, TICK), number)
 
 
 @dataclass(frozen=True)
-class Doubt:
-    """What an encoder whose edges do not lie in their places leaves open; nothing, if they do."""
+class Uncertainty:
+    """Uncertainty by deviating encoder edges; 0 for ideal edges."""
 
     of_age: NDArray[np.float64]  # error bound of the last captured edge at every slow tick [timer ticks]
-    of_m2: NDArray[np.float64]  # error bound of the interval between the last two [timer ticks]
-    of_edge: NDArray[np.bool_]  # whether an edge may have come already, or not yet
+    of_m2: NDArray[np.float64]  # error bound of the interval between the last two captured edges [timer ticks]
+    of_edge: NDArray[np.bool_]  # the occurrence of an edge is uncertain
     longer: NDArray[np.float64]
-    """Ratio of the interval to the shortest possible one: at each end the next edge of track B, two counts away, is
-    captured instead if the edge is on the other side of a slow loop's beginning."""
+    """Ratio of the interval to the shortest possible one: at each end the next edge of track B (two counts) may be
+    captured, if the edge is on the other side of the start of a slow loop."""
 
 
-def doubt_of(
+def uncertainty_of(
     recording: Recording, start_angle: float, shift: float, now: NDArray[np.float64], counts: NDArray[np.float64]
-) -> Doubt:
-    """See `Doubt`.
+) -> Uncertainty:
+    """Uncertainty of a recording.
 
     Parameters
     ----------
     recording : Recording
-        Of the shaft.
+        Recording of the shaft.
     start_angle : float
-        Where it was before [rad].
+        Angle before the recording [rad].
     shift : float
-        How far an edge may lie from its place, to either side [counts].
+        Largest deviation of an edge, in both directions [counts].
     now : ndarray
-        When the slow loops begin [s].
+        Start of the slow loops [s].
     counts : ndarray
-        Between the last two captured edges.
+        Counts between the last two captured edges.
     """
-    edges, early, late = (edges_of(recording, start_angle, way).of_b() for way in (0.0, -shift, shift))
+    edges, early, late = (edges_of(recording, start_angle, distance).of_b() for distance in (0.0, -shift, shift))
     captured = _captured(edges, now)
     number = edges.number[np.searchsorted(edges.time, captured)]
     first = np.interp(number, early.number, early.time, left=0.0)
@@ -131,45 +131,45 @@ def doubt_of(
     come, gone = (np.searchsorted(those.time, now, side="right") for those in (early, late))
     at = (early.number[0] - late.number[0]) // 2 if early.number.size and late.number.size else 0
     longer = np.maximum(counts, 2.0) / np.maximum(counts - 4.0, 2.0) if shift > 0.0 else np.ones_like(counts)
-    return Doubt(of_age, of_age + before, come + at != gone, longer)
+    return Uncertainty(of_age, of_age + before, come + at != gone, longer)
 
 
 @dataclass(frozen=True)
 class Methods:
-    """Speeds [rad/s] at every slow tick, by method, and what the methods saw."""
+    """Speeds at every slow tick, by method, and the timer values."""
 
     m: NDArray[np.float64]  # M method, from the true edges [rad/s]
     t: NDArray[np.float64]  # T method, from the true edges [rad/s]
     mt: NDArray[np.float64]  # M/T method, from the firmware [rad/s]
     enhanced: NDArray[np.float64]  # enhanced M/T method, from the firmware [rad/s]
-    m2: NDArray[np.float64]  # between the last two captured edges (M/T) [timer ticks]
-    age: NDArray[np.float64]  # since the last captured edge [timer ticks]
-    from_edges: NDArray[np.float64]  # what E33 and F19 give for these edges [rad/s]
+    m2: NDArray[np.float64]  # timer ticks between the last two captured edges (M/T)
+    age: NDArray[np.float64]  # timer ticks since the last captured edge
+    from_edges: NDArray[np.float64]  # E33 and F19 for these edges [rad/s]
     t_m2: NDArray[np.float64]  # as `m2`, for the pulses of the T method [timer ticks]
     t_age: NDArray[np.float64]  # as `age`, for the pulses of the T method [timer ticks]
-    doubt: Doubt  # what the encoder leaves open of `m2` and `age`
+    uncertainty: Uncertainty  # uncertainty of `m2` and `age` by the encoder
 
 
 def drive(plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float, enhanced: bool) -> Recording:
-    """Turn the shaft of a motor that is off from outside: `speed_at` gives the speed after each slow tick [rad/s]."""
+    """Drive the shaft of a disabled motor externally; `speed_at` is the speed after each slow tick [rad/s]."""
     axis = plant.axes[AXIS]
     with fresh_board(plant, seed) as board:
         board.run(0.03)
         features(board, AXIS, ENHANCED_MT=enhanced)
 
         def act(k: int) -> None:
-            omega, wanted = board.truth(AXIS).omega_m, speed_at(k)
-            if wanted == 0.0 and omega == 0.0:
+            omega, target = board.truth(AXIS).omega_m, speed_at(k)
+            if target == 0.0 and omega == 0.0:
                 board.set_load(AXIS, 0.0)
                 return
-            drag = axis.friction + axis.viscous * 0.5 * (omega + wanted)
-            board.set_load(AXIS, -(axis.inertia * (wanted - omega) / TICK + drag))
+            drag = axis.friction + axis.viscous * 0.5 * (omega + target)
+            board.set_load(AXIS, -(axis.inertia * (target - omega) / TICK + drag))
 
-        return watch(board, [AXIS], seconds, act)[AXIS]
+        return record(board, [AXIS], seconds, act)[AXIS]
 
 
 def start_angle(plant: PlantConfig, seed: int) -> float:
-    """Angle of the shaft before it is first moved [rad]."""
+    """Angle of the shaft before the first motion [rad]."""
     angle = plant.drawn(seed).axes[AXIS].theta_start
     assert angle != "random"
     return angle
@@ -178,10 +178,10 @@ def start_angle(plant: PlantConfig, seed: int) -> float:
 def methods(
     plant: PlantConfig, seed: int, speed_at: Callable[[int], float], seconds: float
 ) -> tuple[Recording, Methods]:
-    """One trace of a speed [rad/s] by tick and of so many seconds, all methods."""
+    """One run with a speed [rad/s] by tick for `seconds` [s], evaluated with all methods."""
     plain = drive(plant, seed, speed_at, seconds, enhanced=False)
     better = drive(plant, seed, speed_at, seconds, enhanced=True)
-    assert np.array_equal(plain.theta, better.theta), "a motor that is off must not act on the shaft"
+    assert np.array_equal(plain.theta, better.theta), "a disabled motor must not act on the shaft"
     edges = edges_of(better, start_angle(plant, seed))
     now = better.time + SNAPSHOT
     t_m2, t_age, _ = _intervals(edges, now, edges.time)
@@ -198,13 +198,13 @@ def methods(
         from_edges=np.where(age < 0x10000, edge_speed * factor, 0.0),
         t_m2=t_m2,
         t_age=t_age,
-        doubt=doubt_of(better, start_angle(plant, seed), edge_shift(plant.axes[AXIS]), now, counts),
+        uncertainty=uncertainty_of(better, start_angle(plant, seed), edge_shift(plant.axes[AXIS]), now, counts),
     )
     return better, found
 
 
 def _captured(b_edges: Edges, now: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Times of the edges that are latched: the first one after each slow loop."""
+    """Times of the captured edges: the first one after each slow loop."""
     first = np.unique(np.searchsorted(b_edges.time, now, side="right"))
     return b_edges.time[first[first < b_edges.time.size]]
 
@@ -212,7 +212,7 @@ def _captured(b_edges: Edges, now: NDArray[np.float64]) -> NDArray[np.float64]:
 def _intervals(
     edges: Edges, now: NDArray[np.float64], captured: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Ticks between the last two captured edges, ticks since the last one and counts between them, at each time."""
+    """Ticks between the last two captured edges, ticks since the last one, and counts between them, at each time."""
     last = np.searchsorted(captured, now, side="right") - 1
     known = last >= 1
     ticks = np.floor(captured * TIMER + 1e-6)
@@ -230,21 +230,21 @@ def _intervals(
 
 @dataclass(frozen=True)
 class Steady:
-    """Largest relative errors at one speed; `floor` is what M2 and its edges leave, the `_times` are errors over it."""
+    """Largest relative errors at one speed; `floor` is the error bound by M2, `_times` are errors relative to it."""
 
     m: float  # relative error, M method
     t: float  # relative error, T method
     mt: float  # relative error, M/T method
     enhanced: float  # relative error, enhanced M/T method
-    floor: float  # relative error that M2 and its edges leave
-    mt_times: float  # error over its floor, M/T method
-    enhanced_times: float  # error over its floor, enhanced M/T method
+    floor: float  # error bound by M2 and the edges
+    mt_times: float  # error relative to the bound, M/T method
+    enhanced_times: float  # error relative to the bound, enhanced M/T method
     m2: float  # median [timer ticks]
 
 
 def steady(plant: PlantConfig, seed: int, speed: float) -> Steady:
     """Largest errors at a constant speed [rad/s]."""
-    spacing = 2.0 * COUNT / speed  # of B edges
+    spacing = 2.0 * COUNT / speed  # interval of the edges of track B [s]
     seconds = max(0.1, 6.0 * spacing)
     recording, found = methods(plant, seed, lambda k: speed, seconds)
     window = recording.time > 0.02 + 3.0 * spacing
@@ -254,7 +254,7 @@ def steady(plant: PlantConfig, seed: int, speed: float) -> Steady:
         return float(np.max(np.abs(measured[window] / true - 1.0) * weight))
 
     m2 = found.m2[window]
-    floor = (1.0 + found.doubt.of_m2[window]) * found.doubt.longer[window] / m2
+    floor = (1.0 + found.uncertainty.of_m2[window]) * found.uncertainty.longer[window] / m2
     return Steady(
         m=worst(found.m),
         t=worst(found.t),
@@ -271,13 +271,13 @@ def steady(plant: PlantConfig, seed: int, speed: float) -> Steady:
 
 
 def braking(k: int) -> float:
-    """Speed that falls evenly to zero and stays there [rad/s]."""
+    """Speed that decreases linearly to zero and remains zero [rad/s]."""
     lead = 0.1
     return BRAKE_FROM * float(np.clip(1.0 - (k * TICK - lead) / BRAKE_TIME, 0.0, 1.0))
 
 
 def stagnation(speed: NDArray[np.float64], overdue: NDArray[np.bool_]) -> float:
-    """Longest time that a measured speed above zero stays the same while the next edge is overdue [s]."""
+    """Longest time of a constant measured speed above zero while the next edge is overdue [s]."""
     same = np.concatenate([[False], speed[1:] == speed[:-1]]) & overdue & (speed > 0.0)
     longest = run_length = 0
     for stands in same:
@@ -288,7 +288,7 @@ def stagnation(speed: NDArray[np.float64], overdue: NDArray[np.bool_]) -> float:
 
 @dataclass(frozen=True)
 class Slowing:
-    """A shaft that slows down: longest stagnation by method [s]; largest deviation from E33 and F19 [timer ticks]."""
+    """Decelerating shaft: longest stagnation by method [s]; largest deviation from E33 and F19 [timer ticks]."""
 
     t: float  # stagnation, T method [s]
     mt: float  # stagnation, M/T method [s]
@@ -297,13 +297,13 @@ class Slowing:
 
 
 def slowing(brake: Recording, slow: Methods) -> Slowing:
-    """Stagnation of every method, and what the enhanced one measures while the next edge is overdue."""
+    """Stagnation of every method, and deviation of the enhanced method while the next edge is overdue."""
     moving = (brake.time > 0.05) & (slow.m2 > 0)
-    late = moving & (slow.age > slow.m2 + slow.doubt.of_m2) & ~slow.doubt.of_edge
+    late = moving & (slow.age > slow.m2 + slow.uncertainty.of_m2) & ~slow.uncertainty.of_edge
     t_late = moving & (slow.t_age > slow.t_m2)
-    law = moving & (slow.age + slow.doubt.of_age < 0x10000) & ~slow.doubt.of_edge
-    ticks = np.maximum(np.minimum(slow.m2, slow.age + 1.0) / slow.doubt.longer - slow.doubt.of_m2, 0.0)
-    deviation = np.abs(slow.enhanced / np.maximum(slow.from_edges, 1e-9) - 1.0) * ticks - slow.doubt.of_m2
+    law = moving & (slow.age + slow.uncertainty.of_age < 0x10000) & ~slow.uncertainty.of_edge
+    ticks = np.maximum(np.minimum(slow.m2, slow.age + 1.0) / slow.uncertainty.longer - slow.uncertainty.of_m2, 0.0)
+    deviation = np.abs(slow.enhanced / np.maximum(slow.from_edges, 1e-9) - 1.0) * ticks - slow.uncertainty.of_m2
     return Slowing(
         stagnation(slow.t, t_late),
         stagnation(slow.mt, late),
@@ -314,7 +314,7 @@ def slowing(brake: Recording, slow: Methods) -> Slowing:
 
 @experiment(NAME)
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
-    """Errors from 0.5 to 3500 rpm, stagnation while the shaft slows down, and the worked example."""
+    """Errors from 0.5 to 3500 rpm, stagnation during deceleration, and the worked example."""
     found = {rpm: steady(plant, seed, rpm * RPM) for rpm in SPEEDS}
     low, high = found[SPEEDS[0]], found[SPEEDS[-1]]
     at_low, at_high = (f"error at {rpm:g} rpm" for rpm in (SPEEDS[0], SPEEDS[-1]))
@@ -344,7 +344,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield _brake_panel(brake, slow)
     yield f"axis {AXIS + 1}; M over {1e3 * TICK:g} ms, {COUNTS_PER_TURN} counts"
     yield f"braking from {BRAKE_FROM / RPM:g} rpm to a stop in {BRAKE_TIME:g} s"
-    yield "stagnation: longest time at one value after the next edge has become overdue"
+    yield "stagnation: longest time at one value after the expected time of the next edge"
 
 
 def _error_panel(found: dict[float, Steady]) -> Panel:
@@ -361,4 +361,4 @@ def _brake_panel(brake: Recording, slow: Methods) -> Panel:
     time = 1e3 * brake.time[part]
     named = {"true": brake.omega, "T": slow.t, "M/T": slow.mt, "enhanced M/T": slow.enhanced}
     curves = [Curve(label, time, y[part] / RPM, "k-" if label == "true" else "-") for label, y in named.items()]
-    return Panel("slowing down to a stop (M: multiples of 30 rpm)", "time [ms]", "speed [rpm]", curves)
+    return Panel("deceleration to standstill (M: multiples of 30 rpm)", "time [ms]", "speed [rpm]", curves)

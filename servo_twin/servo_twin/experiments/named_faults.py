@@ -1,4 +1,4 @@
-"""What experiments that break things share: the name and time of a fault, and what may happen until it stands."""
+"""Common functions of the fault injection experiments: reported fault, detection time, permitted motion."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from servo_twin.experiments.rig import flags_of, word
 from servo_twin.plant import AxisPlant
 
 NOTHING: Final = ""
-"""Name of no fault."""
+"""Name for "no fault"."""
 
-EVERYTHING: Final = ("OVER_VOLTAGE", "UNDER_VOLTAGE", "LATE_LOOP", "WATCHDOG")
-"""Faults that concern both axes."""
+COMMON_FAULTS: Final = ("OVER_VOLTAGE", "UNDER_VOLTAGE", "LATE_LOOP", "WATCHDOG")
+"""Faults of both axes."""
 
-PROVOKED: Final = 3.0
-"""For a fault when the axis is asked to move [s]."""
+PROVOKED_TIME: Final = 3.0
+"""Longest time for the detection after the axis is commanded to move [s]."""
 
-NAMED: Final = 0.15
-"""Until the name of a first fault is final [s]."""
+FINAL_TIME: Final = 0.15
+"""Time until the first fault is final [s]."""
 
-GAIN: Final = 0.5
-"""Of speed meanwhile, by the load of the friction or the end of a count [rad/s]."""
+GAIN_MARGIN: Final = 0.5
+"""Permitted gain of speed by friction and quantisation [rad/s]."""
 
 
 def place(board: Board, axis: int) -> str:
@@ -34,32 +34,32 @@ def place(board: Board, axis: int) -> str:
 
 
 def faults(board: Board, axis: int) -> set[str]:
-    """Faults of an axis by their names."""
+    """Names of the faults of an axis."""
     return flags_of(board, axis, "faults")
 
 
 def first_fault(board: Board, axis: int) -> str:
-    """Name of the first fault of an axis, `NOTHING` without one."""
+    """Name of the first fault of an axis; `NOTHING`: none."""
     code = word(board, axis, "first_fault")
     return next((fault.name for fault in board.catalogue.flags["faults"] if fault.bit + 1 == code), NOTHING)
 
 
 def fault_record(board: Board, axis: int) -> FaultRecord:
-    """What led to the first fault of an axis."""
+    """Record of the first fault of an axis."""
     return FaultRecord.of(axis, board.read(record_variable(axis)), board.catalogue)
 
 
 def fault_time(board: Board, axis: int, *, lost_count: bool = False) -> int:
-    """Time of the first fault of an axis, by its record [ns].
+    """Time of the first fault of an axis, from its record [ns].
 
     Parameters
     ----------
     board : Board
-        Now is the slow tick in which the fault shows.
+        Board, in the slow tick of the detection.
     axis : int
         Index of the axis.
     lost_count : bool
-        The core has stood still, and its count of periods with it: the time is now.
+        The core was stopped and has not counted the PWM periods: the present time is returned.
     """
     if lost_count:
         return board.time_ns
@@ -67,15 +67,16 @@ def fault_time(board: Board, axis: int, *, lost_count: bool = False) -> int:
 
 
 def gain_max(motor: AxisPlant, volts: float) -> float:
-    """Speed that a shaft may gain with the outputs off [rad/s].
+    """Largest permitted gain of speed with the outputs off [rad/s].
 
-    The largest current goes on while it decays: half of torque times decay, over inertia.
+    The decaying current, at most the over-current threshold, accelerates the shaft: half of torque times decay time,
+    divided by the inertia.
 
     Parameters
     ----------
     motor : AxisPlant
     volts : float
-        What the current decays against [V].
+        Voltage against which the current decays [V].
     """
     decay = max(motor.l_d, motor.l_q) * motor.i_break / volts
-    return 0.5 * motor.torque_constant * motor.i_break * decay / motor.inertia + GAIN
+    return 0.5 * motor.torque_constant * motor.i_break * decay / motor.inertia + GAIN_MARGIN

@@ -1,4 +1,4 @@
-"""Error of the observed angle over speed and current, with another winding, and with a dead time not made up."""
+"""Error of the observed angle over speed and current, with another winding, and without dead-time compensation."""
 
 from __future__ import annotations
 
@@ -28,58 +28,58 @@ cause an error as large as the back-EMF; shown with the normal compensation, and
 time and twice the drops, where the remaining error equals that without compensation."""
 
 SPEEDS: Final = (1.0 / 15.0, 1.0 / 6.0, 1.0 / 3.0, 1.0)
-"""Parts of the speed limit: 200, 500, 1000 and 3000 rpm of the nominal one."""
+"""Speeds, relative to the speed limit: 200, 500, 1000 and 3000 rpm with the nominal one."""
 
 CURRENTS: Final = (0.0, 0.25, 0.5)
-"""Parts of the current limit that the load takes."""
+"""Load currents, relative to the current limit."""
 
 WINDINGS: Final = ((0.5, 1.0), (1.5, 1.0), (1.0, 0.5), (1.0, 1.5))
-"""Resistance and inductance of the plant, over what they are."""
+"""Factors of resistance and inductance of the plant."""
 
 SENSITIVE: Final = (SPEEDS[1], SPEEDS[2], SPEEDS[3])
-"""Speeds at which another winding is tried: below, half of R takes the whole back-EMF at half of the current."""
+"""Speeds for other windings: at lower ones, half of R at half of the current equals the back-EMF."""
 
 SENSITIVE_CURRENT: Final = 0.5
 
 ERROR_MAX: Final = 5.0
-"""Mean error at a point, beyond what the saliency of the rotor makes on paper [deg]: 0.4 % of the torque."""
+"""Permitted mean error in addition to the theoretical error by saliency [deg]: 0.4 % of the torque."""
 
-LEFT: Final = 1.0 / 8.0
-"""Part of the dead time's voltage that its compensation may leave: where the back-EMF is small, this is more."""
+UNCOMPENSATED: Final = 1.0 / 8.0
+"""Permitted remainder of the dead-time voltage after compensation; dominant at small back-EMF."""
 
-PAPER_MAX: Final = 3.0
-"""Between the change that another winding makes and that on paper, which knows no dead time [deg]."""
+THEORY_ERROR_MAX: Final = 3.0
+"""Permitted difference between the measured and the theoretical effect (without dead time) of another winding [deg]."""
 
 RIPPLE: Final = 9.0
-"""Amplitude at 200 rpm where dead time and drops are made up, at the most [deg]: without, the motors have 9 to 15."""
+"""Largest amplitude at 200 rpm with compensation of dead time and drops [deg]; without: 9 to 15."""
 
-BETTER: Final = 2.0
-"""Amplitude where nothing is made up over that, at the least."""
+AMPLITUDE_RATIO_MIN: Final = 2.0
+"""Smallest ratio of the amplitudes without and with compensation."""
 
-SETTLE: Final = 0.3  # at each point [s]
-MEASURED: Final = 0.3  # and then [s]
+SETTLE: Final = 0.3  # settling time at each point [s]
+MEASURED: Final = 0.3  # time of the measurement [s]
 
 
 @dataclass(frozen=True)
 class Point:
-    """One speed with one load."""
+    """Result at one speed with one load."""
 
     speed: float  # [rad/s]
     i_q: float  # mean of the true current [A]
-    mean: float  # of the error of the observed angle [deg]; the following ones likewise
-    deviation: float  # standard deviation
-    amplitude: float  # largest distance from the mean
+    mean: float  # mean error of the observed angle [deg]
+    deviation: float  # standard deviation of the error [deg]
+    amplitude: float  # largest distance of the error from the mean [deg]
     trace: Trace
 
 
-def beside(board: Board, axis: int) -> None:
-    """Let the observer run beside the encoder; what it says of it stops nothing."""
+def run_in_parallel(board: Board, axis: int) -> None:
+    """Run the observer in parallel to the encoder, with the fault ANGLE_MISMATCH disabled."""
     without_fault(board, axis, "ANGLE_MISMATCH")
     set_up(board, axis, "SPEED", ANGLE_CHECK=True, DEAD_TIME=True)
 
 
 def offset(board: Board, axis: int) -> float:
-    """Of the angle that the encoder gives since the rotor search, against the truth, at standstill [deg]."""
+    """Offset of the encoder angle after the rotor search against the true angle, at standstill [deg]."""
     name = axis_name(axis)
     used = board.read(f"{name}.theta_e")
     assert isinstance(used, float)
@@ -90,18 +90,18 @@ def offset(board: Board, axis: int) -> float:
 def measure(
     plant: PlantConfig, seed: int, axis: int, speeds: tuple[float, ...], currents: tuple[float, ...]
 ) -> Mapping[tuple[float, float], Point]:
-    """Every speed (part of the limit) with every load (part of the current limit).
+    """Every speed (relative to the limit) with every load (relative to the current limit).
 
     Raises
     ------
     SimulationError
-        If the axis ends in a fault.
+        If the axis has a fault.
     """
     found: dict[tuple[float, float], Point] = {}
     motor = plant.axes[axis]
     with spinning(plant, seed) as board:
-        beside(board, axis)
-        rest = offset(board, axis)
+        run_in_parallel(board, axis)
+        encoder_offset = offset(board, axis)
         limit, current = limits_of(board, axis)
         for speed in speeds:
             command_speed(board, axis, speed * limit)
@@ -112,22 +112,22 @@ def measure(
                 trace = follow(board, [axis], MEASURED)[axis]
                 if trace.faults.any():
                     raise SimulationError(f"{axis_name(axis)} ended in a fault at {speed * limit / RPM:.0f} rpm")
-                found[speed, part] = _point(trace, speed * limit, rest)
+                found[speed, part] = _point(trace, speed * limit, encoder_offset)
             board.set_load(axis, 0.0)
             follow(board, [], SETTLE)
     return found
 
 
-def _point(trace: Trace, speed: float, rest: float) -> Point:
-    """Against the encoder, which is read at the same instant."""
-    error = degrees(trace.angle - trace.used + math.radians(rest))
+def _point(trace: Trace, speed: float, encoder_offset: float) -> Point:
+    """Evaluate a trace against the encoder, which is sampled simultaneously."""
+    error = degrees(trace.angle - trace.used + math.radians(encoder_offset))
     mean = float(error.mean())
     amplitude = float(np.abs(error - mean).max())
     return Point(speed, float(trace.i_q.mean()), mean, float(error.std()), amplitude, trace)
 
 
-def paper(motor: AxisPlant, nominal: AxisPlant, speed: float, i_q: float) -> float:
-    """Error of the observed angle [deg] of a motor that has other nominal values."""
+def theoretical_error(motor: AxisPlant, nominal: AxisPlant, speed: float, i_q: float) -> float:
+    """Theoretical error of the observed angle [deg] of a motor with wrong nominal values."""
     l_s = 0.5 * (nominal.l_d + nominal.l_q)
     emf = motor.psi_m + (motor.r_s - nominal.r_s) * i_q / (motor.pole_pairs * speed)
     return math.degrees(math.atan2((motor.l_q - l_s) * i_q, emf))
@@ -152,38 +152,38 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         judge = Judge(f"{what}, ", NOT_SHOWN)
         ratio = doubled.amplitude / max(slow.amplitude, 1e-9)
         yield judge("amplitude, made up", slow.amplitude, "deg", maximum=RIPPLE)
-        yield judge("amplitude, not made up over made up", ratio, "", BETTER)
-        yield f"{what}, not made up: amplitude {doubled.amplitude:.3g} deg"
+        yield judge("amplitude, not made up over made up", ratio, "", AMPLITUDE_RATIO_MIN)
+        yield f"{what}, without compensation: amplitude {doubled.amplitude:.3g} deg"
         yield _over_speed(name, points)
-        errors = {"dead time made up": slow, "not made up": doubled}
+        errors = {"dead time compensated": slow, "not compensated": doubled}
         curves = [
             Curve(label, it.trace.time, degrees(it.trace.angle - it.trace.used) - it.mean)
             for label, it in errors.items()
         ]
-        yield Panel(f"{what}, {slow.i_q:.2g} A: error less its mean", "time [s]", "error [deg]", curves)
+        yield Panel(f"{what}, {slow.i_q:.2g} A: error minus its mean", "time [s]", "error [deg]", curves)
 
 
 def _uncompensated(plant: PlantConfig, seed: int, axis: int) -> Point:
-    """200 rpm and half of the current on an inverter of which the compensation makes up a half."""
+    """200 rpm and half of the current with twice the dead time and drops, half of them compensated."""
     motor = plant.axes[axis]
     worse = plant.with_axis(axis, dead_time=2.0 * motor.dead_time, v_drop=2.0 * motor.v_drop)
     return measure(worse, seed, axis, SPEEDS[:1], (0.5,))[SPEEDS[0], 0.5]
 
 
 def _worst(plant: PlantConfig, axis: int, points: Mapping[tuple[float, float], Point]) -> tuple[float, float]:
-    """Error of the point whose error is the largest part of what is allowed there, and that [deg]."""
+    """Error and permitted error of the point with the largest relative error [deg]."""
     motor, lost = plant.axes[axis], dead_voltage(plant, axis)
     found: list[tuple[float, float]] = []
     for point in points.values():
-        beyond = max(abs(point.mean) - abs(paper(motor, motor, point.speed, point.i_q)), 0.0)
-        found.append((beyond, max(ERROR_MAX, math.degrees(LEFT * lost / back_emf(motor, point.speed)))))
+        beyond = max(abs(point.mean) - abs(theoretical_error(motor, motor, point.speed, point.i_q)), 0.0)
+        found.append((beyond, max(ERROR_MAX, math.degrees(UNCOMPENSATED * lost / back_emf(motor, point.speed)))))
     return max(found, key=lambda pair: (pair[0] / pair[1], pair))
 
 
 def _sensitivity(
     plant: PlantConfig, seed: int, axis: int, nominal: Mapping[tuple[float, float], Point]
 ) -> Iterator[Row]:
-    """Change of the mean error by another winding against that on paper."""
+    """Change of the mean error by another winding, compared with theory."""
     motor = plant.axes[axis]
     for r_s, inductance in WINDINGS:
         changes = {"r_s": r_s * motor.r_s, "l_d": inductance * motor.l_d, "l_q": inductance * motor.l_q}
@@ -192,20 +192,20 @@ def _sensitivity(
         away, largest = 0.0, 0.0
         for (speed, part), point in measure(other, seed, axis, speeds, (SENSITIVE_CURRENT,)).items():
             before = nominal[speed, part]
-            change, theory = point.mean - before.mean, paper(motor, motor, point.speed, before.i_q)
-            expected = paper(other.axes[axis], motor, point.speed, point.i_q) - theory
+            change, theory = point.mean - before.mean, theoretical_error(motor, motor, point.speed, before.i_q)
+            expected = theoretical_error(other.axes[axis], motor, point.speed, point.i_q) - theory
             away, largest = max(away, abs(change - expected)), max(largest, abs(change))
         what, says = f"Ls x {inductance:g}", "moderately sensitive to Ls"
         if r_s != 1.0:
             what, says = f"Rs x {r_s:g}", "not very sensitive to Rs"
         judge = Judge(f"{axis_name(axis)}, {what}, ", says)
         if r_s != 1.0:
-            yield judge("error changes by", largest, "deg", maximum=PAPER_MAX)
-        yield judge("change less that on paper", away, "deg", maximum=PAPER_MAX)
+            yield judge("error changes by", largest, "deg", maximum=THEORY_ERROR_MAX)
+        yield judge("change less that on paper", away, "deg", maximum=THEORY_ERROR_MAX)
 
 
 def _observable(motor: AxisPlant, point: Point) -> bool:
-    """Whether half of the resistance takes no more than half of the back-EMF."""
+    """True if the voltage at the resistance is at most the back-EMF."""
     return motor.r_s * abs(point.i_q) <= back_emf(motor, point.speed)
 
 

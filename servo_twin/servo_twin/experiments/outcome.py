@@ -1,8 +1,8 @@
-"""What an experiment hands back: judged figures and the curves of its picture. Plain data, no drawing.
+"""Result of an experiment: figures with bounds, and curves of its picture. Plain data, no drawing.
 
-An experiment is a function that yields what it has found, in the order of its table and picture: a `Row` for every
-figure with its bound, a `Panel` for every coordinate system, a string for every note. `experiment` makes it return an
-`Outcome`; `Judge` writes the rows of one subject.
+An experiment is a generator that yields its results in the order of table and picture: a `Row` for every figure with
+its bound, a `Panel` for every coordinate system, a string for every note. The decorator `experiment` converts them to
+an `Outcome`; `Judge` creates the rows of one subject.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 BEYOND: Final = "beyond the reference design"
-"""`Row.reference` of what it does not have."""
+"""`Row.reference` of a property that the reference design does not have."""
 
 NOT_SHOWN: Final = "not shown"
-"""`Row.reference` of what it has, without a figure."""
+"""`Row.reference` of a property for which the reference design gives no figure."""
 
 
 @dataclass(frozen=True)
 class Bound:
-    """Interval that a measured value has to lie in; an end that is None is open."""
+    """Permitted interval of a measured value; None: unlimited."""
 
-    minimum: float | None = None  # smallest value that agrees, in the unit of the row
-    maximum: float | None = None  # largest value that agrees, in the unit of the row
+    minimum: float | None = None  # smallest permitted value, in the unit of the row
+    maximum: float | None = None  # largest permitted value, in the unit of the row
 
     def holds(self, value: float | None) -> bool:
-        """Whether a value in the unit of the bound lies within; None (nothing to measure) and NaN never do."""
+        """True if a value in the unit of the bound is within; false for None (no value) and NaN."""
         if value is None or math.isnan(value):
             return False
         return (self.minimum is None or value >= self.minimum) and (self.maximum is None or value <= self.maximum)
@@ -51,10 +51,10 @@ class Row:
 
     name: str  # measured quantity
     reference: str  # value or description in the reference design
-    measured: float | None  # None: it did not happen, which never agrees
+    measured: float | None  # None: no value, does not agree
     unit: str  # unit of `measured` and `bound`
     bound: Bound  # range for `measured`
-    apart: float | None = None  # largest difference of the two levels of a board; None: as far as the bound allows
+    apart: float | None = None  # largest difference between the levels of a board; None: from the bound
 
     @property
     def agrees(self) -> bool:
@@ -76,9 +76,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Judge:
-    """Writes the rows of one subject, whose name comes before that of each figure."""
+    """Creates the rows of one subject, whose name precedes the name of each figure."""
 
-    subject: str = ""  # with the punctuation that separates it, such as ``"axis1, "``
+    subject: str = ""  # prefix including punctuation, such as ``"axis1, "``
     reference: str = BEYOND  # statement of the reference design, for rows without their own
 
     def __call__(
@@ -92,7 +92,7 @@ class Judge:
         reference: str | None = None,
         apart: float | None = None,
     ) -> Row:
-        """A figure that has to lie within least .. most, both in `unit`; None leaves an end open."""
+        """A figure with the bound `minimum` .. `maximum`, both in `unit`; None: unlimited."""
         value = None if measured is None else float(measured)
         return Row(
             self.subject + name,
@@ -104,17 +104,17 @@ class Judge:
         )
 
     def near(
-        self, name: str, measured: float, unit: str, aim: float, off: float, *, reference: str | None = None
+        self, name: str, measured: float, unit: str, target: float, tolerance: float, *, reference: str | None = None
     ) -> Row:
-        """A figure that may be `off` from `aim`, both in `unit`."""
-        return self(name, measured, unit, aim - off, aim + off, reference=reference)
+        """A figure with the bound `target` +/- `tolerance`, both in `unit`."""
+        return self(name, measured, unit, target - tolerance, target + tolerance, reference=reference)
 
     def none(self, name: str, count: float, *, reference: str | None = None) -> Row:
-        """A number of events that has to be zero."""
+        """A number of events that must be zero."""
         return self(name, count, "", 0.0, 0.0, reference=reference)
 
     def true(self, name: str, holds: bool, *, reference: str | None = None) -> Row:
-        """A condition that has to hold."""
+        """A condition that must hold."""
         return self(name, holds, "", 1.0, 1.0, reference=reference)
 
 
@@ -146,16 +146,16 @@ class Outcome:
 
     name: str  # name of the experiment
     rows: tuple[Row, ...]  # measured figures
-    panels: tuple[Panel, ...]  # of its figure
+    panels: tuple[Panel, ...]  # panels of the picture
     notes: tuple[str, ...] = ()  # conditions, and figures without a bound
-    level: str = ""  # of its boards
+    level: str = ""  # level of the boards
 
     @property
     def agrees(self) -> bool:
         return all(row.agrees for row in self.rows)
 
     def row(self, name: str) -> Row:
-        """The row of a name; a `KeyError` names those that exist."""
+        """Row by name; raises `KeyError` if there is none."""
         for row in self.rows:
             if row.name == name:
                 return row
@@ -163,13 +163,13 @@ class Outcome:
 
 
 Item = Row | Panel | str
-"""A figure, a coordinate system, or a note; an empty note says nothing."""
+"""A figure, a coordinate system, or a note; empty notes are ignored."""
 
 _P = ParamSpec("_P")
 
 
 def experiment(name: str) -> Callable[[Callable[_P, Iterable[Item]]], Callable[_P, Outcome]]:
-    """Make a function that yields what it finds an experiment of that name, which returns its `Outcome`."""
+    """Decorator: converts a generator of items to an experiment of this name, which returns an `Outcome`."""
 
     def decorate(find: Callable[_P, Iterable[Item]]) -> Callable[_P, Outcome]:
         @functools.wraps(find)

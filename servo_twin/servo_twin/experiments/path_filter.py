@@ -1,4 +1,4 @@
-"""F23 and F24: the path filter makes an S curve out of a ramp."""
+"""F23 and F24: the path filter converts a ramp to an S curve."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from servo_twin.plant import PlantConfig
 NAME: Final = "path-filter"
 HELP: Final = """\
 One position step of axis 1, which the firmware turns into a ramp and the ramp into an S curve (2.6, E38 to E40). The
-acceleration limit, which the reference design has not, is at its maximum.
-The reference design shows: position smooth at beginning and end (F23); the speed of the ramp jumps, that of the S curve
-changes evenly (F24); damping 1, hence no overshoot."""
+acceleration limit, not part of the reference design, is at its maximum. The reference design shows: smooth start and
+end of the position (F23); speed steps with the ramp, continuous speed with the S curve (F24); damping 1, hence no
+overshoot."""
 
 AXIS: Final = 0
 TURNS: Final = 10.0
@@ -28,12 +28,12 @@ REST: Final = 0.6  # recorded after the end of the ramp [s]
 
 
 def analytic(time: NDArray[np.float64], speed: float, duration: float, omega_n: float) -> NDArray[np.float64]:
-    """E38's answer to a ramp of `speed` that ends after `duration`.
+    """Response of E38 to a ramp of `speed` that ends after `duration`.
 
     Parameters
     ----------
     time : ndarray
-        Since the beginning of the ramp [s].
+        Since the start of the ramp [s].
     speed : float
         Slope of the ramp, any unit per second.
     duration : float
@@ -51,7 +51,7 @@ def analytic(time: NDArray[np.float64], speed: float, duration: float, omega_n: 
 
 
 def fit_omega_n(time: NDArray[np.float64], path: NDArray[np.float64], speed: float, duration: float) -> float:
-    """Natural frequency that explains a path best [rad/s]: golden section of the squared error."""
+    """Natural frequency with the best fit of a path [rad/s]: golden-section search of the squared error."""
 
     def misfit(omega_n: float) -> float:
         return float(np.sum((analytic(time, speed, duration, omega_n) - path) ** 2))
@@ -65,27 +65,27 @@ def fit_omega_n(time: NDArray[np.float64], path: NDArray[np.float64], speed: flo
 
 
 def record(plant: PlantConfig, seed: int, limit: float) -> tuple[Recording, float, int]:
-    """One long move with a speed limit [rad/s]: recording, that limit [counts/s] and distance [counts]."""
+    """One long move with a speed limit [rad/s]: recording, speed limit [counts/s] and distance [counts]."""
     with rig.spinning(plant, seed) as board:
         target = rig.position_of(board, AXIS) + round(TURNS * COUNTS_PER_TURN)
         parameters = {"speed_limit": limit, "acceleration_limit": rig.largest(board, "acceleration_limit")}
         rig.set_up(board, AXIS, parameters=parameters)
         speed, distance = rig.get_axis(board, "param.speed_limit", AXIS) / COUNT, target - rig.position_of(board, AXIS)
         move = rig.at({0.0: lambda: rig.command_position(board, AXIS, target)})
-        return rig.watch(board, [AXIS], distance / speed + REST, move)[AXIS], speed, distance
+        return rig.record(board, [AXIS], distance / speed + REST, move)[AXIS], speed, distance
 
 
 def figures(recording: Recording, speed: float, distance: int, axis_limit: float) -> Iterator[Row]:
-    """Rows for a path; `axis_limit` is the acceleration that the drive can give [counts/s^2]."""
+    """Rows for a path; `axis_limit` is the largest acceleration of the drive [counts/s^2]."""
     duration = distance / speed
     path = recording.position_ref - (recording.position_ref[-1] - distance)
     omega_n = fit_omega_n(recording.time, path, speed, duration)
     ideal = analytic(recording.time, speed, duration, omega_n)
     ramp = np.minimum(speed * recording.time, float(distance))
-    # The set-point comes in whole counts: its slope over five ticks is as fine as a fifth of a count per tick.
+    # The set-point is in whole counts; the slope over five ticks has a resolution of a fifth of a count per tick.
     slope = (path[5:] - path[:-5]) / (5.0 * TICK)
     misfit, over = np.abs(ideal - path).max() / distance, max(path.max() - distance, 0.0)
-    backwards, asked = int(np.count_nonzero(np.diff(path) < 0.0)), speed * omega_n / np.e / axis_limit
+    backwards, required = int(np.count_nonzero(np.diff(path) < 0.0)), speed * omega_n / np.e / axis_limit
     jumps, jump = (_jump(which, speed) for which in (ramp, path))
     judge, slow_loop = Judge(), "speed per slow loop"
     yield judge(
@@ -101,11 +101,11 @@ def figures(recording: Recording, speed: float, distance: int, axis_limit: float
     yield judge(
         "highest speed of the S curve", slope.max() / speed, "of v", 0.95, 1.02, reference="F24: that of the ramp"
     )
-    yield judge("acceleration asked for", asked, "of the drive's", maximum=1.0, reference="E38: v omega_n / e")
+    yield judge("acceleration asked for", required, "of the drive's", maximum=1.0, reference="E38: v omega_n / e")
 
 
 def _jump(path: NDArray[np.float64], speed: float) -> float:
-    """Largest change of speed from one slow loop to the next, from standstill on, over the speed of the ramp."""
+    """Largest change of speed between slow loops, including the start, relative to the speed of the ramp."""
     steps = np.diff(path, prepend=[0.0, 0.0])
     return float(np.abs(np.diff(steps)).max() / (speed * TICK))
 
@@ -117,14 +117,17 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     speeds, lowered = move_speeds(plant, seed, together=False)
     r, speed, distance = record(plant, seed, speeds[AXIS])
     maximum = current_limits(plant, seed)[AXIS]
-    able = (axis.torque_constant * maximum - axis.friction) / axis.inertia / COUNT
-    yield from figures(r, speed, distance, able)
+    feasible = (axis.torque_constant * maximum - axis.friction) / axis.inertia / COUNT
+    yield from figures(r, speed, distance, feasible)
     start, turn = r.position_ref[-1] - distance, float(COUNTS_PER_TURN)
     ramp, path = np.minimum(speed * r.time, float(distance)), r.position_ref - start
-    ways = {"ramp": ramp / turn, "S curve": path / turn, "shaft": (r.position - start) / turn}
+    positions = {"ramp": ramp / turn, "S curve": path / turn, "shaft": (r.position - start) / turn}
     turning = {"ramp": np.gradient(ramp, TICK) / turn, "S curve": np.gradient(path, TICK) / turn}
     turning["shaft"] = r.omega / (2.0 * np.pi)
-    for title, label, lines in (("F23: path", "position [turns]", ways), ("F24: speed", "speed [turns/s]", turning)):
+    for title, label, lines in (
+        ("F23: path", "position [turns]", positions),
+        ("F24: speed", "speed [turns/s]", turning),
+    ):
         curves = [Curve(name, r.time, y, "--" if name == "shaft" else "-") for name, y in lines.items()]
         yield Panel(title, "time [s]", label, curves)
     yield f"axis {AXIS + 1}, {TURNS:g} turns"

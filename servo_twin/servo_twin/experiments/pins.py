@@ -1,4 +1,4 @@
-"""Switches, enable input and holding brake: a load that must not drop, a switch at speed, wires that are cut."""
+"""Switches, enable input and holding brake: hanging load, limit switch at speed, broken wires."""
 
 from __future__ import annotations
 
@@ -30,30 +30,30 @@ disabled; and with a fault. The enable input is opened at full speed: PWM period
 switch is reached at speed: the overtravel, and that only the way off it is permitted. Every wire is broken once."""
 
 LOAD: Final = 0.2
-"""That hangs on the shaft, of the rotor search's largest torque."""
-SEARCH_CURRENT: Final = 4.0  # of the configuration [A]
-BRAKE: Final = 0.6  # torque of the brake, of the same
-OPEN_TIME: Final = 0.03  # of the brake [s]
-CLOSE_TIME: Final = 0.02
-OPEN_NOMINAL: Final = 0.04  # the configuration waits longer: servo.toml [s]
-CLOSE_NOMINAL: Final = 0.03
-ANGLES: Final = 4  # at which a rotor starts
+"""Hanging load, relative to the largest torque of the rotor search."""
+SEARCH_CURRENT: Final = 4.0  # current of the rotor search in the configuration [A]
+BRAKE: Final = 0.6  # torque of the brake, relative to the largest torque of the rotor search
+OPEN_TIME: Final = 0.03  # opening time of the brake [s]
+CLOSE_TIME: Final = 0.02  # closing time of the brake [s]
+OPEN_NOMINAL: Final = 0.04  # configured opening time, longer than the true one [s]
+CLOSE_NOMINAL: Final = 0.03  # configured closing time [s]
+ANGLES: Final = 4  # number of start angles of the rotor
 
 FIRST_DROP: Final = 0.5
-"""While the rotor is searched under load: a rotor opposite to the vector turns until that has come round [rad]."""
-HELD_DROP: Final = 6.0 * COUNT
-"""While the position is controlled and the brake hands over the load [rad]."""
-LATE: Final = 2.0 * TICK  # until the brake's coil is off after a fault [s]
+"""Permitted drop during the rotor search under load: a rotor opposite to the vector rotates with the load [rad]."""
+TRANSFER_DROP_MAX: Final = 6.0 * COUNT
+"""Permitted drop at the load transfer between brake and position control [rad]."""
+BRAKE_DELAY: Final = 2.0 * TICK  # time from a fault to the de-energised coil of the brake [s]
 
 FULL_SPEED: Final = 300.0  # [rad/s]
-ACCELERATION: Final = 4000.0  # of a stop, servo.toml [rad/s^2]
-SEEN: Final = 4.0 * TICK  # a switch is filtered, the stop begins with the next slow loop [s]
+ACCELERATION: Final = 4000.0  # deceleration of a stop, servo.toml [rad/s^2]
+REACTION_TIME: Final = 4.0 * TICK  # reaction time: filter of a switch, start of the stop with the next slow loop [s]
 AWAY: Final = 20.0  # from the start to the switch [rad]
-LAG: Final = 0.004  # of the speed loop behind its ramp [s]
+LAG: Final = 0.004  # lag of the speed loop behind the ramp [s]
 
 
 def fit(board: Board, *pins: Pin) -> None:
-    """Tell the firmware which pins both axes of a board at rest have."""
+    """Configure the pins of both axes of a board at standstill."""
 
     def wait() -> bool:
         board.run(TICK)
@@ -74,7 +74,7 @@ def fit(board: Board, *pins: Pin) -> None:
 
 @contextmanager
 def fitted(plant: PlantConfig, seed: int, *pins: Pin) -> Iterator[Board]:
-    """A fresh board in STOP whose axes have these pins."""
+    """New board in STOP with these pins on both axes."""
     with rig.fresh_board(plant, seed) as board:
         board.run(0.03)
         fit(board, *pins)
@@ -82,7 +82,7 @@ def fitted(plant: PlantConfig, seed: int, *pins: Pin) -> Iterator[Board]:
 
 
 def wired(plant: PlantConfig, **pins: float) -> PlantConfig:
-    """The plant with something at the pins of both axes."""
+    """Plant with devices at the pins of both axes."""
     for axis, entry in enumerate(plant.axes):
         plant = plant.with_axis(axis, pins=replace(entry.pins, **pins))
     return plant
@@ -97,7 +97,7 @@ def _in(board: Board, axis: int, state: str, substate: str | None = None) -> boo
 
 
 def _until(board: Board, what: str, holds: Callable[[Board, int], bool], seconds: float = 3.0) -> None:
-    """Run until something holds for both axes."""
+    """Run until a condition holds for both axes."""
     rig.until(board, what, lambda: all(holds(board, axis) for axis in range(AXES)), seconds, 0.005)
 
 
@@ -111,36 +111,36 @@ def _ready(board: Board, axis: int) -> bool:
     return _in(board, axis, "RUN", "SPIN") and brake
 
 
-# ---- a load that hangs ---------------------------------------------------------------------------------------------
+# ---- hanging load --------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Hang:
-    """How far loads have dropped, and their ways while the drive was enabled for the first time."""
+class LoadDrops:
+    """Drops of hanging loads, and motion during the first enable."""
 
     drops: list[tuple[float, ...]]
-    """By axis: enabled for the first time, again, disabled, and switched off by the enable input [rad]."""
-    time: NDArray[np.float64]  # of the first enabling [s]
-    ways: NDArray[np.float64]  # shafts meanwhile, one row per axis [rad]
+    """By axis: first enable, second enable, disable, and switch-off by the enable input [rad]."""
+    time: NDArray[np.float64]  # of the first enable [s]
+    motions: NDArray[np.float64]  # motion of the shafts during the first enable, one row per axis [rad]
 
 
-def _ways(board: Board, seconds: float) -> NDArray[np.float64]:
-    """Ways of the shafts from where they are now, one row per axis, every millisecond [rad]."""
+def _motions(board: Board, seconds: float) -> NDArray[np.float64]:
+    """Motion of the shafts from now on, one row per axis, every millisecond [rad]."""
     start = [board.truth(axis).theta_m for axis in range(AXES)]
-    ways = []
+    motions = []
     for _ in range(round(seconds / 0.001)):
         board.run(0.001)
-        ways.append([board.truth(axis).theta_m - start[axis] for axis in range(AXES)])
-    return np.asarray(np.array(ways).T)
+        motions.append([board.truth(axis).theta_m - start[axis] for axis in range(AXES)])
+    return np.asarray(np.array(motions).T)
 
 
 def load_of(plant: PlantConfig, axis: int) -> float:
-    """What hangs on a shaft [N m]."""
+    """Torque of the hanging load [N m]."""
     return LOAD * SEARCH_CURRENT * plant.axes[axis].torque_constant
 
 
-def hang(plant: PlantConfig, seed: int, angle: float) -> Hang:
-    """Loads on both shafts from the start on; rotors `angle` off the vector of their searches, electrical [rad]."""
+def measure_drops(plant: PlantConfig, seed: int, angle: float) -> LoadDrops:
+    """Hanging loads on both shafts; rotors at `angle` from the first vector of the search, electrical [rad]."""
     for axis, entry in enumerate(plant.axes):
         pins = replace(
             entry.pins,
@@ -153,26 +153,28 @@ def hang(plant: PlantConfig, seed: int, angle: float) -> Hang:
         for axis in range(AXES):
             board.set_load(axis, load_of(plant, axis))
         board.write("cmd.enable", [1] * AXES)
-        first = _ways(board, 1.2)
+        first = _motions(board, 1.2)
         _until(board, "SPIN after the search", _ready)
         board.write("cmd.enable", [0] * AXES)
-        off = _ways(board, 0.3)
+        off = _motions(board, 0.3)
         _until(board, "STOP", lambda board, axis: _in(board, axis, "STOP"))
-        board.run(0.3)  # an axis waits for a shaft that rests
+        board.run(0.3)  # an enable requires standstill
         board.write("cmd.enable", [1] * AXES)
-        again = _ways(board, 0.4)
+        again = _motions(board, 0.4)
         _until(board, "SPIN again", _ready)
         for axis in range(AXES):
             board.inject(CutWire(axis, "enable"))
-        fault = _ways(board, 0.2)
-    drops = [tuple(float(np.abs(ways[axis]).max()) for ways in (first, again, off, fault)) for axis in range(AXES)]
-    return Hang(drops, 0.001 * np.arange(1, first.shape[1] + 1), first)
+        fault = _motions(board, 0.2)
+    drops = [
+        tuple(float(np.abs(motions[axis]).max()) for motions in (first, again, off, fault)) for axis in range(AXES)
+    ]
+    return LoadDrops(drops, 0.001 * np.arange(1, first.shape[1] + 1), first)
 
 
 def fault_drop(plant: PlantConfig, axis: int) -> float:
-    """Bound of the drop with a fault: free fall until the brake holds, then against it [rad]."""
+    """Bound of the drop with a fault: free fall until the brake closes, then deceleration by the brake [rad]."""
     entry, load = plant.axes[axis], load_of(plant, axis)
-    falling = CLOSE_TIME + LATE
+    falling = CLOSE_TIME + BRAKE_DELAY
     speed = load / entry.inertia * falling
     held = (BRAKE - LOAD) * SEARCH_CURRENT * entry.torque_constant / entry.inertia
     return 0.5 * speed * falling + speed**2 / (2.0 * held)
@@ -191,9 +193,9 @@ def open_enable(plant: PlantConfig, seed: int) -> tuple[float, bool]:
     Returns
     -------
     switches : float
-        PWM periods until the last switch of its inverter changes; 0 where there is no chip to look at.
+        PWM periods until the last switch of the inverter changes; 0 at level ideal.
     named : bool
-        ENABLE_INPUT, and nothing else, 5 ms later.
+        True if ENABLE_INPUT, and no other fault, is reported 5 ms later.
     """
     with fitted(plant, seed, "enable") as board:
         _enable(board)
@@ -214,16 +216,16 @@ def open_enable(plant: PlantConfig, seed: int) -> tuple[float, bool]:
 
 @dataclass(frozen=True)
 class Overrun:
-    """A switch that an axis reaches at speed."""
+    """Run into a limit switch at speed."""
 
-    beyond: float  # way past the switch [rad]
-    named: bool  # LIMIT_SWITCH, and nothing else
-    into: float  # way after a set-point beyond the switch [counts]
-    off: float  # way after one back [counts]
+    beyond: float  # overtravel [rad]
+    named: bool  # LIMIT_SWITCH, and no other fault, is reported
+    into: float  # motion after a set-point beyond the switch [counts]
+    off: float  # motion after a set-point back from the switch [counts]
 
 
 def overrun(plant: PlantConfig, seed: int) -> list[Overrun]:
-    """Both axes run into their upper limit switches, and are sent on, and back."""
+    """Run both axes into their upper limit switches, then command motion beyond and back."""
     start = [entry.theta_start if entry.theta_start != "random" else 0.0 for entry in plant.drawn(seed).axes]
     at = [angle + AWAY for angle in start]
     for axis, entry in enumerate(plant.axes):
@@ -241,31 +243,31 @@ def overrun(plant: PlantConfig, seed: int) -> list[Overrun]:
         board.run(0.1)
         _enable(board)
         board.run(0.2)
-        ways = []
+        motions = []
         for turns in (1.0, -1.0):
             here = [rig.position_of(board, axis) for axis in range(AXES)]
             for axis in range(AXES):
                 rig.choose_mode(board, axis, "POSITION")
                 rig.command_position(board, axis, here[axis] + round(turns * 4000))
             board.run(0.8)
-            ways.append([abs(rig.position_of(board, axis) - here[axis]) for axis in range(AXES)])
-    return [Overrun(beyond[k], named[k], ways[0][k], ways[1][k]) for k in range(AXES)]
+            motions.append([abs(rig.position_of(board, axis) - here[axis]) for axis in range(AXES)])
+    return [Overrun(beyond[k], named[k], motions[0][k], motions[1][k]) for k in range(AXES)]
 
 
-# ---- cut wires -----------------------------------------------------------------------------------------------------
+# ---- broken wires --------------------------------------------------------------------------------------------------
 
 
 def cut_wires(plant: PlantConfig, seed: int) -> dict[str, bool]:
-    """What the board says of each wire that is cut while axis 1 holds, and of the enable circuit's at rest."""
-    said: dict[str, bool] = {}
+    """Reaction to each broken wire in position hold of axis 1, and of the enable circuit at standstill."""
+    results: dict[str, bool] = {}
     plant = wired(plant, home_from=-1e6, home_to=1e6)
-    wanted: dict[Pin, set[str]] = {
+    expected: dict[Pin, set[str]] = {
         "home": set(),
         "limit_min": {"LIMIT_SWITCH"},
         "limit_max": {"LIMIT_SWITCH"},
         "enable": {"ENABLE_INPUT"},
     }
-    for pin, faults in wanted.items():
+    for pin, faults in expected.items():
         with fitted(plant, seed, "home", "limit_min", "limit_max", "enable") as board:
             _enable(board)
             board.run(0.1)
@@ -273,7 +275,7 @@ def cut_wires(plant: PlantConfig, seed: int) -> dict[str, bool]:
             board.run(0.1)
             inputs = {"home": "HOME", "enable": "ENABLE"}.get(pin, pin.upper())
             seen = (inputs in rig.flags_of(board, 0, "inputs")) == pin.startswith("limit")
-            said[f"{pin}, holding"] = (
+            results[f"{pin}, holding"] = (
                 rig.flags_of(board, 0, "faults") == faults and seen and not rig.flags_of(board, 1, "faults")
             )
     with fitted(plant, seed, "enable") as board:
@@ -288,11 +290,11 @@ def cut_wires(plant: PlantConfig, seed: int) -> dict[str, bool]:
         )
         board.clear_fault()
         board.run(0.1)
-        said["enable, at rest: refused without a fault"] = refused and _in(board, 0, "STOP")
+        results["enable, at rest: refused without a fault"] = refused and _in(board, 0, "STOP")
         board.write("cmd.enable", [1, 0])
         board.run(0.05)
-        said["enable, whole again: enabled by a new command"] = _in(board, 0, "RUN")
-    return said
+        results["enable, whole again: enabled by a new command"] = _in(board, 0, "RUN")
+    return results
 
 
 # ---- the experiment ------------------------------------------------------------------------------------------------
@@ -300,20 +302,20 @@ def cut_wires(plant: PlantConfig, seed: int) -> dict[str, bool]:
 
 @experiment(NAME)
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
-    """Hanging loads from several angles, the enable input and a limit switch at speed, cut wires."""
-    hangs = [hang(plant, seed, 2.0 * math.pi * (k + 0.5) / ANGLES) for k in range(ANGLES)]
+    """Hanging loads from several angles, enable input and limit switch at speed, broken wires."""
+    load_drops = [measure_drops(plant, seed, 2.0 * math.pi * (k + 0.5) / ANGLES) for k in range(ANGLES)]
     for axis in range(AXES):
         judge = Judge(f"{axis_name(axis)}, load of {load_of(plant, axis) * 1e3:.0f} mN m: drop, ")
-        first, again, off, fault = (max(drops) for drops in zip(*(h.drops[axis] for h in hangs), strict=True))
+        first, again, off, fault = (max(drops) for drops in zip(*(h.drops[axis] for h in load_drops), strict=True))
         yield judge("first enabling", first, "rad", maximum=FIRST_DROP, apart=0.1)
-        yield judge("enabled again", again, "rad", maximum=HELD_DROP)
-        yield judge("disabled", off, "rad", maximum=HELD_DROP)
+        yield judge("enabled again", again, "rad", maximum=TRANSFER_DROP_MAX)
+        yield judge("disabled", off, "rad", maximum=TRANSFER_DROP_MAX)
         yield judge("enable input opened", fault, "rad", maximum=fault_drop(plant, axis))
     switches, named = open_enable(plant, seed)
     judge = Judge("enable input at full speed: ")
     yield judge("switches open after", switches, "PWM periods", 0.0, 1.0)
     yield judge.true("named", named)
-    maximum = FULL_SPEED**2 / (2.0 * ACCELERATION) + FULL_SPEED * (SEEN + LAG)
+    maximum = FULL_SPEED**2 / (2.0 * ACCELERATION) + FULL_SPEED * (REACTION_TIME + LAG)
     for axis, found in enumerate(overrun(plant, seed)):
         judge = Judge(f"{axis_name(axis)}, limit switch at {FULL_SPEED:.0f} rad/s: ")
         yield judge("beyond", found.beyond, "rad", 0.0, maximum)
@@ -323,10 +325,10 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     for what, right in cut_wires(plant, seed).items():
         yield Judge("wire cut: ").true(what, right)
     curves = [
-        Curve(f"{axis_name(axis)}, {360.0 * (k + 0.5) / ANGLES:.0f} deg", h.time, np.degrees(h.ways[axis]))
-        for k, h in enumerate(hangs)
+        Curve(f"{axis_name(axis)}, {360.0 * (k + 0.5) / ANGLES:.0f} deg", h.time, np.degrees(h.motions[axis]))
+        for k, h in enumerate(load_drops)
         for axis in range(AXES)
     ]
-    yield Panel("a load hangs on the shaft: first enabling", "time [s]", "shaft [deg]", curves)
+    yield Panel("hanging load on the shaft: first enable", "time [s]", "shaft [deg]", curves)
     yield f"brake: opens in {OPEN_TIME * 1e3:.0f} ms, closes in {CLOSE_TIME * 1e3:.0f} ms"
     yield f"drops: the largest of {ANGLES} angles of the rotor"

@@ -13,7 +13,7 @@ from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
 from servo_twin.experiments import rig
-from servo_twin.experiments.dead_time_torque import pushed, swerve_at
+from servo_twin.experiments.dead_time_torque import displacement, displacement_at
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import move_speeds, path_settles
 from servo_twin.experiments.rig import COUNT, TICK, Recording
@@ -27,13 +27,13 @@ reference design requires no overshoot and no oscillation of the position (2.7.3
 DISTANCES: Final = (0.01, 1.0, 100.0)  # [turns]
 COUNTS_MAX: Final = 2.0
 SETTLE: Final = 0.5
-"""Allowed from the end of the speed-limited ramp until the shaft has arrived [s]: path filter and position loop.
+"""Permitted settling time after the end of the speed-limited ramp [s]: path filter and position loop.
 
-More where a heavy shaft makes the path filter slow."""
+Longer for a large inertia, because the path filter is slower."""
 
-RAMP_SPEED: Final = 0.5  # of the speed limit
+RAMP_SPEED: Final = 0.5  # relative to the speed limit
 RAMP_MIN: Final = 0.2  # [s]
-REST: Final = 1.0  # recorded after the shaft should have arrived [s]
+REST: Final = 1.0  # recorded after the permitted settling time [s]
 
 REFERENCE_OVERSHOOT: Final = "2.7.3: position must not overshoot"
 REFERENCE_CYCLE: Final = "2.7.3: position must not oscillate"
@@ -42,37 +42,37 @@ REFERENCE_NONE: Final = "no figure given"
 
 @dataclass(frozen=True)
 class Move:
-    """What one move gave [counts], unless it says otherwise."""
+    """Result of one move [counts], except where noted."""
 
     recording: Recording
-    overshoot: float  # farthest beyond the target
-    cycle: float  # from the lowest to the highest position after arrival, over the last half second
-    error: float  # mean distance from the target over that time
+    overshoot: float  # largest distance beyond the target
+    cycle: float  # peak to peak of the position after arrival, over the last half second
+    error: float  # mean distance from the target over the last half second
     settling: float | None
-    """From the end of the set-point's ramp until the shaft stays within 2 counts, and what it swerves [s]."""
-    swerve: float
-    """What current that the inverter keeps back moves the shaft from where it would be, the set-point arrived."""
-    swing: float  # the same, from the lowest to the highest, over the last half second
+    """From the end of the ramp until the shaft stays within 2 counts plus the displacement by the inverter [s]."""
+    displacement: float
+    """Largest displacement by the inverter after the end of the set-point."""
+    displacement_range: float  # peak to peak of this displacement over the last half second
 
 
 def measure(recording: Recording, target: int, ramp_end: float, shaft: AxisPlant) -> Move:
-    """Judge a move of a shaft that began with the recording; `target` in counts, `ramp_end` in seconds."""
+    """Evaluate a move that starts with the recording; `target` in counts, `ramp_end` in seconds."""
     last = recording.part(recording.time[-1] - REST / 2.0).position
-    swerve = swerve_at(recording, shaft, target, COUNTS_MAX)
-    swing = pushed(recording, shaft, position=True)[-last.size :]
+    inverter_displacement = displacement_at(recording, shaft, target, COUNTS_MAX)
+    displacement_range = displacement(recording, shaft, position=True)[-last.size :]
     return Move(
         recording,
         overshoot=rig.overshoot(recording, target),
         cycle=float(np.ptp(last)),
         error=float(np.abs(last - target).mean()),
-        settling=rig.arrives(recording, target, COUNTS_MAX + swerve, ramp_end),
-        swerve=swerve,
-        swing=float(round(np.ptp(swing))),
+        settling=rig.settling_time(recording, target, COUNTS_MAX + inverter_displacement, ramp_end),
+        displacement=inverter_displacement,
+        displacement_range=float(round(np.ptp(displacement_range))),
     )
 
 
 def travel(board: Board, axis: int, turns: float, ramp: bool, settle: float = SETTLE) -> Move:
-    """Move one axis by some turns from where it is; it may take `settle` to arrive [s]."""
+    """Move one axis by a number of revolutions; `settle` is the permitted settling time [s]."""
     limit, start = rig.get_axis(board, "param.speed_limit", axis), rig.position_of(board, axis)
     target = start + round(turns * COUNTS_PER_TURN)
     distance = abs(target - start) * COUNT
@@ -84,24 +84,27 @@ def travel(board: Board, axis: int, turns: float, ramp: bool, settle: float = SE
         elif not ramp and k == 0:
             rig.command_position(board, axis, target)
 
-    recording = rig.watch(board, [axis], duration + settle + REST, act)[axis]
+    recording = rig.record(board, [axis], duration + settle + REST, act)[axis]
     return measure(recording, target, duration, board.plant.axes[axis])
 
 
 @experiment(NAME)
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
-    """Every distance as step and as ramp, there and back, each axis by itself."""
+    """Every distance as step and as ramp, forth and back, each axis separately."""
     speeds, lowered = move_speeds(plant, seed, together=False)
     settles = path_settles(plant, seed, SETTLE)
     with rig.spinning(plant, seed) as board:
         for axis, speed in enumerate(speeds):
             rig.set_axis(board, "param.speed_limit", axis, speed)
         for distance, ramp in itertools.product(DISTANCES, (False, True)):
-            how, way = f"{'ramp' if ramp else 'step'} of {distance:g} turns", -distance if ramp else distance
-            moves = [travel(board, axis, way, ramp, settle) for axis, settle in enumerate(settles)]
+            how, signed_distance = (
+                f"{'ramp' if ramp else 'step'} of {distance:g} turns",
+                -distance if ramp else distance,
+            )
+            moves = [travel(board, axis, signed_distance, ramp, settle) for axis, settle in enumerate(settles)]
             for axis, (move, settle) in enumerate(zip(moves, settles, strict=True)):
-                judge, within = Judge(f"{axis_name(axis)} {how}, ", REFERENCE_NONE), COUNTS_MAX + move.swerve
-                calm = COUNTS_MAX + move.swing
+                judge, within = Judge(f"{axis_name(axis)} {how}, ", REFERENCE_NONE), COUNTS_MAX + move.displacement
+                calm = COUNTS_MAX + move.displacement_range
                 yield judge("overshoot", move.overshoot, "counts", maximum=within, reference=REFERENCE_OVERSHOOT)
                 yield judge("limit cycle", move.cycle, "counts", maximum=calm, reference=REFERENCE_CYCLE)
                 yield judge("steady-state error", move.error, "counts", maximum=within)

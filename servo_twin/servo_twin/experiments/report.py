@@ -1,4 +1,4 @@
-"""Outcomes as text, as pictures and as ``summary.json``."""
+"""Outcomes as text, picture and ``summary.json``."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _WIDTH: Final = 44
 
 def _number(value: float | None) -> str:
     if value is None or not math.isfinite(value):
-        return "never"
+        return "none"
     return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
 
 
 def columns(lines: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of cells, every column as wide as its widest cell."""
+    """Lines of cells with aligned columns."""
     widths = [max(map(len, cells)) for cells in zip(*lines, strict=True)]
     return ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
 
 
 def table(outcome: Outcome) -> str:
-    """Rows of an outcome for people."""
+    """Rows of an outcome as text."""
     lines = [
         _HEAD,
         *(
@@ -48,12 +48,12 @@ def table(outcome: Outcome) -> str:
 
 
 def summary(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Every row of every outcome, machine-readable."""
+    """All rows of all outcomes as dictionaries."""
     return [row.as_dict(outcome.name, outcome.level) for outcome in outcomes for row in outcome.rows]
 
 
 def update_summary(folder: Path, outcomes: Sequence[Outcome]) -> Path:
-    """Write ``summary.json``; rows of experiments that were not run now stay in it if they have a reference.
+    """Update ``summary.json``; rows of other experiments are kept if they have a reference.
 
     Returns
     -------
@@ -61,12 +61,12 @@ def update_summary(folder: Path, outcomes: Sequence[Outcome]) -> Path:
         The file.
     """
     path = folder / SUMMARY
-    fresh = tuple(f"{outcome.name}: " for outcome in outcomes)
+    replaced = tuple(f"{outcome.name}: " for outcome in outcomes)
     try:
         old = json.loads(path.read_text(encoding="utf-8"))
-        kept = [row for row in old if "reference" in row and not str(row["name"]).startswith(fresh)]
+        kept = [row for row in old if "reference" in row and not str(row["name"]).startswith(replaced)]
     except (OSError, ValueError, KeyError, TypeError):
-        kept = []  # none yet, or not ours
+        kept = []  # missing or another format
     text = json.dumps(kept + summary(outcomes), indent=2, allow_nan=False, ensure_ascii=False)
     path.write_text(text + "\n", encoding="utf-8")
     return path

@@ -1,4 +1,4 @@
-"""The bench that all experiments share: a board with both axes spinning, and recordings with the plant's truth."""
+"""Test bench of the experiments: board with both axes in closed-loop control, recordings with true plant values."""
 
 from __future__ import annotations
 
@@ -26,47 +26,47 @@ TICK: Final = TICK_NS * 1e-9
 """One slow tick [s]."""
 
 RPM: Final = np.pi / 30.0
-"""One turn per minute [rad/s]."""
+"""One revolution per minute [rad/s]."""
 
 COUNT: Final = 2.0 * np.pi / COUNTS_PER_TURN
 """One encoder count [rad]."""
 
 SETTLED: Final = 0.1
-"""After the rotor search, whose last vector has moved the shaft [s]."""
+"""Settling time after the rotor search, whose last vector has moved the shaft [s]."""
 
 
-SLOW: Final = 0.2 * COUNT / TICK  # hardly moves between what truth and snapshot show of one tick [rad/s]
+SLOW: Final = 0.2 * COUNT / TICK  # speed with negligible motion between true value and snapshot of a tick [rad/s]
 
 
 @dataclass(frozen=True)
 class Recording:
     """One axis over time, one entry per slow tick."""
 
-    time: NDArray[np.float64]  # since the beginning of the recording [s]
-    position: NDArray[np.float64]  # as the firmware reports it [counts]
-    position_ref: NDArray[np.float64]  # likewise [counts]
-    speed_ref: NDArray[np.float64]  # likewise [rad/s]
-    speed: NDArray[np.float64]  # likewise [rad/s]
-    i_q_ref: NDArray[np.float64]  # likewise [A]
-    i_q: NDArray[np.float64]  # likewise [A]
-    i_d: NDArray[np.float64]  # likewise [A]
-    u_d: NDArray[np.float64]  # likewise [V]
-    u_q: NDArray[np.float64]  # likewise [V]
-    limits: NDArray[np.int64]  # words of the firmware
-    faults: NDArray[np.int64]  # likewise
-    state: NDArray[np.int64]  # likewise
-    substate: NDArray[np.int64]  # likewise
-    theta: NDArray[np.float64]  # truth of the plant: mechanical angle [rad]
-    omega: NDArray[np.float64]  # truth: mechanical speed [rad/s]
-    i_q_true: NDArray[np.float64]  # truth [A]
-    torque: NDArray[np.float64]  # truth: of the air gap [N m]
-    u_dc: NDArray[np.float64]  # truth: of the bus [V]
+    time: NDArray[np.float64]  # since the start of the recording [s]
+    position: NDArray[np.float64]  # signal of the firmware [counts]
+    position_ref: NDArray[np.float64]  # signal of the firmware [counts]
+    speed_ref: NDArray[np.float64]  # signal of the firmware [rad/s]
+    speed: NDArray[np.float64]  # signal of the firmware [rad/s]
+    i_q_ref: NDArray[np.float64]  # signal of the firmware [A]
+    i_q: NDArray[np.float64]  # signal of the firmware [A]
+    i_d: NDArray[np.float64]  # signal of the firmware [A]
+    u_d: NDArray[np.float64]  # signal of the firmware [V]
+    u_q: NDArray[np.float64]  # signal of the firmware [V]
+    limits: NDArray[np.int64]  # word of the firmware
+    faults: NDArray[np.int64]  # word of the firmware
+    state: NDArray[np.int64]  # word of the firmware
+    substate: NDArray[np.int64]  # word of the firmware
+    theta: NDArray[np.float64]  # true mechanical angle [rad]
+    omega: NDArray[np.float64]  # true mechanical speed [rad/s]
+    i_q_true: NDArray[np.float64]  # true current [A]
+    torque: NDArray[np.float64]  # true air-gap torque [N m]
+    u_dc: NDArray[np.float64]  # true bus voltage [V]
 
     @property
     def shaft(self) -> NDArray[np.float64]:
-        """True angle in counts as `position` counts them: half a count about it while the shaft is slow.
+        """True angle in the coordinates of `position` [counts], within half a count of it at low speed.
 
-        One tick alone may lie a tenth of a count beyond where an even encoder would have its edge.
+        The median is used because a single tick may deviate by a tenth of a count with an uneven encoder.
         """
         counts = self.theta / COUNT
         slow = np.abs(self.omega) < SLOW
@@ -74,7 +74,7 @@ class Recording:
         return np.asarray(counts - np.round(np.median((counts - self.position)[slow]) - 0.5) - 0.5)
 
     def part(self, start: float, end: float | None = None) -> Recording:
-        """Ticks after `start` and up to `end` [s], both as in `time`, which keeps counting."""
+        """Ticks after `start` and up to `end` [s]; `time` is not shifted."""
         before = round(float(self.time[0]) / TICK) - 1
         ticks = slice(max(round(start / TICK) - before, 0), None if end is None else max(round(end / TICK) - before, 0))
         return Recording(**{name: getattr(self, name)[ticks] for name in self.__dataclass_fields__})
@@ -86,7 +86,7 @@ _prepare: Final[ContextVar[Callable[[Board], None] | None]] = ContextVar("prepar
 
 @contextmanager
 def at_level(level: Level | None) -> Iterator[None]:
-    """Let all boards made on this bench meanwhile be of one level; None: of that of `level`."""
+    """Set the level of all boards created in the block; None: `level`."""
     token = _level.set(level)
     try:
         yield
@@ -95,13 +95,13 @@ def at_level(level: Level | None) -> Iterator[None]:
 
 
 def level() -> Level:
-    """The level of the boards on this bench: the level asked for, or that of the environment, or `FAST_LEVEL`."""
+    """Level of new boards: that of `at_level`, of the environment, or `FAST_LEVEL`."""
     return chosen_level(_level.get(), default=FAST_LEVEL)
 
 
 @contextmanager
 def prepared(prepare: Callable[[Board], None]) -> Iterator[None]:
-    """Let something be done to all boards made on this bench meanwhile, before they run."""
+    """Apply a function to all boards created in the block, before they run."""
     token = _prepare.set(prepare)
     try:
         yield
@@ -110,7 +110,7 @@ def prepared(prepare: Callable[[Board], None]) -> Iterator[None]:
 
 
 def fresh_board(plant: PlantConfig, seed: int, firmware: Firmware | None = None) -> Board:
-    """A board of the level of this bench, just switched on; its set-points do not expire."""
+    """New board of the level `level`; its set-points do not expire."""
     board = Board(plant, seed=seed, level=level(), firmware=firmware)
     keep_set_points(board)
     if (prepare := _prepare.get()) is not None:
@@ -118,30 +118,30 @@ def fresh_board(plant: PlantConfig, seed: int, firmware: Firmware | None = None)
     return board
 
 
-JITTER_REACH: Final = math.sqrt(6.0)  # standard deviations of an edge's jitter, which go no further
+JITTER_MAX: Final = math.sqrt(6.0)  # largest jitter of an edge [standard deviations]
 
 
 def edge_shift(axis: AxisPlant) -> float:
-    """How far an edge of an encoder line may lie from its place [counts]; edges of the averaged plant lie in theirs.
+    """Largest deviation of an encoder edge from its nominal position [counts]; 0 on the averaged plant.
 
-    A line is high for 1/2 and the duty error of its period of four counts: its rising edge comes early by half of that,
-    the falling one late. Jitter comes on top, and half of the hysteresis.
+    A duty error shifts the rising edge forwards and the falling edge backwards, each by half the error of the period of
+    four counts. Jitter and half of the hysteresis are added.
     """
     if level() == "ideal":
         return 0.0
-    return 2.0 * abs(axis.encoder_duty_error) + JITTER_REACH * axis.encoder_jitter + 0.5 * axis.encoder_hysteresis
+    return 2.0 * abs(axis.encoder_duty_error) + JITTER_MAX * axis.encoder_jitter + 0.5 * axis.encoder_hysteresis
 
 
 @contextmanager
 def spinning(plant: PlantConfig, seed: int) -> Iterator[Board]:
-    """A fresh board with both axes in SPIN, holding where they are, at rest."""
+    """New board with both axes in SPIN, in position hold at standstill."""
     with fresh_board(plant, seed) as board:
         enable(board)
         board.run(SETTLED)
         yield board
 
 
-def watch(
+def record(
     board: Board,
     axes: Sequence[int],
     seconds: float,
@@ -149,29 +149,29 @@ def watch(
     *,
     may_fail: bool = False,
 ) -> dict[int, Recording]:
-    """Run slow tick by slow tick and keep what the firmware says and what is true.
+    """Run in slow ticks and record signals of the firmware and true values.
 
     Parameters
     ----------
     board : Board
-        On a slow-tick boundary, as `spinning` leaves it.
+        Board at a slow-tick boundary, as from `spinning`.
     axes : sequence of int
         Axes to record (index).
     seconds : float
         Length [s].
     act : callable, optional
-        Called with the number of the tick before each one: writes set-points, loads, supply voltage.
+        Called before each tick with its number, to write set-points, loads, supply voltage.
     may_fail : bool
-        A fault is what the run is about.
+        Faults are permitted.
 
     Raises
     ------
     SimulationError
-        If an axis ends in a fault and may not: nothing that is measured afterwards would mean anything.
+        If an axis has a fault and `may_fail` is false.
     """
     ticks = round(seconds / TICK)
     start = board.time_ns
-    if board.level == "registers":  # a slow loop, and the snapshot behind it, may last into the next PWM period
+    if board.level == "registers":  # the slow loop with its snapshot may extend into the next PWM period
         start += (PERIOD_NS - start) % TICK_NS
         board.advance(start)
     truths: dict[int, list[tuple[float, float, float, float, float]]] = {axis: [] for axis in axes}
@@ -180,10 +180,12 @@ def watch(
         if act is not None:
             act(k)
         rows.append(board.record(start + (k + 1) * TICK_NS).tobytes())
-        for axis, kept in truths.items():
+        for axis, rows_of_axis in truths.items():
             t = board.truth(axis)
-            kept.append((t.theta_m, t.omega_m, t.i_q, t.torque_e, t.u_dc))
-    log = np.frombuffer(b"".join(rows), board.snapshot_dtype)  # concatenate() compares all fields of every row
+            rows_of_axis.append((t.theta_m, t.omega_m, t.i_q, t.torque_e, t.u_dc))
+    log = np.frombuffer(
+        b"".join(rows), board.snapshot_dtype
+    )  # faster than concatenate(), which compares all fields of every row
     if log.size != ticks:
         raise SimulationError(f"{log.size} snapshots in {ticks} slow ticks")
     if not may_fail:
@@ -216,7 +218,7 @@ def _recording(
 
 
 def set_axis(board: Board, name: str, axis: int, value: float) -> None:
-    """Write one element of an array variable [SI]; for the firmware the other axis has not been written to."""
+    """Write one element of an array variable [SI], without a write to the other axis."""
     variable = board.catalogue[name]
     _write_element(board, name, axis, variable.to_raw(value))
 
@@ -233,7 +235,7 @@ def get_axis(board: Board, name: str, axis: int) -> float:
 
 
 def features(board: Board, axis: int, **switches: bool) -> None:
-    """Switch parts of the control on or off by the names of the catalogue, e.g. ``ANTI_WINDUP=False``."""
+    """Switch features on or off by name, e.g. ``ANTI_WINDUP=False``."""
     masks = {flag.name: flag.mask for flag in board.catalogue.flags["features"]}
     word = board.read_raw("param.features")[axis]
     for name, on in switches.items():
@@ -242,7 +244,7 @@ def features(board: Board, axis: int, **switches: bool) -> None:
 
 
 def choose_mode(board: Board, axis: int, mode: str) -> None:
-    """Write the mode of one axis by its name: POSITION, SPEED or TORQUE."""
+    """Write the mode of one axis by name: POSITION, SPEED or TORQUE."""
     _write_element(board, "cmd.mode", axis, board.catalogue.enums["control_mode_t"][mode])
 
 
@@ -255,20 +257,20 @@ def set_up(
     parameters: Mapping[str, float] | None = None,
     **switches: bool,
 ) -> None:
-    """Prepare one axis.
+    """Set mode, set-point, parameters and features of one axis.
 
     Parameters
     ----------
     board, axis
-        Which one (index).
+        Board and index of the axis.
     mode : str, optional
         POSITION, SPEED or TORQUE.
     speed : float, optional
         Set-point [rad/s].
     parameters : mapping, optional
-        Values [SI] of parameters, by their names without ``param.``.
+        Values of parameters [SI], by name without ``param.``.
     **switches : bool
-        As for `features`.
+        See `features`.
     """
     if switches:
         features(board, axis, **switches)
@@ -281,14 +283,14 @@ def set_up(
 
 
 def largest(board: Board, parameter: str) -> float:
-    """The most that a parameter can be set to [SI]."""
+    """Largest value of a parameter [SI]."""
     maximum = board.catalogue[f"param.{parameter}"].maximum
     assert maximum is not None
     return maximum
 
 
 def at(events: Mapping[float, Callable[[], object]]) -> Callable[[int], None]:
-    """For `watch`: what happens at which time since the beginning [s]."""
+    """Function `act` for `record` with actions by time since the start [s]."""
     due = {round(time / TICK): do for time, do in events.items()}
 
     def act(k: int) -> None:
@@ -299,48 +301,48 @@ def at(events: Mapping[float, Callable[[], object]]) -> Callable[[int], None]:
 
 
 def word(board: Board, axis: int, name: str) -> int:
-    """A variable of an axis as it stands in memory."""
+    """Raw value of a variable of an axis."""
     return board.read_raw(f"{axis_name(axis)}.{name}")[0]
 
 
 def flags_of(board: Board, axis: int, name: str) -> set[str]:
-    """Flags that are set in a word of an axis, such as ``faults``, by their names."""
+    """Names of the set flags in a word of an axis, such as ``faults``."""
     return {flag.name for flag in board.catalogue.active(name, word(board, axis, name))}
 
 
 def until(board: Board, what: str, holds: Callable[[], bool], seconds: float, step: float = TICK) -> None:
-    """Run until something holds, which is looked at every `step` [s].
+    """Run until a condition holds; polled every `step` [s].
 
     Raises
     ------
     SimulationError
-        If it does not within so many `seconds`; says `what`, and where the axes are.
+        On a timeout after `seconds`; the message contains `what` and the faults.
     """
     for _ in range(round(seconds / step)):
         if holds():
             return
         board.run(step)
-    places = ", ".join(f"{axis_name(axis)} {flags_of(board, axis, 'faults') or 'no fault'}" for axis in range(AXES))
-    raise SimulationError(f"not within {seconds:g} s: {what}; {places}")
+    states = ", ".join(f"{axis_name(axis)} {flags_of(board, axis, 'faults') or 'no fault'}" for axis in range(AXES))
+    raise SimulationError(f"timeout after {seconds:g} s: {what}; {states}")
 
 
 def position_of(board: Board, axis: int) -> int:
-    """Position that the firmware reports now [counts]."""
+    """Present position of the firmware [counts]."""
     return word(board, axis, "position")
 
 
 def command_position(board: Board, axis: int, counts: int) -> None:
-    """Position set-point [counts]."""
+    """Write the position set-point [counts]."""
     _write_element(board, "cmd.position", axis, counts)
 
 
 def command_speed(board: Board, axis: int, speed: float) -> None:
-    """Speed set-point [rad/s]; the mode has been chosen before."""
+    """Write the speed set-point [rad/s]; requires speed mode."""
     set_axis(board, "cmd.speed", axis, speed)
 
 
-def stays_from(recording: Recording, signal: NDArray[np.float64], low: float, high: float) -> float | None:
-    """Time from which on a signal stays within low .. high [s]; None when it does not."""
+def settled_from(recording: Recording, signal: NDArray[np.float64], low: float, high: float) -> float | None:
+    """Time from which a signal stays within low .. high [s]; None: it does not."""
     outside = np.nonzero((signal < low) | (signal > high))[0]
     if outside.size == 0:
         return 0.0
@@ -348,13 +350,13 @@ def stays_from(recording: Recording, signal: NDArray[np.float64], low: float, hi
     return float(recording.time[last]) if last + 1 < recording.time.size else None
 
 
-def arrives(recording: Recording, target: float, within: float, since: float) -> float | None:
-    """Time from `since` until the position stays within so many counts of a target [s]; None when it does not."""
-    time = stays_from(recording, recording.position, target - within, target + within)
+def settling_time(recording: Recording, target: float, within: float, since: float) -> float | None:
+    """Settling time from `since` until the position stays within `within` counts of a target [s]; None: it does not."""
+    time = settled_from(recording, recording.position, target - within, target + within)
     return None if time is None else max(time - since, 0.0)
 
 
 def overshoot(recording: Recording, target: float) -> float:
-    """Farthest position beyond the target of a move that begins with the recording [counts]."""
+    """Largest overshoot of a move that starts with the recording [counts]."""
     direction = 1.0 if target >= recording.position[0] else -1.0
     return max(float((direction * (recording.position - target)).max()), 0.0) + 0.0

@@ -1,4 +1,4 @@
-"""F15 and F16: where is the rotor? Bisection with coordinate correction, from everywhere, gently."""
+"""F15 and F16: rotor search by bisection with coordinate correction, from all angles, with small movements."""
 
 from __future__ import annotations
 
@@ -29,102 +29,106 @@ encoder unplugged, with a dead channel or counting backwards; motor unplugged.""
 START_F16: Final = 30.0  # [degrees electrical]
 SEARCHES_F16: Final = 8
 VERIFICATIONS: Final = 1
-"""Vectors after those: the last one, which the shaft has to follow, searches no more."""
+"""Additional vectors for verification: the shaft must follow the last one."""
 TIME_F16: Final = 1.2  # [s]
 TIME_HEAVY: Final = TIME_F16 * math.sqrt(10.0)
-"""The same for a shaft with ten times the inertia, every movement of which takes so much longer [s]."""
+"""Time for a shaft with ten times the inertia, with proportionally longer movements [s]."""
 
 EVERY: Final = 5  # [degrees electrical]
-DAMAGE_EVERY: Final = 40  # [degrees electrical]
+FAULT_EVERY: Final = 40  # [degrees electrical]
 
 HALF_INTERVAL: Final = 0.7
-"""Half of the interval at which the search ends [degrees electrical]: eight halvings of a turn."""
+"""Half of the final interval of the search [degrees electrical]: eight halvings of a revolution."""
 
 TWITCH_COUNTS: Final = 2 * (3 + 1)
-"""Most that one vector may move the shaft [counts]: three counts by which the twitch is seen and one that comes in the
-slow tick in which it is, and the same again for the brake, which is the pull played backwards."""
+"""Largest movement by one vector [counts]: three counts for the detection, one in the slow tick of the detection, and
+the same for the deceleration by the reversed vector."""
 
 TURN_COUNTS: Final = 12
-"""Most that the last vector, which turns, may move it besides [counts]: three counts to follow, as far as a heavy shaft
-swings beyond, and half an interval to lie on the vector."""
+"""Largest additional movement by the last, rotating vector [counts]: three counts of rotation, overshoot of a heavy
+shaft, and half an interval."""
 
-VECTOR_MIN: Final = 0.1  # current that is shown as a vector [A]
+VECTOR_MIN: Final = 0.1  # smallest current of a vector [A]
 BOOT_NS: Final = 60 * TICK_NS  # from reset until both axes are in STOP
-SEARCH_MAX: Final = 6.0  # [s]
-LOOK: Final = 0.02  # between two looks at the state [s]
-NAMED_MAX: Final = 1.5  # until a search that cannot succeed ends in its fault [s]; under way it is verified first
-NAMED_LATE: Final = 4.0  # the same for one that has to be tried again, after the shaft has come to rest [s]
+SEARCH_MAX: Final = 6.0  # largest duration of a search [s]
+POLL: Final = 0.02  # polling interval of the state [s]
+DETECTION_MAX: Final = 1.5  # largest time until a search that cannot succeed ends in its fault [s]
+DETECTION_MAX_RETRY: Final = 4.0  # the same for a search with retries, each after standstill [s]
 REST_TICKS: Final = 5  # shortest pause between two vectors, in slow ticks; noise may give one or two zeros
 
 
 @dataclass(frozen=True)
-class Damage:
-    """What keeps a search from succeeding."""
+class SearchFault:
+    """A fault that prevents a successful search."""
 
     name: str
-    fault: str  # expected name
-    do: Callable[[Board, int], None]  # does it to an axis of a board
-    maximum: float = NAMED_MAX  # time until the fault is named [s]
+    fault: str  # expected fault name
+    inject: Callable[[Board, int], None]  # injects the fault into an axis of a board
+    maximum: float = DETECTION_MAX  # largest time until the fault is reported [s]
 
 
-HELD: Final = Damage("shaft held", "ROTOR_SEARCH", lambda board, axis: board.lock_shaft(axis))
-UNPLUGGED: Final = Damage("encoder unplugged", "ENCODER_LOST", lambda board, axis: board.connect_encoder(axis, False))
-DAMAGES: Final = (
-    HELD,
+LOCKED: Final = SearchFault("shaft held", "ROTOR_SEARCH", lambda board, axis: board.lock_shaft(axis))
+UNPLUGGED: Final = SearchFault(
+    "encoder unplugged", "ENCODER_LOST", lambda board, axis: board.connect_encoder(axis, False)
+)
+SEARCH_FAULTS: Final = (
+    LOCKED,
     UNPLUGGED,
-    Damage("encoder line A dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "A")),
-    Damage("encoder line B dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "B")),
-    Damage("motor unplugged", "PHASE_LOST", lambda board, axis: board.connect_motor(axis, False)),
-    Damage("encoder backwards", "ENCODER_REVERSED", lambda board, axis: board.reverse_encoder(axis), NAMED_LATE),
-    Damage(
+    SearchFault("encoder line A dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "A")),
+    SearchFault("encoder line B dead", "ENCODER_LOST", lambda board, axis: board.cut_encoder_line(axis, "B")),
+    SearchFault("motor unplugged", "PHASE_LOST", lambda board, axis: board.connect_motor(axis, False)),
+    SearchFault(
+        "encoder backwards", "ENCODER_REVERSED", lambda board, axis: board.reverse_encoder(axis), DETECTION_MAX_RETRY
+    ),
+    SearchFault(
         "shaft with play of 2 counts",
         "ROTOR_SEARCH",
         lambda board, axis: board.obstruct_shaft(axis, 1.5 * COUNT, 0.5 * COUNT),
-        NAMED_LATE,
+        DETECTION_MAX_RETRY,
     ),
 )
-LOOSE: Final[Mapping[Level, float]] = {"ideal": 0.0, "registers": 0.03}
-"""Friction of a loose shaft, over the plant's own.
+LIGHT_FRICTION: Final[Mapping[Level, float]] = {"ideal": 0.0, "registers": 0.03}
+"""Friction of a light-running shaft, relative to that of the plant.
 
-Between two vectors the shaft has to come to rest, and the windings are short-circuited. On the averaged plant, whose
-drops fade away with the current, that brakes. With real drops it does not: at 0.3 rad/s the rotor induces some 10 mV
-against 1.4 V. Without any friction only the viscous one would be left, with a time constant of 0.8 s, for each of the
-18 vectors that it takes to recognise an encoder that counts backwards; the search gives up after 5 s (ROTOR_SEARCH).
-With this part of the friction the shaft rests within 0.1 s.
+Between two vectors the shaft must come to standstill with short-circuited windings. This brakes on the averaged plant,
+whose drops decrease with the current, but not with real drops: at 0.3 rad/s the back-EMF is about 10 mV, the drop
+1.4 V. Without Coulomb friction the time constant of the viscous friction is 0.8 s for each of the 18 vectors for the
+detection of a reversed encoder, and the search ends after 5 s (ROTOR_SEARCH). With this fraction of the friction the
+shaft is at standstill within 0.1 s.
 """
-TWITCHING: Final = Damage(
+TWITCHING: Final = SearchFault(
     "twitching from stop to stop",
     "ROTOR_SEARCH",
     lambda board, axis: board.obstruct_shaft(axis, 3.6 * COUNT, 0.5 * COUNT),
-    NAMED_LATE,
+    DETECTION_MAX_RETRY,
 )
-"""An obstructed shaft that can twitch, by some counts to both sides: held, or found where it is."""
-UNDER_WAY: Final = (0.08, 0.10, 0.12, 0.14, 0.16, 0.18)
-"""Times after the enable at which a search is disturbed under way [s]; the first vector begins to pull after 0.06 s."""
+"""An obstructed shaft that can move by a few counts: either a fault, or the right angle."""
+DISTURBED_AT: Final = (0.08, 0.10, 0.12, 0.14, 0.16, 0.18)
+"""Times of a fault during a search, after the enable [s]; the first vector starts after 0.06 s."""
 
 
 @dataclass(frozen=True)
 class Search:
     """One search of one axis."""
 
-    error: float | None  # found minus true electrical angle [degrees]; None when nothing was found
-    searches: int  # vectors tried
-    time: float  # length of ALIGN [s]
-    movement: float  # from the lowest to the highest position of the shaft [degrees mechanical]
+    error: float | None  # found minus true electrical angle [degrees]; None: not found
+    searches: int  # number of vectors
+    time: float  # duration of ALIGN [s]
+    movement: float  # peak-to-peak movement of the shaft [degrees mechanical]
     current: float  # largest current [A]
     faults: frozenset[str]  # names of the faults at the end
     counts: NDArray[np.float64]  # position over time [counts]
     theta_m: NDArray[np.float64]
-    """Angle of the current vector over time [degrees electrical], NaN while none pulls; empty unless traced."""
+    """Angle of the current vector over time [degrees electrical]; NaN without a vector; empty unless traced."""
 
 
 def wrapped(degrees: float) -> float:
-    """Angle within -180 .. 180."""
+    """Wrap an angle to -180 .. 180 [degrees]."""
     return (degrees + 180.0) % 360.0 - 180.0
 
 
 def start_at(plant: PlantConfig, degrees: float) -> PlantConfig:
-    """Both rotors at an electrical angle [degrees]."""
+    """Plant with both rotors at an electrical angle [degrees]."""
     for axis, entry in enumerate(plant.axes):
         plant = plant.with_axis(axis, theta_start=math.radians(degrees) / entry.pole_pairs)
     return plant
@@ -134,7 +138,7 @@ def find(
     plant: PlantConfig,
     seed: int,
     *,
-    damage: Damage | None = None,
+    search_fault: SearchFault | None = None,
     axes: Iterable[int] = range(AXES),
     after: float = 0.0,
     trace: bool = False,
@@ -144,17 +148,17 @@ def find(
     Parameters
     ----------
     plant : PlantConfig
-        What is really there.
+        Plant data.
     seed : int
-        Of the noise.
-    damage : Damage, optional
-        What happens to some axes.
+        Seed of the noise.
+    search_fault : SearchFault, optional
+        Fault to inject.
     axes : iterable of int
-        Which axes it happens to.
+        Axes for the fault.
     after : float
-        When it happens, after the enable [s].
+        Time of the fault after the enable [s].
     trace : bool
-        Also keep the angle of the current vector, which only the plant knows.
+        Record the true angle of the current vector.
     """
     with fresh_board(plant, seed) as board:
         board.advance(BOOT_NS)
@@ -165,11 +169,11 @@ def find(
         spins, done = [False] * AXES, [False] * AXES
         enums = board.catalogue.enums
         closed_loop = enums["state_t"]["RUN"], enums["substate_t"]["SPIN"]
-        pause = TICK if trace else LOOK
-        for look in range(round(SEARCH_MAX / pause)):
-            if damage is not None and look == round(after / pause):
+        pause = TICK if trace else POLL
+        for poll in range(round(SEARCH_MAX / pause)):
+            if search_fault is not None and poll == round(after / pause):
                 for axis in axes:
-                    damage.do(board, axis)
+                    search_fault.inject(board, axis)
             rows = board.record(board.time_ns + round(pause / TICK) * TICK_NS)
             logs.append(rows.tobytes())
             last = rows[-1]
@@ -181,7 +185,7 @@ def find(
                     done[axis] = True
                     true = math.degrees(plant.axes[axis].pole_pairs * board.truth(axis).theta_m)
                     found[axis] = wrapped(180.0 / 32768.0 * float(last[f"{name}.theta_e"]) - true)
-                # Seen in this look, read in the next one: the fast loop has then used the angle.
+                # Read one polling interval later, after the fast loop has used the angle.
                 spins[axis] = (last[f"{name}.state"], last[f"{name}.substate"]) == closed_loop
                 done[axis] = done[axis] or bool(last[f"{name}.faults"])
             if all(done):
@@ -191,7 +195,7 @@ def find(
 
 
 def _vector(board: Board, axis: int) -> float:
-    """Angle of the current vector in the stator frame [degrees]; NaN where there is hardly one."""
+    """Angle of the current vector in stator coordinates [degrees]; NaN below `VECTOR_MIN`."""
     truth = board.truth(axis)
     if math.hypot(truth.i_d, truth.i_q) < VECTOR_MIN:
         return math.nan
@@ -210,7 +214,7 @@ def _search(board: Board, log: NDArray[np.void], axis: int, error: float | None,
     counts = log[f"{name}.position"][align].astype(np.float64)
     driven = _driven(current)
     starts = np.count_nonzero(np.diff(driven.astype(np.int8), prepend=0) == 1)
-    pulls = driven & (si[f"{name}.i_d"][align] > VECTOR_MIN)  # along the vector; reversed while it brakes
+    pulls = driven & (si[f"{name}.i_d"][align] > VECTOR_MIN)  # along the vector; reversed during the deceleration
     theta_m = np.where(pulls, np.array(vectors)[align], np.nan) if vectors else np.array([])
     return Search(
         error=error,
@@ -225,7 +229,7 @@ def _search(board: Board, log: NDArray[np.void], axis: int, error: float | None,
 
 
 def _driven(current: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Where a vector is applied: between vectors the firmware reports exactly no current."""
+    """True while a vector is applied; between vectors the firmware reports exactly zero current."""
     driven = np.asarray(current != 0.0, dtype=np.bool_)
     gap = 0
     for k in range(driven.size):
@@ -239,9 +243,9 @@ def _driven(current: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def error_bound(axis: AxisPlant, current: float) -> float:
-    """Largest error of a sound search [degrees electrical].
+    """Largest error of a successful search [degrees electrical].
 
-    Half the last interval, the angle within which friction holds the shaft against the largest current, and two counts.
+    Half of the last interval, the angle at which friction balances the torque of the largest current, and two counts.
     """
     ratio = axis.friction / (axis.torque_constant * max(current, 1e-9))
     two_counts = math.degrees(2.0 * COUNT * axis.pole_pairs)
@@ -249,7 +253,7 @@ def error_bound(axis: AxisPlant, current: float) -> float:
 
 
 def movement_bound(searches: int) -> float:
-    """Most that the shaft may move in a search of so many vectors [degrees mechanical]."""
+    """Largest movement of the shaft in a search with this number of vectors [degrees mechanical]."""
     return math.degrees((TWITCH_COUNTS * searches + TURN_COUNTS) * COUNT)
 
 
@@ -266,7 +270,7 @@ def _scaled(plant: PlantConfig, **factors: float) -> PlantConfig:
 
 @experiment(NAME)
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
-    """F16, every 5 degrees under three conditions, the trap, and what has to end in a fault."""
+    """F16; every 5 degrees with different shafts; a rotor at 180 degrees; searches that must end in a fault."""
     first = find(start_at(plant, START_F16), seed, trace=True)
     for axis, search in enumerate(first):
         judge, halvings = Judge(f"{axis_name(axis)} from 30 degrees, "), search.searches - VERIFICATIONS
@@ -310,33 +314,37 @@ def _everywhere(plant: PlantConfig, seed: int) -> Iterator[Item]:
 def _rows(
     condition: str, plant: PlantConfig, axis: int, searches: Sequence[Search], time_max: float = TIME_F16
 ) -> Iterator[Row]:
-    """Worst figures of an axis."""
+    """Rows with the worst figures of an axis."""
     judge = Judge(f"{axis_name(axis)} {condition}, ")
     errors = [s.error for s in searches if s.error is not None]
     worst = max(map(abs, errors)) if len(errors) == len(searches) else None
     bound = error_bound(plant.axes[axis], max(s.current for s in searches))
     yield judge("error", worst, "deg el", maximum=bound, reference="F16: theta_M is the rotor's angle")
     yield judge("time", max(s.time for s in searches), "s", maximum=time_max, reference="F16: within 1.2 s")
-    # The longest movement; but if one is too long for the number of its vectors, that one.
+    # The largest movement, preferably one that exceeds the bound for its number of vectors.
     longest = max(searches, key=lambda s: (s.movement > movement_bound(s.searches), s.movement))
     movement_max = movement_bound(longest.searches)
     yield judge("movement", longest.movement, "deg", maximum=movement_max, reference="2.4.3: a tiny shift")
 
 
 def _rows_fault(plant: PlantConfig, seed: int) -> Iterator[Row]:
-    """The named fault, and no other, in time: from many angles, with and without friction, heavy; and under way."""
-    loose, stiff = _scaled(plant, friction=LOOSE[level()]), _scaled(plant, friction=3.0, inertia=3.0)
-    starts = [(changed, degrees) for changed in (plant, loose, stiff) for degrees in range(-170, 180, DAMAGE_EVERY)]
+    """Rows for the expected fault in time: from many angles, different friction and inertia, and during a search."""
+    loose, stiff = _scaled(plant, friction=LIGHT_FRICTION[level()]), _scaled(plant, friction=3.0, inertia=3.0)
+    starts = [(changed, degrees) for changed in (plant, loose, stiff) for degrees in range(-170, 180, FAULT_EVERY)]
 
-    def from_everywhere(damage: Damage) -> list[list[Search]]:
-        return by_axis(find(start_at(changed, d), seed + k, damage=damage) for k, (changed, d) in enumerate(starts))
+    def from_everywhere(search_fault: SearchFault) -> list[list[Search]]:
+        return by_axis(
+            find(start_at(changed, d), seed + k, search_fault=search_fault) for k, (changed, d) in enumerate(starts)
+        )
 
-    for damage in DAMAGES:
-        yield from _rows_named(damage, "", from_everywhere(damage))
-    for damage in (HELD, UNPLUGGED):
-        when = enumerate(itertools.product((-101.0, 64.0), UNDER_WAY))
-        found = by_axis(find(start_at(plant, d), seed + k, damage=damage, after=after) for k, (d, after) in when)
-        yield from _rows_named(damage, " under way", found)
+    for search_fault in SEARCH_FAULTS:
+        yield from _rows_named(search_fault, "", from_everywhere(search_fault))
+    for search_fault in (LOCKED, UNPLUGGED):
+        when = enumerate(itertools.product((-101.0, 64.0), DISTURBED_AT))
+        found = by_axis(
+            find(start_at(plant, d), seed + k, search_fault=search_fault, after=after) for k, (d, after) in when
+        )
+        yield from _rows_named(search_fault, " under way", found)
     for axis, searches in enumerate(from_everywhere(TWITCHING)):
         judge = Judge(f"{axis_name(axis)} {TWITCHING.name}: ", NOT_SHOWN)
         bound = error_bound(plant.axes[axis], max(s.current for s in searches))
@@ -345,13 +353,13 @@ def _rows_fault(plant: PlantConfig, seed: int) -> Iterator[Row]:
         yield judge("time", max(s.time for s in searches), "s", maximum=TWITCHING.maximum)
 
 
-def _rows_named(damage: Damage, when: str, found: Sequence[Sequence[Search]]) -> Iterator[Row]:
-    """How many of the searches end in the fault that belongs to the damage."""
+def _rows_named(search_fault: SearchFault, when: str, found: Sequence[Sequence[Search]]) -> Iterator[Row]:
+    """Fraction of the searches with the expected fault, and time of the fault."""
     for axis, searches in enumerate(found):
-        judge = Judge(f"{axis_name(axis)} {damage.name}{when}: ", NOT_SHOWN)
-        share = sum(s.faults == {damage.fault} and s.error is None for s in searches) / len(searches)
-        yield judge(damage.fault, share, "of all", 1.0, 1.0)
-        yield judge("named", max(s.time for s in searches), "s", maximum=damage.maximum)
+        judge = Judge(f"{axis_name(axis)} {search_fault.name}{when}: ", NOT_SHOWN)
+        share = sum(s.faults == {search_fault.fault} and s.error is None for s in searches) / len(searches)
+        yield judge(search_fault.fault, share, "of all", 1.0, 1.0)
+        yield judge("named", max(s.time for s in searches), "s", maximum=search_fault.maximum)
 
 
 def _panel_f16(title: str, label: str, lines: Sequence[NDArray[np.float64]]) -> Panel:

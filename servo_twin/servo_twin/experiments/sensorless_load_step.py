@@ -1,4 +1,4 @@
-"""Largest load step that an axis without an encoder bears, over speed."""
+"""Largest load step that a sensorless axis tolerates, over speed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from servo_twin.board import Board
 from servo_twin.experiments.outcome import NOT_SHOWN, Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import current_limits
 from servo_twin.experiments.rig import RPM, command_speed
-from servo_twin.experiments.sensorless import Trace, ended, follow, let_go, limits_of, started
+from servo_twin.experiments.sensorless import Trace, ended, ended_without_load, follow, limits_of, started
 from servo_twin.plant import AxisPlant, PlantConfig
 
 NAME: Final = "sensorless-load-step"
@@ -26,70 +26,70 @@ reduces the speed by T / (J w e) if the speed loop has two poles at w and measur
 the step that would stop the shaft with a loop of 30 Hz, within the current limit. The notes give the speed drops."""
 
 SPEEDS: Final = (0.05, 0.08, 0.13, 0.2, 0.4, 0.8)
-"""Parts of the speed limit."""
+"""Speeds, relative to the speed limit."""
 
 STEPS: Final = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
-"""Parts of the torque at the current limit."""
+"""Load steps, relative to the torque at the current limit."""
 
-PAPER: Final = 30.0
-"""Bandwidth of the speed loop on paper [Hz]."""
+BANDWIDTH: Final = 30.0
+"""Bandwidth of the speed loop in the theory [Hz]."""
 
-HELD: Final = 0.5
-"""Of the torque at the current limit a step that the bound asks for is at most: the rest brings the shaft back."""
+LOAD_MAX: Final = 0.5
+"""Largest required load step, relative to the torque at the current limit: the remainder accelerates the shaft."""
 
-SETTLE: Final = 0.4  # at a speed, before the first step [s]
+SETTLE: Final = 0.4  # time at a speed before the first step [s]
 LOADED: Final = 0.3  # [s]
-BACK: Final = 0.1  # Deviation of the mean speed from the set-point at the end of that, over it, at the most
+ERROR_MAX: Final = 0.1  # permitted relative error of the mean speed at the end of LOADED
 
 
 @dataclass(frozen=True)
-class Borne:
-    """One speed."""
+class Tolerated:
+    """Result at one speed."""
 
     speed: float  # [rad/s]
-    torque: float = 0.0  # largest step that was borne, as all smaller ones were [N m]
-    lost: float = 0.0  # speed that it took [rad/s]
-    trace: Trace | None = None  # of that step
-    end: str = ""  # what the next one did; empty when there was none
+    torque: float = 0.0  # largest tolerated step, with all smaller ones tolerated [N m]
+    speed_drop: float = 0.0  # speed drop by this step [rad/s]
+    trace: Trace | None = None  # trace of this step
+    end: str = ""  # failure of the next step; empty: not tested
 
 
-def lost_on_paper(motor: AxisPlant, torque: float) -> float:
-    """Speed that a load step takes [rad/s]."""
-    # crossing at 2 w
-    return torque / (motor.inertia * math.pi * PAPER * math.e)
+def theoretical_speed_drop(motor: AxisPlant, torque: float) -> float:
+    """Theoretical speed drop by a load step [rad/s]."""
+    # w is half the crossover frequency
+    return torque / (motor.inertia * math.pi * BANDWIDTH * math.e)
 
 
-def bear(plant: PlantConfig, seed: int, axis: int, part: float, steps: Sequence[float]) -> Borne:
-    """Growing steps, as parts of the torque at the current limit, at a part of the speed limit."""
+def largest_step(plant: PlantConfig, seed: int, axis: int, part: float, steps: Sequence[float]) -> Tolerated:
+    """Increasing steps, relative to the torque at the current limit, at a speed relative to the limit."""
     with started(plant, seed, {axis: 1.0}) as board:
         limit, current = limits_of(board, axis)
         speed = part * limit
         command_speed(board, axis, speed)
         follow(board, [], SETTLE)
-        best = Borne(speed)
+        best = Tolerated(speed)
         for step in steps:
             torque = step * current * plant.axes[axis].torque_constant
             trace, end = _loaded(board, axis, torque, speed)
             if end:
                 return replace(best, end=end)
-            best = Borne(speed, torque, speed - float(trace.omega.min()), trace)
+            best = Tolerated(speed, torque, speed - float(trace.omega.min()), trace)
         return best
 
 
 def _loaded(board: Board, axis: int, torque: float, speed: float) -> tuple[Trace, str]:
-    """A load comes and goes; why it was not borne."""
+    """Apply and remove a load; returns the trace and the reason of a failure."""
     traces: list[Trace] = []
     end = ""
     for load in (torque, 0.0):
         board.set_load(axis, load)
-        traces.append(follow(board, [axis], LOADED, lambda _: let_go(board, axis))[axis])
+        traces.append(follow(board, [axis], LOADED, lambda _: ended_without_load(board, axis))[axis])
         end = end or ended(board, axis) or _slow(traces[-1], speed)
     return traces[0], end
 
 
 def _slow(trace: Trace, speed: float) -> str:
     mean = float(trace.part(0.7 * LOADED).omega.mean())
-    return f"a mean of {mean / RPM:.3g} rpm" if abs(mean / speed - 1.0) > BACK else ""
+    return f"a mean of {mean / RPM:.3g} rpm" if abs(mean / speed - 1.0) > ERROR_MAX else ""
 
 
 @experiment(NAME)
@@ -98,20 +98,20 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     currents = current_limits(plant, seed)
     for axis in range(AXES):
         name, motor = axis_name(axis), plant.axes[axis]
-        found = [bear(plant, seed, axis, part, STEPS) for part in SPEEDS]
-        maximum = 1e3 * HELD * currents[axis] * motor.torque_constant
-        paper = [1e3 * it.speed / lost_on_paper(motor, 1.0) for it in found]
-        for it, step in zip(found, paper, strict=True):
+        found = [largest_step(plant, seed, axis, part, STEPS) for part in SPEEDS]
+        maximum = 1e3 * LOAD_MAX * currents[axis] * motor.torque_constant
+        theory = [1e3 * it.speed / theoretical_speed_drop(motor, 1.0) for it in found]
+        for it, step in zip(found, theory, strict=True):
             where = f"{name} at {it.speed / RPM:.0f} rpm"
             yield Judge(f"{where}, ", NOT_SHOWN)("step borne", 1e3 * it.torque, "mN m", min(step, maximum))
-            after = f"the next one: {it.end}" if it.end else "the largest that was tried"
+            after = f"next step: {it.end}" if it.end else "largest tested step"
             yield (
-                f"{where}: {1e3 * it.torque:.0f} mN m take {it.lost / RPM:.0f} rpm, on paper "
-                f"{lost_on_paper(motor, it.torque) / RPM:.0f} rpm; {after}"
+                f"{where}: {1e3 * it.torque:.0f} mN m reduce the speed by {it.speed_drop / RPM:.0f} rpm, theory "
+                f"{theoretical_speed_drop(motor, it.torque) / RPM:.0f} rpm; {after}"
             )
-        x, borne = np.array([it.speed / RPM for it in found]), np.array([1e3 * it.torque for it in found])
-        on_paper = Curve(f"loses all speed on paper, {PAPER:g} Hz", x, np.array(paper), "--")
-        curves = Curve("borne", x, borne, "o-"), on_paper
+        x, tolerated = np.array([it.speed / RPM for it in found]), np.array([1e3 * it.torque for it in found])
+        theory_curve = Curve(f"theoretical speed drop to standstill, {BANDWIDTH:g} Hz", x, np.array(theory), "--")
+        curves = Curve("tolerated", x, tolerated, "o-"), theory_curve
         yield Panel(f"{name}: largest load step", "speed [rpm]", "torque [mN m]", curves, log_x=True)
         slow, trace = found[0], found[0].trace
         if trace is not None:

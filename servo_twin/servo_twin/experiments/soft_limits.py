@@ -1,4 +1,4 @@
-"""Soft limits of position, speed and current: without them the shaft passes, with them it stops."""
+"""Soft limits of position, speed and current: runs without and with each limit."""
 
 from __future__ import annotations
 
@@ -29,49 +29,49 @@ limit must be reported in axisN.limits."""
 
 AWAY: Final = 2.0  # from the start to the limit of the position [turns]
 FAR: Final = 4.0  # to the target beyond it [turns]
-TORQUE: Final = 1.0  # asked for in torque mode [A]
+TORQUE: Final = 1.0  # set-point in torque mode [A]
 OUT: Final = 2.0  # [s]
 BACK: Final = 0.4  # [s]
 BACK_SPEED: Final = 20.0  # [rad/s]
-LEAN: Final = 1.0  # [A] worth of torque, by a load that leans on the limit
-LEAN_AWAY: Final = 0.25  # from the start to that limit [turns]
-LEAN_SPEED: Final = 20.0  # limit of the speed, low: braking the load feeds the bus [rad/s]
-LEAN_TIME: Final = 1.0  # [s]
-BEHIND: Final = 0.1  # the limit set behind the shaft [turns]
-SETTLE: Final = 0.3  # [s]; more where a heavy shaft makes the path filter slow
-FLAG_LAST: Final = 0.5  # the limit names itself all that time [s]
+LOAD: Final = 1.0  # load torque towards the limit, as current [A]
+LOAD_AWAY: Final = 0.25  # from the start to the limit [turns]
+LOAD_SPEED: Final = 20.0  # speed limit; low, because braking the load feeds the bus [rad/s]
+LOAD_TIME: Final = 1.0  # [s]
+BEHIND: Final = 0.1  # distance of a limit set behind the shaft [turns]
+SETTLE: Final = 0.3  # [s]; longer for a large inertia, because the path filter is slower
+FLAG_LAST: Final = 0.5  # final time in which the limit must be reported [s]
 
 BEYOND_MAX: Final = 2.0
-"""Past the limit in position mode [counts]."""
+"""Permitted overtravel in position mode [counts]."""
 
 BEYOND_UNHELD_MAX: Final = 4.0
-"""The same in speed and torque mode, where no position is held: two edges of track B [counts]."""
+"""Permitted overtravel in speed and torque mode, without position control: two edges of track B [counts]."""
 
 NEAR_MAX: Final = 0.01 * COUNTS_PER_TURN
-"""The shaft stops so close to the limit [counts]; in torque mode where the current left is worth the friction."""
+"""Largest distance from the limit after the stop [counts]; in torque mode the remaining current equals the friction."""
 
-PASSES_MIN: Final = 0.5 * COUNTS_PER_TURN  # without the limit [counts]
-BACK_MIN: Final = 0.01 * COUNTS_PER_TURN  # [counts]
+PASSES_MIN: Final = 0.5 * COUNTS_PER_TURN  # smallest overtravel without the limit [counts]
+BACK_MIN: Final = 0.01 * COUNTS_PER_TURN  # smallest motion back from the limit [counts]
 
 SPEED_LIMIT: Final = 100.0  # [rad/s]
-SPEED_ASKED: Final = 150.0  # [rad/s]
+SPEED_COMMANDED: Final = 150.0  # [rad/s]
 ACCELERATION: Final = 1000.0  # [rad/s^2]
-SPEED_MAX: Final = 1.1  # of the limit: the speed controller overshoots at the end of its ramp
+SPEED_MAX: Final = 1.1  # relative to the limit: overshoot of the speed controller at the end of the ramp
 CURRENT_LIMIT: Final = 1.0  # [A]
 CURRENT_MAX: Final = 1.15
-"""Of the limit, the true current, mean over a slow loop; ripple of dead time and noise."""
+"""Largest true current, mean over a slow loop, relative to the limit: ripple by dead time, and noise."""
 
 
-Ask = Callable[[Board, int, int], None]
-"""Command an axis (index) in view of a limit [counts]."""
+Command = Callable[[Board, int, int], None]
+"""Command to an axis (index) for a limit [counts]."""
 
-MODES: Final[dict[str, tuple[Ask, Ask]]] = {
+MODES: Final[dict[str, tuple[Command, Command]]] = {
     "POSITION": (
         lambda board, axis, limit: rig.command_position(board, axis, limit + round((FAR - AWAY) * COUNTS_PER_TURN)),
         lambda board, axis, limit: rig.command_position(board, axis, limit - COUNTS_PER_TURN),
     ),
     "SPEED": (
-        lambda board, axis, limit: rig.command_speed(board, axis, SPEED_ASKED),
+        lambda board, axis, limit: rig.command_speed(board, axis, SPEED_COMMANDED),
         lambda board, axis, limit: rig.command_speed(board, axis, -BACK_SPEED),
     ),
     "TORQUE": (
@@ -79,63 +79,63 @@ MODES: Final[dict[str, tuple[Ask, Ask]]] = {
         lambda board, axis, limit: rig.set_axis(board, "cmd.i_q", axis, -TORQUE),
     ),
 }
-"""Every mode, with what sends the shaft past the limit and what brings it back."""
+"""Modes with the commands beyond the limit and back."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """One axis that was sent into a limit: recording, and the part of the time in which the limit was reported."""
+    """Run of one axis into a limit."""
 
-    limit: int  # of the position [counts]
+    limit: int  # position limit [counts]
     out: Recording
-    named: float  # part of the time in which the limit was reported
-    back: Recording | None = None  # commanded back, away from the limit
+    reported: float  # fraction of the time in which axisN.limits reported the limit
+    back: Recording | None = None  # motion away from the limit
 
     @property
     def beyond(self) -> float:
-        """Farthest true position beyond the limit [counts]; below zero when it was never reached."""
+        """Largest overtravel of the true position [counts]; negative: limit not reached."""
         return float((self.out.shaft - self.limit).max())
 
 
-def _named(recording: Recording, mask: int, seconds: float = FLAG_LAST) -> float:
+def _reported(recording: Recording, mask: int, seconds: float = FLAG_LAST) -> float:
     words = recording.limits[-round(seconds / TICK) :]
     return float(np.mean((words & mask) != 0))
 
 
-def visit(plant: PlantConfig, seed: int, mode: str, limited: bool, speeds: list[float]) -> list[Run]:
-    """Both axes at once towards limits of their positions, the speed limited to `speeds` [rad/s], and back."""
+def run_to_position_limit(plant: PlantConfig, seed: int, mode: str, limited: bool, speeds: list[float]) -> list[Run]:
+    """Move both axes to their position limits and back, with speed limits `speeds` [rad/s]."""
     with rig.spinning(plant, seed) as board:
         limits = [rig.position_of(board, axis) + round(AWAY * COUNTS_PER_TURN) for axis in range(AXES)]
         for axis, limit in enumerate(limits):
             parameters = {"position_max": limit * COUNT, "speed_limit": speeds[axis]}
             rig.set_up(board, axis, mode, parameters=parameters, POSITION_LIMITS=limited)
 
-        def all_at_once(ask: Ask) -> None:
+        def all_at_once(command: Command) -> None:
             for axis, limit in enumerate(limits):
-                ask(board, axis, limit)
+                command(board, axis, limit)
 
         out, back = (
-            rig.watch(board, range(AXES), seconds, rig.at({0.0: functools.partial(all_at_once, ask)}))
-            for seconds, ask in zip((OUT, BACK), MODES[mode], strict=True)
+            rig.record(board, range(AXES), seconds, rig.at({0.0: functools.partial(all_at_once, command)}))
+            for seconds, command in zip((OUT, BACK), MODES[mode], strict=True)
         )
         mask = board.catalogue.flag("limits", "POSITION").mask
-    return [Run(limit, out[axis], _named(out[axis], mask), back[axis]) for axis, limit in enumerate(limits)]
+    return [Run(limit, out[axis], _reported(out[axis], mask), back[axis]) for axis, limit in enumerate(limits)]
 
 
-def lean(plant: PlantConfig, seed: int, limited: bool) -> list[float]:
-    """Farthest that a load drives both shafts past their limits, in torque mode without torque [counts]."""
+def load_overtravel(plant: PlantConfig, seed: int, limited: bool) -> list[float]:
+    """Overtravel of both shafts, driven by a load, in torque mode without current set-point [counts]."""
     with rig.spinning(plant, seed) as board:
-        limits = [rig.position_of(board, axis) + round(LEAN_AWAY * COUNTS_PER_TURN) for axis in range(AXES)]
+        limits = [rig.position_of(board, axis) + round(LOAD_AWAY * COUNTS_PER_TURN) for axis in range(AXES)]
         for axis, limit in enumerate(limits):
-            parameters = {"position_max": limit * COUNT, "speed_limit": LEAN_SPEED}
+            parameters = {"position_max": limit * COUNT, "speed_limit": LOAD_SPEED}
             rig.set_up(board, axis, "TORQUE", parameters=parameters, POSITION_LIMITS=limited)
-            board.set_load(axis, -LEAN * plant.axes[axis].torque_constant)  # a load opposes positive motion
-        both = rig.watch(board, range(AXES), LEAN_TIME)
+            board.set_load(axis, -LOAD * plant.axes[axis].torque_constant)  # a load opposes positive motion
+        both = rig.record(board, range(AXES), LOAD_TIME)
     return [float((both[axis].shaft - limit).max()) for axis, limit in enumerate(limits)]
 
 
 def set_behind(plant: PlantConfig, seed: int) -> list[dict[int, Recording]]:
-    """Set the upper limit a little below where both shafts are; then a target farther out, and one inside."""
+    """Set the upper limit below the present position of both shafts; then a target beyond it, and one inside."""
     settle = max(path_settles(plant, seed, SETTLE))
     with rig.spinning(plant, seed) as board:
         here = [rig.position_of(board, axis) for axis in range(AXES)]
@@ -143,56 +143,58 @@ def set_behind(plant: PlantConfig, seed: int) -> list[dict[int, Recording]]:
         for axis, position in enumerate(here):
             parameters = {"position_max": (position - step) * COUNT}
             rig.set_up(board, axis, parameters=parameters, POSITION_LIMITS=True)
-        found = [rig.watch(board, range(AXES), settle)]
+        found = [rig.record(board, range(AXES), settle)]
         for target in (step, -2 * step):
             for axis, position in enumerate(here):
                 rig.command_position(board, axis, position + target)
-            found.append(rig.watch(board, range(AXES), settle))
+            found.append(rig.record(board, range(AXES), settle))
     return found
 
 
-def turn(plant: PlantConfig, seed: int, mode: str, limit: float | None) -> list[Run]:
-    """Both axes are asked for more speed than the limit [rad/s], in speed or torque mode."""
+def run_to_speed_limit(plant: PlantConfig, seed: int, mode: str, limit: float | None) -> list[Run]:
+    """Command both axes to a speed above the limit [rad/s], in speed or torque mode."""
     with rig.spinning(plant, seed) as board:
         for axis in range(AXES):
-            speed = SPEED_ASKED if limit is None else limit
+            speed = SPEED_COMMANDED if limit is None else limit
             rig.set_up(board, axis, mode, parameters={"speed_limit": speed, "acceleration_limit": ACCELERATION})
             MODES[mode][0](board, axis, 0)
-        both = rig.watch(board, range(AXES), OUT)
+        both = rig.record(board, range(AXES), OUT)
         mask = board.catalogue.flag("limits", "SPEED").mask
-    return [Run(0, r, _named(r, mask)) for r in both.values()]
+    return [Run(0, r, _reported(r, mask)) for r in both.values()]
 
 
-def push(plant: PlantConfig, seed: int, limit: float | None) -> list[Run]:
-    """Both axes are asked for more current than the limit [A], in torque mode."""
+def run_to_current_limit(plant: PlantConfig, seed: int, limit: float | None) -> list[Run]:
+    """Command both axes to a current above the limit [A], in torque mode."""
     with rig.spinning(plant, seed) as board:
         for axis in range(AXES):
             parameters = {"speed_limit": SPEED_LIMIT} | ({} if limit is None else {"i_q_limit": limit})
             rig.set_up(board, axis, "TORQUE", parameters=parameters)
             board.lock_shaft(axis)
             rig.set_axis(board, "cmd.i_q", axis, 2.0 * CURRENT_LIMIT)
-        both = rig.watch(board, range(AXES), SETTLE)
+        both = rig.record(board, range(AXES), SETTLE)
         mask = board.catalogue.flag("limits", "CURRENT").mask
-    return [Run(0, r, _named(r, mask, SETTLE)) for r in both.values()]
+    return [Run(0, r, _reported(r, mask, SETTLE)) for r in both.values()]
 
 
 @experiment(NAME)
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
-    """Every limit, without and with, both axes at once."""
+    """Every limit, without and with, both axes simultaneously."""
     speeds, lowered = move_speeds(plant, seed, together=True)
     yield "beyond: true shaft past the limit"
     yield lowered
     names = [axis_name(axis) for axis in range(AXES)]
     for mode in MODES:
-        free, limited = (visit(plant, seed, mode, on, speeds) for on in (False, True))
+        free, limited = (run_to_position_limit(plant, seed, mode, on, speeds) for on in (False, True))
         for name, *pair in zip(names, free, limited, strict=True):
             maximum = BEYOND_MAX if mode == "POSITION" else BEYOND_UNHELD_MAX
             yield from _rows_visit(Judge(f"{name}, position, {mode.lower()} mode: "), maximum, *pair)
-        yield _panel(f"limit of the position, {mode.lower()} mode", free, limited)
-    for name, way, limited_way in zip(names, lean(plant, seed, False), lean(plant, seed, True), strict=True):
+        yield _panel(f"position limit, {mode.lower()} mode", free, limited)
+    for name, overtravel, limited_overtravel in zip(
+        names, load_overtravel(plant, seed, False), load_overtravel(plant, seed, True), strict=True
+    ):
         judge = Judge(f"{name}, position, a load leans on it: ")
-        yield judge("beyond without", way, "counts", PASSES_MIN)
-        yield judge("beyond with", limited_way, "counts", maximum=BEYOND_UNHELD_MAX)
+        yield judge("beyond without", overtravel, "counts", PASSES_MIN)
+        yield judge("beyond with", limited_overtravel, "counts", maximum=BEYOND_UNHELD_MAX)
     alone, farther, nearer = set_behind(plant, seed)
     for axis, name in enumerate(names):
         judge, back = Judge(f"{name}, limit set behind the shaft"), nearer[axis].shaft
@@ -201,22 +203,22 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         yield judge(", target farther out: moves", np.ptp(farther[axis].shaft), "counts", maximum=BEYOND_MAX)
         yield judge.near(", target inside: moves", back[0] - back[-1], "counts", moved, off)
     for mode in ("SPEED", "TORQUE"):
-        free, limited = (turn(plant, seed, mode, limit) for limit in (None, SPEED_LIMIT))
+        free, limited = (run_to_speed_limit(plant, seed, mode, limit) for limit in (None, SPEED_LIMIT))
         for name, *pair in zip(names, free, limited, strict=True):
             maximum, minimum = SPEED_MAX * SPEED_LIMIT, 1.2 * SPEED_LIMIT
             without, with_it = (float(np.abs(it.out.omega).max()) for it in pair)
             judge = Judge(f"{name}, speed, {mode.lower()} mode: ")
             yield judge("highest without", without, "rad/s", minimum)
             yield judge("highest with", with_it, "rad/s", maximum=maximum)
-            yield judge("names itself", pair[1].named, "of the time", 1.0, 1.0)
-    free, limited = (push(plant, seed, limit) for limit in (None, CURRENT_LIMIT))
+            yield judge("names itself", pair[1].reported, "of the time", 1.0, 1.0)
+    free, limited = (run_to_current_limit(plant, seed, limit) for limit in (None, CURRENT_LIMIT))
     for axis, name in enumerate(names):
         judge, pair = Judge(f"{name}, current, torque mode: "), [free[axis], limited[axis]]
         without, with_it = (float(np.abs(it.out.i_q_true).max()) for it in pair)
         maximum = CURRENT_MAX * CURRENT_LIMIT + ripple(plant, axis, CURRENT_LIMIT)
         yield judge("largest without", without, "A", 1.5 * CURRENT_LIMIT)
         yield judge("largest with", with_it, "A", maximum=maximum)
-        yield judge("names itself", pair[1].named, "of the time", 0.9, 1.0)
+        yield judge("names itself", pair[1].reported, "of the time", 0.9, 1.0)
 
 
 def _rows_visit(judge: Judge, maximum: float, free: Run, limited: Run) -> Iterator[Row]:
@@ -225,7 +227,7 @@ def _rows_visit(judge: Judge, maximum: float, free: Run, limited: Run) -> Iterat
     yield judge("beyond without", free.beyond, "counts", PASSES_MIN)
     yield judge("beyond with", limited.beyond, "counts", maximum=maximum, apart=maximum + NEAR_MAX)
     yield judge("stops before", limited.limit - last, "counts", -maximum, NEAR_MAX)
-    yield judge("names itself", limited.named, "of the time", 1.0, 1.0)
+    yield judge("names itself", limited.reported, "of the time", 1.0, 1.0)
     yield judge("comes back", last - limited.back.shaft[-1], "counts", BACK_MIN)
 
 

@@ -1,4 +1,4 @@
-"""Speed observer against the M/T method: very low speed, tracking, holding, and what it costs."""
+"""Speed observer compared with the M/T method: very low speed, following error, hold, disadvantages."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from servo_msgs_py.units import COUNTS_PER_TURN
 
 from servo_twin.board import Board
 from servo_twin.experiments import rig
-from servo_twin.experiments.dead_time_torque import pushed, whole_counts
+from servo_twin.experiments.dead_time_torque import displacement, displacement_counts
 from servo_twin.experiments.outcome import Curve, Item, Judge, Panel, experiment
 from servo_twin.experiments.plant_limits import NominalShaft, nominal_shafts
 from servo_twin.experiments.rig import COUNT, RPM, TICK, Recording
@@ -31,23 +31,22 @@ COST_SPEED: Final = 20.0  # [rpm]
 SETTLE: Final = 1.0  # [s]
 MEASURED: Final = 4.0  # [s]
 MOVE: Final = 1.0  # [turns]
-ARRIVED: Final = 0.7  # from the set-point on [s]
+ARRIVED: Final = 0.7  # time of the move [s]
 HELD: Final = 0.5  # [s]
 HOLDS: Final = ((1.0, 1.0), (1.0, 0.2), (1.0, 3.0), (0.5, 1.0), (3.0, 1.0))
-"""Inertia and friction while a position is held, over the nominal values."""
+"""Inertia and friction for position hold, relative to the nominal values."""
 
-LOAD: Final = 2.0  # [A] worth of torque
+LOAD: Final = 2.0  # load torque, as current [A]
 
 CYCLE_MAX: Final = 2.0
-"""Counts: one to either side, which is what the encoder can tell.
+"""Permitted peak-to-peak motion in position hold [counts]: one count to each side, the resolution of the encoder.
 
-More by what the current that the inverter keeps back around zero moves the shaft to either side (dead_time_torque.py):
-friction does not hold a light or light-running one against it, and whether it comes to rest all the same is chance. And
-more where the M/T method does no better: neither sees less than a count.
+The displacement by the inverter (dead_time_torque.py) is added: with a small inertia or friction the shaft may not come
+to standstill. The motion with the M/T method is always permitted.
 """
 
 MEAN_MAX: Final = 1.0
-"""Deviation of the true mean from the set-point [%]: two counts in 4 s at 2 rpm are 0.4 %."""
+"""Permitted error of the true mean speed [%]: two counts in 4 s at 2 rpm are 0.4 %."""
 
 BETTER: Final = 1.0
 
@@ -57,7 +56,7 @@ Pair = tuple[Recording, Recording]
 
 
 def both(plant: PlantConfig, seed: int, axis: int, play: Callable[[Board], Recording]) -> Pair:
-    """Play something to a fresh board, once without and once with the observer."""
+    """Run `play` on a new board without, and on another one with the observer."""
 
     def once(observer: bool) -> Recording:
         with rig.spinning(plant, seed) as board:
@@ -72,7 +71,7 @@ def creep(plant: PlantConfig, seed: int, axis: int, speed: float) -> Pair:
 
     def play(board: Board) -> Recording:
         rig.set_up(board, axis, "SPEED", speed)
-        return rig.watch(board, [axis], SETTLE + MEASURED)[axis].part(SETTLE)
+        return rig.record(board, [axis], SETTLE + MEASURED)[axis].part(SETTLE)
 
     return both(plant, seed, axis, play)
 
@@ -80,7 +79,7 @@ def creep(plant: PlantConfig, seed: int, axis: int, speed: float) -> Pair:
 def shaft(
     plant: PlantConfig, axis: int, nominal: NominalShaft, inertia: float = 1.0, friction: float = 1.0
 ) -> PlantConfig:
-    """Plant with so many times (ratios) the nominal inertia and friction."""
+    """Plant with inertia and friction as multiples of the nominal values."""
     return plant.with_axis(axis, inertia=inertia * nominal.inertia, friction=friction * nominal.friction)
 
 
@@ -90,7 +89,7 @@ def move(plant: PlantConfig, seed: int, axis: int) -> Pair:
     def play(board: Board) -> Recording:
         rig.features(board, axis, SPEED_FORWARD=True, ACCELERATION_FORWARD=True)
         rig.command_position(board, axis, rig.position_of(board, axis) + round(MOVE * COUNTS_PER_TURN))
-        return rig.watch(board, [axis], ARRIVED + HELD)[axis]
+        return rig.record(board, [axis], ARRIVED + HELD)[axis]
 
     return both(plant, seed, axis, play)
 
@@ -100,55 +99,55 @@ def push(plant: PlantConfig, seed: int, axis: int) -> Pair:
 
     def play(board: Board) -> Recording:
         board.set_load(axis, LOAD * plant.axes[axis].torque_constant)
-        return rig.watch(board, [axis], HELD)[axis]
+        return rig.record(board, [axis], HELD)[axis]
 
     return both(plant, seed, axis, play)
 
 
 def rms(recording: Recording, speed: float) -> float:
-    """Root mean square of the true speed's deviation [rad/s]."""
+    """RMS deviation of the true speed [rad/s]."""
     return float(np.sqrt(np.mean((recording.omega - speed) ** 2)))
 
 
-def chance(without: Recording, axis: AxisPlant, speed: float) -> float:
-    """What the ratio of two deviations may be off by chance.
+def ratio_uncertainty(without: Recording, axis: AxisPlant, speed: float) -> float:
+    """Statistical uncertainty of the ratio of two RMS deviations.
 
-    The current that the inverter keeps back disturbs both runs alike. Of its part of the deviation each run shows
-    another sample, of as many values as edges of track B have been seen: n values give a root mean square with a
-    relative standard deviation of sqrt(1 / 2 n), and the ratio of two one of sqrt(1 / n).
+    The dead zone of the inverter disturbs both runs. Its part of the deviation is a random sample with one value per
+    edge of track B: an RMS of n values has a relative standard deviation of sqrt(1 / 2 n), the ratio of two of
+    sqrt(1 / n).
     """
     edges = MEASURED * speed / COUNT / 2.0
-    disturbed = np.gradient(pushed(without, axis, position=False) * COUNT, TICK)
+    disturbed = np.gradient(displacement(without, axis, position=False) * COUNT, TICK)
     share = min(float(np.mean(disturbed**2)) / rms(without, speed) ** 2, 1.0)
     return share / math.sqrt(edges)
 
 
 def following(recording: Recording) -> float:
-    """Largest distance from the shaped set-point [counts]."""
+    """Largest following error against the shaped set-point [counts]."""
     return float(np.abs(recording.position_ref - recording.position).max())
 
 
 def held(recording: Recording) -> float:
-    """True movement while the position is held, lowest to highest [counts]."""
+    """Peak-to-peak true motion in position hold [counts]."""
     return float(np.ptp(recording.part(ARRIVED).theta)) / COUNT
 
 
 @experiment(NAME)
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
-    """Everything on both axes, with and without."""
+    """All runs on both axes, with and without the observer."""
     for axis, nominal in enumerate(nominal_shafts(plant, seed)):
-        name, known = axis_name(axis), shaft(plant, axis, nominal)
+        name, nominal_plant = axis_name(axis), shaft(plant, axis, nominal)
         for rpm in SPEEDS:
             speed, judge = rpm * RPM, Judge(f"{name} at {rpm:g} rpm, ")
-            without, observed = creep(known, seed, axis, speed)
+            without, observed = creep(nominal_plant, seed, axis, speed)
             error = 100.0 * abs(float(observed.omega.mean()) / speed - 1.0)
-            better = BETTER + chance(without, known.axes[axis], speed)
+            better = BETTER + ratio_uncertainty(without, nominal_plant.axes[axis], speed)
             yield judge("error of the true mean", error, "%", maximum=MEAN_MAX)
             yield judge("deviation with over without", rms(observed, speed) / rms(without, speed), maximum=better)
             if axis == 0:
                 yield _creep_panel(f"{name} at {rpm:g} rpm", without, observed, rpm)
         judge = Judge(f"{name}, ")
-        moved = without, observed = move(known, seed, axis)
+        moved = without, observed = move(nominal_plant, seed, axis)
         ratio = following(observed) / following(without)
         yield judge("following error with over without", ratio, maximum=BETTER)
         if axis == 0:
@@ -156,11 +155,11 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         for inertia, friction in HOLDS:
             other = shaft(plant, axis, nominal, inertia, friction)
             without, observed = move(other, seed, axis)
-            pushed_max = whole_counts(observed, other.axes[axis], ARRIVED, inertia)
-            calm = max(CYCLE_MAX + 2.0 * pushed_max, held(without))
+            inverter_displacement = displacement_counts(observed, other.axes[axis], ARRIVED, inertia)
+            motion_max = max(CYCLE_MAX + 2.0 * inverter_displacement, held(without))
             what = f"{name} holds, inertia x {inertia:g}, friction x {friction:g}, "
-            yield Judge(what)("movement", held(observed), "counts", maximum=calm)
-        yield from _costs(known, seed, axis, moved)
+            yield Judge(what)("movement", held(observed), "counts", maximum=motion_max)
+        yield from _costs(nominal_plant, seed, axis, moved)
 
 
 def _costs(plant: PlantConfig, seed: int, axis: int, moved: Pair) -> Iterator[str]:
@@ -169,7 +168,7 @@ def _costs(plant: PlantConfig, seed: int, axis: int, moved: Pair) -> Iterator[st
     rough = [rms(r, COST_SPEED * RPM) / RPM for r in creep(plant, seed, axis, COST_SPEED * RPM)]
     errors = [following(r) for r in moved]
     yield f"{name}: following error {errors[0]:.0f} counts without, {errors[1]:.0f} with it"
-    yield f"{name}: gives way {angles[0]:.2g} deg to the torque of {LOAD:g} A without, {angles[1]:.2g} deg with it"
+    yield f"{name}: deflection by the torque of {LOAD:g} A {angles[0]:.2g} deg without, {angles[1]:.2g} deg with it"
     yield f"{name} at {COST_SPEED:g} rpm: deviation {rough[0]:.2g} rpm without, {rough[1]:.2g} rpm with it"
 
 

@@ -1,4 +1,4 @@
-"""Start-up without an encoder: how soon the angle converges and the criterion is met, and how often it succeeds."""
+"""Sensorless start-up: time of convergence, time of the criterion, and success rate."""
 
 from __future__ import annotations
 
@@ -35,44 +35,44 @@ all cores (20 of them at register level): the number of starts after which the s
 STARTS: Final = 1000
 """Random starts, two per board."""
 
-STARTS_SLOWLY: Final = 20
-"""The same at register level, which takes about ten times as long."""
+STARTS_REGISTERS: Final = 20
+"""Random starts at level registers, which takes about ten times as long."""
 
 CONVERGED: Final = 15.0
-"""Error from which on the angle counts as converged [deg]; it costs 3.4 % of the torque."""
+"""Largest error of a converged angle [deg]; it reduces the torque by 3.4 %."""
 
 ANGLE_MAX: Final = 0.150  # of the reference design [s]
 CRITERION_MAX: Final = 0.500  # of the reference design [s]
 
 INERTIA: Final = (0.5, 2.0)
-"""Spread of the inertia, a factor, even on a logarithmic scale."""
+"""Range of the inertia, relative to the nominal one, uniform on a logarithmic scale."""
 
 FRICTION: Final = (0.5, 3.0)
-"""Spread of the friction, likewise."""
+"""Range of the friction, relative to the nominal one, uniform on a logarithmic scale."""
 
 LOAD: Final = 0.3
-"""Largest load torque against the motion, over that of half of the current limit: a fan, growing with the speed."""
+"""Largest load torque (fan characteristic), relative to the torque at half of the current limit."""
 
 SET_POINTS: Final = (0.15, 0.9)
-"""Spread of the set-point, parts of the speed limit."""
+"""Range of the set-point, relative to the speed limit."""
 
 RATE_MIN: Final = 99.0
-"""Of the random starts that have to succeed [%]: the reference design gives no figure."""
+"""Required success rate of the random starts [%]; the reference design gives no figure."""
 
 NOMINAL: Final = 0.6  # length of the nominal start [s]
-LONGEST: Final = 2.5  # of a random one until its speed is judged [s]
-SETTLED: Final = 0.4  # the axis turns in closed loop for so long before its speed is judged [s]
-SPEED_MAX: Final = 0.1  # deviation of the true speed from the set-point then, over it
+START_LENGTH_MAX: Final = 2.5  # largest length of a random start [s]
+SETTLED: Final = 0.4  # time in closed loop before the speed is checked [s]
+SPEED_MAX: Final = 0.1  # permitted relative error of the true speed
 
 
 @dataclass(frozen=True)
 class Start:
     """One start of one axis."""
 
-    criterion: float | None  # from the beginning of the start-up to the closed loop [s]
-    converged: float | None  # until the error of the angle stays small [s]
-    end: str  # reason of a failure; empty without one
-    what: str = ""  # conditions, for people
+    criterion: float | None  # from the start of the start-up to closed loop [s]
+    converged: float | None  # time of convergence of the angle [s]
+    end: str  # reason of a failure; empty: success
+    what: str = ""  # conditions, as text
 
     @property
     def succeeded(self) -> bool:
@@ -83,10 +83,10 @@ class Start:
 class Draw:
     """Conditions of one start."""
 
-    inertia: float  # over the nominal one
-    friction: float  # likewise
-    load: float  # torque at the set-point, over that of half of the current limit
-    set_point: float  # part of the speed limit, with sign
+    inertia: float  # relative to the nominal one
+    friction: float  # relative to the nominal one
+    load: float  # torque at the set-point, relative to the torque at half of the current limit
+    set_point: float  # relative to the speed limit, with sign
 
     def __str__(self) -> str:
         return (
@@ -110,39 +110,41 @@ class _Starts:
 
 
 def draws(seed: int, boards: int) -> list[tuple[Draw, ...]]:
-    """Conditions of so many boards."""
+    """Random conditions for `boards` boards."""
     source = random.Random(f"start-up {seed}")
 
     def spread(low: float, high: float) -> float:
         return math.exp(source.uniform(math.log(low), math.log(high)))
 
     def one() -> Draw:
-        way = source.choice((-1.0, 1.0))
-        return Draw(spread(*INERTIA), spread(*FRICTION), source.uniform(0.0, LOAD), way * source.uniform(*SET_POINTS))
+        direction = source.choice((-1.0, 1.0))
+        return Draw(
+            spread(*INERTIA), spread(*FRICTION), source.uniform(0.0, LOAD), direction * source.uniform(*SET_POINTS)
+        )
 
     return [tuple(one() for _ in range(AXES)) for _ in range(boards)]
 
 
 def examine(trace: Trace, startup: int, spin: int) -> Start:
-    """What a trace says about its start-up."""
-    begun = np.nonzero(trace.substate == startup)[0]
+    """Evaluate the start-up in a trace."""
+    started = np.nonzero(trace.substate == startup)[0]
     done = np.nonzero(trace.substate == spin)[0]
-    if begun.size == 0:
-        return Start(None, None, "it does not begin")
+    if started.size == 0:
+        return Start(None, None, "no start-up")
     if done.size == 0:
         return Start(None, None, "no closed loop")
-    criterion = float(done[0] - begun[0]) * TICK
-    wrong = np.nonzero(np.abs(trace.error[begun[0] :]) > CONVERGED)[0]
+    criterion = float(done[0] - started[0]) * TICK
+    wrong = np.nonzero(np.abs(trace.error[started[0] :]) > CONVERGED)[0]
     converged = None
     if wrong.size == 0:
         converged = 0.0
-    elif wrong[-1] + 1 < trace.time.size - begun[0]:
+    elif wrong[-1] + 1 < trace.time.size - started[0]:
         converged = float(wrong[-1] + 1) * TICK
     return Start(criterion, converged, "")
 
 
 def nominal(plant: PlantConfig, seed: int) -> dict[int, Trace]:
-    """Both axes as they are, to a third of the speed limit."""
+    """Start both axes of the plant, to a third of the speed limit."""
     with observing(plant, seed) as board:
         for axis in range(AXES):
             command_speed(board, axis, limits_of(board, axis)[0] / 3.0)
@@ -150,7 +152,7 @@ def nominal(plant: PlantConfig, seed: int) -> dict[int, Trace]:
 
 
 def start(plant: PlantConfig, seed: int, drawn: tuple[Draw, ...]) -> tuple[Start, ...]:
-    """One board: both axes at once."""
+    """Start both axes of one board simultaneously."""
     for axis, draw in enumerate(drawn):
         motor = plant.axes[axis]
         friction = draw.friction * motor.friction
@@ -160,8 +162,8 @@ def start(plant: PlantConfig, seed: int, drawn: tuple[Draw, ...]) -> tuple[Start
         fans = [_fan(board, axis, draw, speeds[axis]) for axis, draw in enumerate(drawn)]
         for axis, speed in enumerate(speeds):
             command_speed(board, axis, speed)
-        watch = _Watch(board, fans)
-        traces = follow(board, range(AXES), LONGEST, watch)
+        fan_loads = _FanLoads(board, fans)
+        traces = follow(board, range(AXES), START_LENGTH_MAX, fan_loads)
         startup, spin = (substate(board, name) for name in ("STARTUP", "SPIN"))
         return tuple(
             _judged(board, traces[axis], examine(traces[axis], startup, spin), speeds[axis], str(draw))
@@ -170,13 +172,13 @@ def start(plant: PlantConfig, seed: int, drawn: tuple[Draw, ...]) -> tuple[Start
 
 
 def _fan(board: Board, axis: int, draw: Draw, speed: float) -> float:
-    """Torque over the square of the speed [N m s^2]."""
+    """Torque of the fan divided by the squared speed [N m s^2]."""
     torque = draw.load * 0.5 * limits_of(board, axis)[1] * board.plant.axes[axis].torque_constant
     return torque / speed**2
 
 
-class _Watch:
-    """Loads of a fan, and the end of the run when every axis has turned long enough or has ended."""
+class _FanLoads:
+    """Applies the fan loads; ends the run when every axis has been in closed loop for `SETTLED`, or has a fault."""
 
     def __init__(self, board: Board, fans: Sequence[float]) -> None:
         self._board, self._fans = board, fans
@@ -194,7 +196,7 @@ class _Watch:
 
 
 def _judged(board: Board, trace: Trace, found: Start, speed: float, what: str) -> Start:
-    """A start, together with how it has ended."""
+    """A start with the reason of a failure."""
     if trace.faults.any():
         first = int(trace.faults[int(np.argmax(trace.faults != 0))])
         return replace(found, end=fault_names(board, first), what=what)
@@ -204,7 +206,7 @@ def _judged(board: Board, trace: Trace, found: Start, speed: float, what: str) -
 
 
 def many(plant: PlantConfig, seed: int, count: int, runner: Runner) -> list[Start]:
-    """Random starts; the same seed gives the same ones, wherever they run."""
+    """Run random starts; results depend on the seed only."""
     boards = range((count + AXES - 1) // AXES)
     work = _Starts(plant, seed, draws(seed, len(boards)), level())
     results = run_in_order(runner, work, boards, f"{NAME}, boards")
@@ -215,7 +217,7 @@ TIMES: Final[tuple[tuple[str, str, str, float, Callable[[Start], float | None]],
     ("angle converges within", "angle", "angle has converged", ANGLE_MAX, lambda start_: start_.converged),
     ("criterion met within", "criterion", "criterion is met", CRITERION_MAX, lambda start_: start_.criterion),
 )
-"""What is judged of a start: names of the figure, in the notes and of the curve, bound and value [s]."""
+"""Figures of a start: name, name in the notes, name of the curve, bound and value [s]."""
 
 
 @experiment(NAME)
@@ -234,12 +236,12 @@ def run(plant: PlantConfig, seed: int, count: int | None = None, runner: Runner 
             Curve("observed speed [rpm]", time, trace.speed / RPM),
         )
         yield Panel(f"{axis_name(axis)}: start-up", "time [ms]", "", waveforms)
-    starts = many(plant, seed, count or (STARTS if level() == "ideal" else STARTS_SLOWLY), runner)
+    starts = many(plant, seed, count or (STARTS if level() == "ideal" else STARTS_REGISTERS), runner)
     good, failed = ([s for s in starts if s.succeeded is succeeded] for succeeded in (True, False))
     yield f"random starts: {len(starts)}"
     judge = Judge("", NOT_SHOWN)
     yield judge("random starts, success", 100.0 * len(good) / len(starts), "%", RATE_MIN)
-    lost = sum(s.criterion is not None and not s.end.isupper() for s in failed)  # faults have names in capitals
+    lost = sum(s.criterion is not None and not s.end.isupper() for s in failed)  # names of faults are in capitals
     yield judge("of them turning wrongly without a fault", lost, maximum=0.0)
     distributions: list[Curve] = []
     for name, label, done, maximum, value in TIMES:
@@ -252,16 +254,16 @@ def run(plant: PlantConfig, seed: int, count: int | None = None, runner: Runner 
         distributions.append(Curve(done, times, 100.0 * np.arange(1, times.size + 1) / max(len(starts), 1)))
     yield from (f"failed: {s.end} ({s.what})" for s in failed[:5])
     yield f"and {len(failed) - 5} more" if len(failed) > 5 else ""
-    yield Panel(f"{len(starts)} random starts", "time [ms]", "part of the starts [%]", distributions)
+    yield Panel(f"{len(starts)} random starts", "time [ms]", "fraction of the starts [%]", distributions)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """What this experiment can be told beyond plant and seed."""
-    text = f"random starts (default: {STARTS}, at register level {STARTS_SLOWLY})"
+    """Add the options of this experiment."""
+    text = f"number of random starts (default: {STARTS}, at level registers {STARTS_REGISTERS})"
     parser.add_argument("--count", type=argument.count, metavar="N", help=text)
     Runner.add_options(parser)
 
 
 def with_options(args: argparse.Namespace) -> Callable[[PlantConfig, int], Outcome]:
-    """The experiment as it was asked for."""
+    """The experiment with the parsed options."""
     return functools.partial(run, count=args.count, runner=Runner.of(args))

@@ -1,4 +1,4 @@
-"""Following-error and over-speed faults: how soon the outputs are off, and that no legal move is taken for a fault."""
+"""Following-error and over-speed faults: time to outputs off, and no false alarms in permitted moves."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from servo_twin.plant import PlantConfig
 
 NAME: Final = "supervision"
 HELP: Final = """\
-Beyond the reference design, which has no faults of the motion: position too far from its set-point (feature
+Beyond the reference design, which does not monitor the motion: following error too large (feature
 FOLLOWING_ERROR, param.following_error) or speed too high (OVER_SPEED, param.over_speed). Shown, without and with each:
 the shaft is blocked during a move; a load of 1.25 times the peak torque stops a move and drives the shaft back; such a
 load drives the shaft of an axis in torque mode; a set-point commands more speed than the machine permits. Time from
@@ -28,45 +28,45 @@ the cause to outputs off, and the reported fault. Then the most demanding permit
 peak torque must cause no fault."""
 
 FOLLOWING: Final = 1.0
-"""Following error that is a fault [rad]."""
+"""Threshold of the following error [rad]."""
 
-LOAD: Final = 1.25  # of the torque at the current limit
-LEGAL_LOAD: Final = 0.5
-CAUSE: Final = 0.3  # [s]
-WATCHED: Final = 1.0  # after the cause [s]
-FOLLOWING_LASTS: Final = 0.01  # a following error, until it is a fault [s]
-OVER_SPEED_LASTS: Final = 0.002  # [s]
-ANSWER: Final = 4.0 * TICK
-"""For measuring, computing and switching off [s]."""
+LOAD: Final = 1.25  # relative to the torque at the current limit
+PERMITTED_LOAD: Final = 0.5  # relative to the torque at the current limit
+CAUSE: Final = 0.3  # time of the cause [s]
+OBSERVED: Final = 1.0  # time after the cause [s]
+FOLLOWING_TIME: Final = 0.01  # confirmation time of a following error [s]
+OVER_SPEED_TIME: Final = 0.002  # confirmation time of an over-speed [s]
+REACTION_TIME: Final = 4.0 * TICK
+"""Time for measuring, computing and switching off [s]."""
 
-TURNS_SPEED: Final = 0.5  # of the speed limit, in speed and torque mode
-OVER_SPEED: Final = 1.2  # of the speed that is asked for, or allowed in torque mode
-ASKED: Final = 1.5  # too much, of the same
+SPEED: Final = 0.5  # relative to the speed limit, in speed and torque mode
+OVER_SPEED: Final = 1.2  # relative to the commanded speed, or to the limit in torque mode
+EXCESSIVE_SPEED: Final = 1.5  # set-point that is too high, relative to the commanded speed
 ACCELERATION: Final = 1000.0  # [rad/s^2]
 
-SOONER_MAX: Final = 0.8
-"""Part of the time that it takes without, if the outputs go off then at all."""
+TIME_RATIO_MAX: Final = 0.8
+"""Largest detection time relative to the time without the feature, if there is any."""
 
-SHARE: Final = 0.55
-"""Of the current limit, for accelerating: a move that is turned round on its way needs twice of it."""
+CURRENT_FRACTION: Final = 0.55
+"""Current for the acceleration, relative to the current limit: a reversal during a move needs twice as much."""
 
-HARD_MOVES: Final = (5.0, -5.0, 100.0)  # [turns], there and back without a rest
-TURN_ROUND: Final = 0.12  # until the second set-point overrides the first [s]
+REVERSING_MOVES: Final = (5.0, -5.0, 100.0)  # [turns], forth and back without standstill
+REVERSAL: Final = 0.12  # until the second set-point overrides the first [s]
 REST: Final = 0.6  # [s]
 
 
 @dataclass(frozen=True)
-class Accident:
-    """What followed a cause on one axis."""
+class Response:
+    """Response of one axis to a cause."""
 
-    time: float | None  # from the cause until the outputs were off [s]
-    fault: int  # faults at that moment
-    turned: float  # way of the shaft from the cause until then, or until the end [turns]
+    time: float | None  # from the cause to outputs off [s]
+    fault: int  # faults at this time
+    turned: float  # motion of the shaft from the cause to outputs off, or to the end [turns]
     recording: Recording
 
     @classmethod
-    def of(cls, recording: Recording, cause: float) -> Accident:
-        """Judge a recording; `cause` in seconds."""
+    def of(cls, recording: Recording, cause: float) -> Response:
+        """Evaluate a recording; `cause` in seconds."""
         run = Catalogue.load().enums["state_t"]["RUN"]
         off = (recording.state != run) & (recording.time > cause)
         first = int(np.argmax(off)) if off.any() else recording.time.size - 1
@@ -78,27 +78,27 @@ class Accident:
 
 @dataclass(frozen=True)
 class Bench:
-    """A plant and what it can be asked for."""
+    """A plant and its limits."""
 
     plant: PlantConfig
     seed: int
-    speeds: list[float]  # limits for moves that the plant can follow, by axis [rad/s]
+    speeds: list[float]  # feasible speed limits for moves, by axis [rad/s]
     peaks: list[float]  # torque of each axis at its current limit [N m]
 
     @classmethod
     def of(cls, plant: PlantConfig, seed: int) -> Bench:
-        speeds, _ = move_speeds(plant, seed, together=True, share=SHARE)
+        speeds, _ = move_speeds(plant, seed, together=True, share=CURRENT_FRACTION)
         currents = current_limits(plant, seed)
         peaks = [axis.torque_constant * current for axis, current in zip(plant.axes, currents, strict=True)]
         return cls(plant, seed, speeds, peaks)
 
 
-Do = Callable[[Bench, Board, int], None]
-"""Does something to one axis (index)."""
+Action = Callable[[Bench, Board, int], None]
+"""Action on one axis (index)."""
 
 
 def play(
-    bench: Bench, on: bool, prepare: Do, act: Callable[[Board, int], None], seconds: float
+    bench: Bench, on: bool, prepare: Action, act: Callable[[Board, int], None], seconds: float
 ) -> dict[int, Recording]:
     """Run both axes with the features on or off; `act` is called with the number of each slow tick."""
     with rig.spinning(bench.plant, bench.seed) as board:
@@ -106,112 +106,116 @@ def play(
             parameters = {"following_error": FOLLOWING, "speed_limit": bench.speeds[axis]}
             rig.set_up(board, axis, parameters=parameters, FOLLOWING_ERROR=on, OVER_SPEED=on)
             prepare(bench, board, axis)
-        return rig.watch(board, range(AXES), seconds, lambda k: act(board, k), may_fail=True)
+        return rig.record(board, range(AXES), seconds, lambda k: act(board, k), may_fail=True)
 
 
-# ---- what the axes do, and what happens to them ----------------------------------------------------------------------
+# ---- motions and causes ----------------------------------------------------------------------------------------------
 
 
-def _far(_: Bench, board: Board, axis: int) -> None:
-    """A move that does not end."""
+def _long_move(_: Bench, board: Board, axis: int) -> None:
+    """Command a very long move."""
     rig.command_position(board, axis, rig.position_of(board, axis) + 1000 * COUNTS_PER_TURN)
 
 
 def _turn(bench: Bench, board: Board, axis: int) -> None:
-    """Half the speed, and what is too fast."""
-    speed = TURNS_SPEED * bench.speeds[axis]
+    """Command half the speed, and set the over-speed threshold."""
+    speed = SPEED * bench.speeds[axis]
     parameters = {"acceleration_limit": ACCELERATION, "over_speed": OVER_SPEED * speed}
     rig.set_up(board, axis, "SPEED", speed, parameters=parameters)
 
 
-def _pull(bench: Bench, board: Board, axis: int) -> None:
-    """The same in torque mode, at that limit of the speed."""
+def _torque_mode(bench: Bench, board: Board, axis: int) -> None:
+    """Torque mode with a current set-point, with half of the speed as limit."""
     _turn(bench, board, axis)
-    rig.set_up(board, axis, "TORQUE", parameters={"speed_limit": TURNS_SPEED * bench.speeds[axis]})
+    rig.set_up(board, axis, "TORQUE", parameters={"speed_limit": SPEED * bench.speeds[axis]})
     rig.set_axis(board, "cmd.i_q", axis, 0.25 * bench.peaks[axis] / bench.plant.axes[axis].torque_constant)
 
 
 def blocked_max(bench: Bench, axis: int) -> float:
-    """The set-point goes on at the speed limit while the shaft stands [s]."""
-    return FOLLOWING / bench.speeds[axis] + FOLLOWING_LASTS + ANSWER
+    """Largest detection time: the set-point moves at the speed limit, the shaft is blocked [s]."""
+    return FOLLOWING / bench.speeds[axis] + FOLLOWING_TIME + REACTION_TIME
 
 
 def overloaded_max(bench: Bench, axis: int) -> float:
-    """Braked by at least what the load has more than the drive, the shaft falls behind a set-point that goes on [s]."""
+    """Largest detection time: the excess of the load over the drive torque decelerates the shaft [s]."""
     braking = (LOAD - 1.0) * bench.peaks[axis] / bench.plant.axes[axis].inertia
-    return math.sqrt(2.0 * FOLLOWING / braking) + FOLLOWING_LASTS + ANSWER
+    return math.sqrt(2.0 * FOLLOWING / braking) + FOLLOWING_TIME + REACTION_TIME
 
 
 @dataclass(frozen=True)
 class Cause:
-    """What happens to both axes at once, and the fault that it is."""
+    """A cause on both axes, and the expected fault."""
 
     name: str
     fault: str
-    prepare: Do  # what the axis does until then
-    do: Do
-    maximum: Callable[[Bench, int], float] = lambda bench, axis: OVER_SPEED_LASTS + ANSWER
-    """Time until the outputs are off [s]; with OVER_SPEED from when the true speed passes the limit."""
+    prepare: Action  # motion before the cause
+    do: Action
+    maximum: Callable[[Bench, int], float] = lambda bench, axis: OVER_SPEED_TIME + REACTION_TIME
+    """Largest time to outputs off [s]; for OVER_SPEED from the time at which the true speed exceeds the threshold."""
 
-    def accidents(self, bench: Bench, on: bool) -> list[Accident]:
-        """What follows on both axes."""
+    def responses(self, bench: Bench, on: bool) -> list[Response]:
+        """Responses of both axes."""
 
         def act(board: Board, k: int) -> None:
             if k == round(CAUSE / TICK):
                 for axis in range(AXES):
                     self.do(bench, board, axis)
 
-        both = play(bench, on, self.prepare, act, CAUSE + WATCHED)
-        return [Accident.of(r, self._since(bench, axis, r)) for axis, r in both.items()]
+        both = play(bench, on, self.prepare, act, CAUSE + OBSERVED)
+        return [Response.of(r, self._since(bench, axis, r)) for axis, r in both.items()]
 
     def _since(self, bench: Bench, axis: int, r: Recording) -> float:
         if self.fault != "OVER_SPEED":
             return CAUSE
-        beyond = np.abs(r.omega) > OVER_SPEED * TURNS_SPEED * bench.speeds[axis]
+        beyond = np.abs(r.omega) > OVER_SPEED * SPEED * bench.speeds[axis]
         return float(r.time[int(np.argmax(beyond))] if beyond.any() else r.time[-1])
 
 
 BLOCKED: Final = Cause(
-    "shaft blocked in a move", "FOLLOWING_ERROR", _far, lambda _, board, axis: board.lock_shaft(axis), blocked_max
+    "shaft blocked in a move", "FOLLOWING_ERROR", _long_move, lambda _, board, axis: board.lock_shaft(axis), blocked_max
 )
 CAUSES: Final = (
     BLOCKED,
     Cause(
-        "too large a load in a move", "FOLLOWING_ERROR", _far,
+        "too large a load in a move", "FOLLOWING_ERROR", _long_move,
         lambda bench, board, axis: board.set_load(axis, LOAD * bench.peaks[axis]), overloaded_max,
     ),
     Cause(
-        "driven by a load", "OVER_SPEED", _pull,
+        "driven by a load", "OVER_SPEED", _torque_mode,
         lambda bench, board, axis: board.set_load(axis, -LOAD * bench.peaks[axis]),
     ),
     Cause(
         "set-point too fast", "OVER_SPEED", _turn,
-        lambda bench, board, axis: rig.command_speed(board, axis, ASKED * TURNS_SPEED * bench.speeds[axis]),
+        lambda bench, board, axis: rig.command_speed(board, axis, EXCESSIVE_SPEED * SPEED * bench.speeds[axis]),
     ),
 )  # fmt: skip
 
 
-def legal(bench: Bench, forward: bool) -> int:
-    """Both features on: the hardest moves, there and back, and load steps at rest; every fault that there was."""
-    faults, turns = 0, list(HARD_MOVES)
+def permitted_operation(bench: Bench, forward: bool) -> int:
+    """Both features on: demanding moves forth and back, load steps at standstill; returns all faults."""
+    faults, turns = 0, list(REVERSING_MOVES)
 
     def begin(_: Bench, board: Board, axis: int) -> None:
         rig.features(board, axis, SPEED_FORWARD=forward, ACCELERATION_FORWARD=forward, FRICTION=forward)
 
     def move(board: Board, k: int) -> None:
-        if k % round(TURN_ROUND / TICK) == 0 and turns:
+        if k % round(REVERSAL / TICK) == 0 and turns:
             far = turns.pop(0)
             for axis in range(AXES):
                 rig.command_position(board, axis, rig.position_of(board, axis) + round(far * COUNTS_PER_TURN))
 
     def load(board: Board, k: int) -> None:
-        share = {round(REST / TICK): LEGAL_LOAD, round(2.0 * REST / TICK): -LEGAL_LOAD, round(3.0 * REST / TICK): 0.0}
+        share = {
+            round(REST / TICK): PERMITTED_LOAD,
+            round(2.0 * REST / TICK): -PERMITTED_LOAD,
+            round(3.0 * REST / TICK): 0.0,
+        }
         if k in share:
             for axis in range(AXES):
                 board.set_load(axis, share[k] * bench.peaks[axis])
 
-    way = sum(map(abs, HARD_MOVES)) * 2.0 * math.pi
-    for act, seconds in ((move, way / min(bench.speeds) + REST), (load, 4.0 * REST)):
+    distance = sum(map(abs, REVERSING_MOVES)) * 2.0 * math.pi
+    for act, seconds in ((move, distance / min(bench.speeds) + REST), (load, 4.0 * REST)):
         both = play(bench, True, begin, act, seconds)
         faults |= int(np.bitwise_or.reduce([np.bitwise_or.reduce(r.faults) for r in both.values()]))
     return faults
@@ -222,35 +226,35 @@ def legal(bench: Bench, forward: bool) -> int:
 
 @experiment(NAME)
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
-    """Every cause without and with, then what must not be taken for one."""
+    """Every cause without and with the features, then the test for false alarms."""
     bench = Bench.of(plant, seed)
     masks = {flag.name: flag.mask for flag in Catalogue.load().flags["faults"]}
     yield f"following error {FOLLOWING:g} rad; moves at {min(bench.speeds):.3g} rad/s"
     for cause in CAUSES:
         curves: list[Curve] = []
-        for axis, pair in enumerate(zip(*(cause.accidents(bench, on) for on in (False, True)), strict=True)):
+        for axis, pair in enumerate(zip(*(cause.responses(bench, on) for on in (False, True)), strict=True)):
             what, (without, supervised) = f"{axis_name(axis)}, {cause.name}: ", pair
             judge, time = Judge(what), supervised.time
             sooner = math.inf if without.time is None else without.time
             yield judge("outputs off after", time, "s", 0.0, cause.maximum(bench, axis))
             yield judge.true("the fault's name is right", supervised.fault == masks[cause.fault])
-            yield judge("time with over without", None if time is None else time / sooner, maximum=SOONER_MAX)
-            yield f"{what}without {_story(without, masks)}; with {_story(supervised, masks)}"
+            yield judge("time with over without", None if time is None else time / sooner, maximum=TIME_RATIO_MAX)
+            yield f"{what}without {_description(without, masks)}; with {_description(supervised, masks)}"
             ends = {"without": without, "with": supervised}
             curves += [_until_off(f"{axis_name(axis)} {how}", it) for how, it in ends.items()]
         yield Panel(f"{cause.name}: until the outputs are off", "time [s]", "speed [rad/s]", curves)
     for how, forward in (("", False), (", with feed-forward", True)):
-        yield Judge().none(f"hard moves and load steps{how}: faults", legal(bench, forward))
+        yield Judge().none(f"hard moves and load steps{how}: faults", permitted_operation(bench, forward))
 
 
-def _story(event: Accident, masks: Mapping[str, int]) -> str:
+def _description(event: Response, masks: Mapping[str, int]) -> str:
     if event.time is None:
         return f"no fault, {event.turned:.3g} turns"
     faults = " and ".join(name for name, mask in masks.items() if event.fault & mask)
     return f"{faults} after {1e3 * event.time:.3g} ms, {event.turned:.3g} turns"
 
 
-def _until_off(label: str, event: Accident) -> Curve:
+def _until_off(label: str, event: Response) -> Curve:
     r = event.recording
     end = r.time[-1] if not r.faults.any() else r.time[int(np.argmax(r.faults != 0))]
     shown = (r.time > CAUSE - 0.05) & (r.time <= end)

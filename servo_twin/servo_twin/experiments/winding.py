@@ -1,4 +1,4 @@
-"""A motor that is asked for more than it bears for ever: estimate and truth of its winding, derating, the end."""
+"""Overloaded motors: estimated and true winding temperature, derating, steady state."""
 
 from __future__ import annotations
 
@@ -23,38 +23,38 @@ from servo_twin.simulation import enable
 
 NAME: Final = "winding"
 HELP: Final = """\
-Both motors turn against a brake at a speed that they cannot reach, so that the largest current flows: 4 A into
+Both motors turn against a brake at a speed that they cannot reach, so that the current is at its limit: 4 A into
 windings rated for 2 A continuously. The current limit must be constant until the winding reaches the derating
 temperature, and then fall to the rated current, with the temperature settling at its maximum, without a fault.
 Estimated and true temperature are compared; also for motors with other windings and heat capacities, and for a
 controller with nominal thermal resistance and heat capacity wrong by 30 %. The reference design does not show
-this. The heat capacities are those of a few grams, so that half a minute is enough. The bounds follow from the
+this. The heat capacities are small, so that half a minute is sufficient. The bounds follow from the
 heat balance."""
 
 SECONDS: Final = 40.0
 STEP: Final = 0.02  # [s]
-SPEED: Final = 300.0  # that is asked for [rad/s]
-REACHED: Final = 100.0  # against the brake with 4 A [rad/s]
-AGREES: Final = 0.5
-"""Estimate off the truth where the configuration is right, beyond what a step of the model heats [K]: losses of ripple
-and offsets."""
+SPEED: Final = 300.0  # set-point [rad/s]
+REACHED: Final = 100.0  # speed against the brake with 4 A [rad/s]
+ERROR_MAX: Final = 0.5
+"""Permitted error of the estimate with a right configuration, in addition to the heating in a step of the model [K]:
+losses by ripple and offsets."""
 
-NEAR: Final = 2.5
-"""Temperature in the end off that of the heat balance [K]."""
+FINAL_ERROR_MAX: Final = 2.5
+"""Permitted deviation of the final temperature from the heat balance [K]."""
 
-REST: Final = 0.05
-"""Part of its way that a winding may still have to go in the end."""
+REMAINING_RISE_MAX: Final = 0.05
+"""Permitted remaining temperature rise at the end, relative to the total rise."""
 
 
 @dataclass(frozen=True)
 class Motor:
-    """A motor, and the nominal values of its winding."""
+    """A motor and the nominal values of its winding."""
 
-    rated: float  # current that leads to the maximum for ever [A]
+    rated: float  # continuous current at the maximum temperature [A]
     capacity: float  # nominal heat capacity of the winding [J/K]
-    r_s: float | None = None  # of a phase, in the place of the plant's [ohm]
-    resistance_error: float = 1.0  # nominal thermal resistance over the true one
-    capacity_error: float = 1.0  # the same of the heat capacity
+    r_s: float | None = None  # phase resistance, instead of the plant's [ohm]
+    resistance_error: float = 1.0  # nominal thermal resistance relative to the true one
+    capacity_error: float = 1.0  # nominal heat capacity relative to the true one
 
 
 @dataclass(frozen=True)
@@ -65,42 +65,42 @@ class Case:
     motors: tuple[Motor, ...]
 
 
-RIGHT: Final = (Motor(2.0, 0.5), Motor(2.0, 0.9))
+MATCHED: Final = (Motor(2.0, 0.5), Motor(2.0, 0.9))
 CASES: Final = (
-    Case("nominal", RIGHT),
+    Case("nominal", MATCHED),
     Case("other windings", (Motor(1.5, 0.3, r_s=0.9), Motor(2.6, 0.8, r_s=0.3))),
     Case(
         "wrong by 30 %",
         (
-            replace(RIGHT[0], resistance_error=0.7, capacity_error=1.3),
-            replace(RIGHT[1], resistance_error=1.3, capacity_error=0.7),
+            replace(MATCHED[0], resistance_error=0.7, capacity_error=1.3),
+            replace(MATCHED[1], resistance_error=1.3, capacity_error=0.7),
         ),
     ),
 )
 
 
 @dataclass(frozen=True)
-class Course:
+class TimeSeries:
     """One axis over time."""
 
     time: NDArray[np.float64]  # [s]
-    estimate: NDArray[np.float64]  # of the temperature of the winding [deg C]
-    truth: NDArray[np.float64]  # that temperature [deg C]
+    estimate: NDArray[np.float64]  # estimated temperature of the winding [deg C]
+    truth: NDArray[np.float64]  # true temperature of the winding [deg C]
     current: NDArray[np.float64]  # set-point i_q [A]
-    bears: NDArray[np.float64]  # current limit of the winding in the firmware [A]
+    winding_current: NDArray[np.float64]  # current limit of the winding in the firmware [A]
     faults: int  # all bits that were set
 
     @property
     def derated_from(self) -> float | None:
         """Time of the first derating [s]."""
-        derated = self.bears < 0.99 * self.bears.max()
+        derated = self.winding_current < 0.99 * self.winding_current.max()
         return float(self.time[np.argmax(derated)]) if derated.any() else None
 
 
 def configured(plant: PlantConfig, motors: Sequence[Motor]) -> tuple[PlantConfig, str, list[Winding], list[Winding]]:
-    """The plant with these motors, the configuration for it, and the windings nominal and true.
+    """Plant with these motors, its configuration, and the nominal and true windings.
 
-    The nominal thermal resistance is that with which the rated current leads to the maximum in the plant's air.
+    The nominal thermal resistance follows from rated current, maximum temperature and ambient temperature of the plant.
     """
     table = {**servo_table()}
     table["defaults"] = {**table["defaults"], "winding": {**table["defaults"]["winding"], "ambient": plant.ambient}}
@@ -130,8 +130,8 @@ def configured(plant: PlantConfig, motors: Sequence[Motor]) -> tuple[PlantConfig
     return plant, text, nominal, true
 
 
-def courses(plant: PlantConfig, seed: int, text: str, seconds: float = SECONDS) -> list[Course]:
-    """Cold motors for so many seconds, with all the current there is from the beginning."""
+def time_series(plant: PlantConfig, seed: int, text: str, seconds: float = SECONDS) -> list[TimeSeries]:
+    """Run cold motors for `seconds` [s] with the largest current from the start."""
     with fresh_board(plant, seed) as board:
         write_blocks(Replica(board), blocks_of_file(text, board.catalogue))
         enable(board)
@@ -139,32 +139,32 @@ def courses(plant: PlantConfig, seed: int, text: str, seconds: float = SECONDS) 
         for axis in range(AXES):
             set_up(board, axis, "SPEED", SPEED, WINDING_MODEL=True)
             board.set_winding(axis, plant.ambient)
-        return _watched(board, seconds)
+        return _record(board, seconds)
 
 
-def _watched(board: Board, seconds: float) -> list[Course]:
+def _record(board: Board, seconds: float) -> list[TimeSeries]:
     ticks = round(seconds / STEP)
     table = np.zeros((AXES, 4, ticks))
     faults = [0] * AXES
     for k in range(ticks):
         board.run(STEP)
         for axis in range(AXES):
-            estimate, current, bears = (
+            estimate, current, winding_current = (
                 float(np.asarray(board.read(f"{axis_name(axis)}.{of}")).item())
                 for of in ("winding_temperature", "i_q_ref", "winding_current")
             )
-            table[axis, :, k] = estimate, board.truth(axis).t_winding, current, bears
+            table[axis, :, k] = estimate, board.truth(axis).t_winding, current, winding_current
             faults[axis] |= word(board, axis, "faults")
     time = STEP * np.arange(1, ticks + 1, dtype=np.float64)
-    return [Course(time, it[0], it[1], it[2], it[3], faults[axis]) for axis, it in enumerate(table)]
+    return [TimeSeries(time, it[0], it[1], it[2], it[3], faults[axis]) for axis, it in enumerate(table)]
 
 
 @experiment(NAME)
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Both axes, every case."""
     for case in CASES:
-        world, text, nominal, true = configured(plant, case.motors)
-        found = courses(world, seed, text, SECONDS)
+        changed_plant, text, nominal, true = configured(plant, case.motors)
+        found = time_series(changed_plant, seed, text, SECONDS)
         for axis, (it, model, winding) in enumerate(zip(found, nominal, true, strict=True)):
             name = f"{axis_name(axis)}, {case.name}"
             yield from figures(Judge(f"{name}: "), it, model, winding)
@@ -178,18 +178,18 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             yield Panel(name, "time [s]", "", curves)
 
 
-def figures(judge: Judge, it: Course, model: Winding, winding: Winding) -> Iterator[Row]:
-    """What the controller does follows from its nominal values (`model`), the winding from that current."""
+def figures(judge: Judge, it: TimeSeries, model: Winding, winding: Winding) -> Iterator[Row]:
+    """Expected values: controller from its nominal values (`model`), winding from the resulting current."""
     until = model.time_to(model.derating, model.current)
     current, estimate = model.settled()
     truth = winding.equilibrium(current)
-    rest = max(NEAR, REST * (truth - winding.ambient))
+    rest = max(FINAL_ERROR_MAX, REMAINING_RISE_MAX * (truth - winding.ambient))
     late = 0.05 * until + 2.0 * STEP
     yield judge("time until derating", it.derated_from, "s", until - late, until + late)
     yield judge.near("current in the end", it.current[-1], "A", current, 0.02 * current)
-    yield judge.near("estimate in the end", it.estimate[-1], "deg C", estimate, NEAR)
-    yield judge("winding in the end", it.truth[-1], "deg C", truth - rest, truth + NEAR)
+    yield judge.near("estimate in the end", it.estimate[-1], "deg C", estimate, FINAL_ERROR_MAX)
+    yield judge("winding in the end", it.truth[-1], "deg C", truth - rest, truth + FINAL_ERROR_MAX)
     yield judge.none("faults", it.faults)
     if winding == model:
         step = model.loss(model.current, model.derating) / model.capacity * STEP_TICKS * TICK
-        yield judge("estimate off the winding", np.abs(it.estimate - it.truth).max(), "K", 0.0, step + AGREES)
+        yield judge("estimate off the winding", np.abs(it.estimate - it.truth).max(), "K", 0.0, step + ERROR_MAX)

@@ -12,7 +12,7 @@ from servo_msgs_py.axis_config import AxisConfigError
 from servo_msgs_py.axis_config_transfer import BlockRefusedError
 from servo_msgs_py.catalogue import axis_name
 from servo_msgs_py.measurement.access import MeasurementError
-from servo_msgs_py.measurement.estimation import estimates_of, inductance_at_less
+from servo_msgs_py.measurement.estimation import estimates_of, inductance_at_low_current
 from servo_msgs_py.measurement.log import MeasurementLog
 from servo_msgs_py.measurement.motor_config import fitted, tuned_axis
 from servo_msgs_py.measurement.motor_test import MotorTest
@@ -174,7 +174,7 @@ def _saturated(first: MotorEstimates, log: MeasurementLog) -> list[str]:
     """Message if an inductance depends on the current."""
     if "l_d" not in first.values or "r_s" not in first.values or "bias" not in log.notes:
         return []
-    half = inductance_at_less(log, first["r_s"] + float(log.notes["limits"]["r_on"]))
+    half = inductance_at_low_current(log, first["r_s"] + float(log.notes["limits"]["r_on"]))
     full = first.values["l_d"]
     if half is None or abs(half.value / full.value - 1.0) < SATURATED + math.hypot(half.part, full.part):
         return []

@@ -19,7 +19,7 @@ from servo_twin.timing.chip_map import LOOPS, SLOTS, Loop
 from servo_twin.timing.trace import CLOCK, Kind, Trace
 
 PERIOD: Final = round(PERIOD_NS * 1e-9 / CLOCK)  # PWM period [clocks]
-ROOM_MIN: Final = 0.20
+MARGIN_MIN: Final = 0.20
 """Smallest permitted margin, relative to the time from sample to load."""
 LDOK: Final = 0x7
 """Bits of MCTRL that release the duties of the three phases."""
@@ -41,7 +41,7 @@ class Handler:
     the outputs are off have no deadline, and are included only if there are no others."""
     end: float  # latest end, from the sample [s]
     deadline: float  # load of the duties, from the sample [s]
-    room: float  # smallest margin relative to the time from sample to load; negative: missed
+    margin: float  # minimum margin relative to the time from sample to load; negative: missed
     busy: float  # fraction of the time of the core
 
 
@@ -163,9 +163,15 @@ def rows(trace: Trace, first_m1: int, what: str = "") -> list[Row]:
         Prefix of the names.
     """
     prefix = f"{what}: " if what else ""
-    room = Bound(100.0 * ROOM_MIN, 100.0)
+    limits = Bound(100.0 * MARGIN_MIN, 100.0)
     result = [
-        Row(f"{prefix}{each.name}, least room", "F38: duties before their own load", 100.0 * each.room, "%", room)
+        Row(
+            f"{prefix}{each.name}, minimum margin",
+            "F38: duties before their own load",
+            100.0 * each.margin,
+            "%",
+            limits,
+        )
         for each in handlers(trace, first_m1)
     ]
     share = Bound(0.0, 100.0 * BUSY_MAX)
@@ -174,13 +180,13 @@ def rows(trace: Trace, first_m1: int, what: str = "") -> list[Row]:
 
 def lines(handlers: Sequence[Handler]) -> list[str]:
     """Table as text: largest times from the sample of the currents [us]."""
-    head = ("handler", "runs", "begin", "duties", "end", "load", "room", "core")
+    head = ("handler", "runs", "begin", "duties", "end", "load", "margin", "core")
     body = [
         (
             each.name,
             str(each.runs),
             *(f"{1e6 * value:.2f}" for value in (each.begin, each.written, each.end, each.deadline)),
-            f"{100 * each.room:.0f} %",
+            f"{100 * each.margin:.0f} %",
             f"{100 * each.busy:.1f} %",
         )
         for each in handlers

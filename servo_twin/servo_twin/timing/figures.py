@@ -54,8 +54,8 @@ def _carriers(trace: Trace) -> list[Row]:
     first, second = (trace.clocks(Kind.CYCLE, phases[0]) for phases in PHASES)
     turns = 360.0 * _after(first, second) * CLOCK * PWM
     around = Bound(180.0 - PHASE_MAX, 180.0 + PHASE_MAX)
-    rows.append(Row("motor 2 behind motor 1, least", "F34: 180 degrees", _min(turns), "deg", around))
-    rows.append(Row("motor 2 behind motor 1, most", "F34: 180 degrees", _max(turns), "deg", around))
+    rows.append(Row("motor 2 behind motor 1, minimum", "F34: 180 degrees", _min(turns), "deg", around))
+    rows.append(Row("motor 2 behind motor 1, maximum", "F34: 180 degrees", _max(turns), "deg", around))
     return rows
 
 
@@ -83,8 +83,8 @@ def _samples(trace: Trace) -> list[Row]:
             both = np.concatenate(offsets) * CLOCK if offsets else np.empty(0)
             within = Bound(-SKEW_MAX * 1e6 if side == "high" else 0.0, maximum * 1e6)
             text = f"F34: {side}-side centre"
-            rows.append(Row(f"{motor}: {what} after the centre, least", text, _scaled(_min(both)), "us", within))
-            rows.append(Row(f"{motor}: {what} after the centre, most", text, _scaled(_max(both)), "us", within))
+            rows.append(Row(f"{motor}: {what} after the centre, minimum", text, _scaled(_min(both)), "us", within))
+            rows.append(Row(f"{motor}: {what} after the centre, maximum", text, _scaled(_max(both)), "us", within))
     return rows
 
 
@@ -123,7 +123,7 @@ def _scans(trace: Trace) -> list[Row]:
     return [
         Row("scans with six pairs in order", "F35", _share(in_order, count), "of all", whole),
         Row("scans with both converters together", "F35: parallel", _share(together, count), "of all", whole),
-        Row("pause after the third pair, least", "F35: until t2", pause, "us", Bound(0.5 * half, half)),
+        Row("pause after the third pair, minimum", "F35: until t2", pause, "us", Bound(0.5 * half, half)),
     ]
 
 
@@ -150,7 +150,7 @@ def _interrupts(trace: Trace) -> list[Row]:
         minimum = CONVERSION if vector == VECTOR_M1 else 0.0
         text = "t1: after three conversions" if vector == VECTOR_M1 else "t3: after the scan"
         rows.append(
-            Row(f"{name} begins after its data, least", text, since, "us", Bound(minimum * 1e6, DATA_AGE_MAX * 1e6))
+            Row(f"{name} begins after its data, minimum", text, since, "us", Bound(minimum * 1e6, DATA_AGE_MAX * 1e6))
         )
     order = _order(trace)
     rows.append(Row("periods with t0, t1, t2, t3 in order", "F34", order, "of all", Bound(1.0, 1.0)))

@@ -475,7 +475,7 @@ static void search(run_t *run)
     for (uint16_t i = 0; i < 20U * STEPS; i++) {
         position = i32_add_wrap(position, draw_twitch(run, habit));
         if (rotor_search_drives(&state)) {
-            rotor_search_watch(&state, config, f16_from_f32(state.current), (frac16_t)(uint16_t)draw(run));
+            rotor_search_add(&state, config, f16_from_f32(state.current), (frac16_t)(uint16_t)draw(run));
         }
         rotor_search_step(&state, config, position);
     }
@@ -607,8 +607,8 @@ static void log_lines(run_t *run)
         snapshot.point_refusal = (uint16_t)(draw(run) & 15U);
         snapshot.late_loops = (uint16_t)(draw(run) & 1U);
         snapshot.receiver_overruns = (uint16_t)(draw(run) & 3U);
-        event_log_watch(&log, &snapshot);
-        event_log_watch(&log, &snapshot);
+        event_log_compare(&log, &snapshot);
+        event_log_compare(&log, &snapshot);
         event_log_refused(&log, (uint16_t)(draw(run) & 0x3FFU));
         event_log_refused(&log, 0);
         event_log_print(&log, &server);

@@ -1,4 +1,4 @@
-"""Pole pairs, encoder direction, flux and gains of the current sensors from a vector that turns. Pure."""
+"""Pole pairs, encoder direction and gains of the current sensors from a rotating current vector. Pure."""
 
 from __future__ import annotations
 
@@ -12,58 +12,59 @@ from servo_msgs_py.measurement.least_squares import Floats, fit_linear
 from servo_msgs_py.measurement.motor_values import Estimate
 
 PAIRS_OFF_MAX: Final = 0.12
-"""Distance from a whole number that says that the rotor has not followed."""
+"""Largest distance from an integer of the number of pole pairs with a rotor that follows."""
 
 
 @dataclass(frozen=True)
-class Turning:
-    """What a turning vector shows."""
+class VectorFollowing:
+    """Rotation of the shaft with a rotating vector."""
 
     pole_pairs: int
-    direction: int  # 1: the encoder counts upwards when the phases follow each other as a, b, c; -1: downwards
-    measured: float  # electrical turns per turn of the shaft, before rounding
+    direction: int  # 1: the encoder counts upwards with the phase sequence a, b, c; -1: downwards
+    measured: float  # electrical per mechanical revolutions, before rounding
 
 
-def turning(position: Floats, theta_e: Floats) -> Turning:
-    """Pole pairs and direction from a turn of the vector.
+def follow_vector(position: Floats, theta_e: Floats) -> VectorFollowing:
+    """Pole pairs and direction from a rotation of the vector.
 
     Parameters
     ----------
     position : ndarray
-        Of the shaft [rad].
+        Position of the shaft [rad].
     theta_e : ndarray
         Angle of the vector [rad].
 
     Raises
     ------
     MeasurementError
-        If the shaft has not followed it.
+        If the shaft has not followed the vector.
     """
     usable = np.isfinite(position) & np.isfinite(theta_e)
     electrical = np.unwrap(theta_e[usable])
     shaft = position[usable]
     (slope, _), covariance, rms = fit_linear(np.column_stack([electrical, np.ones_like(electrical)]), shaft)
-    turned = slope * float(np.ptp(electrical))
-    if abs(turned) < 0.2 * float(np.ptp(electrical)) / 50.0:
+    rotation = slope * float(np.ptp(electrical))
+    if abs(rotation) < 0.2 * float(np.ptp(electrical)) / 50.0:
         raise MeasurementError(
-            "the shaft does not follow the turning vector: it is held, needs more current, or the encoder is dead"
+            "the shaft does not follow the rotating vector: it is blocked, the current is too small, or the "
+            "encoder is defective"
         )
     measured = 1.0 / abs(slope)
     pairs = round(measured)
     if pairs < 1 or abs(measured - pairs) > PAIRS_OFF_MAX * max(1.0, pairs / 4.0):
         raise MeasurementError(
-            f"{measured:.2f} electrical turns per turn of the shaft are no whole number: the rotor slips,"
-            " the shaft is held for a part of the way, or encoder.lines is wrong"
+            f"{measured:.2f} electrical revolutions per revolution of the shaft are not an integer: the rotor slips,"
+            " the shaft is temporarily blocked, or encoder.lines is wrong"
         )
     del covariance, rms
-    return Turning(pairs, 1 if slope > 0 else -1, measured)
+    return VectorFollowing(pairs, 1 if slope > 0 else -1, measured)
 
 
 def sensor_errors(recordings: list[Recording], axis: str, r: float) -> dict[str, Estimate]:
     """Gain of phase a over b and c (ratio) and offsets [A], with the resistance `r` [ohm].
 
-    A current that is measured too small is made too large: the voltage along a phase shows the current that flows.
-    Once per electrical turn of the imposed frame is an offset, twice is a gain.
+    A current that is measured too small is controlled to be too large; the voltage of the phase reveals the actual
+    current. An offset causes one period per electrical revolution of the imposed frame, a gain error two.
     """
     rows: list[Floats] = []
     values: list[Floats] = []
@@ -79,7 +80,7 @@ def sensor_errors(recordings: list[Recording], axis: str, r: float) -> dict[str,
         )
         values.append(u_d - r * (i_d - float(i_d.mean())))
     x, covariance, _ = fit_linear(np.vstack(rows), np.concatenate(values))
-    errors = np.sqrt(np.diag(covariance)) * 3.0  # neighbouring samples are not independent
+    errors = np.sqrt(np.diag(covariance)) * 3.0  # neighbouring samples are correlated
     mean = float(x[0])
     return {
         "offset_alpha": Estimate(-float(x[1]) / r, float(errors[1]) / r),

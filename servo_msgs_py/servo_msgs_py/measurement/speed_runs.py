@@ -1,4 +1,4 @@
-"""Flux, friction, load and inertia from an axis that runs at several speeds and reverses. Pure."""
+"""Flux, friction, load and inertia from runs at several speeds with reversals. Pure."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from servo_msgs_py.measurement.least_squares import Floats, fit_linear, mean_of
 from servo_msgs_py.measurement.motor_values import Estimate
 from servo_msgs_py.measurement.standstill import PERIOD, Ohmic, switching_share
 
-BRIDGED: Final = 3  # samples that may be missing in a row
-LOST_OFF: Final = 0.3
-"""Part by which a lost voltage may be off that changes within the band of small currents."""
+GAP_MAX: Final = 3  # largest number of consecutive missing samples that are interpolated
+LOST_VOLTAGE_ERROR: Final = 0.3
+"""Relative uncertainty of a lost voltage that varies within the range of small currents."""
 
 
 @dataclass(frozen=True)
 class Steady:
-    """Means over a time at constant speed, each with its standard uncertainty."""
+    """Means in a time at constant speed, each with its standard uncertainty."""
 
     speed: float  # of the shaft, from its angle [rad/s]
-    acceleration: float  # that remains [rad/s^2]
+    acceleration: float  # remaining acceleration [rad/s^2]
     i_d: Estimate  # [A]
     i_q: Estimate  # [A]
     u_q: Estimate | None = None  # [V]; None: not recorded
@@ -31,19 +31,19 @@ class Steady:
 
 
 def second_half(recording: Recording) -> Recording:
-    """Of a recording during which something settles."""
+    """Second half of a recording, after a transient."""
     return Recording(recording.step, {name: column[column.size // 2 :] for name, column in recording.columns.items()})
 
 
 def steady_of(recording: Recording, axis: str) -> Steady:
-    """Of a recording at constant speed."""
+    """Means of a recording at constant speed."""
     names = [name for name in ("i_d", "i_q", "u_q", "u_d") if f"{axis}.{name}" in recording.columns]
     part = {name: recording.columns[f"{axis}.{name}"] for name in ("position", *names)}
     usable = np.isfinite(part["position"])
     time = recording.time[usable]
-    bend, slope, _ = np.polyfit(time - time.mean(), part["position"][usable], 2)
+    curvature, slope, _ = np.polyfit(time - time.mean(), part["position"][usable], 2)
     means = {name: Estimate(*mean_of(part[name])) for name in names}
-    return Steady(float(slope), 2.0 * float(bend), **means)
+    return Steady(float(slope), 2.0 * float(curvature), **means)
 
 
 def torque_of(i_d: Floats, i_q: Floats, pairs: int, psi: float, l_d: float, l_q: float) -> Floats:
@@ -52,9 +52,9 @@ def torque_of(i_d: Floats, i_q: Floats, pairs: int, psi: float, l_d: float, l_q:
 
 
 def _lost_fundamental(current: Floats, voltage: Floats, u_dc: float, direct: Ohmic, inductance: float) -> Floats:
-    """Voltage along the current that legs lose while it turns: of the first harmonic [V].
+    """Fundamental component of the voltage lost in the legs, in phase with the rotating current [V].
 
-    The ripple of the current, which grows with the modulation, widens the band within which a current changes its sign.
+    The current ripple, which increases with the modulation, widens the range of sign changes.
     """
     phase = np.linspace(0.0, 2.0 * math.pi, 180, endpoint=False)
     spread = np.clip(math.sqrt(3.0) * 3.0 / math.pi * np.abs(voltage) / u_dc, 0.0, 1.0)
@@ -67,24 +67,28 @@ def _lost_fundamental(current: Floats, voltage: Floats, u_dc: float, direct: Ohm
 def flux(
     points: list[Steady], pairs: int, direct: Ohmic, u_dc: float, l_d: float, l_q: float, delay: float
 ) -> Estimate:
-    """Flux linkage from the voltage over the speed [V s]; what dead time and drops take is known from direct current.
+    """Flux linkage [V s] from the dependence of voltage on speed, corrected by the lost voltage at direct current.
 
-    A voltage acts when the rotor has turned on, by the delay of its load and half the time that it is held.
+    A voltage acts after the rotation during the delay of its load and half its hold time.
     """
     speed = np.array([point.speed for point in points]) * pairs
     i_d, i_q = (np.array([getattr(point, name).value for point in points]) for name in ("i_d", "i_q"))
-    turned = speed * (delay + 0.5 * PERIOD)
+    rotation = speed * (delay + 0.5 * PERIOD)
     u_q, u_d = (np.array([getattr(point, name).value for point in points]) for name in ("u_q", "u_d"))
-    u_q = u_q * np.cos(turned) - u_d * np.sin(turned)
+    u_q = u_q * np.cos(rotation) - u_d * np.sin(rotation)
     size = np.hypot(i_d, i_q) + 1e-9
     lost = _lost_fundamental(size, u_q, u_dc, direct, 0.5 * (l_d + l_q)) * i_q / size
     columns = np.column_stack([speed, np.sign(speed)])
     induced = u_q - direct.resistance.value * i_q - speed * l_d * i_d - lost
     (psi, _), covariance, _ = fit_linear(columns, induced)
-    # errors of resistance and lost voltage count as far as both grow with the speed
-    (grown, _), _, _ = fit_linear(columns, i_q)
-    (lost_grown, _), _, _ = fit_linear(columns, lost)
-    parts = (float(np.sqrt(covariance[0, 0])), float(grown) * direct.resistance.sigma, LOST_OFF * float(lost_grown))
+    # errors of resistance and lost voltage contribute as far as both depend on speed
+    (current_slope, _), _, _ = fit_linear(columns, i_q)
+    (lost_slope, _), _, _ = fit_linear(columns, lost)
+    parts = (
+        float(np.sqrt(covariance[0, 0])),
+        float(current_slope) * direct.resistance.sigma,
+        LOST_VOLTAGE_ERROR * float(lost_slope),
+    )
     return Estimate(float(psi), math.hypot(*parts))
 
 
@@ -97,8 +101,8 @@ def friction(points: list[Steady], torque: Floats, torque_sigma: Floats) -> dict
     return {name: Estimate(float(x[k]), float(errors[k])) for k, name in enumerate(("friction", "viscous", "load"))}
 
 
-def _bridged(column: Floats) -> Floats:
-    """Samples with straight lines over short gaps; long ones stay."""
+def _interpolated(column: Floats) -> Floats:
+    """Samples with short gaps interpolated linearly; long gaps remain."""
     missing = ~np.isfinite(column)
     if not missing.any() or missing.all():
         return column
@@ -107,7 +111,7 @@ def _bridged(column: Floats) -> Floats:
     result[missing] = np.interp(at[missing], at[~missing], column[~missing])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]])))
     for first, end in zip(edges[::2], edges[1::2], strict=True):
-        if end - first > BRIDGED:
+        if end - first > GAP_MAX:
             result[first:end] = np.nan
     return result
 
@@ -118,24 +122,24 @@ def balance(
     motor: tuple[int, float, float, float],
     parts: tuple[float, float, float] | None,
 ) -> tuple[Estimate, Estimate]:
-    """Inertia [kg m^2] and Coulomb friction [N m] from momentum: the integral of the torque is in the shaft's speed.
+    """Inertia [kg m^2] and Coulomb friction [N m] from the balance of momentum: speed and integral of the torque.
 
     Parameters
     ----------
     recordings : list of Recording
-        Of an axis that speeds up and slows down.
+        Recordings of an axis that accelerates and decelerates.
     axis : str
-        Its name.
+        Name of the axis.
     motor : tuple
         Pole pairs, ``psi_m`` [V s], ``l_d``, ``l_q`` [H].
     parts : tuple of float, optional
-        Coulomb [N m] and viscous [N m s/rad] friction and load [N m]; without them the Coulomb friction is
+        Coulomb [N m] and viscous [N m s/rad] friction and load [N m]; if omitted, the Coulomb friction is
         estimated, too.
     """
     rows: list[Floats] = []
     values: list[Floats] = []
     for k, recording in enumerate(recordings):
-        position, i_d, i_q = (_bridged(recording.columns[f"{axis}.{name}"]) for name in ("position", "i_d", "i_q"))
+        position, i_d, i_q = (_interpolated(recording.columns[f"{axis}.{name}"]) for name in ("position", "i_d", "i_q"))
         torque = torque_of(i_d, i_q, *motor)
         speed = np.diff(position) / recording.step
         middle = torque[1:-1]  # between the middles of two intervals
@@ -155,6 +159,6 @@ def balance(
         rows.append(np.column_stack(columns))
         values.append(total)
     x, covariance, _ = fit_linear(np.vstack(rows), np.concatenate(values))
-    errors = np.sqrt(np.diag(covariance)) * 5.0  # the sums are not independent of each other
+    errors = np.sqrt(np.diag(covariance)) * 5.0  # the sums are correlated
     dry = Estimate(float(x[1]), float(errors[1])) if parts is None else Estimate(parts[0], 0.0)
     return Estimate(float(x[0]), float(errors[0])), dry
