@@ -1,4 +1,4 @@
-"""The whole chain as processes, a serial cable that can be pulled, and a user on ROS topics. For tests."""
+"""Test fixture: virtual board, bridge and twin as processes, a detachable serial cable, and a ROS client."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ from std_srvs.srv import SetBool, Trigger
 from servo_bridge import tool
 
 DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) or 1 + os.getpid() * 37 % 100
-MARK = "SERVO_TEST_MARK"
-FAST = 1_000_000
-"""Baud rate of tests that do not look at the line: finding the variables takes 0.5 s instead of 2.5 s."""
+MARK_VARIABLE = "SERVO_TEST_MARK"
+FAST_BAUD = 1_000_000
+"""Baud rate of tests that are independent of the line speed: reading the variable table takes 0.5 s, not 2.5 s."""
 BOARD, BRIDGE, TWIN, TOOL = "servo_twin.virtual_board", "servo_bridge.node", "servo_twin.node", "servo_bridge.tool"
 
 
@@ -52,7 +52,7 @@ def _ros_arguments(parameters: Mapping[str, object]) -> list[str]:
 
 
 class Process:
-    """One process, its output in a file."""
+    """Child process with its output in a file."""
 
     def __init__(self, name: str, command: Sequence[str], log: Path, environment: Mapping[str, str]) -> None:
         self.name = name
@@ -72,7 +72,7 @@ class Process:
         return self._popen.poll() is None
 
     def cpu_seconds(self) -> float:
-        """Time of the processor that all of its threads have used [s]."""
+        """CPU time of all threads of the process [s]."""
         # proc(5): the name in parentheses may hold blanks; utime and stime are fields 14 and 15.
         fields = Path(f"/proc/{self._popen.pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
@@ -96,7 +96,7 @@ class Process:
 
 
 class Cable:
-    """A serial cable between a port and a TCP address; it can be pulled and plugged in again."""
+    """Serial cable between a port and a TCP address, with `pull` and `plug`."""
 
     def __init__(self, port: Path) -> None:
         self._port = port
@@ -118,7 +118,7 @@ class Cable:
         self._thread.start()
 
     def pull(self) -> None:
-        """Let go; both ends notice."""
+        """Close both connections."""
         if self._stop is not None and self._thread is not None:
             self._stop.set()
             self._thread.join(5.0)
@@ -148,23 +148,18 @@ class Cable:
 
 
 class Chain:
-    """Virtual board, bridge and twin; parts are started and stopped one by one.
+    """Virtual board, bridge and twin as processes that are started and stopped one by one.
 
     Parameters
     ----------
     folder : Path
-        For the port and the logs.
+        Folder of the port and the logs.
     baud : int
-        Line speed.
+        Line speed [bit/s].
     environment : mapping, optional
-        Variables that every process gets besides those of this one.
+        Environment variables of the processes, in addition to those of this process.
     level : {"ideal", "registers"}, optional
-        Of boards and twins; the chosen one by default. `ideal` takes a fifth of the processor.
-
-    Attributes
-    ----------
-    environment : dict
-        Environment of every process.
+        Level of boards and twins; default: `chosen_level`. `ideal` takes a fifth of the CPU time.
     """
 
     def __init__(
@@ -180,7 +175,8 @@ class Chain:
         self._mark = uuid.uuid4().hex
         self._started: list[Process] = []
         level = level or chosen_level()
-        own = {"ROS_DOMAIN_ID": str(DOMAIN), MARK: self._mark, "PYTHONUNBUFFERED": "1", LEVEL_VARIABLE: level}
+        own = {"ROS_DOMAIN_ID": str(DOMAIN), MARK_VARIABLE: self._mark, "PYTHONUNBUFFERED": "1", LEVEL_VARIABLE: level}
+        #: Environment of every process.
         self.environment = os.environ | own | dict(environment or {})
 
     def _start(self, module: str, *arguments: str) -> Process:
@@ -192,7 +188,7 @@ class Chain:
         return process
 
     def script(self, name: str, *arguments: str) -> Process:
-        """Start a console script that is installed beside the running Python; skips the test if there is none."""
+        """Start a console script of the running Python environment; skip the test if it is not installed."""
         path = Path(sys.executable).with_name(name)
         if not path.exists():
             pytest.skip(f"{name} is not installed beside {sys.executable}")
@@ -207,11 +203,11 @@ class Chain:
         return board
 
     def bridge(self, port: str | None = None, *, hangs: float = 0.0, **parameters: object) -> Process:
-        """Start a bridge; SIGUSR1 makes its executor hang for `hangs` seconds, not the thread of its link."""
+        """Start a bridge; SIGUSR1 blocks its executor, but not its link thread, for `hangs` [s]."""
         arguments = _ros_arguments({"port": port or self.port, "baud": self.baud, **parameters})
         if not hangs:
             return self._start(BRIDGE, *arguments)
-        # Handlers of signals run in the main thread, which is that of the executor.
+        # Signal handlers run in the main thread, which runs the executor.
         code = (
             "import runpy, signal, time; "
             f"signal.signal(signal.SIGUSR1, lambda *_: time.sleep({hangs})); "
@@ -223,8 +219,8 @@ class Chain:
         return self._start(TWIN, *_ros_arguments(parameters))
 
     def processes(self) -> dict[int, str]:
-        """Everything that descends from what was started here and still lives: command lines by process id."""
-        mark = f"{MARK}={self._mark}".encode()
+        """Command lines by process id of all running processes started here, with their descendants."""
+        mark = f"{MARK_VARIABLE}={self._mark}".encode()
         found = {}
         for folder in Path("/proc").iterdir():
             if folder.name.isdigit():
@@ -233,13 +229,13 @@ class Chain:
                         found[int(folder.name)] = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()
         return found
 
-    def look(self, *names: str) -> dict[str, Any]:
-        """Values of variables, read by ``servo-tool`` past the bridge, which must not be running."""
+    def read_variables(self, *names: str) -> dict[str, Any]:
+        """Values of variables, read by ``servo-tool``; the bridge must not be running."""
         values: dict[str, Any] = json.loads(self.tool("get", "--json", *names))
         return values
 
     def tool(self, *arguments: str) -> str:
-        """What a command of ``servo-tool`` prints; run in this process, past the bridge, which must not be running."""
+        """Output of a ``servo-tool`` command, run in this process; the bridge must not be running."""
         output, errors = io.StringIO(), io.StringIO()
         with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
             status = tool.main(["--port", str(self.port), "--baud", str(self.baud), *arguments])
@@ -247,7 +243,7 @@ class Chain:
         return output.getvalue()
 
     def end(self) -> None:
-        """Stop whatever still runs, the last first."""
+        """Stop all running processes, the last one first."""
         for process in reversed(self._started):
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.stop(signal.SIGTERM, 5.0)
@@ -258,7 +254,7 @@ class Chain:
 
 
 class User:
-    """A user of the servo over ROS topics and services."""
+    """ROS node with the topics and services of the servo."""
 
     def __init__(self) -> None:
         self.context = rclpy.Context()
@@ -292,7 +288,7 @@ class User:
         self.executor.add_node(self.node)
 
     def listen(self, name: str, kind: Any, qos: Any) -> None:
-        """Keep what is published on a topic."""
+        """Collect the messages of a topic."""
         self.messages[name] = []
         self.node.create_subscription(kind, name, self.messages[name].append, qos)
 
@@ -302,22 +298,22 @@ class User:
         self.executor.shutdown()
         rclpy.shutdown(context=self.context)
 
-    # ---- doing
+    # ---- actions
     def until(self, condition: Callable[[], object], timeout: float = 15.0, what: str = "") -> None:
-        """Turn the executor until the condition holds; an assertion when it does not in time."""
+        """Spin the executor until the condition holds; fail after `timeout` [s]."""
         deadline = time.monotonic() + timeout
         while not condition():
             assert time.monotonic() < deadline, f"{what or 'not'} within {timeout} s: {self.states()}"
             self.executor.spin_once(timeout_sec=0.01)
 
     def matched(self) -> bool:
-        """Bridge there and everything matched."""
+        """True if all topics and services of the bridge are discovered."""
         publishers = (self.joint_commands, self.commands, *self.position)
         clients = (self._enable, self._quick_stop, self._clear)
         return all(p.get_subscription_count() for p in publishers) and all(c.service_is_ready() for c in clients)
 
     def connected(self) -> bool:
-        """Bridge there and everything matched, board there."""
+        """True if the bridge is discovered and connected to its board."""
         return self.matched() and "=" in self.last("/servo/state")
 
     def call(self, client: Any, request: Any) -> tuple[bool, str]:
@@ -342,13 +338,13 @@ class User:
         result = future.result().results[0]
         return bool(result.successful), str(result.reason)
 
-    def spinning(self) -> None:
-        """Enable, and wait until both axes obey."""
+    def enable_axes(self) -> None:
+        """Enable both axes and wait until they are armed."""
         success, message = self.enable()
         assert success, message
         self.until(lambda: self.last("/servo/armed") is True, what="not armed")
 
-    # ---- seeing
+    # ---- received messages
     def last(self, name: str) -> Any:
         return self.messages[name][-1].data if self.messages[name] else ""
 
@@ -367,8 +363,8 @@ class User:
         """Commands that have taken effect since the start, in order."""
         return [applied_from_message(m) for m in self.messages["/servo/commands_applied"]]
 
-    def seconds(self, duration: float) -> int:
-        """Let so much board time go by; returns the number of the first snapshot message of it."""
+    def wait_board_time(self, duration: float) -> int:
+        """Wait for `duration` of board time [s]; return the index of its first snapshot message."""
         start = len(self.messages["/servo/snapshot"])
 
         def passed() -> bool:
@@ -379,11 +375,11 @@ class User:
         return start
 
     def rejections(self) -> list[str]:
-        """What the bridge has said about set-points that it refused."""
+        """Log messages of the bridge about refused set-points."""
         return [m.msg for m in self.messages["/rosout"] if m.msg.startswith("rejected")]
 
     def until_rejected(self, before: int) -> str:
-        """Wait for one more rejection than there were, and return it."""
+        """Wait for more than `before` rejections and return the last one."""
         self.until(lambda: len(self.rejections()) > before, 5.0, "not refused")
         return self.rejections()[-1]
 
@@ -404,7 +400,7 @@ def board_time(message: Float64MultiArray) -> float:
 
 
 def wait_for(condition: Callable[[], object], timeout: float, why: Callable[[], str] = str) -> None:
-    """Look again and again until something outside this process holds."""
+    """Poll a condition until it holds; fail after `timeout` [s]."""
     deadline = time.monotonic() + timeout
     pause = threading.Event()
     while not condition():
@@ -413,7 +409,7 @@ def wait_for(condition: Callable[[], object], timeout: float, why: Callable[[], 
 
 
 @contextlib.contextmanager
-def user() -> Iterator[User]:
+def ros_user() -> Iterator[User]:
     result = User()
     try:
         yield result
@@ -425,16 +421,16 @@ def user() -> Iterator[User]:
 def followed_board(
     folder: Path, baud: int = 115200, level: Level | None = None, telemetry_rate: float = 0.0
 ) -> Iterator[User]:
-    """A user of a virtual board, its bridge and its twin, once the twin is healthy."""
+    """ROS client of a virtual board, its bridge and its twin, when the twin is healthy."""
     chain = Chain(folder, baud, level=level)
-    with user() as me:
+    with ros_user() as user:
         try:
             chain.board()
             chain.bridge(telemetry_rate=telemetry_rate)
             chain.twin()
-            me.until(me.connected, 30.0, "the bridge is not connected")
-            me.until(lambda: me.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
-            yield me
+            user.until(user.connected, 30.0, "the bridge is not connected")
+            user.until(lambda: user.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
+            yield user
         finally:
             chain.end()
             print(chain.logs())

@@ -1,4 +1,4 @@
-"""What these tests share: the recorded runs; and for all tests, that none may be skipped where that is asked for."""
+"""Shared fixtures: the recorded runs; and for all tests the option that forbids skipped tests."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from targets.recording import Arithmetic, Recorder, Recording
 from targets.scenarios import SCENARIOS
 from targets.sources import Sources
 
-# A shell in the background may have Ctrl-C ignored, and the processes that the tests start would inherit that.
+# A background shell may ignore SIGINT, and child processes inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# Before test modules are imported: nodes of two workers must not discover each other.
+# Set before test modules are imported: nodes of two workers must not discover each other.
 _WORKER = os.environ.get("PYTEST_XDIST_WORKER", "gw0")
 if "ROS_DOMAIN_ID" in os.environ:
     os.environ["ROS_DOMAIN_ID"] = str(int(os.environ["ROS_DOMAIN_ID"]) + int(_WORKER.removeprefix("gw")))
@@ -27,14 +27,14 @@ ALLOWED = (
     "root may write everywhere",
     "no `ros2 launch`: it has no wheel; source a ROS 2, or `make launch-tools`",
 )
-"""Reasons that are not the want of a tool."""
+"""Allowed reasons of a skip: not a missing tool."""
 
 
 _CRASHED = pytest.StashKey[bool]()
 
 
 def _unexpected_skips(config: pytest.Config) -> list[str]:
-    """Reasons for which tests were skipped where every tool has to be there."""
+    """Reasons of skipped tests that are not allowed, if all tools are required."""
     reporter = config.pluginmanager.get_plugin("terminalreporter")
     if SKIP_NOTHING not in os.environ or reporter is None:
         return []
@@ -43,7 +43,7 @@ def _unexpected_skips(config: pytest.Config) -> list[str]:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Where processes share the work, files with slow tests come first, so that all end at about the same time."""
+    """Start files with slow tests first in parallel runs, so that all workers end at about the same time."""
     if hasattr(config, "workerinput"):
         slow = {item.path for item in items if item.get_closest_marker("slow") is not None}
         items.sort(key=lambda item: item.path not in slow)
@@ -51,14 +51,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: Any, error: object) -> None:
-    """A process of pytest-xdist has ended; with an error, some tests may not have been run."""
+    """Note a crashed pytest-xdist worker: some tests may not have been run."""
     if error:
         node.config.stash[_CRASHED] = True
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """A crashed process, or a test skipped where every tool has to be there; to repeat failed tests does not help."""
+    """Report an internal error, not failed tests, for a crashed worker or a skip that is not allowed."""
     crashed = session.config.stash.get(_CRASHED, False)
     if crashed or _unexpected_skips(session.config):
         session.exitstatus = pytest.ExitCode.INTERNAL_ERROR
@@ -71,7 +71,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
 
 @pytest.fixture(scope="session")
 def c_sources(tmp_path_factory: pytest.TempPathFactory) -> Sources:
-    """The C sources of this moment."""
+    """Copy of the present C sources."""
     return Sources().copy(tmp_path_factory.mktemp("sources"))
 
 

@@ -1,4 +1,4 @@
-"""Builds the package ``control_msgs`` of tests/action_interfaces, for a machine without a ROS installation."""
+"""Build the package ``control_msgs`` of tests/action_interfaces on a machine without a ROS installation."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BUILDS = ROOT / "build" / "control_msgs"
 
 
 def action_environment() -> dict[str, str]:
-    """Environment of processes that import ``control_msgs``; builds it the first time, in about half a minute."""
+    """Environment of processes that import ``control_msgs``; the first call builds it in about 30 s."""
     if importlib.util.find_spec("control_msgs") is not None:
         return {}
     if shutil.which("cmake") is None or importlib.util.find_spec("ament_package") is None:
@@ -35,7 +35,7 @@ def action_environment() -> dict[str, str]:
 
 
 def _built() -> Path:
-    """Prefix of the package as it is now; one build at a time."""
+    """Install prefix of the present sources; a lock serialises builds."""
     files = sorted(path for path in SOURCES.rglob("*") if path.is_file())
     key = hashlib.sha256(b"".join(path.read_bytes() for path in files) + sys.executable.encode()).hexdigest()[:12]
     prefix = BUILDS / key / "install"

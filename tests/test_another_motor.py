@@ -1,4 +1,4 @@
-"""A user with other motors: edit two files, tune, build, run. Nothing else of the project changes."""
+"""Other motors: two files are edited, then tune, build and run; no other file of the project changes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 ROOT: Final = Path(__file__).resolve().parents[1]
 FOLDERS: Final = ("firmware", "servo_msgs_py", "servo_twin")
 
-# Two motors that differ from the project's and from each other in everything; SI units.
+# Two motors with different data, also from those of the project; SI units.
 MOTORS: Final = {
     "axis1": {"r_s": 1.4, "l_d": 1.6e-3, "l_q": 1.9e-3, "psi_m": 0.0085, "pole_pairs": 4, "inertia": 4.5e-5},
     "axis2": {"r_s": 0.18, "l_d": 0.15e-3, "l_q": 0.16e-3, "psi_m": 0.0052, "pole_pairs": 5, "inertia": 2.0e-5},
@@ -28,7 +28,7 @@ LIMITS: Final = {"speed": 250.0}
 
 
 def toml(groups: dict[str, dict[str, Any]]) -> str:
-    """Groups as TOML."""
+    """TOML text of groups."""
     return "".join(f"[{name}]\n{assignments(entries)}\n" for name, entries in groups.items())
 
 
@@ -37,7 +37,7 @@ def assignments(entries: dict[str, Any]) -> str:
 
 
 def replace_group(text: str, name: str, entries: dict[str, Any]) -> str:
-    """The text of servo.toml with some entries of one group replaced, as an editor would do it."""
+    """Text of servo.toml with replaced entries of one group."""
     start = text.index(f"[{name}]")
     end = text.find("\n[", start)
     group = text[start:end]
@@ -48,7 +48,7 @@ def replace_group(text: str, name: str, entries: dict[str, Any]) -> str:
 
 
 class Checkout:
-    """A copy of what the firmware and its virtual board are made of."""
+    """Copy of the sources of firmware and virtual board."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -76,7 +76,7 @@ class Checkout:
     def experiment(self, name: str) -> dict[str, dict[str, Any]]:
         """Rows of one experiment on the other motors.
 
-        On the averaged plant, as the design that is checked is linear. With real switches axis 2 hunts by three counts:
+        With the averaged plant, as the design is linear. With the switching plant axis 2 hunts by three counts:
         in a winding of 0.15 mH the bus builds up 0.16 A within a dead time. The inverter may keep back as much, which
         is worth four times the friction that holds this shaft.
         """
@@ -92,13 +92,13 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Checkout:
     text = config.read_text(encoding="utf-8")
     for axis, motor in MOTORS.items():
         text = replace_group(text, f"{axis}.motor", motor)
-    text = re.sub(r"\[axis2\.control\]\n(?:.+\n)*", "", text)  # both axes by the defaults
+    text = re.sub(r"\[axis2\.control\]\n(?:.+\n)*", "", text)  # defaults for both axes
     text = replace_group(replace_group(text, "defaults.control", CONTROL), "defaults.limits", LIMITS)
-    text += "[axis2.features]\nspeed_observer = true\n"  # much inertia, little friction
+    text += "[axis2.features]\nspeed_observer = true\n"  # large inertia, small friction
     config.write_text(text, encoding="utf-8")
     (copy.folder / "plant.toml").write_text(toml(MOTORS), encoding="utf-8")
     copy.tune()
-    # What setup.py builds in place, without the level that is not asked for below.
+    # In-place build of setup.py, without the level `registers`.
     copy.python("-c", "from servo_twin._build_native import ffi; ffi().compile()", folder="servo_twin")
     loaded = copy.python("-c", "import servo_twin._native as native; print(native.__file__)")
     assert Path(loaded.strip()).is_relative_to(copy.folder), "not the installed board"
@@ -112,7 +112,7 @@ def test_moves_do_not_overshoot(checkout: Checkout) -> None:
     assert all(overshoot <= 2.0 for overshoot in overshoots.values()), overshoots
 
 
-def test_stiffness_is_the_predicted_one(checkout: Checkout) -> None:
+def test_stiffness_agrees_with_the_prediction(checkout: Checkout) -> None:
     """A load step of the torque of 2 A, the rated current of the configuration. Friction helps to hold the shaft."""
     predicted = json.loads(checkout.tune("report", "--json"))
     rows = checkout.experiment("stiffness")

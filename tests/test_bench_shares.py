@@ -1,4 +1,4 @@
-"""The counts of the bench: instructions go to the part whose source they come from, those of a call only once."""
+"""Counts of the bench: instructions are assigned to the part of their source file, those of a call only once."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ fn=(2)
 """
 
 
-def test_parts_by_source() -> None:
+def test_part_of_a_source_file() -> None:
     assert part_of("/x/servo_twin/native/plant/switched_inverter.c") == "plant"
     assert part_of("/x/servo_twin/native/chip/pwm.c") == "chip"
     assert part_of("/x/firmware/port/mc56f84789/pwm.c") == "drivers"
@@ -31,5 +31,5 @@ def test_parts_by_source() -> None:
     assert part_of("/usr/lib/libm.so") == "other"
 
 
-def test_a_call_counts_where_it_arises() -> None:
+def test_cost_of_a_call_is_counted_in_the_callee() -> None:
     assert by_part(PROFILE.splitlines()) == {"chip": 8, "firmware": 40, "plant": 700}

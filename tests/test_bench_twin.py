@@ -1,4 +1,4 @@
-"""The benches of the virtual board: that they still build and run, and that a growth compares like with like."""
+"""The benches of the virtual board build and run, and compare equal measurements."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bench import plant, twin
 from servo_twin.level import Level
 
 
-def test_plant_alone_at_both_levels() -> None:
+def test_plant_bench_has_both_levels() -> None:
     rows = plant.rows(plant.run(periods=512))
     assert len(rows) == 5
     for row in rows:
@@ -21,9 +21,9 @@ def test_plant_alone_at_both_levels() -> None:
 
 
 @pytest.mark.parametrize("level", get_args(Level))
-def test_boards_at_once(level: Level, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_boards_run_in_parallel(level: Level, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(twin.SIMULATED, level, 0.05)
-    both = twin.together(level, 2)
+    both = twin.run_in_parallel(level, 2)
     assert both.factor > 0.0
     assert 0.0 < both.had <= 1.0
 
@@ -32,13 +32,13 @@ def boards(had: float) -> dict[str, dict[str, Any]]:
     return {"1": {"factor": 50.0, "had": 1.0}, "2": {"factor": 90.0, "had": had}}
 
 
-def test_growth_is_over_one_board_by_the_same_clock() -> None:
+def test_growth_is_relative_to_one_board() -> None:
     assert twin.growth(boards(0.97)) == [
-        "turning boards, one per thread, all together, by the clock on the wall: 1: 50.0 (x 1.0), 2: 90.0 (x 1.8)"
+        "turning boards, one per thread, in parallel, by wall-clock time: 1: 50.0 (x 1.0), 2: 90.0 (x 1.8)"
     ]
 
 
-def test_growth_on_a_busy_machine_says_so() -> None:
+def test_growth_reports_other_load() -> None:
     assert "the boards had 1: 100%, 2: 40%" in twin.growth(boards(0.4))[1]
 
 

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
-from chain import FAST, Chain
-from line_world import SimulatedLine
+from chain import FAST_BAUD, Chain
+from line_simulation import SimulatedLine
 from numpy.typing import NDArray
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.line import Line
@@ -42,7 +42,7 @@ def board(baud: int) -> Iterator[Board]:
 
 
 class InterruptedLine(SimulatedLine):
-    """A line on which Ctrl-C is pressed when axis 1 turns faster than a speed [rad/s]."""
+    """Line that raises Ctrl-C when axis 1 exceeds a speed [rad/s]."""
 
     interrupt_above: float | None = None
 
@@ -70,7 +70,7 @@ def bode(line: InterruptedLine, baud: int) -> Tool:
 
 
 def curves(path: Path, entity: str, timeline: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Index and values of a curve of a recording."""
+    """Time line and values of a curve of a recording."""
     from rerun.chunk import RrdReader
 
     times, values = [], []
@@ -111,7 +111,7 @@ def test_a_loop_is_measured_and_written(
     assert board.catalogue.label("substate_t", board.read_raw("axis1.substate")[0]) in ("READY", "FREEWHEEL")
 
 
-def test_an_interruption_stops_the_shaft_and_restores_what_was(
+def test_interruption_stops_the_shaft_and_restores_the_board(
     bode: Tool, board: Board, line: InterruptedLine, capsys: pytest.CaptureFixture[str]
 ) -> None:
     board.write("cmd.enable", [1, 0])
@@ -127,7 +127,7 @@ def test_an_interruption_stops_the_shaft_and_restores_what_was(
     assert board.catalogue.label("substate_t", board.read_raw("axis1.substate")[0]) == "SPIN"
 
 
-def test_without_an_answer_the_status_is_1_and_the_reason_is_said(
+def test_missing_answer_gives_exit_status_1_and_the_reason(
     bode: Tool, board: Board, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert bode("axis1", "speed") == 1
@@ -145,7 +145,7 @@ def test_without_an_answer_the_status_is_1_and_the_reason_is_said(
 
 @pytest.mark.parametrize("baud", [115_200, 38_400])
 @pytest.mark.parametrize("loop", ["speed", "position"])
-def test_the_shaft_stays_within_its_range_however_slow_the_line_is(
+def test_shaft_stays_within_its_range_on_a_slow_line(
     bode: Tool, board: Board, line: InterruptedLine, loop: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     board.write("cmd.enable", [1, 0])
@@ -163,7 +163,7 @@ def test_the_shaft_stays_within_its_range_however_slow_the_line_is(
 @pytest.mark.realtime
 @pytest.mark.slow
 def test_a_board_on_a_pty_is_measured(tmp_path: Path) -> None:
-    chain = Chain(tmp_path, FAST, level="ideal")
+    chain = Chain(tmp_path, FAST_BAUD, level="ideal")
     try:
         chain.board()
         found = json.loads(chain.tool("bode", "axis2", "speed", "--enable", "--repeat", "2", "--json"))

@@ -30,7 +30,7 @@ REAL_MEMBER = re.compile(r"\s*(double) (\w[^;(]*);(.*)")
 CONTINUATION = re.compile(r"[;,\w)}]\s*/\*\s*(\.\.|the same\b|of\b|that\b|and\b)|\.\.\s*\*/", re.IGNORECASE)
 # A unit in brackets; [1]: none.
 UNIT = re.compile(r"\[[^\]]+\]")
-# Quantities whose full scale firmware/doc/references.md gives, and the formats themselves.
+# Quantities with a full scale in firmware/doc/references.md, and number formats.
 QUANTITY = re.compile(
     r"speed|accel|omega|\bi_|current|\bu_|voltage|emf|theta|angle|temperature|torque|\bpart\b|Q\d|bits|full.scale"
 )
@@ -74,7 +74,7 @@ def test_a_comment_that_continues_another_one_is_found(line: str) -> None:
     assert CONTINUATION.search(line)
 
 
-def test_a_member_without_comment_is_found() -> None:
+def test_member_without_comment_is_detected() -> None:
     text = (
         "typedef struct {\n    frac16_t a; /* part of b */\n    /* Q1.31 */\n    frac32_t c;\n    uint16_t d;\n} x_t;\n"
     )

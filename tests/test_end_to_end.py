@@ -1,4 +1,4 @@
-"""The whole chain: firmware and plant behind a real pty, bridge and twin as processes, a user on ROS topics."""
+"""The complete chain: firmware and plant on a real pty, bridge and twin as processes, a ROS client."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import get_args
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
-from chain import FAST, Chain, Process, User, followed_board, user, wait_for
+from chain import FAST_BAUD, Chain, Process, User, followed_board, ros_user, wait_for
 from sensor_msgs.msg import JointState
 from servo_msgs_py.convert import from_stamp, snapshot_table
 from servo_msgs_py.runtime.qos import command_qos, latched_qos
@@ -28,9 +28,9 @@ pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 TURN = 2.0 * math.pi
 COUNT = TURN / 4000
-AT_REST = 4 * COUNT  # so far a shaft that is held comes from where it was at some moment; a set-point is hundreds away
-# Half a count for what rounds, two for what the encoder can tell, and where there are switches two more: so far they
-# move an arriving shaft by the current that they keep back (experiment feed-forward).
+AT_REST = 4 * COUNT  # largest motion of a held shaft; a set-point is hundreds of counts away
+# Half a count of rounding, two counts of the encoder, and two counts at the end of a move by the dead time of the
+# switching plant (experiment feed-forward).
 OVERSHOOT = (2.5 if chosen_level() == "ideal" else 4.5) * COUNT
 BOTH = ["axis1", "axis2"]
 SPIN = "axis1=RUN/SPIN axis2=RUN/SPIN"
@@ -39,23 +39,23 @@ STOP = "axis1=STOP axis2=STOP"
 
 @pytest.fixture(scope="class")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[User]:
-    """Board, bridge and twin that the tests of normal work share."""
-    with followed_board(tmp_path_factory.mktemp("chain")) as me:
-        yield me
+    """Board, bridge and twin, shared by the tests of normal operation."""
+    with followed_board(tmp_path_factory.mktemp("chain")) as user:
+        yield user
 
 
 @pytest.fixture
-def me(running: User) -> User:
-    """The user, both axes under control and at rest."""
+def user(running: User) -> User:
+    """ROS client with both axes in SPIN and at rest."""
     if running.last("/servo/state") != SPIN or not running.last("/servo/armed"):
-        running.spinning()
+        running.enable_axes()
     running.until(lambda: at_rest(running), what="the shafts do not rest")
     return running
 
 
 @pytest.fixture
 def chain(tmp_path: Path) -> Iterator[Chain]:
-    """A chain of its own for a test that breaks it; unless a level is asked for, of the one that takes less time."""
+    """Separate chain for tests with failures; default level: `ideal`, which takes less time."""
     chain = Chain(tmp_path, level=None if LEVEL_VARIABLE in os.environ else "ideal")
     try:
         yield chain
@@ -64,98 +64,100 @@ def chain(tmp_path: Path) -> Iterator[Chain]:
         print(chain.logs())
 
 
-def at_rest(me: User) -> bool:
-    newest = [m.position for m in me.messages["/servo/joint_states"][-20:]]
+def at_rest(user: User) -> bool:
+    newest = [m.position for m in user.messages["/servo/joint_states"][-20:]]
     return len(newest) == 20 and bool(np.all(np.ptp(np.array(newest), axis=0) <= 2 * COUNT))
 
 
-def reached(me: User, *targets: float) -> Callable[[], bool]:
-    """Both shafts stand within two counts of their targets [rad]."""
+def reached(user: User, *targets: float) -> Callable[[], bool]:
+    """Condition: both shafts are at rest within two counts of their targets [rad]."""
 
-    def look() -> bool:
-        return at_rest(me) and all(abs(me.position_of(k) - target) <= 2.5 * COUNT for k, target in enumerate(targets))
+    def in_position() -> bool:
+        return at_rest(user) and all(
+            abs(user.position_of(k) - target) <= 2.5 * COUNT for k, target in enumerate(targets)
+        )
 
-    return look
+    return in_position
 
 
-def go(me: User, *targets: float) -> None:
-    """Move both axes to targets [rad] and wait until they are there."""
-    me.joint_commands.publish(JointState(name=BOTH, position=list(targets)))
-    me.until(reached(me, *targets), 10.0, f"not at {targets}")
+def go(user: User, *targets: float) -> None:
+    """Move both axes to targets [rad] and wait until they arrive."""
+    user.joint_commands.publish(JointState(name=BOTH, position=list(targets)))
+    user.until(reached(user, *targets), 10.0, f"not at {targets}")
 
 
 class TestNormalWork:
-    def test_a_position_on_the_topic_of_one_joint(self, me: User) -> None:
-        go(me, 0.0, 0.0)
-        me.position[0].publish(Float64(data=TURN))
-        me.until(reached(me, TURN, 0.0), 10.0)
+    def test_position_on_the_topic_of_one_joint(self, user: User) -> None:
+        go(user, 0.0, 0.0)
+        user.position[0].publish(Float64(data=TURN))
+        user.until(reached(user, TURN, 0.0), 10.0)
 
-    def test_both_joints_move_from_the_same_tick(self, me: User) -> None:
-        go(me, 0.0, 0.0)
-        start = len(me.messages["/servo/snapshot"])
-        before = len(me.applied())
-        go(me, 5 * TURN, -5 * TURN)
-        (written,) = me.applied()[before:]
+    def test_both_joints_move_from_the_same_tick(self, user: User) -> None:
+        go(user, 0.0, 0.0)
+        start = len(user.messages["/servo/snapshot"])
+        before = len(user.applied())
+        go(user, 5 * TURN, -5 * TURN)
+        (written,) = user.applied()[before:]
         assert (written.variable, written.mask) == ("cmd.position", 3)
-        rows = me.rows(start)
-        for axis in BOTH:  # the shapes differ between the axes, the start does not
+        rows = user.rows(start)
+        for axis in BOTH:  # the shapes differ between the axes, the starts are equal
             moving = next(r["tick"] for r in rows if abs(r[f"{axis}.position_ref"]) > 5 * COUNT)
             assert 0.0 < (moving - written.tick) * PERIOD_NS * 1e-9 < 0.05
-        # No overshoot: neither shaft is ever seen beyond its target by more than it may rest off it.
+        # No overshoot: the largest position is within the permitted error at rest.
         assert max(r["axis1.position"] for r in rows) <= 5 * TURN + OVERSHOOT
         assert min(r["axis2.position"] for r in rows) >= -5 * TURN - OVERSHOOT
 
-    def test_an_array_of_positions(self, me: User) -> None:
-        me.commands.publish(Float64MultiArray(data=[1.0, -1.0]))
-        me.until(reached(me, 1.0, -1.0), 10.0)
+    def test_an_array_of_positions(self, user: User) -> None:
+        user.commands.publish(Float64MultiArray(data=[1.0, -1.0]))
+        user.until(reached(user, 1.0, -1.0), 10.0)
 
-    def test_speed_times_out_and_the_shaft_stops(self, me: User) -> None:
-        me.joint_commands.publish(JointState(name=["axis1"], velocity=[50.0]))
-        me.until(lambda: me.messages["/servo/joint_states"][-1].velocity[0] > 45.0, 5.0)
-        me.until(lambda: at_rest(me), 5.0)
-        assert me.last("/servo/state") == SPIN
+    def test_shaft_stops_when_the_speed_set_point_expires(self, user: User) -> None:
+        user.joint_commands.publish(JointState(name=["axis1"], velocity=[50.0]))
+        user.until(lambda: user.messages["/servo/joint_states"][-1].velocity[0] > 45.0, 5.0)
+        user.until(lambda: at_rest(user), 5.0)
+        assert user.last("/servo/state") == SPIN
 
-    def test_quick_stop_holds_until_enabled_again(self, me: User) -> None:
-        go(me, 0.0, 0.0)
-        me.joint_commands.publish(JointState(name=BOTH, position=[40 * TURN, -40 * TURN]))
-        me.until(lambda: me.position_of(0) > 10 * TURN, 5.0)
-        assert me.quick_stop()[0]
-        me.until(lambda: at_rest(me), 5.0)
-        assert 10 * TURN < me.position_of(0) < 30 * TURN
-        assert me.last("/servo/state") == SPIN
-        held = me.position_of(0)
-        me.position[0].publish(Float64(data=0.0))
-        me.seconds(0.3)
-        assert me.position_of(0) == pytest.approx(held, abs=2 * COUNT)
-        me.spinning()
-        go(me, 0.0, 0.0)
+    def test_quick_stop_holds_until_enable(self, user: User) -> None:
+        go(user, 0.0, 0.0)
+        user.joint_commands.publish(JointState(name=BOTH, position=[40 * TURN, -40 * TURN]))
+        user.until(lambda: user.position_of(0) > 10 * TURN, 5.0)
+        assert user.quick_stop()[0]
+        user.until(lambda: at_rest(user), 5.0)
+        assert 10 * TURN < user.position_of(0) < 30 * TURN
+        assert user.last("/servo/state") == SPIN
+        held = user.position_of(0)
+        user.position[0].publish(Float64(data=0.0))
+        user.wait_board_time(0.3)
+        assert user.position_of(0) == pytest.approx(held, abs=2 * COUNT)
+        user.enable_axes()
+        go(user, 0.0, 0.0)
 
-    def test_telemetry_is_stamped_with_board_time(self, me: User) -> None:
-        """How fast it comes: tests/bench/telemetry.py."""
-        start = len(me.messages["/servo/joint_states"])
-        me.seconds(1.0)
-        stamps = [from_stamp(m.header.stamp) for m in me.messages["/servo/joint_states"][start:]]
+    def test_telemetry_is_stamped_with_board_time(self, user: User) -> None:
+        """For its rate see tests/bench/telemetry.py."""
+        start = len(user.messages["/servo/joint_states"])
+        user.wait_board_time(1.0)
+        stamps = [from_stamp(m.header.stamp) for m in user.messages["/servo/joint_states"][start:]]
         assert all(later > earlier for earlier, later in itertools.pairwise(stamps))
-        rows = {(int(r["stamp.sec"]), int(r["stamp.nanosec"])): r for r in me.rows()}
-        # A stamp is board time, so it grows with the tick and not with the arrival.
+        rows = {(int(r["stamp.sec"]), int(r["stamp.nanosec"])): r for r in user.rows()}
+        # Stamps follow the ticks of the board, not the times of arrival.
         ticks = [rows[divmod(s, 1_000_000_000)]["tick"] for s in stamps[:100]]
         drift = np.diff(stamps[:100]) - np.diff(ticks) * PERIOD_NS
         assert np.median(np.abs(drift)) < 200_000
 
-    def test_the_twin_stays_beside_the_board(self, me: User) -> None:
-        me.until(lambda: me.last("/twin/healthy") is True)
-        start, residuals = len(me.messages["/twin/joint_states"]), len(me.messages["/twin/residual"])
-        go(me, 3 * TURN, -2 * TURN)
-        go(me, 0.0, 0.0)
-        newest = from_stamp(me.messages["/servo/joint_states"][-1].header.stamp)
-        me.until(lambda: from_stamp(me.messages["/twin/residual"][-1].header.stamp) >= newest, 5.0)
-        twin = [m for m in me.messages["/twin/joint_states"][start:] if from_stamp(m.header.stamp) <= newest]
-        real = {from_stamp(m.header.stamp): m for m in me.messages["/servo/joint_states"]}
+    def test_twin_follows_the_board(self, user: User) -> None:
+        user.until(lambda: user.last("/twin/healthy") is True)
+        start, residuals = len(user.messages["/twin/joint_states"]), len(user.messages["/twin/residual"])
+        go(user, 3 * TURN, -2 * TURN)
+        go(user, 0.0, 0.0)
+        newest = from_stamp(user.messages["/servo/joint_states"][-1].header.stamp)
+        user.until(lambda: from_stamp(user.messages["/twin/residual"][-1].header.stamp) >= newest, 5.0)
+        twin = [m for m in user.messages["/twin/joint_states"][start:] if from_stamp(m.header.stamp) <= newest]
+        real = {from_stamp(m.header.stamp): m for m in user.messages["/servo/joint_states"]}
         assert max(m.position[0] for m in twin) > 2.9 * TURN
-        # At the very same instants, and the residual is their difference.
+        # The stamps are equal, and the residual is the difference.
         assert all(from_stamp(m.header.stamp) in real for m in twin)
         by_stamp = {from_stamp(m.header.stamp): m for m in twin}
-        compared = [m for m in me.messages["/twin/residual"][residuals:] if from_stamp(m.header.stamp) in by_stamp]
+        compared = [m for m in user.messages["/twin/residual"][residuals:] if from_stamp(m.header.stamp) in by_stamp]
         stamps = [from_stamp(m.header.stamp) for m in compared]
         meanwhile = [stamp for stamp in real if stamps[0] <= stamp <= newest]
         assert len(meanwhile) > 30
@@ -166,101 +168,101 @@ class TestNormalWork:
             assert list(message.position) == pytest.approx(list(difference), abs=1e-9)
             assert np.max(np.abs(message.position)) < 0.05
             assert np.max(np.abs(message.velocity)) < 10.0
-        assert me.last("/twin/healthy") is True
-        assert me.last("/twin/state") == SPIN
+        assert user.last("/twin/healthy") is True
+        assert user.last("/twin/state") == SPIN
 
-    def test_a_wrong_set_point_changes_nothing(self, me: User) -> None:
-        """One of each topic; what can be wrong with one: servo_bridge/test/test_node.py."""
-        before, written = [me.position_of(0), me.position_of(1)], len(me.applied())
-        start = len(me.messages["/servo/snapshot"])
+    def test_invalid_set_points_have_no_effect(self, user: User) -> None:
+        """One per topic; all kinds of errors: servo_bridge/test/test_node.py."""
+        before, written = [user.position_of(0), user.position_of(1)], len(user.applied())
+        start = len(user.messages["/servo/snapshot"])
         for publisher, wrong, said in (
-            (me.joint_commands, JointState(name=BOTH, position=[1.0, 1e9]), "position of axis2"),
-            (me.commands, Float64MultiArray(data=[1.0]), "commands: 1 values given"),
-            (me.position[1], Float64(data=math.nan), "position is nan"),
+            (user.joint_commands, JointState(name=BOTH, position=[1.0, 1e9]), "position of axis2"),
+            (user.commands, Float64MultiArray(data=[1.0]), "commands: 1 values given"),
+            (user.position[1], Float64(data=math.nan), "position is nan"),
         ):
-            refused = len(me.rejections())
+            refused = len(user.rejections())
             publisher.publish(wrong)
-            assert said in me.until_rejected(refused)
-        me.seconds(0.2)
-        assert len(me.applied()) == written
-        assert max(abs(r["axis1.position"] - before[0]) for r in me.rows(start)) <= AT_REST
-        assert max(abs(r["axis2.position"] - before[1]) for r in me.rows(start)) <= AT_REST
-        assert me.last("/servo/state") == SPIN
+            assert said in user.until_rejected(refused)
+        user.wait_board_time(0.2)
+        assert len(user.applied()) == written
+        assert max(abs(r["axis1.position"] - before[0]) for r in user.rows(start)) <= AT_REST
+        assert max(abs(r["axis2.position"] - before[1]) for r in user.rows(start)) <= AT_REST
+        assert user.last("/servo/state") == SPIN
 
     @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-    def test_a_path_of_the_command_line_stops_with_it_and_holds(self, me: User, tmp_path: Path, number: int) -> None:
+    def test_path_stops_when_its_command_is_interrupted(self, user: User, tmp_path: Path, number: int) -> None:
         terminal = Chain(tmp_path)
         try:
             command = terminal.script(
                 "servo-command", "sine", "axis1", "--amplitude", "6", "--frequency", "1", "--for", "10"
             )
-            me.until(lambda: abs(me.messages["/servo/joint_states"][-1].velocity[0]) > 30.0, 20.0, "no motion")
+            user.until(lambda: abs(user.messages["/servo/joint_states"][-1].velocity[0]) > 30.0, 20.0, "no motion")
             assert command.stop(number) == 130
         finally:
             terminal.end()
             print(terminal.logs())
         assert "stopped: axis1 at " in command.text()
-        me.until(lambda: at_rest(me), 5.0, "the shaft does not hold")
-        me.seconds(1.0)  # a period of the sine
-        assert at_rest(me)
-        assert me.last("/servo/state") == SPIN
+        user.until(lambda: at_rest(user), 5.0, "the shaft does not hold")
+        user.wait_board_time(1.0)  # a period of the sine
+        assert at_rest(user)
+        assert user.last("/servo/state") == SPIN
 
-    def test_disabled_means_off_and_set_points_are_refused(self, me: User) -> None:
-        assert me.enable(False)[0]
-        me.until(lambda: me.last("/servo/state") == STOP)
-        assert me.last("/servo/armed") is False
-        where = me.position_of(0)
-        refused = len(me.rejections())
-        me.position[0].publish(Float64(data=where + TURN))
-        me.until_rejected(refused)
-        me.seconds(0.2)
-        assert me.position_of(0) == pytest.approx(where, abs=2 * COUNT)
-        me.spinning()
-        me.seconds(0.3)
-        assert me.position_of(0) == pytest.approx(where, abs=100 * COUNT)
+    def test_disable_switches_off_and_refuses_set_points(self, user: User) -> None:
+        assert user.enable(False)[0]
+        user.until(lambda: user.last("/servo/state") == STOP)
+        assert user.last("/servo/armed") is False
+        where = user.position_of(0)
+        refused = len(user.rejections())
+        user.position[0].publish(Float64(data=where + TURN))
+        user.until_rejected(refused)
+        user.wait_board_time(0.2)
+        assert user.position_of(0) == pytest.approx(where, abs=2 * COUNT)
+        user.enable_axes()
+        user.wait_board_time(0.3)
+        assert user.position_of(0) == pytest.approx(where, abs=100 * COUNT)
 
 
 class TestParameters:
-    """A board that is not as after reset."""
+    """Boards with parameters that differ from those after reset."""
 
-    def test_the_twin_learns_them_and_stays_beside_the_board(self, chain: Chain) -> None:
+    def test_twin_takes_parameters_of_the_board_and_follows_it(self, chain: Chain) -> None:
         chain.board()
         features = "ANTI_WINDUP+ENHANCED_MT+BUS_COMPENSATION+DEAD_TIME"
-        # Set past the bridge, before it comes.
+        # Set by the tool before the bridge starts.
         chain.tool("set", "param.features[0]", f"{features}+SPEED_FORWARD+ACCELERATION_FORWARD")
         chain.tool("set", "param.speed_limit", "150,90")
         chain.bridge(board_parameters=f'["param.i_q_limit=2.0,2.5", "param.features[1]={features}+POSITION_LIMITS"]')
         chain.twin()
-        with user() as me:
-            me.until(me.connected, 30.0)
-            me.until(lambda: me.last("/twin/healthy") is True, 30.0)
-            me.spinning()
-            me.until(lambda: me.last("/twin/healthy") is True, 30.0)
-            self.check(me, 5.0, -5.0)
-            # And while it runs, as `ros2 param set` does it.
-            healths = len(me.messages["/twin/healthy"])
-            done, reason = me.set_board_parameters("param.position_min[1]=-10", "param.position_max[1]=10")
+        with ros_user() as user:
+            user.until(user.connected, 30.0)
+            user.until(lambda: user.last("/twin/healthy") is True, 30.0)
+            user.enable_axes()
+            user.until(lambda: user.last("/twin/healthy") is True, 30.0)
+            self.check(user, 5.0, -5.0)
+            # Set during operation, as by `ros2 param set`.
+            healths = len(user.messages["/twin/healthy"])
+            done, reason = user.set_board_parameters("param.position_min[1]=-10", "param.position_max[1]=10")
             assert done, reason
-            me.until(lambda: [m.data for m in me.messages["/twin/healthy"][healths:]] == [False, True], 10.0)
-            me.joint_commands.publish(JointState(name=BOTH, position=[0.0, 31.4]))
-            me.until(reached(me, 0.0, 10.0))
-            assert me.last("/twin/healthy") is True
-            me.until(lambda: "POSITION: a soft limit" in me.status("servo/servo_bridge: axis2").message, 5.0)
-            done, reason = me.set_board_parameters("param.position_min[1]=11")
+            user.until(lambda: [m.data for m in user.messages["/twin/healthy"][healths:]] == [False, True], 10.0)
+            user.joint_commands.publish(JointState(name=BOTH, position=[0.0, 31.4]))
+            user.until(reached(user, 0.0, 10.0))
+            assert user.last("/twin/healthy") is True
+            user.until(lambda: "POSITION: a soft limit" in user.status("servo/servo_bridge: axis2").message, 5.0)
+            done, reason = user.set_board_parameters("param.position_min[1]=11")
             assert not done
             assert "param.position_min[1] 11.0003 rad exceeds param.position_max[1]" in reason
 
-    def check(self, me: User, *turns: float) -> None:
-        known = len(me.messages["/twin/residual"])
-        go(me, *(x * TURN for x in turns))
-        residuals = me.messages["/twin/residual"][known:]
+    def check(self, user: User, *turns: float) -> None:
+        known = len(user.messages["/twin/residual"])
+        go(user, *(x * TURN for x in turns))
+        residuals = user.messages["/twin/residual"][known:]
         assert len(residuals) > 50
         assert np.max(np.abs([m.position for m in residuals])) < 0.05
-        assert me.last("/twin/healthy") is True
+        assert user.last("/twin/healthy") is True
 
 
 def square() -> JointTrajectory:
-    """Axis 1, axis 2, and back: at rest in every corner."""
+    """Square of both axes, at rest in every corner."""
     corners = ((TURN, 0.0), (TURN, -TURN), (0.0, -TURN), (0.0, 0.0))
     points = [
         JointTrajectoryPoint(
@@ -274,27 +276,27 @@ def square() -> JointTrajectory:
 RECORDED = ("axis1.i_a", "axis1.i_q", "axis1.position", "axis2.duty_a")
 
 
-class Bursts:
-    """What the recorder of the board records in between, and the twin with it."""
+class Recordings:
+    """Recordings of the board and of the twin."""
 
     TOPICS = ("/servo/recording", "/twin/recording", "/twin/residual/recording")
 
-    def __init__(self, me: User) -> None:
-        self._me = me
-        self._record = me.node.create_client(SetBool, "/servo/record")
+    def __init__(self, user: User) -> None:
+        self._user = user
+        self._record = user.node.create_client(SetBool, "/servo/record")
         for name in self.TOPICS:
-            me.listen(name, Float64MultiArray, latched_qos())
+            user.listen(name, Float64MultiArray, latched_qos())
 
     def begin(self) -> None:
-        """Have the recorder record."""
-        self._me.until(self._record.service_is_ready)
-        success, message = self._me.call(self._record, SetBool.Request(data=True))
+        """Start the recorder."""
+        self._user.until(self._record.service_is_ready)
+        success, message = self._user.call(self._record, SetBool.Request(data=True))
         assert success, message
 
-    def exactly_zero(self) -> None:
-        """There is one burst, and the twin has the same."""
-        self._me.until(lambda: all(self._me.messages[name] for name in self.TOPICS), what="no burst")
-        (board,), (twin,), (residual,) = (self._me.messages[name] for name in self.TOPICS)
+    def assert_equal(self) -> None:
+        """Board and twin have one recording each, with equal data."""
+        self._user.until(lambda: all(self._user.messages[name] for name in self.TOPICS), what="no burst")
+        (board,), (twin,), (residual,) = (self._user.messages[name] for name in self.TOPICS)
         assert snapshot_table(board)[0][1 : len(RECORDED) + 1] == list(RECORDED)
         assert board.layout == twin.layout == residual.layout
         assert board.data == twin.data
@@ -304,133 +306,135 @@ class Bursts:
 
 
 class TestTwinOfTheSameBoard:
-    """Both boards have the same noise: any difference is of what the line, or the split of the runs, does to one."""
+    """Both boards have the same noise: a difference could only come from the line or from the split of the runs."""
 
     @pytest.fixture(autouse=True, params=get_args(Level))
     def _level(self, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(LEVEL_VARIABLE, request.param)
 
-    def test_the_residual_is_exactly_zero(self, chain: Chain) -> None:
-        with user() as me:
+    def test_residual_is_exactly_zero(self, chain: Chain) -> None:
+        with ros_user() as user:
             chain.twin(seed=5)
             recording = f"{' '.join(RECORDED)} --rate 2000"
             chain.bridge(gear_ratio=[1.0, 1.5], direction=[1, -1], offset=[0.0, 0.5], recording=recording)
-            # Where software takes time, a recorder changes when encoders are read, on each board from another tick on.
-            bursts = Bursts(me) if chosen_level() == "ideal" else None
-            me.until(lambda: me.matched() and me.last("/twin/state"), 30.0)
-            chain.board(seed=5)  # last, so that its twin can follow it from its reset on
-            me.until(me.connected, 30.0)
-            me.until(lambda: me.last("/twin/healthy") is True, 30.0)
-            me.spinning()
-            start = from_stamp(me.messages["/servo/joint_states"][-1].header.stamp)
-            if bursts is not None:
-                bursts.begin()
+            # At level registers a recorder shifts the reading of the encoders, at different ticks of the boards.
+            recordings = Recordings(user) if chosen_level() == "ideal" else None
+            user.until(lambda: user.matched() and user.last("/twin/state"), 30.0)
+            chain.board(seed=5)  # last, so that the twin can follow it from its reset
+            user.until(user.connected, 30.0)
+            user.until(lambda: user.last("/twin/healthy") is True, 30.0)
+            user.enable_axes()
+            start = from_stamp(user.messages["/servo/joint_states"][-1].header.stamp)
+            if recordings is not None:
+                recordings.begin()
             for turns in ((2.0, -3.0), (-1.0, 0.25)):
-                go(me, *(x * TURN for x in turns))
-            if bursts is not None:
-                bursts.exactly_zero()
-            trajectories = me.node.create_publisher(JointTrajectory, "/servo/joint_trajectory", command_qos())
-            me.until(trajectories.get_subscription_count)
+                go(user, *(x * TURN for x in turns))
+            if recordings is not None:
+                recordings.assert_equal()
+            trajectories = user.node.create_publisher(JointTrajectory, "/servo/joint_trajectory", command_qos())
+            user.until(trajectories.get_subscription_count)
             trajectories.publish(square())
-            me.until(lambda: me.position_of(1) < -0.9 * TURN, 10.0)
-            me.until(reached(me, 0.0, 0.0), 10.0)
-            end = from_stamp(me.messages["/servo/joint_states"][-1].header.stamp)
-            residuals = me.messages["/twin/residual"]
-            me.until(lambda: residuals and from_stamp(residuals[-1].header.stamp) >= end)
+            user.until(lambda: user.position_of(1) < -0.9 * TURN, 10.0)
+            user.until(reached(user, 0.0, 0.0), 10.0)
+            end = from_stamp(user.messages["/servo/joint_states"][-1].header.stamp)
+            residuals = user.messages["/twin/residual"]
+            user.until(lambda: residuals and from_stamp(residuals[-1].header.stamp) >= end)
             assert all([*m.position, *m.velocity, *m.effort] == [0.0] * 6 for m in residuals)
             assert len([m for m in residuals if from_stamp(m.header.stamp) >= start]) > 20
 
 
 @dataclass
-class Whole:
-    """A chain of which every process runs, and its user."""
+class RunningChain:
+    """Chain with all processes, and a ROS client."""
 
     chain: Chain
-    me: User
+    user: User
     board: Process
     bridge: Process
     twin: Process
 
 
 @pytest.fixture(scope="class")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Whole]:
+def running_chain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningChain]:
     chain = Chain(tmp_path_factory.mktemp("chain"), level="ideal")
-    with user() as me:
+    with ros_user() as user:
         try:
-            yield Whole(chain, me, chain.board(), chain.bridge(), chain.twin())
+            yield RunningChain(chain, user, chain.board(), chain.bridge(), chain.twin())
         finally:
             chain.end()
             print(chain.logs())
 
 
 class TestTrouble:
-    """Cables, and bridges that end without notice: test_failures_bridge.py."""
+    """Other failures: test_failures_bridge.py."""
 
-    def test_a_board_that_vanishes_and_comes_back_anew(self, whole: Whole) -> None:
-        me = whole.me
-        me.until(me.connected, 30.0)
-        me.spinning()
-        go(me, TURN, -TURN)
-        me.until(lambda: me.last("/twin/healthy") is True, 20.0)
-        whole.board.kill()
-        me.until(lambda: me.last("/servo/state").startswith("DISCONNECTED"))
-        me.until(lambda: me.last("/servo/armed") is False)
-        me.until(lambda: me.last("/twin/healthy") is False)
-        me.until(lambda: me.status("servo/servo_bridge: link").level == b"\x02")
-        assert not me.enable()[0]
-        me.position[0].publish(Float64(data=9 * TURN))  # into the void
-        whole.chain.port.unlink()
-        whole.board = whole.chain.board(seed=6)
-        me.until(lambda: me.last("/servo/state") == STOP, 20.0)
-        me.seconds(0.5)
-        assert me.last("/servo/state") == STOP
-        assert me.last("/servo/armed") is False
-        me.until(lambda: me.last("/twin/healthy") is True, 20.0)
-        me.spinning()
-        me.seconds(0.3)
-        assert me.position_of(0) == pytest.approx(0.0, abs=0.2)  # what was sent into the void is gone
-        go(me, 2 * TURN, 0.0)
-        me.until(lambda: me.last("/twin/healthy") is True)
-        assert whole.bridge.running
+    def test_board_is_used_again_after_its_restart(self, running_chain: RunningChain) -> None:
+        user = running_chain.user
+        user.until(user.connected, 30.0)
+        user.enable_axes()
+        go(user, TURN, -TURN)
+        user.until(lambda: user.last("/twin/healthy") is True, 20.0)
+        running_chain.board.kill()
+        user.until(lambda: user.last("/servo/state").startswith("DISCONNECTED"))
+        user.until(lambda: user.last("/servo/armed") is False)
+        user.until(lambda: user.last("/twin/healthy") is False)
+        user.until(lambda: user.status("servo/servo_bridge: link").level == b"\x02")
+        assert not user.enable()[0]
+        user.position[0].publish(Float64(data=9 * TURN))  # while the board is off
+        running_chain.chain.port.unlink()
+        running_chain.board = running_chain.chain.board(seed=6)
+        user.until(lambda: user.last("/servo/state") == STOP, 20.0)
+        user.wait_board_time(0.5)
+        assert user.last("/servo/state") == STOP
+        assert user.last("/servo/armed") is False
+        user.until(lambda: user.last("/twin/healthy") is True, 20.0)
+        user.enable_axes()
+        user.wait_board_time(0.3)
+        assert user.position_of(0) == pytest.approx(0.0, abs=0.2)  # earlier set-points are discarded
+        go(user, 2 * TURN, 0.0)
+        user.until(lambda: user.last("/twin/healthy") is True)
+        assert running_chain.bridge.running
 
-    def test_ctrl_c_leaves_the_outputs_off_and_no_process_behind(self, whole: Whole) -> None:
-        me, chain = whole.me, whole.chain
-        me.until(me.connected, 30.0)
-        me.spinning()
-        start = me.position_of(0)
-        me.joint_commands.publish(JointState(name=BOTH, position=[50 * TURN, -50 * TURN]))
-        me.until(lambda: me.position_of(0) > start + TURN, 5.0)
-        assert whole.bridge.stop(signal.SIGINT) == 0
-        me.until(lambda: me.last("/servo/armed") is False)
-        me.until(lambda: me.last("/servo/state").startswith("DISCONNECTED"))
-        me.until(lambda: me.last("/twin/healthy") is False)
-        seen = chain.look("axis1.state", "axis2.state", "cmd.enable", "axis1.faults")
+    def test_ctrl_c_switches_off_and_ends_all_processes(self, running_chain: RunningChain) -> None:
+        user, chain = running_chain.user, running_chain.chain
+        user.until(user.connected, 30.0)
+        user.enable_axes()
+        start = user.position_of(0)
+        user.joint_commands.publish(JointState(name=BOTH, position=[50 * TURN, -50 * TURN]))
+        user.until(lambda: user.position_of(0) > start + TURN, 5.0)
+        assert running_chain.bridge.stop(signal.SIGINT) == 0
+        user.until(lambda: user.last("/servo/armed") is False)
+        user.until(lambda: user.last("/servo/state").startswith("DISCONNECTED"))
+        user.until(lambda: user.last("/twin/healthy") is False)
+        seen = chain.read_variables("axis1.state", "axis2.state", "cmd.enable", "axis1.faults")
         assert seen["cmd.enable"] == [0, 0]
         assert seen["axis1.faults"] == 0
-        wait_for(lambda: chain.look("axis1.state", "axis2.state") == {"axis1.state": 2, "axis2.state": 2}, 10.0)
-        for process in (whole.twin, whole.board):
+        wait_for(
+            lambda: chain.read_variables("axis1.state", "axis2.state") == {"axis1.state": 2, "axis2.state": 2}, 10.0
+        )
+        for process in (running_chain.twin, running_chain.board):
             assert process.stop(signal.SIGINT) == 0
         assert chain.processes() == {}
         assert not chain.port.exists()
         assert "Traceback" not in chain.logs()
 
-    def test_a_fast_line_carries_more(self, tmp_path: Path) -> None:
-        fast = Chain(tmp_path, FAST, level="ideal")
+    def test_fast_line_has_a_higher_telemetry_rate(self, tmp_path: Path) -> None:
+        fast = Chain(tmp_path, FAST_BAUD, level="ideal")
         try:
             fast.board()
-            fast.bridge(telemetry_rate=300.0)  # the full one keeps every process busy
+            fast.bridge(telemetry_rate=300.0)  # all processes are busy at the full rate
             fast.twin()
-            with user() as me:
-                me.until(me.connected, 30.0)
-                me.spinning()
-                go(me, 5 * TURN, -5 * TURN)
-                start = len(me.messages["/servo/joint_states"])
-                me.seconds(1.0)
-                stamps = [from_stamp(m.header.stamp) for m in me.messages["/servo/joint_states"][start:]]
-                # A line of 115200 baud carries 133 samples/s; the full rate is measured by tests/bench/telemetry.py.
-                # The median: the machine may be busy with other things meanwhile.
+            with ros_user() as user:
+                user.until(user.connected, 30.0)
+                user.enable_axes()
+                go(user, 5 * TURN, -5 * TURN)
+                start = len(user.messages["/servo/joint_states"])
+                user.wait_board_time(1.0)
+                stamps = [from_stamp(m.header.stamp) for m in user.messages["/servo/joint_states"][start:]]
+                # 115200 baud permit 133 samples/s; tests/bench/telemetry.py measures the full rate.
+                # The median, as other load may disturb.
                 assert np.median(np.diff(stamps)) <= 1e9 / 160.0
-                me.until(lambda: me.last("/twin/healthy") is True)
+                user.until(lambda: user.last("/twin/healthy") is True)
         finally:
             fast.end()
             print(fast.logs())

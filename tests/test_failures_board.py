@@ -1,7 +1,7 @@
-"""What the shafts do when commanders, readers, the cable or the board fail, row by row of servo_bridge/doc/failures.md.
+"""Motion of the shafts at failures of senders, readers, cable or board: the rows of servo_bridge/doc/failures.md.
 
-Everything here goes over the serial line of a virtual board, byte by byte, in simulated time: at three baud rates, at
-both levels, alone and beside a second client that only reads.
+The tests use the serial line of a virtual board in simulated time: at three baud rates, at both levels, and with and
+without a second client that only reads.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from line_world import BAUDS, World
+from line_simulation import BAUDS, LineSimulation
 from servo_bridge.freemaster.commands import write_memory
 from servo_bridge.freemaster.errors import Status, StatusError
 from servo_msgs_py.catalogue import AXES, Catalogue
@@ -21,8 +21,8 @@ CATALOGUE = Catalogue.load()
 SPEED = 100.0  # rad/s
 TIMEOUT = 0.5  # s, param.host_timeout and param.command_timeout after reset
 RAMP = SPEED / 4000.0  # s, at param.acceleration_limit after reset
-MARGIN = 0.1  # s for the last write on the line, a slow tick, and the shaft that trails its ramp
-HOLDING = 3 * 2.0 * np.pi / 4000  # rad, so far a held shaft moves
+MARGIN = 0.1  # s, for the last write on the line, a slow tick, and the following error of the ramp
+HOLDING = 3 * 2.0 * np.pi / 4000  # rad, largest motion of a held shaft
 SPIN, STOP, SILENT = (["SPIN"] * AXES, ["STOP"] * AXES, ["FAULT HOST_SILENT"] * AXES)
 
 
@@ -37,180 +37,180 @@ def baud(request: pytest.FixtureRequest) -> int:
 
 
 @pytest.fixture(params=get_args(Level))
-def world(request: pytest.FixtureRequest, baud: int, reader: bool) -> Iterator[World]:
+def sim(request: pytest.FixtureRequest, baud: int, reader: bool) -> Iterator[LineSimulation]:
     """A board with both axes under control and at rest."""
-    world = World(request.param, baud, reader=reader)
-    world.enable()
-    yield world
-    world.close()
+    sim = LineSimulation(request.param, baud, reader=reader)
+    sim.enable()
+    yield sim
+    sim.close()
 
 
-def stays(world: World, seconds: float = 1.0) -> None:
-    """Nothing moves from now on, while keep-alives go on."""
-    start = world.now
-    world.run(seconds, world.host.keep_alive)
-    assert world.travel(start) <= HOLDING
+def assert_standstill(sim: LineSimulation, seconds: float = 1.0) -> None:
+    """Both shafts stay at rest for a time [s], with keep-alives."""
+    start = sim.now
+    sim.run(seconds, sim.host.keep_alive)
+    assert sim.travel(start) <= HOLDING
 
 
-def test_velocity_not_renewed(world: World) -> None:
-    world.turn(SPEED)
-    start = world.now
-    world.run(1.0, world.host.keep_alive)
-    assert world.fastest(start + TIMEOUT - 0.1, start + TIMEOUT - 0.05) == pytest.approx(SPEED, rel=0.05)
-    assert world.rests_from(start) <= TIMEOUT + RAMP + MARGIN
-    assert world.travel(start) <= SPEED * (TIMEOUT + RAMP / 2 + 0.01)
-    assert world.states() == SPIN
-    assert all("EXPIRED" in world.limits(axis) for axis in range(AXES))
-    stays(world)
+def test_velocity_not_renewed(sim: LineSimulation) -> None:
+    sim.reach_speed(SPEED)
+    start = sim.now
+    sim.run(1.0, sim.host.keep_alive)
+    assert sim.speed_max(start + TIMEOUT - 0.1, start + TIMEOUT - 0.05) == pytest.approx(SPEED, rel=0.05)
+    assert sim.stop_time(start) <= TIMEOUT + RAMP + MARGIN
+    assert sim.travel(start) <= SPEED * (TIMEOUT + RAMP / 2 + 0.01)
+    assert sim.states() == SPIN
+    assert all("EXPIRED" in sim.limits(axis) for axis in range(AXES))
+    assert_standstill(sim)
 
 
-def test_torque_not_renewed(world: World) -> None:
-    world.host.write("cmd.mode", *[CATALOGUE.enums["control_mode_t"]["TORQUE"]] * AXES)
-    world.host.write("cmd.i_q", 0.1, 0.1)  # up to the speed limit
-    start = world.now
-    world.run(1.5, world.host.keep_alive)
-    reached = world.fastest(start)
+def test_torque_not_renewed(sim: LineSimulation) -> None:
+    sim.host.write("cmd.mode", *[CATALOGUE.enums["control_mode_t"]["TORQUE"]] * AXES)
+    sim.host.write("cmd.i_q", 0.1, 0.1)  # up to the speed limit
+    start = sim.now
+    sim.run(1.5, sim.host.keep_alive)
+    reached = sim.speed_max(start)
     assert reached > SPEED
-    assert world.rests_from(start) <= TIMEOUT + reached / 4000.0 + MARGIN
-    assert world.states() == SPIN
-    assert all("EXPIRED" in world.limits(axis) for axis in range(AXES))
-    stays(world)
+    assert sim.stop_time(start) <= TIMEOUT + reached / 4000.0 + MARGIN
+    assert sim.states() == SPIN
+    assert all("EXPIRED" in sim.limits(axis) for axis in range(AXES))
+    assert_standstill(sim)
 
 
-def test_position_not_renewed(world: World) -> None:
-    world.host.write("cmd.position", 20.0, -20.0)
-    start = world.now
-    world.run(1.5, world.host.keep_alive)
-    assert world.travel(start) == pytest.approx(20.0, abs=0.1)
-    assert world.states() == SPIN
-    assert not any("EXPIRED" in world.limits(axis) for axis in range(AXES))
-    stays(world)
+def test_position_not_renewed(sim: LineSimulation) -> None:
+    sim.host.write("cmd.position", 20.0, -20.0)
+    start = sim.now
+    sim.run(1.5, sim.host.keep_alive)
+    assert sim.travel(start) == pytest.approx(20.0, abs=0.1)
+    assert sim.states() == SPIN
+    assert not any("EXPIRED" in sim.limits(axis) for axis in range(AXES))
+    assert_standstill(sim)
 
 
-def test_host_silent_moving(world: World) -> None:
-    world.turn(SPEED)
-    start = world.now
-    world.run(1.5)
-    assert world.fastest(start + TIMEOUT - 0.1, start + TIMEOUT - 0.05) == pytest.approx(SPEED, rel=0.05)
-    assert world.rests_from(start) <= TIMEOUT + RAMP + MARGIN
-    assert world.travel(start) <= SPEED * (TIMEOUT + RAMP / 2 + 0.01)
-    assert world.states() == SILENT
-    stays(world)
+def test_host_silent_moving(sim: LineSimulation) -> None:
+    sim.reach_speed(SPEED)
+    start = sim.now
+    sim.run(1.5)
+    assert sim.speed_max(start + TIMEOUT - 0.1, start + TIMEOUT - 0.05) == pytest.approx(SPEED, rel=0.05)
+    assert sim.stop_time(start) <= TIMEOUT + RAMP + MARGIN
+    assert sim.travel(start) <= SPEED * (TIMEOUT + RAMP / 2 + 0.01)
+    assert sim.states() == SILENT
+    assert_standstill(sim)
 
 
-def test_host_silent_holding(world: World) -> None:
-    start = world.now
-    world.run(TIMEOUT - 0.1)
-    assert world.states() == SPIN
-    world.run(0.2)
-    assert world.states() == SILENT
-    assert world.travel(start) <= HOLDING
+def test_host_silent_holding(sim: LineSimulation) -> None:
+    start = sim.now
+    sim.run(TIMEOUT - 0.1)
+    assert sim.states() == SPIN
+    sim.run(0.2)
+    assert sim.states() == SILENT
+    assert sim.travel(start) <= HOLDING
 
 
-def test_cable_out_short(world: World) -> None:
-    renew = world.turn(SPEED)
-    start = world.now
-    world.line.plugged = False
-    world.run(0.1, renew)
-    world.line.plugged = True
-    world.run(1.0, renew)
-    assert world.states() == SPIN
-    _, omega = world.since(start, world.line.log.omega)
-    assert np.abs(omega).min() > 0.9 * SPEED, "the commander is there and goes on"
+def test_cable_out_short(sim: LineSimulation) -> None:
+    write_speed = sim.reach_speed(SPEED)
+    start = sim.now
+    sim.line.plugged = False
+    sim.run(0.1, write_speed)
+    sim.line.plugged = True
+    sim.run(1.0, write_speed)
+    assert sim.states() == SPIN
+    _, omega = sim.since(start, sim.line.log.omega)
+    assert np.abs(omega).min() > 0.9 * SPEED, "the set-points continue after the interruption"
 
 
 @pytest.mark.parametrize("out", [0.7, 3.0])
-def test_cable_out_long(world: World, out: float) -> None:
-    renew = world.turn(SPEED)
-    start = world.now
-    world.line.plugged = False
-    world.run(out, renew)
-    world.line.plugged = True
-    world.run(0.5, renew)
-    assert world.rests_from(start) <= TIMEOUT + RAMP + MARGIN
-    assert world.states() == SILENT
-    comes_back_by_command_only(world)
+def test_cable_out_long(sim: LineSimulation, out: float) -> None:
+    write_speed = sim.reach_speed(SPEED)
+    start = sim.now
+    sim.line.plugged = False
+    sim.run(out, write_speed)
+    sim.line.plugged = True
+    sim.run(0.5, write_speed)
+    assert sim.stop_time(start) <= TIMEOUT + RAMP + MARGIN
+    assert sim.states() == SILENT
+    assert_restart_by_command_only(sim)
 
 
-def comes_back_by_command_only(world: World) -> None:
-    """Faults are cleared, drives enabled, and only then a new set-point moves."""
-    start, renew = world.now, world.renew(SPEED)
-    world.run(0.3, renew)
-    world.host.command("CLEAR_FAULTS")
-    world.run(0.3, renew)
-    assert world.states() == STOP
-    assert world.travel(start) <= HOLDING
-    world.enable()
-    stays(world, 0.3)
-    world.turn(SPEED)
+def assert_restart_by_command_only(sim: LineSimulation) -> None:
+    """A set-point moves the shafts only after the faults are cleared and the drives enabled."""
+    start, write_speed = sim.now, sim.speed_writer(SPEED)
+    sim.run(0.3, write_speed)
+    sim.host.command("CLEAR_FAULTS")
+    sim.run(0.3, write_speed)
+    assert sim.states() == STOP
+    assert sim.travel(start) <= HOLDING
+    sim.enable()
+    assert_standstill(sim, 0.3)
+    sim.reach_speed(SPEED)
 
 
-def test_cable_noise(world: World) -> None:
-    """Frames with a wrong checksum are no sign of life, and change nothing."""
-    world.turn(SPEED)
-    start = world.now
-    frame = bytearray(write_memory(world.board.address("cmd.speed"), CATALOGUE["cmd.speed"].encode([SPEED] * 2)).frame)
+def test_cable_noise(sim: LineSimulation) -> None:
+    """Frames with a wrong checksum do not restart the host time-out and have no effect."""
+    sim.reach_speed(SPEED)
+    start = sim.now
+    frame = bytearray(write_memory(sim.board.address("cmd.speed"), CATALOGUE["cmd.speed"].encode([SPEED] * 2)).frame)
     frame[-1] ^= 1
     answers = bytearray()
 
     def damaged() -> None:
-        world.line.write(bytes(frame))
-        deadline = world.board.time_ns + 50_000_000
-        while data := world.line.read(deadline):
+        sim.line.write(bytes(frame))
+        deadline = sim.board.time_ns + 50_000_000
+        while data := sim.line.read(deadline):
             answers.extend(data)
 
-    world.run(1.2, damaged)
-    assert Status.CHECKSUM in answers, "the board has seen the damage"
-    assert world.rests_from(start) <= TIMEOUT + RAMP + MARGIN
-    assert world.states() == SILENT
+    sim.run(1.2, damaged)
+    assert Status.CHECKSUM in answers, "the board has detected the damage"
+    assert sim.stop_time(start) <= TIMEOUT + RAMP + MARGIN
+    assert sim.states() == SILENT
 
 
-def test_board_restarted(world: World) -> None:
-    """The commander goes on after it; what was enabled and commanded before is gone."""
-    renew = world.turn(SPEED)
-    world.restart()
-    world.run(1.0, renew, world.host.keep_alive)
-    assert world.states() == STOP
-    assert world.fastest(0.0) < 0.1
+def test_board_restarted(sim: LineSimulation) -> None:
+    """Set-points continue after the restart; enable and set-points from before are lost."""
+    write_speed = sim.reach_speed(SPEED)
+    sim.restart()
+    sim.run(1.0, write_speed, sim.host.keep_alive)
+    assert sim.states() == STOP
+    assert sim.speed_max(0.0) < 0.1
 
 
-def test_quick_stop(world: World) -> None:
-    renew = world.turn(SPEED)
-    start = world.now
-    world.host.command("QUICK_STOP")
-    world.run(1.0, renew, world.host.keep_alive)
-    assert world.rests_from(start) <= RAMP + MARGIN
-    assert world.states() == SPIN
-    stays(world)
+def test_quick_stop(sim: LineSimulation) -> None:
+    write_speed = sim.reach_speed(SPEED)
+    start = sim.now
+    sim.host.command("QUICK_STOP")
+    sim.run(1.0, write_speed, sim.host.keep_alive)
+    assert sim.stop_time(start) <= RAMP + MARGIN
+    assert sim.states() == SPIN
+    assert_standstill(sim)
 
 
 class TestOneLine:
-    """What does not depend on the speed of the line."""
+    """Tests that do not depend on the line speed."""
 
     @pytest.fixture(params=BAUDS[1:2])
     def baud(self, request: pytest.FixtureRequest) -> int:
         return int(request.param)
 
     def test_reader(self, baud: int) -> None:
-        """A client that reads comes and goes."""
-        world = World(chosen_level(), baud)
-        world.enable()
-        renew = world.turn(SPEED)
-        start = world.now
-        world.run(0.3, renew)
-        world.run(0.5, renew, world.host.look)
-        world.run(0.3, renew)
-        _, omega = world.since(start, world.line.log.omega)
+        """A second client starts and stops to read."""
+        sim = LineSimulation(chosen_level(), baud)
+        sim.enable()
+        write_speed = sim.reach_speed(SPEED)
+        start = sim.now
+        sim.run(0.3, write_speed)
+        sim.run(0.5, write_speed, sim.host.read_snapshot)
+        sim.run(0.3, write_speed)
+        _, omega = sim.since(start, sim.line.log.omega)
         assert np.abs(omega - SPEED).max() < 0.05 * SPEED
-        world.close()
+        sim.close()
 
     @pytest.mark.parametrize(
         ("name", "raw"),
         [("cmd.mode", 9), ("cmd.enable", 2), ("param.feedback", 9), ("param.monitor", 99), ("param.host_timeout", 0)],
     )
-    def test_value_out_of_range(self, world: World, name: str, raw: int) -> None:
-        before = world.board.read_raw(name)
+    def test_value_out_of_range(self, sim: LineSimulation, name: str, raw: int) -> None:
+        before = sim.board.read_raw(name)
         with pytest.raises(StatusError, match="outside"):
-            world.host.write_raw(name, raw)
-        assert world.board.read_raw(name) == before
-        stays(world, 0.2)
+            sim.host.write_raw(name, raw)
+        assert sim.board.read_raw(name) == before
+        assert_standstill(sim, 0.2)

@@ -1,4 +1,4 @@
-"""Every row of the table of failures has its test, and every such test its row."""
+"""Every row of the table of failures has a test, and every test of these files has a row."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "servo_bridge" / "doc" / "failures.md"
 TESTS = [ROOT / "tests" / name for name in ("test_failures_board.py", "test_failures_bridge.py")]
-ELSEWHERE = {"parameter-written": ROOT / "tests" / "test_parameters_move_nothing.py"}
+OTHER_FILES = {"parameter-written": ROOT / "tests" / "test_parameters_move_nothing.py"}
 NAME = re.compile(r"`?([a-z]+(?:-[a-z]+)*)`?")
 
 
 def table_rows(text: str) -> list[str]:
-    """Names in the first column of the tables of a text; heads of columns stand above the rule and are none."""
+    """Names in the first column of the tables of a text, without the headings."""
     rows, inside = [], False
     for line in text.splitlines():
         if not line.startswith("|"):
@@ -27,7 +27,7 @@ def table_rows(text: str) -> list[str]:
 
 
 def rows_with_tests(path: Path) -> list[str]:
-    """Rows after which the test functions of a file are named, those of its classes too."""
+    """Names of rows from the test functions of a file, including those in classes."""
     functions = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.FunctionDef)]
     names = [f.name for f in functions if f.name.startswith("test_")]
     return [name.removeprefix("test_").replace("_", "-") for name in names]
@@ -38,6 +38,6 @@ def test_every_row_has_a_test_and_every_test_a_row() -> None:
     assert rows, "there is no table"
     assert len(rows) == len(set(rows)), "a row stands there twice"
     tested = {row for path in TESTS for row in rows_with_tests(path)}
-    tested |= {row for row, path in ELSEWHERE.items() if row in rows_with_tests(path)}
+    tested |= {row for row, path in OTHER_FILES.items() if row in rows_with_tests(path)}
     assert sorted(set(rows) - tested) == [], "rows without a test"
     assert sorted(tested - set(rows)) == [], "tests without a row"

@@ -1,4 +1,4 @@
-"""A first fault with known currents: from the virtual board over a pty to ``servo-tool`` and a topic of the bridge."""
+"""Fault record with known currents: from the virtual board over a pty to ``servo-tool`` and a topic of the bridge."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chain import Chain, User, user
+from chain import Chain, User, ros_user
 from servo_msgs_py.convert import snapshot_table
 from servo_msgs_py.fault_record import COLUMNS, FaultRecord
 from servo_msgs_py.runtime.qos import latched_qos
@@ -35,12 +35,12 @@ I_Q = 1.2
 
 
 class Bench:
-    """A board that a thread keeps in step with the clock, and hands that reach into it.
+    """A board that a thread runs in real time; a test can act on it.
 
     Parameters
     ----------
     board : Board
-        What it has gone through already is simulated time, the same in every run.
+        Board after a run in simulated time, which is reproducible.
     port : Path
         Name of its pty.
     """
@@ -63,7 +63,7 @@ class Bench:
         return self._end.is_set()
 
     def do(self, action: Callable[[Board], Any]) -> None:
-        """Let the thread of the board do something to it, and wait for that."""
+        """Call a function in the thread of the board, and wait for its end."""
         done = threading.Event()
 
         def act(board: Board) -> None:
@@ -88,7 +88,7 @@ def chain(tmp_path: Path) -> Iterator[Chain]:
 
 @pytest.fixture
 def board() -> Iterator[Board]:
-    """A board that has had an over-current while its first shaft was held with a current of `I_Q`."""
+    """A board after an over-current of axis 1 with a blocked shaft and a current of `I_Q`."""
     with Board(seed=4) as board:
         enable(board)
         board.lock_shaft(0)
@@ -139,10 +139,10 @@ def test_servo_tool_prints_the_currents_before_the_fault(chain: Chain, board: Bo
     assert before[:, COLUMNS.index("i_a")].mean() == pytest.approx(-I_Q * math.sin(theta), abs=0.02)
 
 
-def test_the_topic_has_the_first_fault_until_it_is_cleared(chain: Chain, bench: Bench, record: FaultRecord) -> None:
-    """A second fault changes nothing of it; a later subscriber gets it; the next one after clearing is news."""
+def test_topic_has_the_first_fault_until_it_is_cleared(chain: Chain, bench: Bench, record: FaultRecord) -> None:
+    """A second fault does not replace it; later subscribers receive it; the next fault after clearing is published."""
     chain.bridge()
-    with user() as first:
+    with ros_user() as first:
         messages = listen(first)
         first.until(first.connected, 30.0, "no bridge")
         first.until(lambda: messages, what="no record")
@@ -152,9 +152,9 @@ def test_the_topic_has_the_first_fault_until_it_is_cleared(chain: Chain, bench: 
         first.until(
             lambda: "CURRENT_SENSE" in first.status("servo/servo_bridge: axis1").message, what="no second fault"
         )
-        first.seconds(0.5)  # longer than the second look takes
+        first.wait_board_time(0.5)  # longer than the second read takes
         assert len(messages) == 1
-        with user() as later:
+        with ros_user() as later:
             late = listen(later)
             later.until(lambda: late, what="nothing latched")
             assert late == messages

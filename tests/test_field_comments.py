@@ -1,4 +1,4 @@
-"""Every real-valued field of a data class says on its own line, or right below it, what it is and in which unit."""
+"""Every real-valued field of a data class has its meaning and unit on its line or in a docstring below it."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_real_valued_fields_of_data_classes_have_a_comment_or_a_docstring(packag
     assert found == []
 
 
-def test_a_field_without_comment_is_found() -> None:
+def test_field_without_comment_is_detected() -> None:
     text = (
         "Positive = Annotated[float, 'above 0']\n\n@dataclass\nclass A:\n    a: float  # [s]\n    b: float | None\n"
         "    c: tuple[float, ...]\n    '''b'''\n    d: int\n    f: Fixed[Positive]\n    e: Callable[[float], None]\n"

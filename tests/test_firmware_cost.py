@@ -1,4 +1,4 @@
-"""What the firmware costs: the committed table is that of the code, and what is counted is what runs."""
+"""Cost of the firmware: the committed table is up to date, and the counts are those of the code."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from firmware_cost.measurement import REFERENCE, Measurement, measure, plain
 from firmware_cost.programs import TARGET, Programs
 from firmware_cost.sizes import SERVER, VARIABLES, Size, sizes
 from firmware_cost.stages import PERIODS, PHASE
-from firmware_cost.table import FAST_AIM, SENSORLESS_AIM, compiler_of, core_errors, dearest, table
+from firmware_cost.table import FAST_AIM, SENSORLESS_AIM, compiler_of, core_errors, largest_mean, table
 from servo_twin._core_time import load_weights
 from targets.machines import QemuProgram, missing_text
 from targets.sources import Sources
@@ -35,7 +35,7 @@ from targets.toolchain import TargetError, run
 pytestmark = pytest.mark.slow
 
 CALL_AND_RETURN = 4
-"""Most instructions that the clock counts around a function and the trace does not count within it."""
+"""Largest number of instructions that the clock counts in addition to the trace: call and return."""
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +57,8 @@ def programs(needs_tools: None, c_sources: Sources, tmp_path_factory: pytest.Tem
 # ---- the table ------------------------------------------------------------------------------------------------------
 
 
-def test_committed_table_is_that_of_the_code(measurement: Measurement) -> None:
-    """A change of the firmware's cost is a diff of this file. Another compiler makes other code: nothing to compare."""
+def test_committed_table_is_up_to_date(measurement: Measurement) -> None:
+    """The table is compared only if it was made with the same compiler."""
     committed = compiler_of(TABLE.read_text(encoding="utf-8"))
     assert committed, f"{TABLE.name} does not say which compiler it was made with"
     lines = difference(table(measurement))
@@ -69,7 +69,7 @@ def test_committed_table_is_that_of_the_code(measurement: Measurement) -> None:
     assert not lines, "\n".join(["`make bench-firmware UPDATE=1` writes the table anew:", *lines])
 
 
-def test_the_virtual_core_takes_as_long_as_the_counted_instructions(measurement: Measurement) -> None:
+def test_virtual_core_agrees_with_counted_instructions(measurement: Measurement) -> None:
     """With the committed weights, over every mode, feature set and feedback; 10 % in the mean and 20 % at worst."""
     charged = measurement.charging.charged(load_weights())
     errors = core_errors(dataclasses.replace(measurement, charged=charged))
@@ -79,7 +79,7 @@ def test_the_virtual_core_takes_as_long_as_the_counted_instructions(measurement:
     assert {label: error for label, error in errors.items() if max(map(abs, error)) > 0.20} == {}
 
 
-def test_weights_hold_for_runs_that_they_were_not_fitted_to(measurement: Measurement) -> None:
+def test_weights_are_valid_for_runs_without_fit(measurement: Measurement) -> None:
     known = {Setup.CONFIGURED: measurement.counts[REFERENCE], Setup.WITHOUT_ENCODERS: measurement.sensorless}
     charged = measurement.charging.charged(fit(measurement.charge, known))
     errors = core_errors(dataclasses.replace(measurement, charged=charged))
@@ -89,20 +89,20 @@ def test_weights_hold_for_runs_that_they_were_not_fitted_to(measurement: Measure
 
 
 def test_fast_loop_reaches_its_aim(measurement: Measurement) -> None:
-    """Reconstruction, decoupling, ripple compensation, dead time, SVM, encoder, state machine: everything included."""
+    """Including reconstruction, decoupling, ripple compensation, dead time, SVM, encoder and state machine."""
     if compiler_of(TABLE.read_text(encoding="utf-8")) == measurement.compiler:
-        assert dearest(measurement.counts[REFERENCE], FAST) <= FAST_AIM
+        assert largest_mean(measurement.counts[REFERENCE], FAST) <= FAST_AIM
 
 
 def test_sensorless_fast_loop_reaches_its_aim(measurement: Measurement) -> None:
-    """The same with observer and PLL instead of the encoder."""
+    """With observer and PLL instead of the encoder."""
     maximum = measurement.sensorless[OBSERVED_PHASE, FAST].maximum
     assert maximum <= 1.02 * SENSORLESS_AIM, "missed by 1 % since the gains of the observer may change while it runs"
-    assert maximum > dearest(measurement.counts[REFERENCE], FAST) + 50, "the observer runs"
+    assert maximum > largest_mean(measurement.counts[REFERENCE], FAST) + 50, "the observer runs"
 
 
-def test_numbers_are_those_of_the_measurement(measurement: Measurement) -> None:
-    """The JSON and the table tell the same."""
+def test_json_has_the_numbers_of_the_table(measurement: Measurement) -> None:
+    """JSON and table agree."""
     numbers = plain(measurement)
     for phase in PHASES:
         fast = numbers["instructions"][REFERENCE][phase]["fast loop"]
@@ -114,20 +114,20 @@ def test_numbers_are_those_of_the_measurement(measurement: Measurement) -> None:
 # ---- instructions ---------------------------------------------------------------------------------------------------
 
 
-def test_the_same_every_time(measurement: Measurement, programs: Programs) -> None:
+def test_counts_are_reproducible(measurement: Measurement, programs: Programs) -> None:
     assert count(programs) == measurement.counts[REFERENCE]
 
 
 def test_clock_and_trace_agree(measurement: Measurement, programs: Programs) -> None:
-    """Two ways to count the same loops: the simulated timer, and every instruction looked up."""
+    """The simulated timer and the trace count the same loops."""
     program = QemuProgram(cost_program(programs, loops=True), COUNTING)
     counts = parse(program.run(image(phases=1 << PHASES.index(PHASE), maximum=PERIODS)))
     for kind, parts in ((FAST, measurement.stages.fast), (SLOW, measurement.stages.slow)):
         assert 0 <= counts[PHASE, kind].mean - sum(parts.values()) <= CALL_AND_RETURN
 
 
-def test_seven_instructions_more_are_seven_more(measurement: Measurement, c_sources: Sources, tmp_path: Path) -> None:
-    """Counting is exact: additions to the fast loop appear in the fast loop and in no other."""
+def test_seven_added_instructions_are_counted(measurement: Measurement, c_sources: Sources, tmp_path: Path) -> None:
+    """Counting is exact: instructions added to the fast loop appear only there."""
     sources = c_sources.copy(tmp_path / "sources")
     axis = sources.firmware / "drive" / "axis.c"
     text = axis.read_text(encoding="utf-8")
@@ -140,8 +140,8 @@ def test_seven_instructions_more_are_seven_more(measurement: Measurement, c_sour
         assert (more[key].minimum, more[key].maximum) == (before.minimum + extra, before.maximum + extra)
 
 
-def test_everything_is_included(measurement: Measurement) -> None:
-    """No part of the fast loop is missing from the run."""
+def test_every_part_of_the_fast_loop_is_executed(measurement: Measurement) -> None:
+    """Every part of the fast loop has instructions in the run."""
     parts = {name.split("/")[1] for name, mean in measurement.stages.fast.items() if mean > 1.0}
     assert parts >= {
         *("axis", "run_step", "encoder", "current_sense", "transforms"),
@@ -150,7 +150,7 @@ def test_everything_is_included(measurement: Measurement) -> None:
 
 
 def test_instruction_counts_vary_in_every_phase(measurement: Measurement) -> None:
-    """In every phase the ways through the slow loop differ, and at the voltage limit those through the fast loop."""
+    """The counts of the slow loop vary in every phase, and those of the fast loop at the voltage limit."""
     counts = measurement.counts[REFERENCE]
     assert counts["voltage limit", FAST].mean > counts["speed", FAST].mean + 20
     for phase in PHASES[1:]:
@@ -172,13 +172,13 @@ def test_sizes_add_up(measurement: Measurement) -> None:
     for one in measurement.sizes.values():
         server = one.rooms[SERVER] + one.rooms[VARIABLES]
         rest = one.complete.text - one.control.text
-        assert server.text <= rest <= server.text + 1000  # and what only the server needs of the compiler's library
+        assert server.text <= rest <= server.text + 1000  # and library code that only the server needs
         assert one.complete.bss - one.control.bss > 500
-        assert one.rooms["math"].rodata >= 2 * 257  # the quarter wave
+        assert one.rooms["math"].rodata >= 2 * 257  # the table of the quarter wave
 
 
-def test_sizes_are_those_of_the_program(programs: Programs, measurement: Measurement) -> None:
-    """The linker's map against the program: all of its code is the application, or the board and the machine."""
+def test_sizes_agree_with_the_program(programs: Programs, measurement: Measurement) -> None:
+    """The map of the linker agrees with the program: all code is application, board or start-up code."""
     assert sizes(programs) == measurement.sizes[REFERENCE]
     elf = programs.folder / "application.elf"
     lines = map(str.split, run(["arm-none-eabi-nm", "-S", elf]).splitlines())

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from chain import FAST, Chain
+from chain import FAST_BAUD, Chain
 from interface_build import action_environment
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
@@ -21,8 +21,8 @@ Answers = dict[str, dict[str, Any]]
 
 @pytest.fixture(scope="module")
 def answers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Answers]:
-    """What the client has seen, by case."""
-    chain = Chain(tmp_path_factory.mktemp("action"), FAST, action_environment(), "ideal")
+    """Results of the client, by case."""
+    chain = Chain(tmp_path_factory.mktemp("action"), FAST_BAUD, action_environment(), "ideal")
     try:
         chain.board()
         chain.bridge()
@@ -37,57 +37,57 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Answers]:
 
 
 @pytest.mark.parametrize(
-    ("case", "status", "code", "said"),
+    ("case", "status", "code", "text"),
     [
         ("succeeds", "SUCCEEDED", 0, "Goal successfully reached!"),
         ("one_joint", "SUCCEEDED", 0, "Goal successfully reached!"),
         ("cancelled", "CANCELED", 0, "cancelled"),
         ("preempted", "ABORTED", -1, "Current goal preempted by new incoming action."),
-        ("path_tolerance", "ABORTED", -4, "position of axis1 is "),
+        ("path_tolerance", "ABORTED", -4, "position of axis1 deviates by "),
         ("goal_tolerance", "ABORTED", -5, "Aborted due to goal_time_tolerance exceeding by "),
         ("unknown_joint", "ABORTED", -2, "joint 'elbow' does not exist; the joints are axis1, axis2"),
         ("old_stamp", "ABORTED", -3, "the trajectory ended "),
         ("future_stamp", "SUCCEEDED", 0, "Goal successfully reached!"),
         ("withdrawn", "CANCELED", 0, "cancelled before it began"),
-        ("too_fast", "ABORTED", -1, "goes above its limit"),
+        ("too_fast", "ABORTED", -1, "is above its limit"),
         ("empty", "SUCCEEDED", 0, "the joints have stopped and hold"),
         ("set_point", "ABORTED", -1, "a set-point on joint_commands took over"),
         ("disabled", "ABORTED", -1, "disabled by the service enable"),
     ],
 )
-def test_each_case_ends_with_its_status_and_code(
-    answers: Answers, case: str, status: str, code: int, said: str
+def test_each_goal_ends_with_its_status_and_code(
+    answers: Answers, case: str, status: str, code: int, text: str
 ) -> None:
     answer = answers[case]
     assert (answer["status"], answer["code"]) == (status, code), answer
-    assert said in answer["text"]
+    assert text in answer["text"]
 
 
-def test_a_goal_that_succeeds_ends_where_it_was_sent_and_says_so_on_the_way(answers: Answers) -> None:
+def test_successful_goal_reaches_target_with_feedback(answers: Answers) -> None:
     answer = answers["succeeds"]
-    assert answer["ways"] == pytest.approx([3.0, 3.0], abs=0.02)
+    assert answer["distances"] == pytest.approx([3.0, 3.0], abs=0.02)
     assert answer["feedback"] >= 5
     assert answer["joints"] == ["axis1", "axis2"]
     assert answer["errors"] == pytest.approx([0.0, 0.0], abs=1e-9)
 
 
-def test_a_joint_that_the_goal_does_not_name_stays(answers: Answers) -> None:
-    assert answers["one_joint"]["ways"] == pytest.approx([0.0, 1.0], abs=0.02)
+def test_joint_not_in_the_goal_does_not_move(answers: Answers) -> None:
+    assert answers["one_joint"]["distances"] == pytest.approx([0.0, 1.0], abs=0.02)
 
 
 @pytest.mark.parametrize("case", ["cancelled", "path_tolerance", "preempted", "set_point"])
-def test_a_goal_that_is_given_up_stops_every_joint_of_it(answers: Answers, case: str) -> None:
-    assert max(map(abs, answers[case]["ways"])) < 20.0, "of 30 rad"
+def test_aborted_goal_stops_all_its_joints(answers: Answers, case: str) -> None:
+    assert max(map(abs, answers[case]["distances"])) < 20.0, "of 30 rad"
 
 
-def test_a_goal_preempts_another_and_goes_on(answers: Answers) -> None:
+def test_new_goal_preempts_the_active_goal(answers: Answers) -> None:
     assert answers["preempted"]["second"] == "SUCCEEDED"
     assert answers["empty"]["first"] == "ABORTED"
 
 
-def test_a_goal_for_later_leaves_the_one_that_runs(answers: Answers) -> None:
+def test_cancelled_future_goal_leaves_the_active_goal_running(answers: Answers) -> None:
     assert answers["withdrawn"]["first"] == "SUCCEEDED"
 
 
-def test_a_stamp_in_the_future_is_waited_for(answers: Answers) -> None:
+def test_goal_starts_at_its_future_stamp(answers: Answers) -> None:
     assert answers["future_stamp"]["lasted"] > 1.4

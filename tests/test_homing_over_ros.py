@@ -1,4 +1,4 @@
-"""Positions over the whole chain: set, kept through a restart of the board as an assumption, else not trusted."""
+"""Positions over the whole chain: set, restored after a restart of the board as assumed, else unknown."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def user() -> Iterator[User]:
 
 
 def command(chain: Chain, user: User, *arguments: str, fails: bool = False) -> str:
-    """What servo-command says."""
+    """Output of servo-command."""
     process = chain.script("servo-command", *arguments)
     user.until(lambda: not process.running, 20.0, process.text())
     assert (process.stop() != 0) == fails, process.text()
@@ -55,8 +55,8 @@ def positions(user: User) -> list[float]:
     return [float(message.position[0]) for message in user.messages["/servo/joint_states"]]
 
 
-def worth(user: User, axis: int) -> str:
-    """What the newest diagnostics say of the position of an axis."""
+def position_validity(user: User, axis: int) -> str:
+    """Validity of the position of an axis in the last diagnostics."""
     found: list[Any] = [
         pair.value
         for message in user.messages["/diagnostics"]
@@ -68,7 +68,7 @@ def worth(user: User, axis: int) -> str:
     return str(found[-1]) if found else ""
 
 
-def test_position_is_set_restored_and_confined(chain: Chain, user: User) -> None:
+def test_position_is_set_restored_and_limits_apply(chain: Chain, user: User) -> None:
     board = chain.board()
     chain.bridge(board_parameters=[*FEATURES, "param.position_max=1.0,1.0"])
     user.until(user.connected)
@@ -84,16 +84,16 @@ def test_position_is_set_restored_and_confined(chain: Chain, user: User) -> None
     chain.board()
     user.until(lambda: "DISCONNECTED" not in user.last("/servo/state") and len(positions(user)) > 50, 20.0)
     user.messages["/diagnostics"].clear()
-    user.until(lambda: worth(user, 1) == "assumed", 10.0)
+    user.until(lambda: position_validity(user, 1) == "assumed", 10.0)
     assert not known(user)
-    assert max(abs(position - 0.5) for position in positions(user)) < 0.01, "it does not jump"
+    assert max(abs(position - 0.5) for position in positions(user)) < 0.01, "the position does not jump"
 
     assert user.enable()[0]
     user.until(lambda: user.messages["/servo/armed"][-1].data)
     home = user.node.create_client(Trigger, f"/servo/axis2/{topics.HOME}/stop_positive")
     user.until(home.service_is_ready)
     future = home.call_async(Trigger.Request())
-    user.until(lambda: worth(user, 2) == "homing" or future.done(), 5.0)
+    user.until(lambda: position_validity(user, 2) == "homing" or future.done(), 5.0)
     assert user.quick_stop()[0]
     user.until(future.done, 5.0)
     assert not future.result().success

@@ -1,4 +1,4 @@
-"""A motor identified over a serial line, and the recording evaluated by the twin."""
+"""Identification of a motor over a serial line, and evaluation of the recording by the twin."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from line_world import SimulatedLine
+from line_simulation import SimulatedLine
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.line import Line
 from servo_bridge.wire.session import connect
@@ -30,14 +30,14 @@ BAUD = 115_200
 
 
 class _WatchedLine(SimulatedLine):
-    """A line at which Ctrl-C is pressed, and that is unplugged for a while.
+    """A line that raises Ctrl-C at given times, and that is interrupted for some time.
 
     Parameters
     ----------
     presses : sequence of float
-        Times [s].
+        Times of Ctrl-C [s].
     gap : tuple of float
-        Between these times nothing gets through [s].
+        Start and end of the interruption [s].
     """
 
     def __init__(self, board: Board, presses: Sequence[float] = (), gap: tuple[float, float] = (0.0, 0.0)) -> None:
@@ -69,7 +69,7 @@ def _identify(board: Board, folder: Path, *options: str, line: SimulatedLine | N
     return tool_identify.identify(context)
 
 
-def test_from_the_line_to_the_files(
+def test_identification_over_a_line_writes_the_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(tool_identify, "_twin_installed", lambda: False)
@@ -87,7 +87,7 @@ def test_from_the_line_to_the_files(
     assert json.loads((tmp_path / "estimates.json").read_text())["board_seconds"] < 68.0
 
 
-def test_a_held_shaft_ends_with_a_reason(
+def test_blocked_shaft_ends_with_a_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(tool_identify, "_twin_installed", lambda: False)
@@ -100,7 +100,7 @@ def test_a_held_shaft_ends_with_a_reason(
 
 
 @pytest.mark.parametrize("presses", [(40.0,), (40.0, 40.05, 40.2)])
-def test_ctrl_c_keeps_the_recordings_and_leaves_the_board_as_it_was(
+def test_ctrl_c_keeps_the_recordings_and_restores_the_board(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -121,7 +121,7 @@ def test_ctrl_c_keeps_the_recordings_and_leaves_the_board_as_it_was(
     assert ("the axis is being stopped" in said) == (len(presses) > 1)
 
 
-def test_a_line_that_was_lost_is_named_and_the_board_restored(
+def test_lost_line_is_reported_and_the_board_restored(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(tool_identify, "_twin_installed", lambda: False)
@@ -136,7 +136,7 @@ def test_a_line_that_was_lost_is_named_and_the_board_restored(
 
 
 @pytest.mark.parametrize("turns", [3.0, 20.0])
-def test_the_shaft_stays_within_the_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, turns: float) -> None:
+def test_shaft_stays_within_the_permitted_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, turns: float) -> None:
     monkeypatch.setattr(tool_identify, "_twin_installed", lambda: False)
     with Board(level="ideal", baud=BAUD, seed=4) as board:
         board.run(0.1)

@@ -1,4 +1,4 @@
-"""A board whose configuration has passwords asks for them on its serial line."""
+"""A board whose configuration has passwords requires a login on its serial line."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def command_result(board: Board, code: int) -> int:
     return ask(board, 0x31, b"")[1]
 
 
-def test_commands_and_parameters_have_their_passwords(board: Board) -> None:
+def test_commands_and_parameters_need_their_password(board: Board) -> None:
     command = ("cmd.speed", bytes(8))
     parameter = ("param.host_timeout", b"\x00\x08")
     save = ("storage.request", b"\x01\x00\x07\x00")

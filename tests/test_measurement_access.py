@@ -1,4 +1,4 @@
-"""Measurements' access to a board over its serial line, against the same board without one."""
+"""Access of measurements to a board over its serial line, compared with direct access to the board."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 import pytest
-from line_world import SimulatedLine
+from line_simulation import SimulatedLine
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.line import Line
 from servo_bridge.measurement_access import SessionAccess, measurement_access
@@ -36,7 +36,7 @@ def access(board: Board) -> Iterator[SessionAccess]:
         yield access
 
 
-def test_values_and_blocks_are_those_of_the_board(board: Board, access: SessionAccess) -> None:
+def test_values_and_blocks_agree_with_the_board(board: Board, access: SessionAccess) -> None:
     inside = VirtualBoardAccess(board)
     access.write("param.i_q_limit", [1.0, 2.0])
     access.write("param.i_q_limit", [1.5], 1)
@@ -50,7 +50,7 @@ def test_values_and_blocks_are_those_of_the_board(board: Board, access: SessionA
     assert access.capacity(["tick", "axis1.i_q"]) == inside.capacity(["tick", "axis1.i_q"]) == 1280
 
 
-def test_an_enabled_axis_does_not_miss_its_host(board: Board, access: SessionAccess) -> None:
+def test_enabled_axis_has_no_host_time_out(board: Board, access: SessionAccess) -> None:
     access.write("cmd.enable", [1.0, 1.0])
     access.wait(3.0)
     names = ("tick", "axis1.i_q")
@@ -62,7 +62,7 @@ def test_an_enabled_axis_does_not_miss_its_host(board: Board, access: SessionAcc
     assert board.read("axis1.faults") == 0
 
 
-def test_a_recording_begins_at_its_trigger(access: SessionAccess) -> None:
+def test_recording_starts_at_its_trigger(access: SessionAccess) -> None:
     def start() -> None:
         access.write("cmd.enable", [1.0], 0)
 
@@ -77,8 +77,8 @@ def test_a_recording_begins_at_its_trigger(access: SessionAccess) -> None:
         access.record(["axis3.i_q"], 10, 1, slow=False)
 
 
-def test_what_takes_a_while_to_start_is_begun_earlier(board: Board, access: SessionAccess) -> None:
-    """The memory of the recorder fills meanwhile: nothing is lost of what follows the trigger."""
+def test_recorder_starts_before_the_recorded_action(board: Board, access: SessionAccess) -> None:
+    """The memory of the recorder is filled meanwhile, so that no sample after the trigger is lost."""
     begun = []
 
     def start() -> None:

@@ -1,4 +1,4 @@
-"""What the drive does by itself spares a motor that bears less than the others: measured in the plant."""
+"""Automatic actions of the drive keep the current limit of a small motor; the current is that of the plant."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ else:
     import tomli as tomllib
 
 LIMIT: Final = 1.0
-"""Of the motor of axis 1 [A]."""
+"""Current limit of the motor of axis 1 [A]."""
 
 RIPPLE: Final = 0.06
-"""Of the current that the loop controls: noise of a sample, dead time, its answer to a step [A]."""
+"""Permitted deviation of the controlled current: noise, dead time, overshoot [A]."""
 
 
 def small_motor() -> str:
-    """The committed configuration with a motor for 1 A on axis 1."""
+    """Committed configuration with a 1 A motor on axis 1."""
     table: dict[str, Any] = copy.deepcopy(tomllib.loads(SERVO_TOML.read_text(encoding="utf-8")))
     table["axis1"].setdefault("limits", {})["current"] = LIMIT
     table["axis1"].setdefault("rotor_search", {})["current"] = LIMIT
@@ -47,7 +47,7 @@ def label(board: Board) -> str:
 
 
 def largest(board: Board, seconds: float, end: Callable[[], bool]) -> float:
-    """Largest current of axis 1 until the end, seen twice per period [A]."""
+    """Largest current of axis 1 until the end, sampled twice per period [A]."""
     current, start = 0.0, board.time_ns
     while board.time_ns - start < seconds * 1e9:
         for _ in range(16):
@@ -69,8 +69,8 @@ def test_the_rotor_search_stays_within_the_limit_of_the_motor(firmware: Any, sta
     assert 0.5 * LIMIT < current <= LIMIT + RIPPLE
 
 
-def test_a_search_that_nothing_follows_stays_within_it_too(firmware: Any) -> None:
-    """Every phase: pulls from the front and both sides, and the turn of the vector, at full current."""
+def test_failed_rotor_search_stays_within_the_limit_of_the_motor(firmware: Any) -> None:
+    """All phases of the search with full current: pulls in three directions and rotation of the vector."""
     with fresh_board(PlantConfig.load(), 3, firmware) as board:
         board.lock_shaft(0)
         board.run(0.1)
@@ -79,7 +79,7 @@ def test_a_search_that_nothing_follows_stays_within_it_too(firmware: Any) -> Non
     assert LIMIT - RIPPLE < current <= LIMIT + RIPPLE
 
 
-def test_the_test_of_a_stall_stays_within_it(firmware: Any) -> None:
+def test_stall_test_stays_within_the_limit_of_the_motor(firmware: Any) -> None:
     with fresh_board(PlantConfig.load(), 3, firmware) as board:
         board.run(0.1)
         set_axis(board, "cmd.enable", 0, 1)
@@ -92,7 +92,7 @@ def test_the_test_of_a_stall_stays_within_it(firmware: Any) -> None:
     assert LIMIT - RIPPLE < current <= LIMIT + RIPPLE
 
 
-def test_the_start_without_an_encoder_stays_within_it(firmware: Any) -> None:
+def test_sensorless_start_stays_within_the_limit_of_the_motor(firmware: Any) -> None:
     with fresh_board(PlantConfig.load(), 3, firmware) as board:
         board.write("param.command_timeout", 0.0)
         board.write_raw("param.feedback", [1, 0])

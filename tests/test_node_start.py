@@ -1,4 +1,4 @@
-"""Nodes at their start: what is refused leaves nothing behind; names and namespaces."""
+"""Start of nodes: refused parameters leave no resources; names and namespaces."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def bridge(**node_arguments: Any) -> Node:
         (ServoViewer, "web", False, "servo_viewer"),
     ],
 )
-def test_refused_node_is_gone(node: Callable[..., Node], parameter: str, value: Any, name: str) -> None:
-    """At once: the exception, which may be kept, holds all that is left of it."""
+def test_refused_node_leaves_no_resources(node: Callable[..., Node], parameter: str, value: Any, name: str) -> None:
+    """It is destroyed at once, although the exception is still referenced."""
     context = rclpy.Context()
     rclpy.init(context=context)
     try:
@@ -75,7 +75,7 @@ def topics_heard(node: Node) -> set[str]:
         ("/robotA/twin", "/servo/", "/servo/snapshot"),
     ],
 )
-def test_a_twin_follows_the_board_beside_it(
+def test_twin_follows_the_board_in_its_namespace(
     context: rclpy.Context, namespace: str, board: str | None, snapshot: str
 ) -> None:
     overrides = [] if board is None else [Parameter("board_namespace", value=board)]
@@ -112,7 +112,7 @@ def test_two_boards_have_diagnostics_of_different_names(context: rclpy.Context) 
     assert names == ["robotA/twin/servo_twin", "robotB/twin/servo_twin"]
 
 
-def test_a_second_node_of_the_same_name_is_refused_until_the_first_is_gone(context: rclpy.Context) -> None:
+def test_second_node_of_the_same_name_is_refused_until_the_first_ends(context: rclpy.Context) -> None:
     first = ServoTwin(context=context)
     other = rclpy.Context()
     rclpy.init(context=other)
@@ -132,7 +132,7 @@ def test_a_second_node_of_the_same_name_is_refused_until_the_first_is_gone(conte
 @pytest.mark.parametrize(
     ("module", "taken"), [("servo_bridge", "servo/servo_bridge"), ("servo_twin", "twin/servo_twin")]
 )
-def test_the_second_program_of_one_name_ends_with_a_sentence(context: rclpy.Context, module: str, taken: str) -> None:
+def test_second_program_with_the_same_name_ends_with_a_message(context: rclpy.Context, module: str, taken: str) -> None:
     holder = Node(taken.split("/")[1], namespace=taken.split("/")[0], context=context)
     claim_name(holder)
     command = [sys.executable, "-c", f"import sys; from {module}.node import main; sys.exit(main())"]
@@ -152,7 +152,7 @@ CONFIGURATIONS = [
 
 @pytest.mark.parametrize(("package", "name", "parameters"), CONFIGURATIONS)
 def test_default_files_load_with_the_declared_types(package: str, name: str, parameters: Mapping[str, Spec]) -> None:
-    """As ``ros2 param load`` reads them: YAML 1.1, in which 1.5e6 is a string and 1 no float."""
+    """Read as by ``ros2 param load``: YAML 1.1, where 1.5e6 is a string and 1 is not a float."""
     file = ROOT / package / "config" / name
     loaded = parameter_dict_from_yaml_file(str(file), use_wildcard=True)
     found = {key: parameter_value_to_python(parameter.value) for key, parameter in loaded.items()}
@@ -172,7 +172,7 @@ def test_default_files_load_with_the_declared_types(package: str, name: str, par
         ("servo_twin", "servo_viewer"),
     ],
 )
-def test_programs_say_in_one_sentence_that_rclpy_is_missing(package: str, name: str, tmp_path: Path) -> None:
+def test_programs_report_missing_rclpy(package: str, name: str, tmp_path: Path) -> None:
     (tmp_path / "rclpy.py").write_text("raise ModuleNotFoundError(\"No module named 'rclpy'\", name='rclpy')\n")
     script = (ROOT / package / "scripts" / name).read_text()
     (program,) = re.findall(r"-c '(.*)'", script)

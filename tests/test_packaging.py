@@ -1,4 +1,4 @@
-"""What makes a checkout a set of packages: names, versions, pins, executables, and that colcon builds it."""
+"""Packaging: names, versions, pins, executables, and the build with colcon."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ EXECUTABLE_NAMES = [(package, name) for package, names in EXECUTABLES.items() fo
 PYTHONS = ("3.10", "3.11", "3.12", "3.13")
 FOLDERS = {".ci", "firmware", "servo_bridge", "servo_msgs_py", "servo_twin", "tests"}
 
-# Dependencies point one way: what each package may import of its neighbours.
+# Permitted imports of each package from the other packages.
 NEIGHBOURS = {"servo_msgs_py": set(), "servo_bridge": {"servo_msgs_py"}, "servo_twin": {"servo_msgs_py"}}
 # Modules whose name is not the rosdep key in package.xml, and modules that have no key.
 MODULES_OF_KEY = {"python3-serial": {"serial"}, "python3-cffi": {"cffi"}}
@@ -55,7 +55,7 @@ UNWANTED = {
 
 
 def clean_environment() -> dict[str, str]:
-    """Without what an outer make hands to an inner one."""
+    """Environment without the variables of an outer make."""
     return {name: value for name, value in os.environ.items() if name not in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS")}
 
 
@@ -114,7 +114,7 @@ def pins(python: str) -> dict[str, str]:
 
 
 def requirements() -> Iterator[tuple[str, Requirement]]:
-    """Everything that the packages and the tools ask for, with where it is asked."""
+    """Requirements of packages and tools, with their locations."""
     for package in PACKAGES:
         arguments = setup_arguments(package)
         texts = list(arguments["install_requires"])
@@ -128,7 +128,7 @@ def requirements() -> Iterator[tuple[str, Requirement]]:
 
 @pytest.fixture
 def prefix() -> Path:
-    """The environment that `make setup` made, if the tests run in it."""
+    """Virtual environment of `make setup`; skip the test outside of it."""
     prefix = Path(sys.prefix)
     for package in PACKAGES:
         try:
@@ -181,13 +181,13 @@ def test_missing_tools_are_named_with_the_command_that_installs_them(tmp_path: P
     assert re.search(r"sudo apt-get install python3 python3-venv python3-dev\b", without_python.stderr)
 
 
-def test_tools_of_this_machine_are_enough() -> None:
+def test_required_tools_are_installed() -> None:
     found = run("sh", ROOT / ".ci" / "check-tools")
     assert found.returncode == 0, found.stderr
     assert Path(found.stdout.strip()).exists()
 
 
-def test_the_script_of_continuous_integration_is_valid() -> None:
+def test_continuous_integration_script_is_valid() -> None:
     assert os.access(ROOT / ".ci" / "run", os.X_OK)
     assert run("bash", "-n", ROOT / ".ci" / "run").returncode == 0
 
@@ -207,7 +207,7 @@ def test_package_xml_agrees_with_setup_py(package: str) -> None:
     assert (ROOT / package / "resource" / package).is_file()
 
 
-def test_one_version_for_all() -> None:
+def test_all_packages_have_the_same_version() -> None:
     versions = {str(path): ET.parse(path).findtext("version") for path in ROOT.glob("*/package.xml")}
     assert len(versions) == len(PACKAGES) + 1
     build = (ROOT / "firmware" / "CMakeLists.txt").read_text()
@@ -234,13 +234,13 @@ def test_every_import_is_declared(package: str) -> None:
 
 
 def _anchors(document: Path) -> set[str]:
-    """Of its headings, as code hosts make them."""
+    """Anchors of the headings, as on code hosts."""
     text = re.sub(r"^```.*?^```", "", document.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     headings = re.findall(r"^#+ +(.*)$", text, re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-") for heading in headings}
 
 
-def test_every_relative_link_of_the_documents_leads_somewhere() -> None:
+def test_every_relative_link_of_the_documents_has_a_target() -> None:
     broken = []
     for document in (ROOT / name for name in git_files() if name.endswith(".md")):
         for target, anchor in re.findall(r"\]\(([^)#:]*)#?([^):]*)\)", document.read_text(encoding="utf-8")):
@@ -250,15 +250,15 @@ def test_every_relative_link_of_the_documents_leads_somewhere() -> None:
     assert not broken
 
 
-def test_the_first_page_is_short() -> None:
+def test_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
 
 
-# ---- versions of others ---------------------------------------------------------------------------------------------
+# ---- pinned versions ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("python", PYTHONS)
-def test_constraints_serve_every_requirement(python: str) -> None:
+def test_constraints_satisfy_every_requirement(python: str) -> None:
     pinned = pins(python)
     for where, requirement in requirements():
         name = canonicalize_name(requirement.name)
@@ -277,7 +277,7 @@ def test_constraints_cover_every_installed_distribution(prefix: Path) -> None:
     folders = sorted({sysconfig.get_path("purelib"), sysconfig.get_path("platlib")})
     assert all(folder.startswith(str(prefix)) for folder in folders)
     for distribution in metadata.distributions(path=folders):
-        # The ROS wheels carry the metadata of their colcon build beside their own; that has no installer.
+        # The ROS wheels contain the metadata of their colcon build, without an installer, in addition to their own.
         if (distribution.read_text("INSTALLER") or "").strip() == "pip":
             others[canonicalize_name(distribution.metadata["Name"])] = distribution.version
     others = {name: version for name, version in others.items() if name not in ours}
@@ -333,16 +333,16 @@ def test_top_level_folders() -> None:
     assert {name.split("/")[0] for name in git_files() if "/" in name} == FOLDERS
 
 
-def test_nothing_is_committed_that_is_ignored() -> None:
+def test_no_ignored_file_is_committed() -> None:
     assert git_files("--cached", "--ignored", "--exclude-standard") == []
 
 
-def test_no_file_mentions_what_it_should_not() -> None:
+def test_no_file_contains_forbidden_text() -> None:
     findings = []
     for name in git_files():
         try:
             text = (ROOT / name).read_text(encoding="utf-8")
-        except UnicodeDecodeError:  # a picture
+        except UnicodeDecodeError:  # binary
             continue
         for what, pattern in UNWANTED.items():
             findings += [f"{name}: {what}: {match[0]}" for match in pattern.finditer(text)]
@@ -358,15 +358,9 @@ COLLECTED = re.compile(r"^(\d+) tests collected", re.MULTILINE)
 
 @dataclass(frozen=True)
 class Workspace:
-    """A colcon workspace of copies of the checkout's files.
+    """A colcon workspace with copies of the files of the checkout."""
 
-    Attributes
-    ----------
-    folder : Path
-        The workspace; its packages are in ``src``.
-    """
-
-    folder: Path
+    folder: Path  # root of the workspace; its packages are in ``src``
 
     def run(self, command: str, folder: str = ".", **environment: str) -> subprocess.CompletedProcess[str]:
         """Run a command line of the shell after the workspace has been sourced."""
@@ -375,7 +369,7 @@ class Workspace:
         return run("bash", "-c", f". {setup} && {command}", cwd=self.folder / folder, env=env)
 
     def python(self, program: str, folder: str = ".") -> str:
-        """What a program prints that the Python of the tests runs in a folder of the workspace."""
+        """Output of a Python program that runs in a folder of the workspace."""
         ended = self.run(f"{shlex.quote(sys.executable)} -c {shlex.quote(program)}", folder)
         assert ended.returncode == 0, ended.stderr
         return ended.stdout.strip()
@@ -383,9 +377,9 @@ class Workspace:
 
 @pytest.fixture(scope="module")
 def workspace(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Workspace:
-    """A clean copy of the checkout, built with the options of ``colcon build`` that a test gives as parameter.
+    """A clean copy of the checkout, built with options of ``colcon build`` from the parameter of the test.
 
-    Every workspace is in one place, where the compiler cache has what does not differ.
+    All workspaces use the same path, so that the compiler cache is effective.
     """
     colcon = Path(sys.prefix) / "bin" / "colcon"
     if not colcon.exists() or shutil.which("cmake") is None:
@@ -395,7 +389,7 @@ def workspace(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathF
     for name in git_files():
         (folder / "src" / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, folder / "src" / name)
-    # Quick to compile; no test runs it for long.
+    # Fast to compile; no test runs it for long.
     environment = {**clean_environment(), "SERVO_TWIN_FLAGS": "-O0 -g0 -fno-lto"}
     build = run(colcon, "build", *(getattr(request, "param", None) or ()), cwd=folder, env=environment)
     assert build.returncode == 0, build.stdout + build.stderr
@@ -414,7 +408,7 @@ def pytest_of_ubuntu(prefix: Path) -> dict[str, str]:
 @pytest.mark.slow
 @pytest.mark.parametrize("workspace", [["--symlink-install"], None], indirect=True, ids=["links", "copies"])
 def test_colcon_builds_the_checkout(workspace: Workspace) -> None:
-    """Executables are in place and run, and the compiled board is that of the workspace."""
+    """The executables are installed and run, with the compiled board of the workspace."""
     install = workspace.folder / "install"
     for package, name in EXECUTABLE_NAMES:
         assert os.access(install / package / "lib" / package / name, os.X_OK)
@@ -425,8 +419,8 @@ def test_colcon_builds_the_checkout(workspace: Workspace) -> None:
     assert tool.returncode == 0, tool.stderr
 
 
-def test_colcon_finds_the_packages_of_the_project_and_no_other(prefix: Path) -> None:
-    """A package of the tests would hide the one of that name in the ROS installation."""
+def test_colcon_finds_only_the_packages_of_the_project(prefix: Path) -> None:
+    """A package of the tests would hide the package of the same name in the ROS installation."""
     colcon = prefix / "bin" / "colcon"
     if not colcon.exists():
         pytest.skip("colcon is missing")

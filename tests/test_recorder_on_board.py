@@ -1,4 +1,4 @@
-"""Recordings of a virtual board over its serial line: what is recorded belongs to the tick that it says."""
+"""Recordings of a virtual board over its serial line: samples belong to the reported ticks."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ RUNNING, FULL = 2, 4
 
 @dataclass(frozen=True)
 class Trigger:
-    """An edge of a variable to a raw value or above."""
+    """Rising edge of a variable at a raw threshold."""
 
     name: str
     value: int
 
 
 class Host:
-    """A client of the recorders, with frames of its own."""
+    """Client of the recorders with its own frames."""
 
     def __init__(self, board: Board) -> None:
         self.board = board
@@ -96,13 +96,13 @@ class Host:
         return {name: points[name].astype(np.int64) for name in names}
 
     def variable(self, name: str) -> Variable:
-        """What the contract says of it."""
+        """Variable of the catalogue."""
         return self.board.catalogue[name]
 
 
 @pytest.fixture(params=["ideal", "registers"])
 def host(request: pytest.FixtureRequest) -> Iterator[Host]:
-    """A host of a board of which both axes hold a torque of zero."""
+    """Host of a board with both axes in torque mode at zero."""
     with Board(level=request.param, baud=BAUD, seed=3) as board:
         enable(board)
         board.write("cmd.mode", [board.catalogue.enums["control_mode_t"]["TORQUE"]] * AXES)
@@ -115,7 +115,7 @@ STEP: Final = ("tick", "axis1.i_q", "axis1.i_q_ref", "axis2.i_q", "axis2.i_q_ref
 
 
 def test_step_of_the_current_at_the_rate_of_the_loop(host: Host) -> None:
-    """Trigger at its place, one point per period, and the same numbers as the telemetry of the same tick."""
+    """Trigger position, one sample per period, and the same numbers as the telemetry of the same tick."""
     board = host.board
     one_ampere = round(1.0 / host.variable("axis1.i_q").lsb)
     host.start(FAST, STEP, total=200, before=60, trigger=Trigger("axis1.i_q_ref", one_ampere // 2))
@@ -147,8 +147,8 @@ def test_step_of_the_current_at_the_rate_of_the_loop(host: Host) -> None:
         assert [int(row[f"axis{axis}.i_q"]) for axis in (1, 2)] == [points[f"axis{axis}.i_q"][k] for axis in (1, 2)]
 
 
-def test_a_command_triggers_at_its_tick(host: Host) -> None:
-    """The first point with the mark is that of the tick in which the command takes effect."""
+def test_command_triggers_at_its_tick(host: Host) -> None:
+    """The trigger is at the tick in which the command takes effect."""
     board = host.board
     names = ("tick", "axis2.event_command", "axis2.event_mode", "axis2.mode")
     host.start(FAST, names, total=60, before=20, trigger=Trigger("axis2.event_mode", 1))
@@ -166,13 +166,13 @@ def test_a_command_triggers_at_its_tick(host: Host) -> None:
     assert list(points["axis2.event_command"][18:22]) == [0, 0, 64, 64]
 
 
-def test_a_fault_triggers(host: Host) -> None:
-    """Time before and behind the first fault, in periods; the state has changed in the next one."""
+def test_fault_triggers_the_recorder(host: Host) -> None:
+    """Samples before and after the first fault; the state changes in the next period."""
     board = host.board
     names = ("tick", "axis1.first_fault", "axis1.event_state", "axis1.i_q")
     host.write("param.host_timeout", [0.05])
     host.start(FAST, names, total=100, before=50, trigger=Trigger("axis1.first_fault", 1))
-    assert host.ask(COMMAND, b"\x04").status == 0  # alive, for the last time
+    assert host.ask(COMMAND, b"\x04").status == 0  # last keep-alive
     assert host.ask(0x31, size=1).status == 0
     board.run(0.4)
     assert board.read_raw("axis1.first_fault")[0] == 7
@@ -184,8 +184,8 @@ def test_a_fault_triggers(host: Host) -> None:
     assert int.from_bytes(record[4:8], "little") in (points["tick"][50], points["tick"][49])
 
 
-def test_slow_ticks_are_those_of_the_telemetry(host: Host) -> None:
-    """The other recorder looks where the snapshot is taken: every number of both axes is that of the same tick."""
+def test_slow_recorder_agrees_with_the_telemetry(host: Host) -> None:
+    """The slow recorder samples with the snapshot: all numbers of both axes are of the same tick."""
     board = host.board
     names = ("tick", "axis1.speed", "axis2.speed", "axis1.i_q", "axis2.i_q", "axis1.position", "axis1.u_q")
     host.write("cmd.i_q", [0.5, 0.4])

@@ -1,4 +1,4 @@
-"""``servo-tool scope`` with a virtual board on a pty: bursts at their ticks beside the telemetry, read back."""
+"""``servo-tool scope`` with a virtual board on a pty: recordings and telemetry on one time line, read back."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ pytest.importorskip("rerun")
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 POINTS, BEFORE = 800, 240
-LEVEL = 24.0  # V: the noise of the bus crosses it again and again
+LEVEL = 24.0  # [V], crossed by the noise of the bus
 PERIOD = PERIOD_NS * 1e-9
 
 
@@ -33,14 +33,14 @@ def chain(tmp_path: Path) -> Iterator[Chain]:
         print(chain.logs())
 
 
-def test_the_names_are_those_of_the_viewer_of_the_twin() -> None:
+def test_names_agree_with_the_viewer_of_the_twin() -> None:
     for quantity in scene.QUANTITIES:
         for source in (scene.BOARD, scene.SET_POINT):
             parts = telemetry_parts(quantity.column(source, 1))
             assert "/" + "/".join(parts) == scene.series_entity(1, quantity.name, source)
 
 
-def test_bursts_lie_at_their_ticks_beside_the_telemetry(chain: Chain, tmp_path: Path) -> None:
+def test_recordings_have_the_time_of_the_telemetry(chain: Chain, tmp_path: Path) -> None:
     file = tmp_path / "scope.rrd"
     trigger = ("--trigger", f"u_dc > {LEVEL}", "--before", "30%", "--points", str(POINTS))
     said = chain.tool("scope", "--fast", "u_dc", "axis1.i_a", *trigger, "--count", "2", "--save", str(file))
@@ -53,7 +53,7 @@ def test_bursts_lie_at_their_ticks_beside_the_telemetry(chain: Chain, tmp_path: 
     for moments, volts in (first, second):
         assert np.diff(moments) == pytest.approx(np.full(POINTS - 1, PERIOD), abs=1e-8)
         assert volts[BEFORE - 1] <= LEVEL < volts[BEFORE]
-        # Telemetry that was taken in a tick of the burst has the value of that tick.
+        # Telemetry of a tick of the recording has the value of that tick.
         inside = np.flatnonzero((rows >= moments[0]) & (rows <= moments[-1]))
         assert len(inside)
         where = np.rint((rows[inside] - moments[0]) / PERIOD).astype(int)
@@ -64,7 +64,7 @@ def test_bursts_lie_at_their_ticks_beside_the_telemetry(chain: Chain, tmp_path: 
     assert [text.split()[1] for _, text in read_texts(file, "/log/scope")] == ["1", "2"]
 
 
-def test_ctrl_c_ends_it_in_order(chain: Chain, tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_scope(chain: Chain, tmp_path: Path) -> None:
     file = tmp_path / "scope.rrd"
     options = ("--port", str(chain.port), "scope", "axis1.i_a", "--points", "50", "--save", str(file))
     tool = chain._start(TOOL, *options, "--telemetry", "axis1.speed", "axis1.i_q_ref")
@@ -73,4 +73,4 @@ def test_ctrl_c_ends_it_in_order(chain: Chain, tmp_path: Path) -> None:
     assert "rows of telemetry in" in tool.text().splitlines()[-1]
     assert len(read_scalars(file, scene.burst_entity("axis1.i_a", scene.BOARD))[0]) >= 2 * 51
     assert len(read_scalars(file, scene.series_entity(0, "i_q", scene.SET_POINT))[0]) > 10
-    assert chain.look("axis1.i_a"), "the board can be spoken to"
+    assert chain.read_variables("axis1.i_a"), "the board answers"

@@ -1,4 +1,4 @@
-"""Which texts of the board's table of variables a client reads."""
+"""Texts of the table of variables that a client reads from the board."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Final
 
 import pytest
-from line_world import World
+from line_simulation import LineSimulation
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.line import Line
 from servo_bridge.freemaster.tsa import TargetVariable
@@ -20,18 +20,10 @@ TABLES_BASE: Final = 0x0020_0000  # firmware/comm/tsa.h
 
 
 class CountingClient(Client):
-    """Counts the texts that it reads, and may receive damaged memory.
+    """Client that counts the texts that it reads, and can receive one inverted bit."""
 
-    Attributes
-    ----------
-    texts : int
-        Texts whose length it has asked for.
-    inverted : int
-        Address at which the lowest bit of a memory byte arrives inverted.
-    """
-
-    texts = 0
-    inverted = -1
+    texts = 0  # number of texts whose length was requested
+    inverted = -1  # address of the byte that is received with its lowest bit inverted
 
     def string_length(self, address: int) -> int:
         self.texts += 1
@@ -45,34 +37,34 @@ class CountingClient(Client):
 
 
 @pytest.fixture
-def world() -> Iterator[World]:
-    world = World("ideal", 1_000_000)
-    yield world
-    world.close()
+def sim() -> Iterator[LineSimulation]:
+    sim = LineSimulation("ideal", 1_000_000)
+    yield sim
+    sim.close()
 
 
 @pytest.fixture
-def client(world: World) -> CountingClient:
-    return CountingClient(Line(world.line, baud=1_000_000, clock=world.line.clock))
+def client(sim: LineSimulation) -> CountingClient:
+    return CountingClient(Line(sim.line, baud=1_000_000, clock=sim.line.clock))
 
 
 def targets(session: Session) -> dict[str, TargetVariable]:
     return {name: variable.target for name, variable in session.variables.items()}
 
 
-def test_a_board_of_the_same_catalogue_need_not_name_its_variables(client: CountingClient) -> None:
+def test_names_are_not_read_from_a_board_with_the_same_catalogue(client: CountingClient) -> None:
     session = connect(client, CATALOGUE)
     assert client.texts == 0
     assert session.mismatch is None
-    client.inverted = TABLES_BASE + 16 * (len(ROWS) - 1)  # the name of the last row seems to be elsewhere
+    client.inverted = TABLES_BASE + 16 * (len(ROWS) - 1)  # the address of the name of the last row is wrong
     named = targets(connect(client, CATALOGUE))
     assert client.texts > len(CATALOGUE.variables)
     last = ROWS[-1].name.decode()
     assert {**named, last: targets(session)[last]}.items() >= targets(session).items()
 
 
-def test_a_board_of_another_catalogue_names_its_variables(client: CountingClient, world: World) -> None:
-    client.inverted = world.board.address("catalogue_hash")
+def test_names_are_read_from_a_board_with_another_catalogue(client: CountingClient, sim: LineSimulation) -> None:
+    client.inverted = sim.board.address("catalogue_hash")
     session = connect(client, CATALOGUE)
     assert client.texts > len(CATALOGUE.variables)
     assert session.mismatch is not None
@@ -80,7 +72,7 @@ def test_a_board_of_another_catalogue_names_its_variables(client: CountingClient
     assert set(session.variables) >= set(CATALOGUE.variables)
 
 
-def test_texts_are_known_by_the_places_of_all_rows() -> None:
+def test_texts_are_identified_by_the_addresses_of_all_rows() -> None:
     places: list[tuple[int, int]] = []
     address: dict[bytes, int] = {}
     for row in ROWS:

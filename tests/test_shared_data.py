@@ -1,7 +1,7 @@
-"""What loops, interrupts and background share is whole, whatever instant the one interrupts the other at.
+"""Data that loops, interrupts and background share are consistent at every instant of an interrupt.
 
-The rules stand in firmware/doc/schedule.md. Requests are sent so that their bytes, and the work of the server on them,
-fall on every part of a slow tick of the virtual chip, in which handlers take their time.
+See firmware/doc/schedule.md. Requests are sent so that their bytes, and their processing by the server, are at every
+part of a slow tick of the virtual chip, where handlers take time.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from servo_twin.simulation import enable
 
 TICK_NS: Final = SLOW_PERIODS * PERIOD_NS
 BAUDS: Final = (300_000, 2_000_000)
-"""One at which the background fetches bytes, too, and the highest: the FIFO is full 20 us after its first byte."""
-SPEED: Final = 20_000_000  # raw, 5 rad/s
+"""A rate at which the background reads bytes, too, and the highest rate: the FIFO is full after 20 us."""
+SPEED: Final = 20_000_000  # raw number of 5 rad/s
 SLOTS: Final = ("tick", "axis1.position", "axis1.i_q", "axis1.u_q", "axis2.position", "axis2.i_q", "axis2.u_q", "tick")
-"""Of the scope: values that change from one slow tick to the next, and the tick before and behind them."""
+"""Slots of the scope: values that change at each slow tick, and the tick before and after them."""
 
 
 @pytest.fixture(params=BAUDS)
 def board(request: pytest.FixtureRequest) -> Iterator[Board]:
-    """A board that controls the speed of both axes."""
+    """A board with both axes in speed mode."""
     with Board(level="registers", baud=request.param, seed=2) as board:
         enable(board)
         board.write("cmd.mode", [board.catalogue.enums["control_mode_t"]["SPEED"]] * AXES)
@@ -40,7 +40,7 @@ def board(request: pytest.FixtureRequest) -> Iterator[Board]:
 
 
 def instants(board: Board, count: int) -> Iterator[int]:
-    """Let the board run to an instant of each of the next slow ticks: all over a tick, equally far apart."""
+    """Run the board to one instant of each of the next slow ticks, at uniform offsets."""
     for k in range(count):
         board.advance((board.time_ns // TICK_NS + 1) * TICK_NS + k * TICK_NS // count)
         yield k
@@ -51,7 +51,7 @@ def send(board: Board, request: Request) -> None:
 
 
 def changed(log: NDArray[np.void], axis: int, before: int) -> int:
-    """Row in which the speed set-point of an axis begins to change."""
+    """Row of the first change of the speed set-point of an axis."""
     rows = np.nonzero(log[f"axis{axis + 1}.speed_ref"] != before)[0]
     return int(rows[0]) if rows.size else -1
 
@@ -59,14 +59,12 @@ def changed(log: NDArray[np.void], axis: int, before: int) -> int:
 @pytest.mark.parametrize(
     ("waiting", "count"),
     [
-        (False, 333),  # 1.5 us apart, which no handler is shorter than
+        (False, 333),  # 1.5 us apart, shorter than every handler
         (True, 1250),  # 0.4 us apart: two bytes of a copy
     ],
 )
-def test_set_points_of_both_axes_take_effect_in_one_tick_whenever_they_are_written(
-    board: Board, waiting: bool, count: int
-) -> None:
-    """An earlier write that waits for its slow tick lets nothing be taken while the server copies."""
+def test_set_points_of_both_axes_take_effect_in_the_same_tick(board: Board, waiting: bool, count: int) -> None:
+    """A pending earlier write does not apply a part of the later one."""
     address = board.address("cmd.speed")
     speed = board.catalogue["cmd.speed"].encode_raw
     for k in instants(board, count):
@@ -87,8 +85,8 @@ def test_set_points_of_both_axes_take_effect_in_one_tick_whenever_they_are_writt
         board.run(0.01)
 
 
-def test_what_the_scope_reads_is_of_one_tick_whenever_it_is_read(board: Board) -> None:
-    """The server copies slot by slot, and loops of the next tick interrupt it."""
+def test_scope_values_are_of_the_same_tick(board: Board) -> None:
+    """The server copies slot by slot, and can be interrupted by loops of the next tick."""
     board.write_raw("cmd.speed", [SPEED, -SPEED])
     board.run(0.1)
     variables = [board.catalogue[name] for name in SLOTS]
@@ -111,8 +109,8 @@ def test_what_the_scope_reads_is_of_one_tick_whenever_it_is_read(board: Board) -
         assert read == [int(row[name][0]) for name in SLOTS], f"instant {k}: not of one tick"
 
 
-def test_a_host_that_reads_does_not_disturb_the_control() -> None:
-    """Bytes at any instant, on the line as it comes: what the loops read and do stays the same, bit for bit."""
+def test_reading_host_does_not_disturb_the_control() -> None:
+    """Inputs and outputs of the loops are bit-identical with requests at any instant."""
     logs = []
     for reads in (False, True):
         with Board(level="registers", seed=6) as board:

@@ -1,4 +1,4 @@
-"""What a board keeps without power, from the command line and over ROS, and the twin of such a board."""
+"""Storage in the data flash of a board, by the command line and over ROS, and the twin of such a board."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 import pytest
-from chain import FAST, Chain, User, user, wait_for
+from chain import FAST_BAUD, Chain, User, ros_user, wait_for
 from diagnostic_msgs.msg import DiagnosticStatus
-from line_world import SimulatedLine
+from line_simulation import SimulatedLine
 from sensor_msgs.msg import JointState
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.commands import write_memory
@@ -26,56 +26,56 @@ from servo_twin.level import Level
 from servo_twin.lockstep.replica import Replica
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from test_tune_on_board import BAUD, Desk, edited
+from test_tune_on_board import BAUD, ToolBench, edited
 
 from servo_msgs_py import topics
 
 COPY_B: Final = 4 * (28 + 2) * 256
-"""Where copy B begins in an image of the flash [bytes]."""
+"""Offset of copy B in an image of the flash [bytes]."""
 
 
 # ---- the tool, in simulated time -----------------------------------------------------------------------------------
 
 
 @pytest.fixture
-def desk() -> Iterator[Desk]:
+def bench() -> Iterator[ToolBench]:
     with Board(level="ideal", baud=BAUD, seed=4) as board:
         board.run(0.1)
-        yield Desk(board)
+        yield ToolBench(board)
 
 
-def test_values_are_stored_named_and_erased(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
-    assert desk.tool("info") == 0
+def test_values_are_stored_listed_and_erased(bench: ToolBench, capsys: pytest.CaptureFixture[str]) -> None:
+    assert bench.tool("info") == 0
     assert "built-in values since the reset; nothing stored" in capsys.readouterr().out
     for number in (1, 2):
-        assert desk.tool("save", "--to-board") == 0
+        assert bench.tool("save", "--to-board") == 0
         assert f"stored as set {number}; restored at each reset" in capsys.readouterr().out
-    assert desk.tool("info") == 0
+    assert bench.tool("info") == 0
     assert "newest set 2" in capsys.readouterr().out
-    assert desk.tool("factory") == 0
+    assert bench.tool("factory") == 0
     assert "the built-in values are used from the next reset on" in capsys.readouterr().out
-    assert desk.raw("storage.sequence") == [0]
+    assert bench.raw("storage.sequence") == [0]
 
 
-def test_in_motion_nothing_is_stored(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
-    desk.board.write("cmd.enable", [1, 0])
-    desk.board.run(0.01)
+def test_storing_in_motion_is_refused(bench: ToolBench, capsys: pytest.CaptureFixture[str]) -> None:
+    bench.board.write("cmd.enable", [1, 0])
+    bench.board.run(0.01)
     for command in (("save", "--to-board"), ("factory",)):
-        assert desk.tool(*command) == 1
+        assert bench.tool(*command) == 1
         assert "an axis is moving or enabled. Disable both axes" in capsys.readouterr().err
-    assert desk.raw("storage.saves") == [0]
-    assert desk.tool("log") == 0
+    assert bench.raw("storage.saves") == [0]
+    assert bench.tool("log") == 0
     assert "refused storage.request" in capsys.readouterr().out
 
 
-def test_a_damaged_copy_is_named(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damaged_copy_is_reported(bench: ToolBench, capsys: pytest.CaptureFixture[str]) -> None:
     for _ in range(2):
-        desk.tool("save", "--to-board")
-    image = bytearray(desk.board.cut_power())
+        bench.tool("save", "--to-board")
+    image = bytearray(bench.board.cut_power())
     image[COPY_B + 100] ^= 0x40
     with Board(level="ideal", baud=BAUD, flash=bytes(image)) as board:
         board.run(0.1)
-        other = Desk(board)
+        other = ToolBench(board)
         capsys.readouterr()
         assert other.tool("info") == 0
         assert "copy B is damaged (interrupted save, or worn flash): copy A is in use" in capsys.readouterr().out
@@ -83,8 +83,8 @@ def test_a_damaged_copy_is_named(desk: Desk, capsys: pytest.CaptureFixture[str])
         assert "0 stored copy B: DAMAGED" in capsys.readouterr().out
 
 
-class Deaf(SimulatedLine):
-    """A line that loses answers when it is told to."""
+class LossyAnswerLine(SimulatedLine):
+    """Line that loses the next `lose` answers."""
 
     lose = 0
 
@@ -98,11 +98,11 @@ class Deaf(SimulatedLine):
         return data
 
 
-def test_a_request_whose_answer_is_lost_is_carried_out_once() -> None:
-    """The client repeats it; the board knows its token."""
+def test_request_with_a_lost_answer_is_executed_once() -> None:
+    """The client repeats it; the board recognises its token."""
     with Board(level="ideal", baud=BAUD, seed=4) as board:
         board.run(0.1)
-        line = Deaf(board)
+        line = LossyAnswerLine(board)
         session = connect(Client(Line(line, baud=BAUD, clock=line.clock, retries=3)), Catalogue.load())
         memory = BlockSession(session)
         written: list[str] = []
@@ -128,8 +128,8 @@ def test_a_request_whose_answer_is_lost_is_carried_out_once() -> None:
 
 
 @pytest.mark.parametrize("level", ["ideal", "registers"])
-def test_no_byte_of_a_request_is_lost_while_a_sector_is_erased(level: Level) -> None:
-    """A write as long as the line takes in 14 ms; it is dealt with after the erase."""
+def test_no_byte_is_lost_during_an_erase(level: Level) -> None:
+    """A write that takes 14 ms on the line is processed after the erase."""
     with Board(level=level) as board:
         board.run(0.1)
         begin_request(Replica(board), "SAVE")
@@ -144,20 +144,20 @@ def test_no_byte_of_a_request_is_lost_while_a_sector_is_erased(level: Level) -> 
         assert board.read("receiver_overruns") == 0
 
 
-def test_the_command_line_has_to_make_sense(desk: Desk, tmp_path: Path) -> None:
+def test_invalid_command_lines_are_refused(bench: ToolBench, tmp_path: Path) -> None:
     from servo_bridge.tool_values import UsageError
 
     for arguments in (("save",), ("save", "--to-board", str(tmp_path / "a.toml"))):
         with pytest.raises(UsageError, match="write a FILE"):
-            desk.tool(*arguments)
+            bench.tool(*arguments)
 
 
 # ---- a board on a real port ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.realtime
-def test_a_board_that_is_killed_comes_up_with_what_it_has_stored(tmp_path: Path) -> None:
-    chain, flash = Chain(tmp_path, FAST, level="ideal"), tmp_path / "flash.bin"
+def test_stored_values_are_restored_after_a_crash(tmp_path: Path) -> None:
+    chain, flash = Chain(tmp_path, FAST_BAUD, level="ideal"), tmp_path / "flash.bin"
     try:
         board = chain.board(flash=flash)
         assert flash.stat().st_size == 32896
@@ -166,14 +166,14 @@ def test_a_board_that_is_killed_comes_up_with_what_it_has_stored(tmp_path: Path)
         chain.tool("set", "param.i_q_limit", "2.0,2.0")
         board.kill()
         board = chain.board(flash=flash)
-        assert chain.look("param.i_q_limit", "storage.source") == {
+        assert chain.read_variables("param.i_q_limit", "storage.source") == {
             "param.i_q_limit": pytest.approx([1.25, 0.75], abs=1e-3),
             "storage.source": 1,
         }
         assert "both copies erased" in chain.tool("factory")
         assert board.stop(signal.SIGINT) == 0
         chain.board(flash=flash)
-        assert chain.look("param.i_q_limit")["param.i_q_limit"] == pytest.approx([4.0, 4.0], abs=0.01)
+        assert chain.read_variables("param.i_q_limit")["param.i_q_limit"] == pytest.approx([4.0, 4.0], abs=0.01)
     finally:
         chain.end()
 
@@ -181,83 +181,83 @@ def test_a_board_that_is_killed_comes_up_with_what_it_has_stored(tmp_path: Path)
 # ---- over ROS ------------------------------------------------------------------------------------------------------
 
 
-class Keeper:
-    """A user who stores."""
+class StorageClient:
+    """ROS client of the storage services."""
 
-    def __init__(self, me: User) -> None:
-        self.me = me
+    def __init__(self, user: User) -> None:
+        self.user = user
         self._clients = {
-            name: me.node.create_client(Trigger, f"/servo/{name}")
+            name: user.node.create_client(Trigger, f"/servo/{name}")
             for name in (topics.SAVE_TO_BOARD, topics.RESTORE_FACTORY)
         }
 
     def call(self, name: str) -> tuple[bool, str]:
         client = self._clients[name]
-        self.me.until(client.service_is_ready, 20.0)
-        return self.me.call(client, Trigger.Request())
+        self.user.until(client.service_is_ready, 20.0)
+        return self.user.call(client, Trigger.Request())
 
-    def storage(self) -> DiagnosticStatus:
-        return self.me.status("servo/servo_bridge: storage")
+    def status(self) -> DiagnosticStatus:
+        return self.user.status("servo/servo_bridge: storage")
 
-    def until_storage(self, text: str) -> DiagnosticStatus:
-        self.me.until(lambda: text in self.storage().message, 20.0, text)
-        return self.storage()
+    def until_status(self, text: str) -> DiagnosticStatus:
+        self.user.until(lambda: text in self.status().message, 20.0, text)
+        return self.status()
 
 
 @pytest.mark.slow
 @pytest.mark.realtime
 def test_services_diagnostics_and_the_twin_of_a_board_with_stored_values(tmp_path: Path) -> None:
-    chain, flash = Chain(tmp_path, FAST, level="ideal"), tmp_path / "flash.bin"
-    with user() as me:
-        keeper = Keeper(me)
-        me.listen("/servo/tuning", String, latched_qos())
+    chain, flash = Chain(tmp_path, FAST_BAUD, level="ideal"), tmp_path / "flash.bin"
+    with ros_user() as user:
+        storage = StorageClient(user)
+        user.listen("/servo/tuning", String, latched_qos())
         try:
             board = chain.board(flash=flash)
             gains = edited(tmp_path, "gains.toml", control={"position_gain": 50.0, "speed_bandwidth": 60.0})
             chain.tool("tune", str(gains))
             chain.tool("set", "param.speed_limit", "60,80")
             chain.bridge(telemetry_rate=130.0)
-            me.until(me.connected, 30.0, "the bridge is not connected")
-            keeper.until_storage("built-in values since the reset; nothing stored")
+            user.until(user.connected, 30.0, "the bridge is not connected")
+            storage.until_status("built-in values since the reset; nothing stored")
 
-            success, message = keeper.call(topics.SAVE_TO_BOARD)
+            success, message = storage.call(topics.SAVE_TO_BOARD)
             assert success, message
             assert message.startswith("stored as set 1")
             board.kill()
-            me.until(lambda: not me.connected(), 20.0, "the board is still there")
+            user.until(lambda: not user.connected(), 20.0, "the board is still there")
             chain.board(flash=flash)
             chain.twin()
-            me.until(me.connected, 30.0, "the bridge is not connected again")
-            assert keeper.until_storage("values of copy A since the reset; newest set 1").level == DiagnosticStatus.OK
-            me.until(lambda: "position_gain = 50" in me.last("/servo/tuning"), 30.0, "the gains are not known")
-            me.until(lambda: me.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
+            user.until(user.connected, 30.0, "the bridge is not connected again")
+            assert storage.until_status("values of copy A since the reset; newest set 1").level == DiagnosticStatus.OK
+            user.until(lambda: "position_gain = 50" in user.last("/servo/tuning"), 30.0, "the gains are not known")
+            user.until(lambda: user.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
 
-            me.spinning()
-            assert keeper.call(topics.SAVE_TO_BOARD) == (False, _AT_REST)
-            me.until(lambda: me.last("/twin/healthy") is True, 30.0, "the twin is not healthy while both hold")
-            start = len(me.messages["/twin/residual"])
-            me.joint_commands.publish(JointState(name=["axis1", "axis2"], position=[30.0, -30.0]))
-            me.until(lambda: abs(me.position_of(0) - 30.0) < 0.01, 20.0, "not there")
-            residuals = [message.position for message in me.messages["/twin/residual"][start:]]
+            user.enable_axes()
+            assert storage.call(topics.SAVE_TO_BOARD) == (False, _AT_REST)
+            user.until(lambda: user.last("/twin/healthy") is True, 30.0, "the twin is not healthy while both hold")
+            start = len(user.messages["/twin/residual"])
+            user.joint_commands.publish(JointState(name=["axis1", "axis2"], position=[30.0, -30.0]))
+            user.until(lambda: abs(user.position_of(0) - 30.0) < 0.01, 20.0, "not there")
+            residuals = [message.position for message in user.messages["/twin/residual"][start:]]
             assert len(residuals) > 20
             assert float(np.abs(residuals).max()) < 0.05, "another gain would be apart by more than half a radian"
-            rows = [row["axis1.speed"] for row in me.rows() if "axis1.speed" in row]
+            rows = [row["axis1.speed"] for row in user.rows() if "axis1.speed" in row]
             assert 55.0 < max(rows) < 65.0
 
-            me.enable(False)
-            me.until(lambda: me.last("/servo/state") == "axis1=STOP axis2=STOP", 20.0)
-            success, message = keeper.call(topics.SAVE_TO_BOARD)
+            user.enable(False)
+            user.until(lambda: user.last("/servo/state") == "axis1=STOP axis2=STOP", 20.0)
+            success, message = storage.call(topics.SAVE_TO_BOARD)
             assert (success, message.startswith("stored as set 2")) == (True, True), message
         finally:
             chain.end()
         image = bytearray(flash.read_bytes())
         image[COPY_B + 200] ^= 0x01
         flash.write_bytes(image)
-        chain = Chain(tmp_path, FAST, level="ideal")
+        chain = Chain(tmp_path, FAST_BAUD, level="ideal")
         try:
             chain.board(flash=flash)
             chain.bridge(telemetry_rate=130.0)
-            status = keeper.until_storage("copy B is damaged")
+            status = storage.until_status("copy B is damaged")
             assert status.level == DiagnosticStatus.WARN
             assert {value.key: value.value for value in status.values} == {
                 "newest set": "1",
@@ -265,9 +265,9 @@ def test_services_diagnostics_and_the_twin_of_a_board_with_stored_values(tmp_pat
                 "copy A": "INTACT",
                 "copy B": "DAMAGED",
             }
-            success, message = keeper.call(topics.RESTORE_FACTORY)
+            success, message = storage.call(topics.RESTORE_FACTORY)
             assert success, message
-            assert keeper.until_storage("nothing stored").level == DiagnosticStatus.OK
+            assert storage.until_status("nothing stored").level == DiagnosticStatus.OK
             wait_for(lambda: set(flash.read_bytes()[4 * 28 * 256 : 4 * 32 * 256]) == {0xFF}, 5.0)
         finally:
             chain.end()

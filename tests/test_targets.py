@@ -1,4 +1,4 @@
-"""The same bits on every machine: recorded runs of the whole firmware, replayed on each target."""
+"""Bit-exact comparison: recorded runs of the whole firmware, replayed on each target."""
 
 from __future__ import annotations
 
@@ -20,60 +20,60 @@ from targets.sources import Sources
 Needs = Callable[[Target], None]
 
 REFUSALS = ("return FM_PASSWORD_NEEDED;", "return RESULT_LEVEL;")
-"""Of a client that has not logged in: the configuration of the runs has no passwords."""
+"""Refusals without a login: the configuration of the runs has no passwords."""
 
 NOT_ON_A_TARGET = {
-    # The replay is one thread: no interrupt comes while the server copies.
+    # The replay has one thread: the server is not interrupted.
     "latch_commands",
     "publish_snapshot",
     "event_log_compare",
-    # For hosts that have no serial line.
+    # For hosts without a serial line.
     "servo_read",
     "servo_write",
     "freemaster_read",
     "freemaster_write",
-    # No command of this application takes longer than its first look.
+    # All commands of this application are completed at the first request.
     "freemaster_finish_command",
     "app_command_finish",
-    # DRM 4.5 lists the transition, but no flag leads there.
+    # DRM 4.5 lists the transition, but no flag causes it.
     "stop_init",
-    # 25 s of waiting are too long for a recording.
+    # A wait of 25 s is too long for a recording.
     "wait_for_rest",
-    # With an encoder READY lasts one tick, but for after those 25 s.
+    # With an encoder READY lasts one tick, except after these 25 s.
     "encoder_monitor_suspect",
     "check_shorted",
-    # No limit can be written that is wider than the configured one.
+    # Limits beyond the configured ones are refused.
     "omega_n_ts_under",
-    # Refuse what the table of variables and the number of scope slots rule out.
+    # Refusals that are excluded by the table of variables and the number of scope slots.
     "fill",
     "scope_read",
-    # The paths of the recordings meet no limit switch, and none withdraws the drive from a held search.
+    # No path of the recordings reaches a limit switch, and none disables the drive in a held search.
     "motion_leave_path",
     "align_slow",
-    # The recorder's board has no switches, and 2 s are too long for a recording.
+    # The board of the recorder has no switches, and 2 s are too long for a recording.
     "approach",
     "back_off",
     "run_leg",
-    # The recorder's board has a data flash that keeps what is written, and sets of one version of the firmware.
+    # The data flash of the board of the recorder has no errors, and only sets of one version of the firmware.
     "copy_rank",
     "storage_begin",
     "take_request",
     "is_done",
     "storage_step",
     "stored_check",
-    # The recorder's board leaves no interrupt out.
+    # The board of the recorder omits no interrupt.
     "count_late_loops",
     "servo_m1_isr",
     "servo_m2_isr",
 }
-"""Functions with lines that no recorded run can reach, and why."""
+"""Functions with lines that no recorded run can reach, with the reasons."""
 
 
 # ---- the targets ----------------------------------------------------------------------------------------------------
 
 
 SLOW = 50.0
-"""Weight of a target from which on its test takes more than a few seconds."""
+"""Smallest weight of a target whose test is marked as slow."""
 
 
 @pytest.mark.parametrize(
@@ -83,18 +83,18 @@ SLOW = 50.0
         for target in TARGETS
     ],
 )
-def test_a_target_agrees_in_every_word(
+def test_target_has_the_outputs_of_the_host(
     target: Target, needs: Needs, expected: list[Expectation], c_sources: Sources, tmp_path: Path
 ) -> None:
-    """Every word out of the core and every published snapshot of every run, and the arithmetic beyond them."""
+    """All output words and snapshots of every run, and the results of the arithmetic."""
     needs(target)
     (report,) = check([target], expected, c_sources, tmp_path)
     assert not report.problems, "\n".join(report.problems)
     assert report.agrees
 
 
-def test_the_machines_differ() -> None:
-    """Three families of processors, among them one whose `int` has 16 bits; at least three optimisations on one."""
+def test_targets_have_different_options() -> None:
+    """Three processor families, one with a 16-bit `int`; at least three optimisations on one of them."""
     names = [target.name for target in TARGETS]
     assert {name.split()[0] for name in names} == {"gcc", "clang", "cortex-m3", "avr"}
     assert sum(name.startswith("cortex-m3") for name in names) >= 3
@@ -109,30 +109,30 @@ def catalogue() -> Catalogue:
 
 
 @pytest.fixture(scope="module")
-def lives(recordings: list[Recording], catalogue: Catalogue) -> dict[int, History]:
+def axis_histories(recordings: list[Recording], catalogue: Catalogue) -> dict[int, History]:
     return histories(recordings, catalogue)
 
 
 @pytest.mark.parametrize("axis", [1, 2])
-def test_runs_pass_every_state(lives: dict[int, History], catalogue: Catalogue, axis: int) -> None:
-    assert lives[axis].states == set(catalogue.enums["state_t"])
-    assert lives[axis].substates == set(catalogue.enums["substate_t"])
+def test_runs_pass_every_state(axis_histories: dict[int, History], catalogue: Catalogue, axis: int) -> None:
+    assert axis_histories[axis].states == set(catalogue.enums["state_t"])
+    assert axis_histories[axis].substates == set(catalogue.enums["substate_t"])
 
 
-def test_runs_pass_every_transition(lives: dict[int, History]) -> None:
-    """And no other."""
-    assert lives[1].transitions | lives[2].transitions == MAIN_TRANSITIONS
-    assert lives[1].run_transitions | lives[2].run_transitions == RUN_TRANSITIONS
+def test_runs_pass_every_transition(axis_histories: dict[int, History]) -> None:
+    """They contain no other transition."""
+    assert axis_histories[1].transitions | axis_histories[2].transitions == MAIN_TRANSITIONS
+    assert axis_histories[1].run_transitions | axis_histories[2].run_transitions == RUN_TRANSITIONS
 
 
-def test_runs_end_every_state_by_a_fault(lives: dict[int, History]) -> None:
+def test_runs_leave_every_state_by_a_fault(axis_histories: dict[int, History]) -> None:
     everywhere = {"INIT", "STOP", "CALIB", "ALIGN", "SPIN", "FREEWHEEL", "STARTUP"}
-    assert lives[1].faulted_from | lives[2].faulted_from >= everywhere
+    assert axis_histories[1].faulted_from | axis_histories[2].faulted_from >= everywhere
 
 
-def test_runs_raise_every_fault_and_reach_every_limit(lives: dict[int, History], catalogue: Catalogue) -> None:
-    assert lives[1].faults | lives[2].faults == {flag.name for flag in catalogue.flags["faults"]}
-    assert lives[1].limits | lives[2].limits == {flag.name for flag in catalogue.flags["limits"]}
+def test_runs_raise_every_fault_and_reach_every_limit(axis_histories: dict[int, History], catalogue: Catalogue) -> None:
+    assert axis_histories[1].faults | axis_histories[2].faults == {flag.name for flag in catalogue.flags["faults"]}
+    assert axis_histories[1].limits | axis_histories[2].limits == {flag.name for flag in catalogue.flags["limits"]}
 
 
 def test_runs_use_every_mode_and_switch_every_feature(recordings: list[Recording], catalogue: Catalogue) -> None:
@@ -145,7 +145,7 @@ def test_runs_use_every_mode_and_switch_every_feature(recordings: list[Recording
 
 
 def test_runs_reach_every_line(c_sources: Sources, expected: list[Expectation], tmp_path: Path) -> None:
-    """A part of the core that no run reaches would be the same on no machine for all we know."""
+    """The comparison is not valid for lines that no run reaches."""
     missed = missed_lines(c_sources, [one.image for one in expected], tmp_path)
     missed = [line for line in missed if not line.text.strip().startswith(REFUSALS)]
     assert "\n".join(str(line) for line in missed if line.function not in NOT_ON_A_TARGET) == ""
@@ -155,15 +155,15 @@ def test_runs_reach_every_line(c_sources: Sources, expected: list[Expectation], 
 # ---- recordings -----------------------------------------------------------------------------------------------------
 
 
-def test_recording_repeats(recorder: Recorder, recordings: list[Recording]) -> None:
-    """The same seed gives the same bytes and the same digest, another one does not."""
+def test_recording_is_reproducible(recorder: Recorder, recordings: list[Recording]) -> None:
+    """The same seed gives the same bytes and digest, another seed does not."""
     for scenario, before in zip(SCENARIOS, recordings, strict=True):
         again = recorder.record(scenario)
         assert (again.image, again.digest, again.checks) == (before.image, before.digest, before.checks)
     assert recorder.record(SCENARIOS[0], seed=2).digest != recordings[0].digest
 
 
-def test_arithmetic_repeats(recorder: Recorder, arithmetic: Arithmetic) -> None:
+def test_arithmetic_is_reproducible(recorder: Recorder, arithmetic: Arithmetic) -> None:
     assert recorder.arithmetic() == arithmetic
     assert recorder.arithmetic(seed=2).digest != arithmetic.digest
     assert len(set(arithmetic.checks)) == len(arithmetic.groups)
@@ -174,7 +174,7 @@ def test_arithmetic_repeats(recorder: Recorder, arithmetic: Arithmetic) -> None:
 
 @pytest.fixture
 def recorded_before(monkeypatch: pytest.MonkeyPatch, recorder: Recorder) -> None:
-    """Spare the command its build of the recorder."""
+    """Replace the build of the recorder in the command."""
     monkeypatch.setattr("targets.__main__.Recorder", lambda sources, folder: recorder)
 
 
@@ -182,7 +182,7 @@ def recorded_before(monkeypatch: pytest.MonkeyPatch, recorder: Recorder) -> None
 def test_command_prints_one_line_per_target(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Also for a target whose tools are missing."""
+    """It prints a line for targets with missing tools, too."""
     which = shutil.which
     monkeypatch.setattr("targets.toolchain.shutil.which", lambda name: None if "avr" in name else which(name))
     assert main(["--target", "avr -Os", "--target", "gcc -O0", "--target", "gcc -O3", "--scenario", "server"]) == 0

@@ -1,4 +1,4 @@
-"""The comparison of the targets bites: what is changed in a copy of the sources is noticed, and named."""
+"""The comparison of the targets detects and names changes in a copy of the sources."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ CASTS = [
     ("drive/current_sense.c", "(uint32_t)code << SENSE_OFFSET_BITS", "(uint32_t)"),
     ("comm/leb128.c", "(uint32_t)(data[at] & 0x7Fu) << shift", "(uint32_t)"),
 ]
-"""File, a part of the line, and what is removed: the host's 32-bit `int` does without."""
+"""File, part of the line, and removed cast, which is not needed with the 32-bit `int` of the host."""
 
 
 def edited(sources: Sources, folder: Path, file: str, before: str, after: str) -> Sources:
-    """Copy with one place of the firmware changed."""
+    """Copy of the sources with one change."""
     copy = sources.copy(folder)
     path = copy.firmware / file
     text = path.read_text(encoding="utf-8")
@@ -57,12 +57,12 @@ def avr(c_sources: Sources, needs: Needs, tmp_path_factory: pytest.TempPathFacto
 
 @pytest.fixture(scope="module")
 def short(recorder: Recorder, recordings: list[Recording]) -> list[Expectation]:
-    """Enough to notice by, and quick."""
+    """Short expectations that are sufficient for detection."""
     return [recorder.arithmetic(rounds=30), by_name(recordings, "server")]
 
 
 @pytest.mark.parametrize(("file", "fragment", "removed"), CASTS, ids=lambda value: value.replace(" ", ""))
-def test_missing_cast_is_noticed(
+def test_missing_cast_is_detected(
     c_sources: Sources,
     avr: AvrProgram,
     short: list[Expectation],
@@ -71,7 +71,7 @@ def test_missing_cast_is_noticed(
     fragment: str,
     removed: str,
 ) -> None:
-    """By the machine with a 16-bit `int`, or by its compiler; the digest of the host stays."""
+    """By the machine with a 16-bit `int`, or by its compiler; the digest of the host is unchanged."""
     (cast,) = [
         one for one in removals(c_sources) if (one.file, one.removed) == (file, removed) and fragment in one.code
     ]
@@ -125,20 +125,20 @@ def test_casts_are_found_in_code_only(tmp_path: Path) -> None:
     ],
     ids=["constant", "output", "input"],
 )
-def test_change_is_named(
+def test_first_difference_is_named(
     c_sources: Sources, recordings: list[Recording], tmp_path: Path, file: str, before: str, after: str, told: str
 ) -> None:
-    """With the first call in which it shows, and what differs."""
+    """The message has the first different call and the difference."""
     (report,) = check([HOST], [recordings[0]], edited(c_sources, tmp_path, file, before, after), tmp_path / "build")
     assert report.digest != combined([recordings[0].digest])
     (problem,) = report.problems
     assert re.fullmatch(f"{recordings[0].name}: {told}", problem), problem
 
 
-def test_sanitizers_notice_an_overflow(
+def test_sanitizers_detect_an_overflow(
     c_sources: Sources, arithmetic: Arithmetic, needs: Needs, tmp_path: Path
 ) -> None:
-    """Where the compiler happens to do what was meant, the digest is right, and the code is wrong all the same."""
+    """The digest may be right although the behaviour is undefined."""
     sanitized = next(target for target in TARGETS if "sanitizers" in target.name)
     needs(sanitized)
     sources = edited(
@@ -149,21 +149,21 @@ def test_sanitizers_notice_an_overflow(
     assert "signed integer overflow" in "\n".join(checked.problems)
 
 
-def test_a_program_that_stops_early_is_no_success() -> None:
-    with pytest.raises(ValueError, match="did not come to its end"):
+def test_truncated_output_is_an_error() -> None:
+    with pytest.raises(ValueError, match="did not terminate normally"):
         parse_console("=12345678\n")
     assert parse_console("=12345678\nend 9ABCDEF0\n").digest == 0x9ABCDEF0
 
 
-def test_a_compiler_that_refuses_is_reported(c_sources: Sources, recordings: list[Recording], tmp_path: Path) -> None:
+def test_compiler_error_is_reported(c_sources: Sources, recordings: list[Recording], tmp_path: Path) -> None:
     sources = edited(c_sources, tmp_path, "drive/axis.c", "#define U_DC_FILTER_SHIFT 4", "#define U_DC_FILTER_SHIFT")
     (report,) = check([HOST], recordings[:1], sources, tmp_path / "build")
     assert report.digest is None
     assert report.problems[0].startswith("does not build: gcc ended with status 1")
 
 
-def test_recorder_knows_every_function_of_the_board(c_sources: Sources, tmp_path: Path) -> None:
-    """A function of the board that is not recorded could not be replayed."""
+def test_recorder_wraps_every_function_of_the_board(c_sources: Sources, tmp_path: Path) -> None:
+    """Functions that are not recorded could not be replayed."""
     sources = edited(
         c_sources,
         tmp_path / "copy",
@@ -184,7 +184,7 @@ def test_recorder_knows_every_function_of_the_board(c_sources: Sources, tmp_path
 
 
 def test_log_and_console_agree(c_sources: Sources, recordings: list[Recording], tmp_path: Path) -> None:
-    """What the recorder notes of each call is what a replay prints of it."""
+    """The recorder stores each call as a replay prints it."""
     recording = by_name(recordings, "server")
     program = HOST.build(c_sources, tmp_path)
     calls = parse_console(program.run(recording.printing(0, recording.periods))).calls
@@ -192,7 +192,7 @@ def test_log_and_console_agree(c_sources: Sources, recordings: list[Recording], 
     assert any(call.snapshot for call in calls)
 
 
-def test_log_reads_several_calls() -> None:
+def test_log_contains_several_calls() -> None:
     words = [7, 1, 1, 0, 2, 0x0101, 0xFFFF, 1, 5, 0x5678, 0x1234, 8, 1, 4, 1, 0, 0]
     first, second = parse_log(words)
     assert first == Call(0x10007, 1, 0, 0, 0, (0x0101, 0xFFFF), ((5, 0x12345678),))

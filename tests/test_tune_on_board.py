@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
-from line_world import SimulatedLine
+from line_simulation import SimulatedLine
 from numpy.typing import NDArray
 from servo_bridge.freemaster.client import Client
 from servo_bridge.freemaster.line import Line
@@ -39,8 +39,8 @@ MOTORS: Final[dict[str, dict[str, float]]] = {
 Tool = Callable[..., int]
 
 
-class Desk:
-    """A board, and the tool on its line."""
+class ToolBench:
+    """A board with the tool on its serial line."""
 
     def __init__(self, board: Board) -> None:
         self.board = board
@@ -60,7 +60,7 @@ class Desk:
 
 
 def edited(folder: Path, name: str, **groups: dict[str, Any]) -> Path:
-    """servo.toml with entries of some groups replaced: ``control`` of [defaults], ``axis1__motor`` of [axis1]."""
+    """servo.toml with replaced entries of groups: ``control`` of [defaults], ``axis1__motor`` of [axis1]."""
     text = CONFIG.read_text(encoding="utf-8")
     for group, entries in groups.items():
         owner = group.replace("__", ".") if "__" in group else f"defaults.{group}"
@@ -85,63 +85,63 @@ def spinning() -> Iterator[Board]:
 
 
 @pytest.fixture
-def desk() -> Iterator[Desk]:
+def bench() -> Iterator[ToolBench]:
     with Board(level="ideal", baud=BAUD, seed=4) as board:
         board.run(0.1)
-        yield Desk(board)
+        yield ToolBench(board)
 
 
-def test_a_file_is_shown_compared_taken_and_read_back(
-    desk: Desk, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_file_is_shown_compared_sent_and_read_back(
+    bench: ToolBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    own = desk.raw("config.checksum")
+    own = bench.raw("config.checksum")
     file = edited(tmp_path, "mine.toml", axis1__motor={"psi_m": 0.012}, control={"position_gain": 50.0})
-    assert desk.tool("tune", CONFIG) == 0
+    assert bench.tool("tune", CONFIG) == 0
     assert "no change" in capsys.readouterr().out
     for flag, status in (("--dry-run", 0), ("--diff", 1)):
-        assert desk.tool("tune", file, flag) == status
-        assert desk.raw("config.checksum") == own
+        assert bench.tool("tune", file, flag) == status
+        assert bench.raw("config.checksum") == own
         out = capsys.readouterr().out
         assert re.search(r"axis1 +torque_constant +0\.0462\S* N m/A +0\.036\S* N m/A +at rest", out)
         assert re.search(r"axis2 +position_gain +\S+ rad/s +\S+ rad/s +in motion", out)
-    assert desk.tool("tune", file, "--axis", "1") == 0
-    assert f"axis1 applied at tick {desk.raw('config.taken_tick')[0]}" in capsys.readouterr().out
-    assert (desk.raw("config.checksum")[0] == own[0], desk.raw("config.checksum")[1] == own[1]) == (False, True)
-    assert desk.tool("tune", file) == 0
-    taken = desk.raw("config.checksum")
-    assert desk.tool("tune", file, "--diff") == 0
+    assert bench.tool("tune", file, "--axis", "1") == 0
+    assert f"axis1 applied at tick {bench.raw('config.taken_tick')[0]}" in capsys.readouterr().out
+    assert (bench.raw("config.checksum")[0] == own[0], bench.raw("config.checksum")[1] == own[1]) == (False, True)
+    assert bench.tool("tune", file) == 0
+    taken = bench.raw("config.checksum")
+    assert bench.tool("tune", file, "--diff") == 0
 
     back = tmp_path / "back.toml"
-    assert desk.tool("tune", "--from-board", "-o", back) == 0
+    assert bench.tool("tune", "--from-board", "-o", back) == 0
     assert "psi_m = 0.012 " in back.read_text(encoding="utf-8")
-    assert desk.tool("tune", CONFIG) == 0
-    assert desk.raw("config.checksum") == own
-    assert desk.tool("tune", back) == 0
-    assert desk.raw("config.checksum") == taken
+    assert bench.tool("tune", CONFIG) == 0
+    assert bench.raw("config.checksum") == own
+    assert bench.tool("tune", back) == 0
+    assert bench.raw("config.checksum") == taken
 
 
-def test_what_the_tuning_code_refuses_does_not_reach_the_board(
-    desk: Desk, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_configuration_refused_by_the_tuning_code_is_not_sent(
+    bench: ToolBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    own = desk.raw("config.checksum")
-    assert desk.tool("tune", edited(tmp_path, "bad.toml", control={"speed_bandwidth": 4000.0})) == 1
+    own = bench.raw("config.checksum")
+    assert bench.tool("tune", edited(tmp_path, "bad.toml", control={"speed_bandwidth": 4000.0})) == 1
     assert "speed_bandwidth" in capsys.readouterr().err
-    assert desk.raw("config.checksum") == own
+    assert bench.raw("config.checksum") == own
     for arguments in ((), ("--from-board", CONFIG), (CONFIG, "-o", "x.toml")):
         with pytest.raises(UsageError):
-            desk.tool("tune", *arguments)
+            bench.tool("tune", *arguments)
 
 
-def test_motor_data_is_refused_in_motion_with_the_member(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_motor_data_are_refused_in_motion(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with spinning() as board:
-        desk = Desk(board)
-        own = desk.raw("config.checksum")
-        assert desk.tool("tune", edited(tmp_path, "other.toml", axis1__motor={"psi_m": 0.012})) == 1
+        bench = ToolBench(board)
+        own = bench.raw("config.checksum")
+        assert bench.tool("tune", edited(tmp_path, "other.toml", axis1__motor={"psi_m": 0.012})) == 1
         assert "can only be changed at standstill" in capsys.readouterr().err
-        assert desk.raw("config.checksum") == own
+        assert bench.raw("config.checksum") == own
 
 
-def test_another_motor_needs_no_compiler(tmp_path: Path) -> None:
+def test_another_motor_is_configured_without_a_compiler(tmp_path: Path) -> None:
     plant = PlantConfig.load()
     for axis, motor in enumerate(MOTORS.values()):
         plant = plant.with_axis(axis, **motor)
@@ -156,8 +156,8 @@ def test_another_motor_needs_no_compiler(tmp_path: Path) -> None:
     )
     with Board(plant=plant, level="ideal", baud=BAUD, seed=4) as board:
         board.run(0.1)
-        desk = Desk(board)
-        assert desk.tool("tune", file) == 0
+        bench = ToolBench(board)
+        assert bench.tool("tune", file) == 0
         board.write("param.command_timeout", 0.0)
         board.write("cmd.enable", [1, 1])
         for _ in range(100):
@@ -165,13 +165,13 @@ def test_another_motor_needs_no_compiler(tmp_path: Path) -> None:
             if all(board.read(f"axis{k}.substate") == 3 for k in (1, 2)):
                 break
         assert [board.read(f"axis{k}.substate") for k in (1, 2)] == [3, 3]
-        start = [desk.raw(f"axis{k}.position")[0] for k in (1, 2)]
+        start = [bench.raw(f"axis{k}.position")[0] for k in (1, 2)]
         command_position(board, 0, start[0] + MOVE)
         command_position(board, 1, start[1] - MOVE)
         peak = [0, 0]
         for _ in range(60):
             board.run(0.05)
-            way = [desk.raw(f"axis{k}.position")[0] - start[k - 1] for k in (1, 2)]
+            way = [bench.raw(f"axis{k}.position")[0] - start[k - 1] for k in (1, 2)]
             peak = [max(peak[0], way[0]), max(peak[1], -way[1])]
         assert [board.read(f"axis{k}.faults") for k in (1, 2)] == [0, 0]
         assert peak == pytest.approx([MOVE, MOVE], abs=3)
@@ -179,26 +179,30 @@ def test_another_motor_needs_no_compiler(tmp_path: Path) -> None:
 
 
 def test_no_loop_is_late_when_both_axes_take_blocks(tmp_path: Path) -> None:
-    """At the level of registers, where code takes time, with every feature that a block has to do with."""
+    """At level `registers`, where code takes time, with every feature that uses a block."""
     on = ("FRICTION", "SPEED_OBSERVER", "SPEED_FORWARD", "ACCELERATION_FORWARD", "FOLLOWING_ERROR", "ANGLE_CHECK")
     changes = {"speed_bandwidth": 60.0, "position_gain": 50.0, "current_bandwidth": 900.0, "path_current_use": 0.4}
     file = edited(tmp_path, "gains.toml", control=changes, axis1__motor={"inertia": 0.9e-5})
     with Board(level="registers", baud=BAUD, seed=4) as board:
         enable(board)
-        desk = Desk(board)
+        bench = ToolBench(board)
         for axis in range(2):
             features(board, axis, **dict.fromkeys(on, True))
-            command_position(board, axis, desk.raw(f"axis{axis + 1}.position")[0] + 200_000)
+            command_position(board, axis, bench.raw(f"axis{axis + 1}.position")[0] + 200_000)
         board.run(0.1)
         for number, source in enumerate((file, CONFIG, file), 1):
-            assert desk.tool("tune", source) == 0
-            assert desk.raw("config.taken_count") == [number]
+            assert bench.tool("tune", source) == 0
+            assert bench.raw("config.taken_count") == [number]
         board.run(0.02)
-        assert (desk.raw("late_loops"), desk.raw("axis1.faults"), desk.raw("axis2.faults")) == ([0], [0], [0])
+        assert (bench.raw("late_loops"), bench.raw("axis1.faults"), bench.raw("axis2.faults")) == (
+            [0],
+            [0],
+            [0],
+        )
 
 
-class FineLine(SimulatedLine):
-    """Keeps what axis 1 does in every PWM period: true i_q, and u_q as the last snapshot has it."""
+class RecordingLine(SimulatedLine):
+    """Line that records axis 1 in every PWM period: true i_q, and u_q of the last snapshot."""
 
     def __init__(self, board: Board) -> None:
         super().__init__(board)
@@ -211,14 +215,14 @@ class FineLine(SimulatedLine):
                 self.seen.append((self.board.truth(0).i_q, self.board.read_raw("axis1.u_q")[0] * U_Q))
 
     def around(self, tick: int, periods: int) -> NDArray[np.float64]:
-        """Rows of so many periods before a tick and after it."""
+        """Rows of `periods` periods before and after a tick."""
         middle = len(self.seen) - (self.board.time_ns // PERIOD_NS - tick)
         return np.array(self.seen[middle - periods : middle + periods])
 
 
 @pytest.mark.parametrize("what", ["ramp", "speed", "position"])
 def test_gains_change_in_motion_without_a_step(tmp_path: Path, what: str) -> None:
-    """Current and voltage go on at the tick as they do without: no period changes them by more, no mean is shifted."""
+    """Changes of current and voltage per period, and their means, are as without a change of gains."""
     file = edited(
         tmp_path, "gains.toml",
         control={"current_bandwidth": 700.0, "speed_bandwidth": 55.0, "position_gain": 45.0, "speed_ratio": 6.0},
@@ -226,28 +230,28 @@ def test_gains_change_in_motion_without_a_step(tmp_path: Path, what: str) -> Non
         axis2__control={"speed_bandwidth": 45.0},
     )  # fmt: skip
     with spinning() as board:
-        desk = Desk(board)
-        desk.line = line = FineLine(board)
+        bench = ToolBench(board)
+        bench.line = line = RecordingLine(board)
         features(board, 0, FRICTION=True)
         board.write("param.acceleration_limit", [400.0 if what == "ramp" else 4000.0] * 2)
         board.run(0.01)
-        assert desk.tool("tune", CONFIG, "--dry-run") == 0  # the table of variables is read before the motion
+        assert bench.tool("tune", CONFIG, "--dry-run") == 0  # read the table of variables before the motion
         if what == "position":
-            command_position(board, 0, desk.raw("axis1.position")[0] + 200_000)
+            command_position(board, 0, bench.raw("axis1.position")[0] + 200_000)
         else:
             choose_mode(board, 0, "SPEED")
             command_speed(board, 0, 280.0 if what == "ramp" else 120.0)
         board.set_load(0, 0.03)
         line.advance(board.time_ns + 300_000_000)
         line.seen.clear()
-        assert desk.tool("tune", file) == 0
-        tick = desk.raw("config.taken_tick")[0]
+        assert bench.tool("tune", file) == 0
+        tick = bench.raw("config.taken_tick")[0]
         line.advance(board.time_ns + 100_000_000)
-        assert (desk.raw("axis1.limits"), desk.raw("axis1.faults")) == ([0], [0]), "free to move"
+        assert (bench.raw("axis1.limits"), bench.raw("axis1.faults")) == ([0], [0]), "free to move"
         for column, name in enumerate(("i_q", "u_q")):
             seen = line.around(tick, 320)[:, column]
             before, after = seen[:320], seen[320:]
-            slope = float(np.polyfit(np.arange(320), before, 1)[0])  # of a ramp
+            slope = float(np.polyfit(np.arange(320), before, 1)[0])  # periods of a ramp
             by_itself = float(np.abs(np.diff(before)).max())
             assert float(np.abs(np.diff(seen[312:344])).max()) <= 1.5 * by_itself, name
             shift = float(after[:32].mean() - before[-32:].mean()) - 32 * slope

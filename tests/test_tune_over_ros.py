@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from chain import FAST, User, followed_board
+from chain import FAST_BAUD, User, followed_board
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -20,23 +20,23 @@ from test_tune_on_board import CONFIG, edited
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 BOTH = ["axis1", "axis2"]
-FAR = 20_000.0  # rad: on the way for longer than any test
+FAR = 20_000.0  # [rad], longer than any test
 
 
-class Tuner:
-    """A user who tunes."""
+class TuningClient:
+    """ROS client of the tuning service."""
 
-    def __init__(self, me: User) -> None:
-        self.me = me
+    def __init__(self, user: User) -> None:
+        self.user = user
         self.files: list[str] = []
-        self._tune = me.node.create_client(SetBool, "/servo/tune")
-        self._parameters = me.node.create_client(SetParameters, "/servo/servo_bridge/set_parameters")
-        me.node.create_subscription(
+        self._tune = user.node.create_client(SetBool, "/servo/tune")
+        self._parameters = user.node.create_client(SetParameters, "/servo/servo_bridge/set_parameters")
+        user.node.create_subscription(
             String, "/servo/tuning", lambda message: self.files.append(message.data), latched_qos()
         )
 
     def call(self, file: Path, *, send: bool) -> tuple[bool, str]:
-        """Name a file and call the service."""
+        """Set the parameter `tuning` to a file and call the service."""
         for client, request in (
             (
                 self._parameters,
@@ -44,34 +44,34 @@ class Tuner:
             ),
             (self._tune, SetBool.Request(data=send)),
         ):
-            self.me.until(client.service_is_ready, 20.0)
+            self.user.until(client.service_is_ready, 20.0)
             future = client.call_async(request)
-            self.me.until(future.done, 30.0, "no answer")
+            self.user.until(future.done, 30.0, "no answer")
         return bool(future.result().success), str(future.result().message)
 
     def until_published(self, count: int) -> str:
-        self.me.until(lambda: len(self.files) >= count, 30.0, "no configuration")
+        self.user.until(lambda: len(self.files) >= count, 30.0, "no configuration")
         return self.files[-1]
 
 
 @pytest.fixture
-def tuner(tmp_path: Path) -> Iterator[Tuner]:
-    with followed_board(tmp_path, FAST, "ideal", telemetry_rate=130.0) as me:
-        yield Tuner(me)
+def tuner(tmp_path: Path) -> Iterator[TuningClient]:
+    with followed_board(tmp_path, FAST_BAUD, "ideal", telemetry_rate=130.0) as user:
+        yield TuningClient(user)
 
 
-def test_gains_are_given_to_a_board_in_motion_and_read_back(tuner: Tuner, tmp_path: Path) -> None:
-    me, catalogue = tuner.me, Catalogue.load()
+def test_gains_are_sent_in_motion_and_read_back(tuner: TuningClient, tmp_path: Path) -> None:
+    user, catalogue = tuner.user, Catalogue.load()
     own = tuner.until_published(1)
     built_in = blocks_of_file(CONFIG.read_text(encoding="utf-8"), catalogue)
     assert blocks_of_file(own, catalogue) == built_in
     gains = edited(tmp_path, "gains.toml", control={"position_gain": 50.0, "speed_bandwidth": 60.0})
     motor = edited(tmp_path, "motor.toml", axis1__motor={"psi_m": 0.012})
     bad = edited(tmp_path, "bad.toml", control={"speed_bandwidth": 4000.0})
-    me.spinning()
-    me.until(lambda: me.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
-    me.joint_commands.publish(JointState(name=BOTH, position=[FAR, -FAR]))
-    me.until(lambda: me.position_of(0) > 1.0)
+    user.enable_axes()
+    user.until(lambda: user.last("/twin/healthy") is True, 30.0, "the twin is not healthy")
+    user.joint_commands.publish(JointState(name=BOTH, position=[FAR, -FAR]))
+    user.until(lambda: user.position_of(0) > 1.0)
 
     success, message = tuner.call(bad, send=True)
     assert not success
@@ -85,21 +85,21 @@ def test_gains_are_given_to_a_board_in_motion_and_read_back(tuner: Tuner, tmp_pa
     assert not success
     assert message.splitlines()[-1].startswith("rotor_search.follow.flux_min can only be changed at standstill")
     assert tuner.files == [own]
-    assert not any(command.variable == "config.take" for command in me.applied())
+    assert not any(command.variable == "config.take" for command in user.applied())
 
     success, message = tuner.call(gains, send=True)
     assert success, message
     assert "axis1 and axis2 applied at tick" in message
     new = blocks_of_file(tuner.until_published(2), catalogue)
     assert new == blocks_of_file(gains.read_text(encoding="utf-8"), catalogue) != built_in
-    assert me.position_of(0) < FAR - 1000.0, "still on its way"
-    (take,) = [command for command in me.applied() if command.variable == "config.take"]
+    assert user.position_of(0) < FAR - 1000.0, "still on its way"
+    (take,) = [command for command in user.applied() if command.variable == "config.take"]
     assert message.endswith(f"tick {take.tick}")
     assert take.raw == (*new[0], *new[1])
     assert tuner.call(gains, send=True) == (True, f"the board already has the configuration of {gains}; no change")
-    start = len(me.messages["/diagnostics"])
-    me.until(lambda: len(me.messages["/diagnostics"]) > start + 6)
-    comparison = me.status("twin/servo_twin: comparison")
+    start = len(user.messages["/diagnostics"])
+    user.until(lambda: len(user.messages["/diagnostics"]) > start + 6)
+    comparison = user.status("twin/servo_twin: comparison")
     assert comparison.message == "healthy"
     figures = {value.key: value.value for value in comparison.values}
     assert figures["synchronisations"] == "1", "the twin has taken the blocks at their tick"

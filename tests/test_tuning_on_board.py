@@ -1,4 +1,4 @@
-"""What the tuning tool predicts is what the firmware does on the virtual board."""
+"""Predictions of the tuning tool agree with the firmware on the virtual board."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from servo_twin.plant import PlantConfig
 CONFIG: Final = Path(__file__).resolve().parents[1] / "firmware" / "config" / "servo.toml"
 SEED: Final = 1
 BASE: Final = 100.0
-"""Speed around which the small signals swing [rad/s]: friction keeps its sign, edges come often."""
+"""Bias speed of the small signals [rad/s]: constant sign of the friction, frequent edges."""
 
 FREQUENCIES: Final = (10.0, 25.0, 50.0, 80.0, 110.0, 150.0)  # [Hz]
 
@@ -45,20 +45,20 @@ def axes() -> list[Tuned]:
 
 
 def shaft_with(axis: int, inertia: float) -> PlantConfig:
-    """The packaged plant, which has the nominal values of the configuration, with another inertia of one axis."""
+    """Packaged plant, which has the nominal values of the configuration, with another inertia of one axis."""
     plant = PlantConfig.load()
     return plant.with_axis(axis, inertia=inertia * plant.axes[axis].inertia)
 
 
 def feedback_alone(board: Board, axis: int, observed: bool = False) -> None:
-    """Nothing fed forward: the loops by themselves."""
+    """Disable all feed-forward."""
     features(board, axis, SPEED_OBSERVER=observed, FRICTION=False, SPEED_FORWARD=False, ACCELERATION_FORWARD=False)
 
 
-def swing(plant: PlantConfig, axis: int, amplitude: float, observed: bool) -> Recording:
-    """Speed control with all frequencies at once on top of a constant speed."""
+def multi_sine_response(plant: PlantConfig, axis: int, amplitude: float, observed: bool) -> Recording:
+    """Speed control with a multi-sine on a constant speed."""
     warm, measured = 0.3, 1.0
-    phases = [k * k * math.pi / len(FREQUENCIES) for k in range(len(FREQUENCIES))]  # so that the peaks do not add up
+    phases = [k * k * math.pi / len(FREQUENCIES) for k in range(len(FREQUENCIES))]  # phases with a low crest factor
 
     def reference(k: int) -> float:
         turns = zip(FREQUENCIES, phases, strict=True)
@@ -77,13 +77,13 @@ def swing(plant: PlantConfig, axis: int, amplitude: float, observed: bool) -> Re
 
 
 def transfer(time: NDArray[np.float64], output: NDArray[np.float64], input_: NDArray[np.float64]) -> NDArray[Any]:
-    """Output over input at the frequencies."""
+    """Transfer function at the frequencies."""
     kernels = np.exp(-2j * np.pi * np.outer(FREQUENCIES, time))
     return np.asarray((kernels @ output) / (kernels @ input_))
 
 
-# Tolerances: of the gain, and of the phase [degrees]. The observer leaves errors below half a count alone, which is not
-# linear; its loop is compared at a larger amplitude, and less closely.
+# Tolerances of gain and phase [degrees]. The observer ignores errors below half a count, which is not linear; its loop
+# is compared at a larger amplitude with larger tolerances.
 @pytest.mark.parametrize(
     ("axis", "inertia", "observed", "amplitude", "gain", "phase"),
     [
@@ -98,7 +98,7 @@ def transfer(time: NDArray[np.float64], output: NDArray[np.float64], input_: NDA
 def test_closed_speed_loop(
     axes: list[Tuned], axis: int, inertia: float, observed: bool, amplitude: float, gain: float, phase: float
 ) -> None:
-    part = swing(shaft_with(axis, inertia), axis, amplitude, observed)
+    part = multi_sine_response(shaft_with(axis, inertia), axis, amplitude, observed)
     measured = transfer(part.time, part.speed, part.speed_ref)
     loop = axes[axis].shaft(inertia, observed).speed.channel(Out.MEASURED, In.SET_POINT)
     ratio = measured / loop.response(2.0 * np.pi * np.array(FREQUENCIES))
@@ -107,7 +107,7 @@ def test_closed_speed_loop(
 
 
 def critical_inertia(it: Tuned) -> float:
-    """Over the nominal one: lighter shafts make the speed loop unstable."""
+    """Inertia at the stability limit, relative to the nominal one; with less inertia the speed loop is unstable."""
     low, high = 0.05, 1.0
     for _ in range(30):
         middle = math.sqrt(low * high)
@@ -119,8 +119,8 @@ def critical_inertia(it: Tuned) -> float:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_where_the_speed_loop_becomes_unstable(axes: list[Tuned], axis: int) -> None:
-    """At constant speed a shaft a little heavier than the critical one runs quietly, a little lighter one swings."""
+def test_stability_limit_of_the_speed_loop(axes: list[Tuned], axis: int) -> None:
+    """At constant speed the loop is stable slightly above the critical inertia, and oscillates slightly below it."""
     critical = critical_inertia(axes[axis])
     swings = []
     for inertia in (1.15 * critical, critical / 1.15):
@@ -136,7 +136,7 @@ def test_where_the_speed_loop_becomes_unstable(axes: list[Tuned], axis: int) -> 
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_load_step_in_motion(axes: list[Tuned], axis: int) -> None:
-    """A position ramp; a load of a quarter of the rated torque comes, and the shaft gives way as predicted."""
+    """During a position ramp the deflection by a load step of a quarter of the rated torque is as predicted."""
     it = axes[axis]
     torque = 0.25 * it.axis.torque_constant * it.axis("motor.rated_current")
     lead, measured = 0.3, 0.2
@@ -166,8 +166,8 @@ def test_load_step_in_motion(axes: list[Tuned], axis: int) -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_current_step_of_a_held_shaft(axes: list[Tuned], axis: int) -> None:
-    """From 1 A to 2 A, seen at the samples of the fast loop."""
+def test_current_step_of_a_blocked_shaft(axes: list[Tuned], axis: int) -> None:
+    """From 1 A to 2 A, at the samples of the fast loop."""
     it = axes[axis]
     with spinning(PlantConfig.load(), SEED) as board:
         board.lock_shaft(axis)
@@ -182,7 +182,7 @@ def test_current_step_of_a_held_shaft(axes: list[Tuned], axis: int) -> None:
             currents.append(board.truth(axis).i_q)
     first = (16, 15)[
         axis
-    ]  # sample with the new set-point: 500 us after a tick began for axis 1, half a period less for axis 2
+    ]  # first sample with the new set-point: 500 us after the start of a tick for axis 1, half a period less for axis 2
     measured = np.array(currents[first::2])
     predicted = 1.0 + it.current_loop("q").closed.simulate(np.ones((measured.size, 1)))[:, 0]
     assert measured == pytest.approx(predicted, abs=0.03)

@@ -1,4 +1,4 @@
-"""``servo-up``: everything comes up, says how to use it, and leaves nothing behind."""
+"""``servo-up``: it starts all processes, prints instructions, and leaves no process or file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from chain import DOMAIN, user
+from chain import DOMAIN, ros_user
 from sensor_msgs.msg import JointState
 from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 from servo_twin.processes import Child, executable
@@ -27,7 +27,7 @@ TIMEOUT = 60.0
 MARK = "SERVO_UP_TEST_MARK"
 MAIN = "import sys; from servo_twin.up import main; sys.exit(main())"
 IDEAL = ("--level", "ideal")
-"""The level that leaves the processor to others."""
+"""Level with the lower CPU load."""
 NOT_CONNECTED = """
 from servo_twin import up
 from servo_twin.processes import wait_until
@@ -39,12 +39,12 @@ def wait_from_no_port_on(stack, child, *what):
 up._CONNECT_TIMEOUT, wait = 0.5, up.Stack.wait
 up.Stack.wait = wait_from_no_port_on
 """
-"""The wait for a connection begins when the bridge has said that there is no port, and is short."""
+"""Patch: the connection time-out starts when the bridge reports the missing port, and is short."""
 BOTH = ["axis1", "axis2"]
 
 
 def descendants(mark: str) -> dict[int, str]:
-    """Command lines of living processes that inherited the mark, with a NUL after each word, by process id."""
+    """Command lines of running processes that inherited the mark, with NUL after each word, by process id."""
     found = {}
     for entry in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
@@ -60,7 +60,7 @@ def left_behind(mark: str) -> list[str]:
 
 
 class Up:
-    """``servo-up`` as a process; `before` is Python that it runs first."""
+    """``servo-up`` as a process; `before` is Python code that it runs first."""
 
     def __init__(self, out: Path, *arguments: str, before: str = "") -> None:
         self.mark = out.as_posix()
@@ -82,7 +82,7 @@ class Up:
         return self.log.read_text(errors="replace")
 
     def child(self, part: str) -> int:
-        """Process id of the child that has this in its command line."""
+        """Process id of the child with `part` in its command line."""
         return next(number for number, line in descendants(self.mark).items() if part in line)
 
     def wait_for(self, text: str) -> None:
@@ -107,9 +107,7 @@ def started() -> Iterator[list[Up]]:
             up.process.wait(30.0)
 
 
-def test_without_a_board_everything_stays_up_until_a_child_dies_which_is_named(
-    started: list[Up], tmp_path: Path
-) -> None:
+def test_processes_run_without_a_board_until_one_ends(started: list[Up], tmp_path: Path) -> None:
     up = Up(tmp_path, "--port", "/dev/ttyNoSuchPort", before=NOT_CONNECTED)
     started.append(up)
     up.wait_for("Ctrl-C ramps down")
@@ -122,7 +120,7 @@ def test_without_a_board_everything_stays_up_until_a_child_dies_which_is_named(
     assert left_behind(up.mark) == []
 
 
-def test_the_demonstration_moves_records_and_draws(tmp_path: Path) -> None:
+def test_demonstration_moves_records_and_draws(tmp_path: Path) -> None:
     result = subprocess.run(
         [str(executable("servo-up")), "--demo", *IDEAL, "--domain-id", str(DOMAIN), "--out", str(tmp_path)],
         env={**os.environ, MARK: str(tmp_path), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"},
@@ -157,14 +155,14 @@ def test_the_demonstration_never_moves_a_real_board(capsys: pytest.CaptureFixtur
         (["--set", "param.i_q_limit=9,9"], "outside 0.1 .. 4 A"),
     ],
 )
-def test_wrong_command_lines(arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_command_lines_are_refused(arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main(arguments)
     assert end.value.code == 2
     assert text in capsys.readouterr().err
 
 
-def test_parameters_and_plant_arrive_and_ctrl_c_ends_everything(started: list[Up], tmp_path: Path) -> None:
+def test_parameters_and_plant_are_passed_and_ctrl_c_ends_all_processes(started: list[Up], tmp_path: Path) -> None:
     plant = tmp_path / "plant.toml"
     plant.write_text("[axis1]\ninertia = 1.2e-5\n")
     options = ("--set", "param.features[0]=ANTI_WINDUP+FRICTION", "--set", "param.host_timeout=0.25")
@@ -181,20 +179,20 @@ def test_parameters_and_plant_arrive_and_ctrl_c_ends_everything(started: list[Up
     done = subprocess.run(get, env=environment, capture_output=True, text=True, timeout=30.0, check=True)
     assert "param.features[0] = 17 (ANTI_WINDUP+FRICTION)" in done.stdout
     assert "param.host_timeout = 0.25 s" in done.stdout
-    with user() as me:
-        me.until(me.connected, 30.0)
-        me.spinning()
-        me.joint_commands.publish(JointState(name=BOTH, position=[300.0, -300.0]))
-        me.until(lambda: me.position_of(0) > 10.0)
+    with ros_user() as user:
+        user.until(user.connected, 30.0)
+        user.enable_axes()
+        user.joint_commands.publish(JointState(name=BOTH, position=[300.0, -300.0]))
+        user.until(lambda: user.position_of(0) > 10.0)
         up.process.send_signal(signal.SIGINT)
-        me.until(lambda: me.last("/servo/state").startswith("DISCONNECTED"))
-        assert me.last("/servo/armed") is False
+        user.until(lambda: user.last("/servo/state").startswith("DISCONNECTED"))
+        assert user.last("/servo/armed") is False
     assert up.process.wait(30.0) == 0
     assert left_behind(up.mark) == []
     assert "Traceback" not in up.text()
 
 
-def test_sigterm_ends_the_demonstration_while_it_moves(started: list[Up], tmp_path: Path) -> None:
+def test_sigterm_ends_the_demonstration_in_motion(started: list[Up], tmp_path: Path) -> None:
     up = Up(tmp_path, "--demo")
     started.append(up)
     up.wait_for("axis1 to +5 turns")
@@ -208,7 +206,7 @@ def test_sigterm_ends_the_demonstration_while_it_moves(started: list[Up], tmp_pa
 def test_ctrl_c_while_the_picture_is_drawn_leaves_the_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The children have been stopped then."""
+    """The children have been stopped before."""
     record = tmp_path / "demo.rrd"
     children: list[Child] = []
 
@@ -229,7 +227,7 @@ def test_ctrl_c_while_the_picture_is_drawn_leaves_the_recording(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_is_an_orderly_end_unless_it_interrupts_the_demonstration(
+def test_signal_is_a_normal_end_except_in_the_demonstration(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
 ) -> None:
     monkeypatch.setattr(up_module, "_refuse_second_bridge", lambda *_: None)

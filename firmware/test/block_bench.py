@@ -1,4 +1,4 @@
-"""A servo on the fake board whose configuration blocks a test reads and writes."""
+"""Test bench: a servo on the fake board with access to its configuration blocks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ OUT_OF_RANGE: Final = 0x97
 
 
 class BlockBench(Bench):
-    """As `servo_msgs_py.axis_config_transfer.BlockMemory` wants it."""
+    """Bench with the interface `servo_msgs_py.axis_config_transfer.BlockMemory`."""
 
     def __init__(self, core: Core) -> None:
         super().__init__(core)
@@ -32,7 +32,7 @@ class BlockBench(Bench):
         return bool(status == 0)
 
     def tick(self) -> bool:
-        """One slow tick, at most 10 of them."""
+        """Run one slow tick; False after 10 calls."""
         self.waits += 1
         self.slow()
         return self.waits < 10

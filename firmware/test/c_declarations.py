@@ -1,7 +1,7 @@
-"""Declarations for cffi straight from the headers, so that a test can never assume another layout.
+"""Declarations for cffi from the C headers, so that the layouts of tests and firmware agree.
 
-cffi parses C without bodies and without the system's headers. The preprocessor sees empty standard headers here, and of
-an inline function only the prototype is left: ``core_inlines.c`` makes functions of them.
+cffi parses C without function bodies and without system headers. The preprocessor uses empty standard headers, and
+inline functions are reduced to prototypes; ``core_inlines.c`` defines them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _STANDARD = {
 
 
 def _without_bodies(text: str) -> str:
-    """Leave a prototype of every inline function."""
+    """Replace every inline function by its prototype."""
     kept: list[str] = []
     position = 0
     for match in re.finditer(r"static inline[^;{]*\{", text):
@@ -50,7 +50,7 @@ def _without_bodies(text: str) -> str:
 
 
 def _without_choices(text: str) -> str:
-    """Work out ``(a < b ? c : d)`` in array sizes and leave assertions out: cffi has no conditional expressions."""
+    """Evaluate ``(a < b ? c : d)`` in array sizes and remove assertions, as cffi has no conditional expressions."""
 
     def choose(match: re.Match[str]) -> str:
         a, b, c, d = map(int, match.groups())
@@ -62,16 +62,16 @@ def _without_choices(text: str) -> str:
 
 @cache
 def declarations(*headers: str, include: tuple[Path, ...] = (FIRMWARE, TEST), defines: tuple[str, ...] = ()) -> str:
-    """What cffi needs to know from some headers, which lie in folders of `include`.
+    """Types and functions of headers in the folders `include`, for cffi.
 
-    The macros of the headers do not come along: cffi only wants types and functions.
+    Macros of the headers are not included.
     """
     includes = "".join(f'#include "{header}"\n' for header in headers)
     with TemporaryDirectory() as folder:
         for name, text in _STANDARD.items():
             (Path(folder) / name).write_text(f"#pragma once\n{text}", encoding="ascii")
         options = [*(f"-I{path}" for path in (folder, *include)), *(f"-D{define}" for define in defines)]
-        result = subprocess.run(  # as a compiler without attributes would see it
+        result = subprocess.run(  # without compiler attributes
             ["gcc", "-E", "-P", "-std=c99", "-U__GNUC__", "-nostdinc", *options, "-"],
             input=includes,
             capture_output=True,

@@ -37,13 +37,13 @@ def compile_program(tmp_path_factory: pytest.TempPathFactory) -> CompileProgram:
 
 @pytest.fixture(scope="session")
 def core(compile_c: CompileC) -> Core:
-    """The whole firmware on a fake board."""
+    """Complete firmware on a fake board."""
     return load_core(compile_c)
 
 
 @pytest.fixture
 def bench(core: Core) -> Bench:
-    """A board whose first axis has found its rotor and spins."""
+    """A board with the first axis in SPIN."""
     bench = Bench(core)
     bench.to_spin(0)
     bench.slow(2)
@@ -67,7 +67,7 @@ def freemaster_sources(tmp_path_factory: pytest.TempPathFactory) -> Callable[[La
 def new_board(
     compile_c: CompileC, freemaster_sources: Callable[[Layout], list[str | Path]]
 ) -> Callable[[Layout], Board]:
-    """A fresh server for a layout."""
+    """Creates a server for a layout."""
 
     def build(layout: Layout) -> Board:
         ffi, lib = compile_c(f"freemaster_{layout.name}", freemaster_sources(layout), CDEF, layout.defines)
@@ -78,7 +78,7 @@ def new_board(
 
 @pytest.fixture
 def sheet(new_board: Callable[[Layout], Board]) -> Iterator[Board]:
-    """A server with the addresses and the buffer size of the protocol's byte examples."""
+    """A server with the addresses and the buffer size of the byte examples of the protocol."""
     board = new_board(SHEET)
     yield board
     assert board.violations() == 0
@@ -94,7 +94,7 @@ def servo(new_board: Callable[[Layout], Board]) -> Iterator[Board]:
 
 @pytest.fixture(scope="module")
 def shared_servo(new_board: Callable[[Layout], Board]) -> Iterator[Board]:
-    """As `servo`, but one for all examples of a property."""
+    """As `servo`, shared by all examples of a property."""
     board = new_board(SERVO)
     yield board
     assert board.violations() == 0

@@ -1,4 +1,4 @@
-"""The whole firmware as one host library with the fake board, typed by its own headers."""
+"""Complete firmware as one host library with the fake board, with types from its headers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from c_declarations import declarations
 from firmware_compiler import FIRMWARE, CompileC
 from hypothesis import settings
 
-# Every test module of the core imports this one before it declares a property: the same examples in every run.
+# Imported by every test module of the core before it declares a property: the same examples in every run.
 settings.register_profile("core", derandomize=True, deadline=None, database=None)
 settings.load_profile("core")
 
@@ -32,7 +32,7 @@ class Core(NamedTuple):
 
 
 def load_core(compile_c: CompileC) -> Core:
-    """Build the library once per session; every test module makes a fixture of it."""
+    """Build the library."""
     core = Core(*compile_c("core", BOARD_SOURCES, declarations(*_files("*.h"), "core_probe.h", "fake_hal.h")))
     assert core.ffi.sizeof("servo_t") == core.lib.probe_servo_size()
     return core

@@ -1,4 +1,4 @@
-"""The diagnosis alone: its files as a library, with the configuration of the first motor."""
+"""Test rig: the diagnosis as a separate library, with the configuration of the first motor."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _OTHERS: Final = ("math/trig.c", "sensing/rotor_follow.c", "test/diagnosis_inlin
 
 
 def _length(x: int, y: int) -> int:
-    """Length of a vector, as the firmware estimates it."""
+    """Length of a vector by the approximation of the firmware."""
     a, b = abs(x), abs(y)
     return max(a, b) + min(a, b) // 2
 
 
 class Diagnosis:
-    """One set of monitors, an observation to fill in, and what comes of it."""
+    """Monitors of one axis with their observation (input) and evidence (output)."""
 
     def __init__(self, compile_c: CompileC) -> None:
         sources = [str(path.relative_to(FIRMWARE)) for path in sorted((FIRMWARE / "diagnosis").glob("*.c"))]
@@ -49,7 +49,7 @@ class Diagnosis:
         return 1 << int(getattr(self.lib, f"FINDING_{name}"))
 
     def names(self) -> set[str]:
-        """Findings of the last step."""
+        """Names of the findings of the last step."""
         prefix = "FINDING_"
         known = [name for name in dir(self.lib) if name.startswith(prefix)]
         return {n.removeprefix(prefix) for n in known if self.evidence.confirmed >> getattr(self.lib, n) & 1}
@@ -61,7 +61,7 @@ class Diagnosis:
         return self.names()
 
     def current(self, d: int, q: int) -> None:
-        """A current flows from the next step on."""
+        """Set the current of the next steps."""
         self.seen.current_change = _length(d - self.seen.current.d, q - self.seen.current.q)
         self.seen.current = (d, q)
         self.seen.current_magnitude = _length(d, q)
@@ -108,7 +108,7 @@ class Diagnosis:
         return self._step(self.lib.stall_test_step, "stall", self.search)
 
     def suspect(self) -> Any:
-        """What is suspected now."""
+        """Present suspicions."""
         evidence = self.ffi.new("evidence_t *")
         self.lib.diagnosis_suspect(self.monitors, self.winding, self.seen, evidence)
         return evidence

@@ -1,4 +1,4 @@
-"""Exact arithmetic for the references of the tests: integers and rationals, no bit of the firmware."""
+"""Exact integer arithmetic for the references of the tests, independent of the firmware."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ GAIN_ONE = 2**24
 
 
 def edges(low: int, high: int) -> st.SearchStrategy[int]:
-    """Integers that prefer the ends of the range and the neighbourhood of zero."""
-    marked = [low, low + 1, -1, 0, 1, high - 1, high, low // 2, high // 2]
-    return st.one_of(st.sampled_from([x for x in marked if low <= x <= high]), st.integers(low, high))
+    """Integers with more examples at the ends of the range and near zero."""
+    special = [low, low + 1, -1, 0, 1, high - 1, high, low // 2, high // 2]
+    return st.one_of(st.sampled_from([x for x in special if low <= x <= high]), st.integers(low, high))
 
 
 def near(*centres: int) -> st.SearchStrategy[int]:
-    """Some numbers and their neighbours."""
+    """The given numbers and their neighbours."""
     return st.builds(int.__add__, st.sampled_from(centres), st.integers(-2, 2))
 
 
@@ -45,12 +45,12 @@ def wrap(x: int, bits: int) -> int:
 
 
 def nearest(numerator: int, denominator: int) -> int:
-    """Nearest integer of a quotient, halves upwards: what the DSC's rounding adds and its shift cuts off."""
+    """Nearest integer of a quotient, halves rounded up, as by rounding and shift of the DSC."""
     return (2 * numerator + denominator) // (2 * denominator)
 
 
 def towards_zero(numerator: int, denominator: int) -> int:
-    """The quotient as C divides."""
+    """Quotient rounded towards zero, as in C."""
     quotient = abs(numerator) // abs(denominator)
     return quotient if (numerator < 0) == (denominator < 0) else -quotient
 
@@ -71,7 +71,7 @@ def narrow(x: int) -> int:
 
 
 def saturated(total: int) -> int:
-    """A sum of products, 55 fraction bits, within +-1: what is beyond becomes the first or last fraction of 31 bits."""
+    """A sum of products with 55 fraction bits, saturated to the range of 31-bit fractions."""
     if MIN32 * GAIN_ONE <= total < (MAX32 + 1) * GAIN_ONE:
         return total
     return (MIN32 if total < 0 else MAX32) * GAIN_ONE

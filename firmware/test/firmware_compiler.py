@@ -1,4 +1,4 @@
-"""Compile C sources of the firmware for a test; warnings are errors, as everywhere in the firmware."""
+"""Compile C sources of the firmware for a test; warnings are errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TEST = FIRMWARE / "test"
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror")
 
 SANITIZED = ("-fsanitize=undefined", "-fno-sanitize-recover=all")
-"""Undefined behaviour ends the process; with ``pytest -s`` its place is printed."""
+"""Undefined behaviour ends the process; ``pytest -s`` prints its location."""
 
 Sources = Sequence["str | Path"]
 
@@ -36,7 +36,7 @@ def run_compiler(output: Path, sources: Sources, options: Sequence[str], compile
 
 
 def compile_objects(folder: Path, sources: Sources, options: Sequence[str], compiler: str) -> list[Path]:
-    """Compile each source by itself, in parallel; ccache does not store what has several sources."""
+    """Compile each source separately, in parallel; ccache does not store commands with several sources."""
     folder.mkdir(exist_ok=True)
     jobs = [(folder / f"{number}.o", source) for number, source in enumerate(sources)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -44,7 +44,7 @@ def compile_objects(folder: Path, sources: Sources, options: Sequence[str], comp
 
 
 def _run(command: Sequence[str]) -> None:
-    # With the address sanitizer preloaded, a compiler takes twice as long.
+    # A preloaded address sanitizer doubles the time of a compiler.
     environment = {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"}
     result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     if result.returncode != 0:
@@ -57,7 +57,7 @@ def defined(defines: Sequence[str]) -> list[str]:
 
 
 class CompileC:
-    """``compile_c``: equal requests share one build, which checks for undefined behaviour."""
+    """``compile_c``: builds a library with checks of undefined behaviour; equal requests share one build."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -80,7 +80,7 @@ class CompileC:
 
 
 class CompileProgram:
-    """``compile_program``: for the host or, with a cross compiler, for a target."""
+    """``compile_program``: builds a program for the host or, with a cross compiler, for a target."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -97,7 +97,7 @@ class CompileProgram:
 
 
 def has_library(compiler: str, name: str) -> bool:
-    """True if the compiler is there and finds a file of its own, such as ``libasan.so``."""
+    """True if the compiler is installed with a library file such as ``libasan.so``."""
     if shutil.which(compiler) is None:
         return False
     result = subprocess.run([compiler, f"-print-file-name={name}"], capture_output=True, text=True, check=True)

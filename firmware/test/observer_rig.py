@@ -1,4 +1,4 @@
-"""The firmware's observer and PLL beside a motor in floating point, in volts, amperes and radians."""
+"""Test rig: observer and PLL of the firmware on a motor model in floating point [V, A, rad]."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ T: Final = 62.5e-6
 SLOW: Final = 8
 PAIRS: Final = 2
 R, L, PSI = 0.55, 0.4575e-3, 0.0154
-"""What servo.toml assumes of axis 1; the observer takes the mean of both inductances."""
+"""Motor data of axis 1 in servo.toml; the observer uses the mean of both inductances."""
 
 
 def frac16(x: float) -> int:
@@ -24,7 +24,7 @@ def frac16(x: float) -> int:
 
 
 def ab(x: complex, full_scale: float) -> dict[str, int]:
-    """A vector as the firmware holds it."""
+    """A vector in the format of the firmware."""
     return {"alpha": frac16(x.real / full_scale), "beta": frac16(x.imag / full_scale)}
 
 
@@ -50,7 +50,7 @@ class Estimator:
         return self.ffi.addressof(self.config, "observer")
 
     def leave_size_out(self) -> None:
-        """Let the PLL find the speed by the angle alone."""
+        """Disable the speed correction by the amplitude of the back-EMF."""
         self._pll.amplitude_gain = self._pll.amplitude_load_gain = 0
 
     def start(self, theta: float, omega: float) -> None:
@@ -66,7 +66,7 @@ class Estimator:
         self.lib.pll_step(self.pll, self._pll, self.observer.e)
 
     def slow(self, push: float | None = 0.0) -> None:
-        """What a slow tick does; `push` is the current that the PLL is told of [A]."""
+        """Slow tick; `push` is the current of the acceleration feed-forward of the PLL [A]."""
         self.pll.backwards = self.pll.integral < 0
         self.lib.back_emf_observer_set_speed(self.observer, self.pll.integral)
         self.lib.pll_adapt(self.pll, self._pll, frac16(abs(self.emf) / U_FS))
@@ -85,7 +85,7 @@ class Estimator:
 
     @property
     def emf_dq(self) -> complex:
-        """The same in the frame of the PLL."""
+        """Back-EMF in the frame of the PLL [V]."""
         return self.emf * cmath.exp(-1j * self.lib.pll_theta_of_emf(self.pll) * math.pi / 32768)
 
     @property
@@ -100,14 +100,14 @@ class Estimator:
 
     @property
     def speed(self) -> int:
-        """Mechanical speed as the firmware counts it."""
+        """Mechanical speed in the format of the firmware."""
         return int(self.lib.pll_speed_of(self._pll, self.pll.integral))
 
 
 class Rig:
-    """A motor with constant inductance whose shaft moves as the test says; its current is controlled ideally.
+    """A motor with constant inductance, a shaft motion given by the test, and ideal current control.
 
-    The voltage of a sample is in force from half a period later, for a whole one, as that of the inverter.
+    As with the inverter, the voltage of a sample acts half a period later for one period.
     """
 
     def __init__(self, core: Core, r: float = R, l_s: float = L) -> None:
@@ -123,7 +123,7 @@ class Rig:
         wanted = 1j * i_q * cmath.exp(1j * theta(now))
         later = 1j * i_q * cmath.exp(1j * theta(now + T))
         flux = [PSI * cmath.exp(1j * theta(now + x * T)) for x in (0.5, 1.0, 1.5)]
-        # what drives the current to where it is wanted, and against the back-EMF of the period in which it is in force
+        # drives the current to its set-point against the back-EMF of the period in which the voltage acts
         command = self.r * later + self.l_s * (later - wanted) / T + (flux[2] - flux[0]) / T
         command += 0.3 * self.l_s / T * (wanted - self.current)
         self.commands = [self.commands[1], command]

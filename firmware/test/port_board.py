@@ -1,4 +1,4 @@
-"""The register-level port on a fake chip (``fake_chip.c``), and its register names in Python."""
+"""Test rig: the register-level port on a fake chip (``fake_chip.c``), with register addresses."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ GPIO = {port: 0xE200 + 0x10 * i for i, port in enumerate("ABCDEFG")}
 
 
 class Access(NamedTuple):
-    """One entry of the fake chip's list."""
+    """One recorded access of the fake chip."""
 
     kind: int
     address: int
@@ -31,7 +31,7 @@ class Access(NamedTuple):
 
 
 class FakeBoard:
-    """The port, initialised or not, with every access that it makes."""
+    """The port, initialised or not, with its recorded accesses."""
 
     def __init__(self, compile_c: CompileC, initialised: bool = True) -> None:
         cdef = declarations("fake_chip.h", "hal/hal.h", defines=("CHIP_ON_HOST",))
@@ -45,7 +45,7 @@ class FakeBoard:
         return bool(self.lib.port_init(self.hal, self.lib.fake_servo(self.chip)))
 
     def isr(self, vector: int) -> list[Access]:
-        """Everything that the handler of a vector does."""
+        """Accesses of the handler of a vector."""
         self.forget()
         self.lib.port_isr(self.hal, vector)
         return self.accesses
@@ -71,7 +71,7 @@ class FakeBoard:
         self.chip.memory[address] = value
 
     def results(self, ready: int, codes: dict[int, int]) -> None:
-        """Fill result registers as the converter does, left-aligned in bits 14:3."""
+        """Fill the result registers of the converter, left-aligned in bits 14:3."""
         for sample, code in codes.items():
             self[0xE50E + sample] = code << 3
         self[0xE50A] = ready

@@ -1,4 +1,4 @@
-"""The encoder timers of one axis as DRM 2.4 configures them: TMRx0 with its emulated index, and the captures."""
+"""Model of the encoder timers of one axis in the configuration of DRM 2.4: TMRx0 with emulated index, and captures."""
 
 from __future__ import annotations
 
@@ -11,22 +11,12 @@ AGE_OVERFLOW = 0x10000
 
 
 class QuadTimer:
-    """TMRx0 and TMRx2, fed edge by edge (F10, F12, F13).
-
-    Attributes
-    ----------
-    shaft : int
-        True position, edges since the beginning; B edges lie where it leaves an odd number upwards.
-    count : int
-        TMRx0 as a signed number, -3999 .. 3999.
-    index : int
-        TMRx2, 16 bits, only ever upwards.
-    """
+    """Model of TMRx0 and TMRx2, edge by edge (F10, F12, F13)."""
 
     def __init__(self, shaft: int = 0, count: int = 0) -> None:
-        self.shaft = shaft
-        self.count = count
-        self.index = 0
+        self.shaft = shaft  # true position [edges]; a B edge follows each odd number upwards
+        self.count = count  # TMRx0, -3999 .. 3999
+        self.index = 0  # TMRx2, 16 bits, increasing only
         self._oflag = False
         self.index_works = True
 
@@ -53,9 +43,9 @@ class QuadTimer:
 
 @dataclass
 class EdgeCapture:
-    """B edges of a shaft at constant speed, latched as TMRx0, TMRx1 and TMRx3 do it.
+    """Captures of the B edges of a shaft at constant speed by TMRx0, TMRx1 and TMRx3.
 
-    Every second count is a B edge. A capture needs an arm before it; later edges are not latched.
+    Every second count is a B edge. Only the first edge after arming is captured.
     """
 
     speed: float  # counts per second, signed, not 0
@@ -65,14 +55,14 @@ class EdgeCapture:
     def __post_init__(self) -> None:
         self._sign = 1 if self.speed > 0 else -1
         x = self.start / 2.0
-        self._next = math.floor(x) + 1 if self.speed > 0 else math.ceil(x) - 1  # the shaft passes twice this count
-        self._last = -1.0  # time of the last latched edge
+        self._next = math.floor(x) + 1 if self.speed > 0 else math.ceil(x) - 1  # the next B edge is at twice this count
+        self._last = -1.0  # time of the last captured edge [s]
 
     def _time_of(self, edge: int) -> float:
         return (2 * edge - self.start) / self.speed
 
     def take(self, now: float) -> tuple[int, int] | None:
-        """First edge since the last call as count and time stamp, or None; then arm again."""
+        """Count and time stamp of the first edge since the last call, or None; then arm again."""
         if self._time_of(self._next) > now:
             return None
         count, self._last = 2 * self._next, self._time_of(self._next)
@@ -82,7 +72,7 @@ class EdgeCapture:
         return wrapped & 0xFFFF, (math.floor(self._last * TIMER_CLOCK) + self.stamp) & 0xFFFF
 
     def age(self, now: float) -> int:
-        """TMRx3; saturated as hal_edge_age is."""
+        """Age of the last edge by TMRx3, saturated as in hal_edge_age."""
         if self._last < 0:
             return AGE_OVERFLOW
         return min(math.floor(now * TIMER_CLOCK) - math.floor(self._last * TIMER_CLOCK), AGE_OVERFLOW)

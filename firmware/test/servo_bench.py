@@ -1,4 +1,4 @@
-"""A whole servo on the fake board: commands in, states out, shafts moved by hand."""
+"""Test bench: the complete firmware on the fake board, with shafts that the test moves."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CATALOGUE: Final = Catalogue.load()
 
 
 def _masks(word: str) -> SimpleNamespace:
-    """Masks of the flags of a word, by their names."""
+    """Masks of the flags of a word, by name."""
     return SimpleNamespace(**{flag.name: flag.mask for flag in CATALOGUE.flags[word]})
 
 
@@ -26,7 +26,7 @@ STATE, SUBSTATE, MODE, TEST_POINT, STOP_CATEGORY = (
 FAULTS, LIMITS, FEATURES, INPUTS = map(_masks, ("faults", "limits", "features", "inputs"))
 ALL_FAULTS: Final = sum(vars(FAULTS).values())
 REFERENCE_FEATURES: Final = 0b1111
-"""Those of the reference design, which are on after reset."""
+"""Features of the reference design, enabled after reset."""
 PULL, BRAKE, REST, VERIFY, TURN, FOUND, HELD, BLIND, REVERSED, STARVED = range(10)  # rotor_search_phase_t
 PERIODS: Final = 8
 VARIABLES: Final = 0x1000
@@ -38,7 +38,7 @@ CODE_24V: Final = 2708
 
 
 def speed(rad_s: float) -> int:
-    """Raw speed [rad/s]."""
+    """Raw number of a speed [rad/s]."""
     return round(rad_s / FULL_SPEED * 2**31)
 
 
@@ -48,53 +48,45 @@ def rad_s(raw: int) -> float:
 
 
 def amps(current: float) -> int:
-    """Raw current [A]."""
+    """Raw number of a current [A]."""
     return round(current / 8.25 * 2**15)
 
 
 def bus_code(volts: float) -> int:
-    """Code of the 12-bit converter."""
+    """Code of the 12-bit converter for a bus voltage [V]."""
     return round(volts / 36.3 * 4096)
 
 
 class Bench:
-    """Two axes that a test commands through the variables of the contract.
-
-    Attributes
-    ----------
-    servo, hal : cdata
-        The firmware's state and the fake board; both may be looked into and written.
-    shaft : list of QuadTimer
-        The encoders; `turn` and the rotor search move them.
-    """
+    """Two axes that a test commands through the variables of the contract."""
 
     def __init__(self, core: Core) -> None:
         self.core = core
         self.catalogue = Catalogue.load()
-        self.hal: Any = core.ffi.new("hal_t *")
-        self.servo: Any = core.ffi.new("servo_t *")
-        self.shaft = [QuadTimer(), QuadTimer()]
+        self.hal: Any = core.ffi.new("hal_t *")  # the fake board; tests may read and write its members
+        self.servo: Any = core.ffi.new("servo_t *")  # state of the firmware; tests may read and write its members
+        self.shaft = [QuadTimer(), QuadTimer()]  # encoders, moved by `turn` and the rotor search
         self._rotor = [0.3, -0.2]  # turns electrical between the rotor and encoder zero
         self._speed = [0.0, 0.0]  # counts per slow tick
-        self._rest = [0.0, 0.0]
-        self.shaft_is_free = [True, True]  # it twitches when the search pulls
+        self._fraction = [0.0, 0.0]
+        self.shaft_is_free = [True, True]  # False: blocked in the rotor search
         self.motor_plugged = [True, True]
-        self.current_across = [0.0, 0.0]  # while the search pulls, of the full scale
+        self.current_across = [0.0, 0.0]  # across the vector of the search, relative to full scale
         self._search_drives = [False, False]
-        self._shown = [0, 0]  # counter value that the firmware was given
+        self._read_count = [0, 0]  # counter value that the firmware last read
         self.ticks = 0
-        self.kept: list[Any] = []  # what the firmware has been given pointers to
+        self.references: list[Any] = []  # objects to which the firmware has pointers
         core.lib.fake_hal_init(self.hal)
         core.lib.servo_init(self.servo, self.hal)
-        self.servo.parameter.command_timeout = 0  # set-points stand until the next one
+        self.servo.parameter.command_timeout = 0  # set-points do not expire
         for axis in range(2):
-            # No current flows on this board, whatever the voltage: a lost phase, if it were monitored.
+            # The board has no current at any voltage, which would be a lost phase.
             self.servo.parameter.faults_enabled[axis] = ALL_FAULTS & ~FAULTS.PHASE_LOST
 
     # ---- time ----------------------------------------------------------------------------------------------------
 
     def slow(self, ticks: int = 1) -> None:
-        """Slow ticks; every one ends just after its snapshot. Parameters that a test has put into memory are taken."""
+        """Run slow ticks, each until just after its snapshot. Parameters that the test wrote to memory are applied."""
         self.servo.marks.parameters = True
         for _ in range(ticks):
             self.ticks += 1
@@ -103,7 +95,7 @@ class Bench:
             self.core.lib.probe_run(self.servo, PERIODS)
 
     def until(self, condition: Callable[[], bool], ticks: int) -> int:
-        """Run until a condition holds; returns the ticks it took, fails after `ticks`."""
+        """Run until a condition holds; return the number of ticks, fail after `ticks`."""
         for k in range(ticks):
             if condition():
                 return k
@@ -113,11 +105,11 @@ class Bench:
 
     def _move(self, i: int) -> None:
         timer, hal = self.shaft[i], self.hal.axis[i]
-        if hal.count != self._shown[i]:  # the firmware has preset it
+        if hal.count != self._read_count[i]:  # the firmware has preset it
             timer.count = hal.count - 65536 if hal.count > 32767 else hal.count
-        self._rest[i] += self._speed[i]
-        edges = round(self._rest[i])
-        self._rest[i] -= edges
+        self._fraction[i] += self._speed[i]
+        edges = round(self._fraction[i])
+        self._fraction[i] -= edges
         self._follow_search(i)
         timer.move(edges)
         if edges:
@@ -127,11 +119,10 @@ class Bench:
         else:
             hal.age = min(hal.age + 391, AGE_OVERFLOW)
         hal.count, hal.index = timer.raw, timer.index
-        self._shown[i] = timer.raw
+        self._read_count[i] = timer.raw
 
     def _follow_search(self, i: int) -> None:
-        """A rotor without friction that twitches towards the vector of the search, or follows it; the current flows as
-        asked for."""
+        """Rotor without friction that moves towards the vector of the search, with ideal current control."""
         axis = self.axis(i)
         aligning = (axis.sm.state, axis.substate) == (STATE.RUN, SUBSTATE.ALIGN)
         if self._search_drives[i] or aligning:
@@ -148,7 +139,7 @@ class Bench:
             self.hal.axis[i].age = 0
 
     def _flow(self, i: int) -> None:
-        """Currents of a motor under the search: what it asks for along its vector, `current_across` across it."""
+        """Currents during the search: its set-point along the vector, and `current_across` across it."""
         search, flows = self.axis(i).search, self._search_drives[i] and self.motor_plugged[i]
         along, across = (search.current / 2**31, self.current_across[i]) if flows else (0.0, 0.0)
         for phase in range(3):
@@ -157,11 +148,11 @@ class Bench:
             self.hal.axis[i].current_code[phase] = round(2048 * (1.0 + current))
 
     def turn(self, axis: int, speed: float) -> None:
-        """Turn a shaft from now on [rad/s], whatever the firmware does."""
+        """Turn a shaft at a constant speed [rad/s], independent of the firmware."""
         self._speed[axis] = speed * 0.5e-3 * COUNTS / 6.283185307179586
 
     def trace(self, ticks: int, value: Callable[[], Any], axis: int = 0, *, follow: bool = True) -> list[Any]:
-        """A value after each tick, in which an ideal shaft obeys the speed set-point, unless it is not to `follow`."""
+        """Values after each tick; with `follow` an ideal shaft has the speed of the set-point."""
         values = []
         for _ in range(ticks):
             if follow:
@@ -171,19 +162,19 @@ class Bench:
         return values
 
     def follow(self, ticks: int, axis: int = 0) -> list[tuple[int, int]]:
-        """Let an ideal shaft obey the speed set-point; returns position_ref and position of every tick."""
+        """Move an ideal shaft at the speed set-point; return position_ref and position of every tick."""
         view = self.view(axis)
         return self.trace(ticks, lambda: (view.position_ref, view.position), axis)
 
-    def let_turn(self, axis: int, speed: float) -> None:
-        """Turn a spinning axis from outside [rad/s] without its controllers against it."""
+    def turn_without_current(self, axis: int, speed: float) -> None:
+        """Turn a spinning axis from outside [rad/s] in torque mode with zero current."""
         self.write(axis, mode=MODE.TORQUE, i_q=0)
         self.turn(axis, speed)
 
-    # ---- the host's side ------------------------------------------------------------------------------------------
+    # ---- host ------------------------------------------------------------------------------------------
 
     def address(self, name: str, element: int = 0) -> int:
-        """Address of a variable, or of one element of it, on the wire."""
+        """Address of a variable or of one of its elements in the protocol."""
         variable = self.catalogue.variables[name]
         path: list[str | int] = []
         for part in variable.path.replace("[", ".").replace("]", "").split("."):
@@ -192,51 +183,51 @@ class Bench:
         return VARIABLES + offset + element * variable.element_size
 
     def write_raw(self, name: str, raw: Sequence[int]) -> None:
-        """Write a whole variable, integers."""
+        """Write a whole variable, raw."""
         data = self.catalogue.variables[name].encode_raw(raw)
         assert self.core.lib.servo_write(self.servo, self.address(name), data, len(data)) == 0
 
-    def fit(self, pins: int, axis: int = 0, **times: int) -> Any:
-        """Wire pins of an axis (INPUT_ bits) with the brake's times [slow ticks]; returns its configuration."""
+    def configure_pins(self, pins: int, axis: int = 0, **times: int) -> Any:
+        """Configure pins of an axis (INPUT_ bits) and times of its brake [slow ticks]; return the configuration."""
         config = self.core.ffi.new("axis_config_t *", self.axis(axis).config[0])
         config.pins.fitted = pins
         for name, ticks in times.items():
             setattr(config.pins, name, ticks)
-        self.kept.append(config)
+        self.references.append(config)
         self.axis(axis).config = config
         self.slow(3)
         return config
 
     def write(self, axis: int, **commands: int) -> None:
-        """Write elements of one axis, in this order: ``write(0, mode=SPEED, speed=1000)``; raw numbers."""
+        """Write raw commands of one axis, in order: ``write(0, mode=SPEED, speed=1000)``."""
         for name, value in commands.items():
             variable = self.catalogue.variables[f"cmd.{name}"]
             data = int(value).to_bytes(variable.element_size, "little", signed=value < 0)
             assert self.core.lib.servo_write(self.servo, self.address(variable.name, axis), data, len(data)) == 0
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Write a parameter of both axes, SI."""
+        """Write a parameter of both axes, in SI units."""
         variable = self.catalogue.variables[f"param.{name}"]
         raw = variable.to_raw(value)
         self.write_raw(variable.name, [raw] * variable.count)
 
     def switch_on(self, axis: int, features: int) -> None:
-        """Add features of one axis to those of the reference design; the other axis keeps the latter."""
+        """Enable features of one axis in addition to those of the reference design."""
         words = [REFERENCE_FEATURES, REFERENCE_FEATURES]
         words[axis] |= features
         self.write_raw("param.features", words)
 
     def keep_alive(self) -> None:
-        """The host says that it is there: application command KEEP_ALIVE (0x30 SENDAPPCMD, 0x31 GETAPPCMDSTS)."""
+        """Send the application command KEEP_ALIVE (0x30 SENDAPPCMD, 0x31 GETAPPCMDSTS)."""
         for body in (bytes([0x30, 1, self.catalogue.bits["command"]["KEEP_ALIVE"]]), bytes([0x31, 0])):
-            self._frame_arrives(body)
+            self._receive_frame(body)
             self.core.lib.servo_background(self.servo)
 
-    def read_arrives(self) -> None:
-        """A client reads the catalogue hash (0x21 READMEM)."""
-        self._frame_arrives(bytes([0x21, 3, 0x80, 0x20, 4]))
+    def receive_read(self) -> None:
+        """Receive a request that reads the catalogue hash (0x21 READMEM)."""
+        self._receive_frame(bytes([0x21, 3, 0x80, 0x20, 4]))
 
-    def _frame_arrives(self, body: bytes) -> None:
+    def _receive_frame(self, body: bytes) -> None:
         crc = 0
         for byte in body:
             crc = self.core.lib.crc8_add(crc, byte)
@@ -246,7 +237,7 @@ class Bench:
         self.hal.serial_out_size = 0
 
     def axis(self, i: int) -> Any:
-        """The firmware's ``axis_t``."""
+        """``axis_t`` of the firmware."""
         return self.servo.axis[i]
 
     def view(self, i: int) -> Any:
@@ -257,7 +248,7 @@ class Bench:
         """Main state, sub-state and faults of both axes, as published."""
         return [(self.view(i).state, self.view(i).substate, self.view(i).faults) for i in range(2)]
 
-    # ---- ways to a state ------------------------------------------------------------------------------------------
+    # ---- transitions ------------------------------------------------------------------------------------------
 
     def to_stop(self) -> None:
         self.until(lambda: all(self.view(i).state == STATE.STOP for i in range(2)), 100)
@@ -266,7 +257,7 @@ class Bench:
         self.until(lambda: (self.view(axis).state, self.view(axis).substate) == (STATE.RUN, substate), ticks)
 
     def to_spin(self, *axes: int) -> None:
-        """From anywhere without a fault: enable and let the rotor be found."""
+        """Enable axes from any state without a fault, and wait until they spin."""
         self.to_stop()
         for axis in axes:
             self.write(axis, enable=1)
@@ -277,14 +268,14 @@ class Bench:
         self.write(axis, clear_faults=1)
         self.slow()
 
-    # ---- what the firmware has called ---------------------------------------------------------------------------
+    # ---- calls of the firmware ---------------------------------------------------------------------------
 
     def log(self) -> None:
-        """Record the calls of the firmware from now on."""
+        """Start to record the calls of the firmware."""
         self.hal.events, self.hal.logging = 0, True
 
     def calls(self) -> list[tuple[str, int, int]]:
-        """Recorded calls: name, axis, value; recording stops."""
+        """Stop recording and return the calls: name, axis, value."""
         assert self.hal.events < len(self.hal.event), "the log is full"
         self.hal.logging = False
         names = self.core.ffi.typeof("fake_call_t").elements

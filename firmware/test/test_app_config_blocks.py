@@ -192,7 +192,7 @@ def test_in_motion_only_live_members_change(bench: BlockBench) -> None:
         if member.live or member.minimum == member.maximum:
             continue
         send_block(bench, 0, {**now, member.path: other(member, now[member.path])})
-        with pytest.raises(BlockRefusedError, match="at rest") as error:
+        with pytest.raises(BlockRefusedError, match="at standstill") as error:
             take(bench, 0)
         assert error.value.reason == "MOTION"
         assert member.path in str(error.value)
@@ -217,7 +217,7 @@ def test_an_axis_that_is_rotated_by_hand_is_not_at_rest(bench: BlockBench) -> No
     bench.slow(100)
     assert bench.axis(0).sm.state == STATE.STOP
     send_block(bench, 0, {**read_block(bench, 0), "u_dc_max": 30000})
-    with pytest.raises(BlockRefusedError, match="at rest"):
+    with pytest.raises(BlockRefusedError, match="at standstill"):
         take(bench, 0)
 
 

@@ -524,7 +524,7 @@ def test_the_server_waits_while_a_command_is_under_way(bench: StorageBench) -> N
     bench.hal.flash_polls = 10
     assert bench.request(SAVE)
     bench.core.lib.servo_background(bench.servo)
-    bench.read_arrives()
+    bench.receive_read()
     for _ in range(9):
         bench.core.lib.servo_background(bench.servo)
         assert bench.hal.serial_out_size == 0

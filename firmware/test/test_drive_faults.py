@@ -249,7 +249,7 @@ def test_search_with_a_shaft_turned_from_outside_ends_in_a_fault(bench: Bench) -
 def test_missing_index_pulse_is_an_encoder_fault_and_can_be_cleared(bench: Bench) -> None:
     bench.to_spin(0)
     bench.shaft[0].index_works = False
-    bench.let_turn(0, 100.0)
+    bench.turn_without_current(0, 100.0)
     bench.until(lambda: bench.view(0).state == STATE.FAULT, 300)
     assert bench.view(0).faults == FAULTS.ENCODER
     bench.turn(0, 0.0)
@@ -259,7 +259,7 @@ def test_missing_index_pulse_is_an_encoder_fault_and_can_be_cleared(bench: Bench
     bench.slow(40)
     assert (bench.view(0).state, bench.view(0).faults) == (STATE.STOP, 0)
     bench.to_spin(0)
-    bench.let_turn(0, 100.0)
+    bench.turn_without_current(0, 100.0)
     bench.slow(400)
     assert bench.view(0).state == STATE.RUN
 
@@ -316,7 +316,7 @@ def test_silent_host_stops_both_axes_and_then_faults(bench: Bench) -> None:
         bench.keep_alive()
         bench.slow(30)
     assert [s[:2] for s in bench.states()] == [(STATE.RUN, SUBSTATE.SPIN)] * 2
-    bench.let_turn(0, 50.0)
+    bench.turn_without_current(0, 50.0)
     bench.keep_alive()
     bench.slow(190)
     assert bench.view(0).substate == SUBSTATE.SPIN, "not before the time-out"
@@ -352,7 +352,7 @@ def test_returning_host_must_clear_and_enable(bench: Bench) -> None:
 def test_enable_during_the_ramp_down_of_a_silent_host_is_ignored(bench: Bench) -> None:
     bench.keep_alive()
     bench.to_spin(0)
-    bench.let_turn(0, 100.0)
+    bench.turn_without_current(0, 100.0)
     bench.until(lambda: not bench.axis(0).enable_requested, 1100)
     bench.keep_alive()
     bench.write(0, enable=1)
@@ -372,9 +372,9 @@ def test_client_that_only_reads_is_no_host(bench: Bench) -> None:
     bench.slow(100)
     for _ in range(10):
         assert bench.view(0).faults == 0
-        bench.read_arrives()
+        bench.receive_read()
         bench.slow(10)
-    bench.read_arrives()
+    bench.receive_read()
     bench.slow(5)
     assert bench.view(0).faults == FAULTS.HOST_SILENT
 

@@ -29,7 +29,7 @@ def weakened(bench: Bench, features: int = FEATURES.FIELD_WEAKENING) -> None:
     bench.set_parameter("speed_limit", 418.0)
     bench.hal.bus_code = bus_code(20.0)
     bench.slow(50)
-    bench.let_turn(0, FAST)
+    bench.turn_without_current(0, FAST)
     bench.slow(60)
 
 
@@ -122,7 +122,7 @@ def test_a_lower_bound_holds_at_once(bench: Bench) -> None:
 def test_no_effect_at_a_low_speed_whatever_the_current_loop_asks_for(bench: Bench) -> None:
     bench.to_spin(0)
     bench.switch_on(0, FEATURES.FIELD_WEAKENING)
-    bench.let_turn(0, 20.0)
+    bench.turn_without_current(0, 20.0)
     bench.write(0, mode=MODE.TORQUE, i_q=amps(3.0))
     bench.slow(100)
     assert bench.view(0).substate == SUBSTATE.SPIN

@@ -73,7 +73,7 @@ def test_zero_moves_nothing_and_is_kept(
             assert bench.axis(0).motion.speed_pi.integral == before
         assert bench.axis(1).feedback.position == 0
         assert bench.view(1).home_state == HOME_STATE["UNKNOWN"]
-    bench.let_turn(0, turns)
+    bench.turn_without_current(0, turns)
     bench.slow(200)
     bench.turn(0, 0.0)
     bench.slow(200)
@@ -254,7 +254,7 @@ def test_edge_of_a_switch_becomes_the_position(core: Core, way: int, ahead: int,
     """From before it or from on it, within the way of a slow tick; then the shaft rests off the switch."""
     bench = Bench(core)
     bench.servo.parameter.faults_enabled = [0, 0]
-    bench.fit(INPUT_HOME)
+    bench.configure_pins(INPUT_HOME)
     bench.to_spin(0)
     edge = bench.shaft[0].shaft + way * ahead
     bench.hal.axis[0].inputs = INPUT_HOME if ahead <= 0 else 0
@@ -276,7 +276,7 @@ def test_a_limit_switch_ends_the_way(bench: Bench, method: str) -> None:
     """Nothing presses on into a switch that is active already."""
     positive = method.endswith("POSITIVE")
     bench.servo.parameter.faults_enabled = [0, 0]
-    bench.fit(INPUT_LIMIT_MIN | INPUT_LIMIT_MAX)
+    bench.configure_pins(INPUT_LIMIT_MIN | INPUT_LIMIT_MAX)
     bench.hal.axis[0].inputs = INPUT_LIMIT_MAX if positive else INPUT_LIMIT_MIN
     bench.slow(3)
     ask(bench, method)
@@ -288,7 +288,7 @@ def test_a_limit_switch_ends_the_way(bench: Bench, method: str) -> None:
 def test_not_while_the_brake_opens(core: Core) -> None:
     """A closed brake would be taken for the stop; and the answer is that of this request."""
     bench = Bench(core)
-    bench.fit(INPUT_BRAKE_OPEN, open_ticks=12, close_ticks=9)
+    bench.configure_pins(INPUT_BRAKE_OPEN, open_ticks=12, close_ticks=9)
     bench.to_stop()
     bench.axis(0).aligned = True
     bench.write(0, enable=1)

@@ -174,7 +174,7 @@ def test_a_reset_by_the_watchdog_keeps_the_board_off(core: Core) -> None:
 
 def test_an_edge_from_before_a_reset_says_nothing_about_the_speed(bench: Bench) -> None:
     """Memory keeps what was in it when the board starts anew."""
-    bench.let_turn(0, 100.0)
+    bench.turn_without_current(0, 100.0)
     bench.slow(20)
     bench.turn(0, 0.0)
     bench.slow(300)

@@ -29,9 +29,9 @@ def bench(core: Core) -> Bench:
     return Bench(core)
 
 
-def fit(bench: Bench, *pins: int, axis: int = 0) -> Any:
+def configure_pins(bench: Bench, *pins: int, axis: int = 0) -> Any:
     """Wire pins of an axis; returns its configuration."""
-    return bench.fit(sum(pins), axis, open_ticks=OPEN, close_ticks=CLOSE)
+    return bench.configure_pins(sum(pins), axis, open_ticks=OPEN, close_ticks=CLOSE)
 
 
 def spin(bench: Bench) -> None:
@@ -45,7 +45,7 @@ def spin(bench: Bench) -> None:
 
 def begin_opening(bench: Bench) -> None:
     """Enable axis 1, whose angle is known, until the coil of its brake has current."""
-    fit(bench, INPUTS.BRAKE_OPEN)
+    configure_pins(bench, INPUTS.BRAKE_OPEN)
     bench.to_stop()
     bench.axis(0).aligned = True
     bench.write(0, enable=1)
@@ -60,7 +60,7 @@ class TestSwitches:
         assert not bench.hal.axis[0].enable_used
 
     def test_a_level_counts_from_its_second_tick(self, bench: Bench) -> None:
-        fit(bench, INPUTS.HOME)
+        configure_pins(bench, INPUTS.HOME)
         bench.hal.axis[0].inputs = INPUTS.HOME
         bench.slow()
         bench.hal.axis[0].inputs = 0
@@ -73,7 +73,7 @@ class TestSwitches:
 
     @pytest.mark.parametrize(("switch", "way"), [(INPUTS.LIMIT_MAX, 1), (INPUTS.LIMIT_MIN, -1)])
     def test_a_switch_in_the_way_stops_the_motion_with_a_ramp(self, bench: Bench, switch: int, way: int) -> None:
-        fit(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
+        configure_pins(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
         spin(bench)
         bench.write(0, mode=MODE.SPEED, speed=speed(100.0 * way))
         bench.follow(200)
@@ -89,7 +89,7 @@ class TestSwitches:
 
     @pytest.mark.parametrize("mode", [MODE.POSITION, MODE.SPEED, MODE.TORQUE])
     def test_only_the_way_off_a_switch_is_free(self, bench: Bench, mode: int) -> None:
-        fit(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
+        configure_pins(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
         bench.hal.axis[0].inputs = INPUTS.LIMIT_MAX
         spin(bench)
         assert (bench.view(0).faults, bench.view(0).limits) == (0, LIMITS.INPUT)
@@ -110,7 +110,7 @@ class TestSwitches:
         assert push(-1) < 0
 
     def test_a_switch_behind_the_shaft_is_a_fault_unless_it_bounces(self, bench: Bench) -> None:
-        fit(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
+        configure_pins(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
         bench.hal.axis[0].inputs = INPUTS.LIMIT_MAX
         spin(bench)
         bench.write(0, mode=MODE.SPEED, speed=speed(-30.0))
@@ -125,7 +125,7 @@ class TestSwitches:
         assert bench.view(0).faults == FAULTS.LIMIT_SWITCH
 
     def test_both_limit_switches_active_refuse_an_enable(self, bench: Bench) -> None:
-        fit(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
+        configure_pins(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
         bench.hal.axis[0].inputs = INPUTS.LIMIT_MIN | INPUTS.LIMIT_MAX
         bench.slow(3)
         bench.to_stop()
@@ -134,14 +134,14 @@ class TestSwitches:
         assert (bench.view(0).state, bench.view(0).limits) == (STATE.STOP, LIMITS.INPUT)
 
     def test_both_at_once_stop_a_shaft_that_rests(self, bench: Bench) -> None:
-        fit(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
+        configure_pins(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
         spin(bench)
         bench.hal.axis[0].inputs = INPUTS.LIMIT_MIN | INPUTS.LIMIT_MAX
         bench.slow(4)
         assert bench.view(0).faults == FAULTS.LIMIT_SWITCH
 
     def test_a_fault_that_is_switched_off_still_is_a_limit(self, bench: Bench) -> None:
-        fit(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
+        configure_pins(bench, INPUTS.LIMIT_MIN, INPUTS.LIMIT_MAX)
         bench.servo.parameter.faults_enabled[0] &= ~FAULTS.LIMIT_SWITCH
         spin(bench)
         bench.write(0, mode=MODE.SPEED, speed=speed(50.0))
@@ -155,7 +155,7 @@ class TestSwitches:
 class TestEnableInput:
     def test_open_at_rest_it_refuses_without_a_fault(self, bench: Bench) -> None:
         bench.hal.axis[0].inputs = 0
-        fit(bench, INPUTS.ENABLE)
+        configure_pins(bench, INPUTS.ENABLE)
         bench.to_stop()
         bench.write(0, enable=1)
         bench.slow(20)
@@ -171,7 +171,7 @@ class TestEnableInput:
         assert bench.view(0).state == STATE.RUN
 
     def test_opened_in_run_it_is_a_fault_within_a_tick(self, bench: Bench) -> None:
-        fit(bench, INPUTS.ENABLE)
+        configure_pins(bench, INPUTS.ENABLE)
         spin(bench)
         bench.write(0, mode=MODE.SPEED, speed=speed(100.0))
         bench.follow(100)
@@ -187,7 +187,7 @@ class TestEnableInput:
         assert bench.view(0).faults == 0  # at rest an open input is none
 
     def test_this_fault_cannot_be_switched_off(self, bench: Bench) -> None:
-        fit(bench, INPUTS.ENABLE)
+        configure_pins(bench, INPUTS.ENABLE)
         bench.servo.parameter.faults_enabled[0] = 0
         spin(bench)
         bench.hal.axis[0].inputs = 0
@@ -252,7 +252,7 @@ class TestHoldingBrake:
 
     @pytest.mark.parametrize("category", [STOP_CATEGORY.RAMP, STOP_CATEGORY.HOLD])
     def test_a_stop_ends_in_holding_until_it_is_closed(self, bench: Bench, category: int) -> None:
-        config = fit(bench, INPUTS.BRAKE_OPEN)
+        config = configure_pins(bench, INPUTS.BRAKE_OPEN)
         config.stop.hold_ticks = 50
         bench.servo.parameter.on_disable[0] = category
         spin(bench)
@@ -275,7 +275,7 @@ class TestHoldingBrake:
         assert CLOSE <= held <= CLOSE + 2
 
     def test_brake_opens_again_after_a_new_enable(self, bench: Bench) -> None:
-        fit(bench, INPUTS.BRAKE_OPEN)
+        configure_pins(bench, INPUTS.BRAKE_OPEN)
         spin(bench)
         bench.write(0, enable=0)
         bench.until(lambda: not bench.hal.axis[0].holding_released, 100)
@@ -284,7 +284,7 @@ class TestHoldingBrake:
         assert (bench.view(0).substate, bench.view(0).inputs) == (SUBSTATE.SPIN, INPUTS.BRAKE_OPEN)
 
     def test_outputs_that_go_off_at_once_close_it_at_once(self, bench: Bench) -> None:
-        fit(bench, INPUTS.BRAKE_OPEN)
+        configure_pins(bench, INPUTS.BRAKE_OPEN)
         spin(bench)
         bench.hal.bus_code = bus_code(36.0)
         bench.slow(20)
@@ -293,7 +293,7 @@ class TestHoldingBrake:
         assert bench.view(0).inputs == 0
 
     def test_invalid_angle_repeats_the_search(self, bench: Bench) -> None:
-        fit(bench, INPUTS.BRAKE_OPEN)
+        configure_pins(bench, INPUTS.BRAKE_OPEN)
         spin(bench)
         bench.hal.axis[0].over_current = True
         bench.slow(2)
@@ -311,7 +311,7 @@ class TestHoldingBrake:
             assert search.current == limit or not bench.hal.axis[0].holding_released
 
     def test_the_load_is_taken_over_without_a_jump(self, bench: Bench) -> None:
-        fit(bench, INPUTS.BRAKE_OPEN)
+        configure_pins(bench, INPUTS.BRAKE_OPEN)
         bench.to_stop()
         bench.axis(0).aligned, bench.axis(0).brake.load = True, amps(0.8)
         bench.write(0, enable=1)

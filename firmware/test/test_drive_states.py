@@ -211,7 +211,7 @@ def test_stop_ramps_down_first(bench: Bench) -> None:
 
 def test_stop_of_a_shaft_that_will_not_slow_down_ends_all_the_same(bench: Bench) -> None:
     bench.to_spin(0)
-    bench.let_turn(0, 100.0)
+    bench.turn_without_current(0, 100.0)
     bench.slow(50)
     bench.write(0, enable=0)
     bench.to_substate(0, SUBSTATE.FREEWHEEL, 1100)
@@ -247,7 +247,7 @@ def test_enable_during_the_ramp_down_keeps_spinning(bench: Bench) -> None:
 def test_position_survives_a_new_alignment(bench: Bench) -> None:
     """Turns and zero stay; only the counter is preset anew."""
     bench.to_spin(0)
-    bench.let_turn(0, 200.0)
+    bench.turn_without_current(0, 200.0)
     bench.slow(300)
     bench.turn(0, 0.0)
     bench.slow(5)

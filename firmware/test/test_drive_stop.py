@@ -34,7 +34,7 @@ def configure(bench: Bench, **masks: int) -> Any:
     config = bench.core.ffi.new("axis_config_t *", bench.axis(0).config[0])
     for name, value in masks.items():
         setattr(config.stop, name, value)
-    bench.kept.append(config)
+    bench.references.append(config)
     bench.axis(0).config = config
     return config
 
@@ -91,7 +91,7 @@ def test_short_keeps_all_low_sides_on_until_the_shaft_rests(turning: Bench, comm
 def test_a_short_is_refused_where_its_current_would_be_too_large(bench: Bench, part: float, shorted: bool) -> None:
     """K_e w / sqrt(R^2 + w^2 L^2) against 8.25 A; the next harsher category is to coast."""
     bench.to_spin(0)
-    bench.let_turn(0, part * REFUSED)
+    bench.turn_without_current(0, part * REFUSED)
     bench.slow(100)
     withdraw(bench, STOP_CATEGORY.SHORT)
     assert place(bench) == (STATE.RUN, SUBSTATE.FREEWHEEL)

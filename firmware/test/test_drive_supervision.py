@@ -76,7 +76,7 @@ def test_gaining_speed_against_the_full_current_is_a_runaway(bench: Bench) -> No
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_far_beyond_the_speed_limit_is_a_runaway_in_every_mode(bench: Bench, sign: int) -> None:
-    bench.let_turn(0, sign * 300.0)
+    bench.turn_without_current(0, sign * 300.0)
     bench.slow(100)
     assert bench.view(0).state == STATE.RUN
     bench.turn(0, sign * 380.0)
@@ -100,7 +100,7 @@ def test_reversal_at_full_current_is_no_runaway(bench: Bench, sign: int) -> None
 
 
 def test_shaft_that_is_being_braked_is_no_runaway(bench: Bench) -> None:
-    bench.let_turn(0, 300.0)
+    bench.turn_without_current(0, 300.0)
     bench.slow(50)
     bench.write(0, enable=0)
     for k in range(300):
@@ -169,7 +169,7 @@ def test_steep_ramps_hold_for_stops(bench: Bench) -> None:
 
 def test_calib_waits_for_a_coasting_shaft(bench: Bench) -> None:
     """After a fault at speed, READY would short the windings of a shaft at full speed."""
-    bench.let_turn(0, 250.0)
+    bench.turn_without_current(0, 250.0)
     bench.slow(20)
     bench.hal.axis[0].over_current = True
     bench.slow(2)
@@ -192,7 +192,7 @@ def test_calib_waits_for_a_coasting_shaft(bench: Bench) -> None:
 
 
 def test_waiting_in_calib_can_be_given_up(bench: Bench) -> None:
-    bench.let_turn(0, 100.0)
+    bench.turn_without_current(0, 100.0)
     bench.slow(20)
     bench.hal.bus_code = bus_code(14.0)
     bench.slow(20)
@@ -212,7 +212,7 @@ def test_waiting_in_calib_can_be_given_up(bench: Bench) -> None:
 @pytest.mark.parametrize("wait", [SUBSTATE.CALIB, SUBSTATE.FREEWHEEL])
 def test_enable_does_not_wait_for_ever(bench: Bench, wait: int) -> None:
     """A shaft that something keeps turning must not start by itself, minutes later, when it comes to rest."""
-    bench.let_turn(0, 100.0)
+    bench.turn_without_current(0, 100.0)
     bench.slow(20)
     if wait == SUBSTATE.CALIB:
         bench.hal.axis[0].over_current = True
@@ -271,7 +271,7 @@ def test_enhanced_m_t_can_be_switched_off(core: Core) -> None:
         bench = Bench(core)
         bench.to_spin(0)
         switch_off(bench, feature)
-        bench.let_turn(0, 60.0)
+        bench.turn_without_current(0, 60.0)
         bench.slow(50)
         bench.turn(0, 0.0)
         bench.slow(20)
@@ -289,7 +289,7 @@ def test_an_edge_just_after_the_timer_wrapped_is_no_fast_one(core: Core, off: in
     bench = Bench(core)
     bench.to_spin(0)
     switch_off(bench, off)
-    bench.let_turn(0, sign * COUNT / (168 * TICK))
+    bench.turn_without_current(0, sign * COUNT / (168 * TICK))
     speeds = set()
     for _ in range(4 * 168):
         bench.slow()
@@ -401,7 +401,7 @@ def test_following_error_exists_only_with_a_position_set_point(bench: Bench, mod
 def test_over_speed_is_a_fault_within_milliseconds(bench: Bench, direction: int) -> None:
     bench.set_parameter("over_speed", 200.0)
     bench.switch_on(0, FEATURES.OVER_SPEED)
-    bench.let_turn(0, direction * 195.0)
+    bench.turn_without_current(0, direction * 195.0)
     bench.slow(100)
     assert bench.view(0).state == STATE.RUN
     bench.turn(0, direction * 205.0)
@@ -420,7 +420,7 @@ def test_a_current_that_tests_the_encoder_stays_within_the_limit_of_the_motor(
     bench: Bench, i_q: float, along_q: bool
 ) -> None:
     """On top of the set-point: 0.64 A of either sign, or across it."""
-    bench.let_turn(0, 0.0)
+    bench.turn_without_current(0, 0.0)
     bench.write(0, mode=MODE.TORQUE, i_q=amps(i_q))
     bench.slow(2)
     axis = bench.axis(0)

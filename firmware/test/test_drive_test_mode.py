@@ -152,7 +152,7 @@ def test_an_axis_without_an_encoder_does_not_test(core: Core) -> None:
 def test_an_axis_with_a_holding_brake_does_not_test(core: Core) -> None:
     """A vector at a wrong angle would not hold what the brake has held."""
     bench = Bench(core)
-    bench.fit(INPUTS.BRAKE_OPEN, open_ticks=50, close_ticks=20)
+    bench.configure_pins(INPUTS.BRAKE_OPEN, open_ticks=50, close_ticks=20)
     bench.to_stop()
     bench.write(0, mode=4, enable=1)
     bench.slow(100)
@@ -241,7 +241,7 @@ def test_a_signal_ends_with_its_set_point(bench: Bench) -> None:
 
 
 def test_at_a_limit_switch_no_signal_begins(bench: Bench) -> None:
-    bench.fit(INPUTS.LIMIT_MIN)
+    bench.configure_pins(INPUTS.LIMIT_MIN)
     bench.hal.axis[0].inputs = INPUTS.LIMIT_MIN
     bench.slow(5)
     bench.write(0, mode=MODE.TORQUE, i_q=0)

@@ -99,7 +99,7 @@ def test_a_shaft_that_the_brake_does_not_release_is_held(core: Core, degrees: in
 
 
 def test_an_encoder_that_counts_nothing_is_held(core: Core) -> None:
-    assert search(core, 0, 30.0, seen=False).phase == HELD
+    assert search(core, 0, 30.0, counted=False).phase == HELD
 
 
 @pytest.mark.parametrize("load", [0.0, 0.03])

@@ -237,7 +237,7 @@ def test_dead_encoder_is_told_from_a_blocked_shaft(
 ) -> None:
     nominal = axis_shaft(axis, degrees)
     shaft = axis_shaft(
-        axis, degrees, seen=False, inertia=inertia * nominal.inertia, friction=friction * nominal.friction
+        axis, degrees, counted=False, inertia=inertia * nominal.inertia, friction=friction * nominal.friction
     )
     result = search(core, shaft, axis)
     assert result.phase == BLIND
@@ -260,7 +260,7 @@ def test_encoder_that_dies_under_way(core: Core, twitches: int) -> None:
     shaft = Shaft(-101.0 * DEGREE)
 
     def die(s: Any) -> None:
-        shaft.seen = s.searches <= twitches
+        shaft.counted = s.searches <= twitches
 
     assert search(core, shaft, each_tick=die).phase == BLIND
 

@@ -167,7 +167,7 @@ def spinning(core: Core) -> Bench:
 
 def test_observer_takes_over_without_a_jump(core: Core) -> None:
     bench = spinning(core)
-    bench.let_turn(0, 100.0)
+    bench.turn_without_current(0, 100.0)
     bench.slow(100)
     bench.switch_on(0, FEATURES.SPEED_OBSERVER)
     for _ in range(50):
@@ -180,7 +180,7 @@ def test_observer_takes_over_without_a_jump(core: Core) -> None:
 
 def test_off_there_is_no_trace_of_it(core: Core) -> None:
     bench = spinning(core)
-    bench.let_turn(0, 20.0)
+    bench.turn_without_current(0, 20.0)
     for _ in range(100):
         bench.slow()
         assert bench.view(0).speed == bench.axis(0).encoder.speed.speed
@@ -190,7 +190,7 @@ def test_standstill_and_position_come_from_encoder(core: Core) -> None:
     """Standstill is what the edges say; a stop and the rotor search rely on it."""
     bench = spinning(core)
     bench.switch_on(0, FEATURES.SPEED_OBSERVER)
-    bench.let_turn(0, 20.0)
+    bench.turn_without_current(0, 20.0)
     bench.slow(50)
     assert not bench.axis(0).feedback.still
     bench.turn(0, 0.0)

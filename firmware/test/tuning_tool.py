@@ -1,4 +1,4 @@
-"""The tuning tool for its tests: the committed configuration as a table, with places changed."""
+"""Access to the tuning tool for tests: the committed configuration with changed entries."""
 
 from __future__ import annotations
 
@@ -44,19 +44,19 @@ def configuration(**changes: object) -> Configuration:
 
 
 def axis(number: int = 1, /, **changes: object) -> Tuned:
-    """One axis of the changed configuration."""
+    """Tuned values of one axis of the changed configuration."""
     whole = configuration(**changes)
     return tuned(whole.axes[number - 1], whole)
 
 
 def case(beginning: str, reason: str, **changes: object) -> tuple[str, str, dict[str, object]]:
-    """What a message begins with, what else it says, and the changes that bring it: the entry at the beginning, if
-    there is one, as in ``axis1.motor.r_s = 1``, and others."""
+    """Start of a message, further text of it, and the changes that cause it: the entry in the start, such as
+    ``axis1.motor.r_s = 1``, and `changes`."""
     named = re.fullmatch(r"(\w+(?:\.\w+)+) = (\S+)", beginning)
     entry = {named[1].replace(".", "__"): float(named[2])} if named else {}
     return beginning, reason, {**changes, **entry}
 
 
 def logarithmic(low: float, high: float) -> st.SearchStrategy[float]:
-    """Numbers between two bounds, evenly spread over their logarithm."""
+    """Numbers between two bounds, uniform in their logarithm."""
     return st.floats(math.log(low), math.log(high)).map(math.exp)

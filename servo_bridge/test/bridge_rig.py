@@ -1,4 +1,4 @@
-"""The bridge node under real rclpy, with a link that the test drives instead of a serial port. For tests."""
+"""Test rig: the bridge node under real rclpy with a fake link instead of a serial port."""
 
 from __future__ import annotations
 
@@ -48,9 +48,9 @@ NOMINAL_VALUES = {"axis1.torque_constant": 0.04, "axis2.torque_constant": 0.05} 
 
 
 class FakeLink:
-    """A board that does what the test says: `connect`, `sample`, `lose`.
+    """Link to a fake board that the test controls by `connect`, `sample` and `disconnect`.
 
-    Writes are acknowledged at once and take effect with the next sample, unless `deaf`.
+    Writes are acknowledged at once and take effect with the next sample, unless `ignores_writes`.
     """
 
     def __init__(
@@ -65,25 +65,25 @@ class FakeLink:
         self.layout = ScopeLayout([catalogue[name] for name in config.telemetry])
         self.written: list[tuple[str, int, tuple[int, ...]]] = []
         self.reads: list[str] = []
-        self.commands: list[tuple[float, int]] = []  # application commands: when [s], code
-        self.mute = False  # application commands are never answered
-        self.final: list[Any] = []
-        self.deaf = False
+        self.commands: list[tuple[float, int]] = []  # application commands: time [s], code
+        self.answers_commands = True  # False: application commands are not answered
+        self.final_writes: list[Any] = []
+        self.ignores_writes = False
         self.connected = False
         self.tick = 8
         self.epoch = 0
         self.values: dict[str, int] = {f"axis{k}.home_state": 0 for k in (1, 2)}
         self.parameters = {v.name: [v.to_raw(v.minimum)] * v.count for v in parameters(catalogue)}
         self.blocks: dict[str, bytes] = {}
-        self.held: list[Future[Value]] | None = None  # reads of blocks that wait for ever, once it is a list
-        self.stubborn = ""  # a parameter that this board does not let itself be set
+        self.pending_reads: list[Future[Value]] | None = None  # unanswered reads of blocks; None: blocks are answered
+        self.rejected_parameter = ""  # name of a parameter whose writes have no effect
         self.catalogue = catalogue
-        self.figures = LinkStatistics()
+        self.link_statistics = LinkStatistics()
         self.session: Session | None = None
         self._effects = 0
         self._on_sample, self._on_state = on_sample, on_state
 
-    # ---- what the node calls
+    # ---- interface to the node
     board = BoardInfo(name="fake", description="board of a test")
     low_latency = LowLatency(None, "none")
 
@@ -91,7 +91,7 @@ class FakeLink:
         self._on_state(LinkStatus(LinkState.CONNECTING, "connecting to a test"))
 
     def close(self, final_writes: Sequence[Any] = (), timeout: float = 3.0) -> bool:
-        self.final = list(final_writes)
+        self.final_writes = list(final_writes)
         return self.connected
 
     def write_raw(self, name: str, raw: Sequence[int], *, first: int = 0, urgent: bool = False) -> Future[WriteResult]:
@@ -101,10 +101,10 @@ class FakeLink:
         else:
             self.written.append((name, first, tuple(raw)))
             if name in self.parameters:
-                if name != self.stubborn:
+                if name != self.rejected_parameter:
                     self.parameters[name] = list(raw)
                 done.set_result(WriteResult(name, 0, 0, self.tick))
-            elif not self.deaf:
+            elif not self.ignores_writes:
                 self._effects += 1
                 done.set_result(WriteResult(name, 0, 0, self.tick))
         return done
@@ -114,8 +114,8 @@ class FakeLink:
         done: Future[Value] = Future()
         if name in self.parameters:
             done.set_result(self.catalogue[name].decode(self.catalogue[name].encode_raw(self.parameters[name])))
-        elif name in self.blocks and self.held is not None:
-            self.held.append(done)
+        elif name in self.blocks and self.pending_reads is not None:
+            self.pending_reads.append(done)
         elif name in self.blocks:
             done.set_result(self.blocks[name])
         else:
@@ -140,31 +140,33 @@ class FakeLink:
             done.set_exception(LinkDownError("no link"))
             return done
         self.commands.append((time.monotonic(), code))
-        if not self.mute:
+        if self.answers_commands:
             done.set_result(0)
         return done
 
     def statistics(self) -> LinkStatistics:
-        return self.figures
+        return self.link_statistics
 
-    # ---- what the test calls
+    # ---- interface to the test
     def connect(self) -> None:
         self.connected = True
         self._on_state(LinkStatus(LinkState.CONNECTED, "connected to fake"))
 
-    def lose(self, state: LinkState = LinkState.DISCONNECTED, reason: str = "gone", remedy: str = "plug it in") -> None:
+    def disconnect(
+        self, state: LinkState = LinkState.DISCONNECTED, reason: str = "gone", remedy: str = "plug it in"
+    ) -> None:
         self.connected = False
-        for done in self.held or ():
+        for done in self.pending_reads or ():
             done.set_exception(LinkDownError(reason))
         self._on_state(LinkStatus(state, reason, remedy))
 
-    def axes(self, *states: tuple[int, int]) -> None:
-        """State and sub-state of every axis from the next sample on."""
+    def set_states(self, *states: tuple[int, int]) -> None:
+        """Set state and sub-state of every axis for the next samples."""
         for axis, (state, substate) in enumerate(states, 1):
             self.values[f"axis{axis}.state"], self.values[f"axis{axis}.substate"] = state, substate
 
     def sample(self, periods: int = 16) -> None:
-        """One sample, later by so many PWM periods; everything written before has taken effect by then."""
+        """Deliver a sample `periods` PWM periods later; all writes before it have taken effect."""
         self.tick += periods
         if self._effects:
             self.values["applied_count"] = (self.values.get("applied_count", 0) + self._effects) & 0xFFFF
@@ -179,7 +181,7 @@ class FakeLink:
 
 
 ROSOUT = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
-"""As the log is published: no line is lost, however early it was said."""
+"""QoS of the log topic: no message is lost, even if it was published before the subscription."""
 
 
 class Rig:
@@ -240,7 +242,7 @@ class Rig:
         return self
 
     def __exit__(self, *_: object) -> None:
-        # The events executor holds on to what it serves, and nodes that live on would be discovered by the next test.
+        # The events executor keeps references to its nodes; the next test would discover remaining nodes.
         self.executor.remove_node(self.bridge)
         self.executor.remove_node(self.user)
         self.bridge.shutdown()
@@ -273,62 +275,62 @@ class Rig:
 
     # ---- steps
     def until(self, condition: Callable[[], object], timeout: float = 10.0) -> None:
-        """Turn the executor until the condition holds; an assertion when it does not in time."""
+        """Spin the executor until the condition holds; fail after `timeout` [s]."""
         deadline = time.monotonic() + timeout
         while not condition():
             assert time.monotonic() < deadline, f"not within {timeout} s"
             self.executor.spin_once(timeout_sec=0.01)
 
     @contextlib.contextmanager
-    def alive(self, look: Callable[[], None] = lambda: None) -> Iterator[None]:
-        """Give samples from a thread meanwhile, and look at each, so that a program of ROS can run in this one."""
+    def samples(self, before_sample: Callable[[], None] = lambda: None) -> Iterator[None]:
+        """Deliver samples from a thread, each after `before_sample`; the main thread can run a ROS program."""
         numbers = (signal.SIGINT, signal.SIGTERM)
-        handlers = [signal.getsignal(number) for number in numbers]  # the program has its own
-        ended = threading.Event()
+        handlers = [signal.getsignal(number) for number in numbers]  # the program replaces them
+        stop = threading.Event()
 
-        def live() -> None:
+        def run() -> None:
             due = 0.0
-            while not ended.is_set():
+            while not stop.is_set():
                 if self.link.connected and time.monotonic() >= due:
-                    look()
+                    before_sample()
                     self.link.sample()
                     due = time.monotonic() + 0.005
                 self.executor.spin_once(timeout_sec=0.005)
 
-        board = threading.Thread(target=live)
+        board = threading.Thread(target=run)
         board.start()
         try:
             yield
         finally:
-            ended.set()
+            stop.set()
             board.join()
             for number, handler in zip(numbers, handlers, strict=True):
                 signal.signal(number, handler)
 
-    def settle(self) -> None:
-        """Let everything that is under way arrive: a set-point that is known to be refused comes out at the end."""
+    def wait_for_pending(self) -> None:
+        """Wait for all pending messages, by set-points that are refused."""
         before = len(self.rejections())
         self.joint_commands.publish(JointState(name=["marker"], position=[0.0]))
         self.commands.publish(Float64MultiArray(data=[0.0] * 9))
         self.position.publish(Float64(data=float("nan")))
         self.until(lambda: len(self.rejections()) >= before + 3)
 
-    def up(self, *states: tuple[int, int]) -> None:
-        """Connect and show one sample."""
-        self.link.axes(*(states or (STOP, STOP)))
+    def connect(self, *states: tuple[int, int]) -> None:
+        """Connect the link and deliver one sample."""
+        self.link.set_states(*(states or (STOP, STOP)))
         self.link.connect()
         self.link.sample()
         self.until(lambda: "=" in self.state())
 
-    def ready(self) -> None:
-        """Connected, enabled, both axes in RUN/SPIN."""
-        self.up(SPIN, SPIN)
+    def enable_axes(self) -> None:
+        """Connect and enable, with both axes in RUN/SPIN."""
+        self.connect(SPIN, SPIN)
         assert self.enable(True)[0]
         self.until(self.armed)
         self.link.written.clear()
 
     def call(self, client: Any, request: Any) -> Any:
-        """Call a service and give samples until it answers; in the end faster, for what the bridge waits for."""
+        """Call a service and deliver samples until it answers; after 50 samples in larger steps, for time-outs."""
         future = client.call_async(request)
         calls = itertools.count()
 
@@ -350,7 +352,7 @@ class Rig:
     def clear_faults(self) -> Any:
         return self.call(self.clear_client, Trigger.Request())
 
-    # ---- what was seen
+    # ---- received messages
     def state(self) -> str:
         return str(self.messages[topics.STATE][-1].data)
 
@@ -361,12 +363,12 @@ class Rig:
         return [m.msg for m in self.messages["/rosout"] if m.name == "servo.servo_bridge" and m.level >= level]
 
     def accepted(self) -> int:
-        """How many set-points have been let through."""
+        """Number of accepted set-points."""
         assert self.bridge.supervisor is not None
         return self.bridge.supervisor._set_points.figures.accepted
 
     def was_rejected(self, name: str) -> bool:
-        """Whether the latest rejection, logged or not, is of this joint."""
+        """True if the last rejection, logged or not, is of this joint."""
         assert self.bridge.supervisor is not None
         return f"'{name}'" in self.bridge.supervisor._set_points.figures.last_rejection
 
@@ -377,7 +379,7 @@ class Rig:
         return [text for text in self.logs() if text.startswith(beginning)]
 
     def until_rejected(self, before: int) -> None:
-        """Wait for one more rejection than there were."""
+        """Wait for more than `before` rejections."""
         self.until(lambda: len(self.rejections()) > before)
 
     def applied(self) -> list[Any]:
@@ -388,7 +390,7 @@ class Rig:
         return [dict(zip(names, row, strict=True)) for names, table in tables for row in table.tolist()]
 
     def parameters(self) -> dict[str, list[int]]:
-        """Raw parameters that the bridge told last."""
+        """Last published parameters, raw."""
         messages = self.messages[topics.PARAMETERS]
         return parameters_from_message(messages[-1], self.link.catalogue) if messages else {}
 
@@ -403,7 +405,7 @@ class Rig:
         return result.successful, result.reason
 
     def diagnosis(self, part: str) -> Any:
-        """Status of one part at the end of a second that ends now."""
+        """Diagnostic status of one part after the periodic update."""
         assert self.bridge.supervisor is not None
         seen = len(self.messages[topics.DIAGNOSTICS])
         self.bridge.supervisor._every_second()

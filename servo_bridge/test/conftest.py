@@ -1,4 +1,4 @@
-"""Shared fixtures: a fake board on a pty, links to it; and random examples that are the same every time."""
+"""Shared fixtures: a fake board on a pty, links to it, and reproducible random examples."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fake_servo import FakeServo
 from link_watcher import StartLink, Watcher
 from servo_bridge.wire.link import LinkState
 
-# A shell in the background may have Ctrl-C ignored, and the processes that the tests start would inherit that.
+# A background shell may ignore SIGINT, and child processes inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 settings.register_profile("fixed", derandomize=True, deadline=None)
@@ -38,7 +38,7 @@ def fake_port(tmp_path: Path, fake_board: FakeServo) -> Iterator[FakePort]:
 
 @pytest.fixture
 def start_link(tmp_path: Path) -> Iterator[StartLink]:
-    """Starts links at that port, whether it exists or not, and closes them at the end."""
+    """Starts links at the port ``tmp_path/ttyFAKE``, which need not exist, and closes them at the end."""
     watchers: list[Watcher] = []
 
     def start(**options: object) -> Watcher:
@@ -54,7 +54,7 @@ def start_link(tmp_path: Path) -> Iterator[StartLink]:
 
 @pytest.fixture
 def connected(fake_port: FakePort, start_link: StartLink) -> Watcher:
-    """A link that is up."""
+    """A connected link."""
     watcher = start_link()
     watcher.wait_state(LinkState.CONNECTED)
     return watcher

@@ -1,4 +1,4 @@
-"""A real pty with a fake device at its other end, and everything that can go wrong with a serial line. For tests."""
+"""A real pty with a fake device at its other end, and failures of a serial line. For tests."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from typing import Protocol
 
 
 class Device(Protocol):
-    """What sits at the other end."""
+    """Device at the other end of the line."""
 
     def feed(self, data: bytes) -> bytes: ...
 
 
 class NoiseDevice:
-    """Prints text and reads nothing."""
+    """Device that sends text and ignores its input."""
 
-    chatter = b"T=23.4 C ok\r\n"
+    noise = b"T=23.4 C ok\r\n"
 
     def feed(self, data: bytes) -> bytes:
         return b""
@@ -35,9 +35,9 @@ class FakePort:
     Parameters
     ----------
     link : Path
-        Name of the port; vanishes with `unplug` and comes back with `plug`.
+        Name of the port; removed by `unplug` and created by `plug`.
     baud : int, optional
-        Answers take the time that the line would; default: at once.
+        Line speed that delays the answers [bit/s]; default: no delay.
     """
 
     def __init__(self, link: Path, device: Device, baud: int | None = None) -> None:
@@ -66,7 +66,7 @@ class FakePort:
         os.close(self._wake_write)
 
     def plug(self) -> None:
-        """Make the port appear."""
+        """Create the port."""
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave, termios.TCSANOW)
         fresh = self.link.with_suffix(".new")
@@ -76,7 +76,7 @@ class FakePort:
         self._thread.start()
 
     def unplug(self) -> None:
-        """Make the port vanish; programs that have it open see a hang-up."""
+        """Remove the port; programs that have it open receive a hang-up."""
         if self._thread is None:
             return
         os.write(self._wake_write, b"x")
@@ -89,13 +89,13 @@ class FakePort:
         os.close(self._master)
 
     def _serve(self) -> None:
-        chatter = getattr(self.device, "chatter", b"")
+        noise = getattr(self.device, "noise", b"")
         while True:
-            ready, _, _ = select.select([self._master, self._wake_read], [], [], 0.02 if chatter else None)
+            ready, _, _ = select.select([self._master, self._wake_read], [], [], 0.02 if noise else None)
             if self._wake_read in ready:
                 return
-            if chatter:
-                os.write(self._master, chatter)
+            if noise:
+                os.write(self._master, noise)
             if self._master not in ready:
                 continue
             data = os.read(self._master, 4096)

@@ -1,4 +1,4 @@
-"""The recorder of a fake target, written from the description of the protocol and not from the client."""
+"""Recorder of a fake target, implemented from the protocol description, independent of the client."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 UNCONFIGURED, EMPTY, RUNNING, CUT_SHORT, FULL = range(5)
-RECORD_BYTES, SLOT_BYTES = 64, 32  # what the reference target needs for itself
+RECORD_BYTES, SLOT_BYTES = 64, 32  # overhead of the reference target
 
 
 @dataclass
 class RecorderSlot:
-    """One variable; `flags` as version 4 sends them."""
+    """One variable; `flags` as in protocol version 4."""
 
     address: int
     size: int
@@ -26,7 +26,7 @@ class RecorderSlot:
 
 
 class FakeRecorder:
-    """Samples on `tick`, exactly as the description says: no trigger before the memory is full once."""
+    """Samples on `tick` as described in the protocol: no trigger before the memory has been filled once."""
 
     def __init__(self, peek: Callable[[int, int], bytes], big_endian: bool, size: int, address: int) -> None:
         self.peek = peek
@@ -38,8 +38,8 @@ class FakeRecorder:
         self.configured = False
         self.state = UNCONFIGURED
         self.points: list[bytes] = []
-        self.place = 0
-        self.left: int | None = None
+        self.position = 0
+        self.remaining: int | None = None
         self.skipped = 0
 
     def set_up(self, count: int, total: int, pre: int, divide: int) -> None:
@@ -55,7 +55,7 @@ class FakeRecorder:
         return (self.size - record - each * len(self.slots)) // self.point_size
 
     def ready(self) -> bool:
-        """Count as configured once all slots are valid."""
+        """True if all slots are valid, which completes the configuration."""
         if not self.configured and self.slots and all(s is not None for s in self.slots) and self.point_size:
             fitting = self.capacity()
             self.total = min(self.total or fitting, fitting)
@@ -64,16 +64,16 @@ class FakeRecorder:
 
     def start(self) -> None:
         if self.state != RUNNING:
-            self.points, self.place, self.left, self.skipped, self.state = [], 0, None, self.divide, RUNNING
+            self.points, self.position, self.remaining, self.skipped, self.state = [], 0, None, self.divide, RUNNING
 
     def stop(self) -> None:
         if self.state == RUNNING:
             self.state = FULL if len(self.points) == self.total else CUT_SHORT
 
     def fire(self) -> None:
-        if self.left is None:
-            self.left = self.total - 1 - self.pre
-            if self.left == 0:
+        if self.remaining is None:
+            self.remaining = self.total - 1 - self.pre
+            if self.remaining == 0:
                 self.state = FULL
 
     def value(self, slot: RecorderSlot, data: bytes) -> float:
@@ -104,27 +104,27 @@ class FakeRecorder:
             data = self.peek(slot.address, slot.size)
             if slot.flags & 3:
                 above = self.value(slot, data) >= self.limit(slot)
-                if self.left is None and full:
+                if self.remaining is None and full:
                     level = bool(slot.flags & 0x40)
                     fired |= bool(slot.flags & 0x10) and above and (level or slot.before is False)
                     fired |= bool(slot.flags & 0x20) and not above and (level or slot.before is True)
                 slot.before = above
             point += data if slot.stored else b""
         if full:
-            self.points[self.place] = point
+            self.points[self.position] = point
         else:
             self.points.append(point)
-        self.place = (self.place + 1) % self.total
-        if self.left is not None:
-            self.left -= 1
-            if self.left == 0:
+        self.position = (self.position + 1) % self.total
+        if self.remaining is not None:
+            self.remaining -= 1
+            if self.remaining == 0:
                 self.state = FULL
         elif fired:
             self.fire()
 
     @property
     def first(self) -> int:
-        return self.place if len(self.points) == self.total and self.points else 0
+        return self.position if len(self.points) == self.total and self.points else 0
 
     def content(self) -> bytes:
         return b"".join(self.points)

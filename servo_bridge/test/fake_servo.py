@@ -1,4 +1,4 @@
-"""A fake servo board: the catalogue's variables on a `FakeTarget`, with a clock and a command latch. For tests."""
+"""A fake servo board: the variables of the catalogue on a `FakeTarget`, with a clock and a command latch."""
 
 from __future__ import annotations
 
@@ -16,17 +16,9 @@ CATALOGUE = Catalogue.load()
 
 
 class FakeServo(FakeTarget):
-    """Board whose telemetry shows a running clock; a written command takes effect at the next slow tick.
+    """Board whose telemetry has a running clock; a written command takes effect at the next slow tick.
 
-    Like the firmware it counts how long its host has been silent: only commands and keep-alives are signs of life, and
-    only to a board that was commanded before. What an enabled axis would do then is left to the tests.
-
-    Attributes
-    ----------
-    signs : list
-        Every sign of life: when [ns], and the variable that was written or the application command.
-    silence_ns : int
-        Longest time between two signs of life, or since the last one.
+    Like the firmware, it measures the time without a command or keep-alive of the host. It has no host time-out.
     """
 
     def __init__(
@@ -42,12 +34,12 @@ class FakeServo(FakeTarget):
         self.start_ns = clock()
         self.first_tick = 0
         self.ticks = ticks or (lambda: self.first_tick + (clock() - self.start_ns) // 62_500)
-        self.signs: list[tuple[int, str]] = []
+        self.host_signals: list[tuple[int, str]] = []  # commands and keep-alives: time [ns], name
         for name, code in catalogue.bits["command"].items():
-            self.commands[code] = partial(self._command_ran, name)
+            self.commands[code] = partial(self._record_command, name)
         self.addresses: dict[str, int] = {}
         self.written: list[tuple[str, int, bytes]] = []  # variable, offset, bytes
-        self._fresh = False
+        self._command_pending = False
         table = self.tables[0]
         for name, constants in catalogue.enums.items():
             table.append(FakeEntry(name, ENUM, 0, 2, NONE))
@@ -73,15 +65,15 @@ class FakeServo(FakeTarget):
             self.poke(self.addresses[name], catalogue[name].encode([value, value]))
         self.poke(self.addresses["param.host_timeout"], catalogue["param.host_timeout"].encode(0.5))
         self.accepts = self._in_range
-        self.on_write = self._note
+        self.on_write = self._record_write
         self.before_scope = self._snapshot
 
     def put(self, name: str, *raw: int) -> None:
-        """Set a variable to firmware integers."""
+        """Set a variable to raw integers."""
         self.poke(self.addresses[name], self.catalogue[name].encode_raw(raw))
 
     def get(self, name: str) -> list[int]:
-        """Firmware integers of a variable."""
+        """Raw integers of a variable."""
         v = self.catalogue[name]
         return v.decode_raw(self.peek(self.addresses[name], v.size))
 
@@ -89,7 +81,7 @@ class FakeServo(FakeTarget):
         """Reset the board."""
         self.reset()
         self.start_ns, self.first_tick = self.clock(), 0
-        self.signs.clear()
+        self.host_signals.clear()
         self.put("applied_tick", 0)
         self.put("applied_count", 0)
 
@@ -97,7 +89,7 @@ class FakeServo(FakeTarget):
         return max((n for n, a in self.addresses.items() if a <= address), key=self.addresses.__getitem__)
 
     def _in_range(self, address: int, data: bytes) -> bool:
-        """Whether the board takes whole elements with these numbers."""
+        """True if the board accepts these elements."""
         name = self._name(address)
         v, offset = self.catalogue[name], address - self.addresses[name]
         low, high = v.raw_range
@@ -110,28 +102,29 @@ class FakeServo(FakeTarget):
                     return False
         return True
 
-    def _note(self, address: int, data: bytes) -> None:
+    def _record_write(self, address: int, data: bytes) -> None:
         name = self._name(address)
         self.written.append((name, address - self.addresses[name], data))
         if name.startswith("cmd."):
-            self._fresh = True
-            self.signs.append((self.clock(), name))
+            self._command_pending = True
+            self.host_signals.append((self.clock(), name))
 
-    def _command_ran(self, name: str, _: bytes) -> int:
+    def _record_command(self, name: str, _: bytes) -> int:
         if name != "IDENTIFY":
-            self.signs.append((self.clock(), name))
-        self._fresh = self._fresh or name in ("QUICK_STOP", "CLEAR_FAULTS")
+            self.host_signals.append((self.clock(), name))
+        self._command_pending = self._command_pending or name in ("QUICK_STOP", "CLEAR_FAULTS")
         return 0
 
     @property
-    def silence_ns(self) -> int:
-        times = [moment for moment, _ in self.signs] + [self.clock()]
+    def host_silence_ns(self) -> int:
+        """Longest time between two commands or keep-alives, or since the last one [ns]."""
+        times = [time_ns for time_ns, _ in self.host_signals] + [self.clock()]
         return max((later - earlier for earlier, later in pairwise(times)), default=0)
 
     def _snapshot(self) -> None:
         tick = self.ticks() // 8 * 8
-        if self._fresh:
-            self._fresh = False
+        if self._command_pending:
+            self._command_pending = False
             self.put("applied_tick", tick % 2**32)
             self.put("applied_count", (self.get("applied_count")[0] + 1) % 65536)
         self.put("tick", tick % 2**32)

@@ -1,6 +1,6 @@
-"""A FreeMASTER v4 target for tests, written from the description of the protocol and not from the client.
+"""Fake FreeMASTER v4 target, implemented from the protocol description, independent of the client.
 
-Pure: bytes in, bytes out. Memory is a table of named regions; every access follows the rules of TSA safety.
+It maps received bytes to answered bytes. Every memory access follows the rules of TSA safety.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def uleb(value: int) -> bytes:
 
 @dataclass
 class FakeEntry:
-    """One row of a table."""
+    """One row of a TSA table."""
 
     name: str
     type: bytes | None
@@ -55,19 +55,19 @@ class FakeEntry:
 
 
 class Refused(Exception):
-    """Ends a command with a status."""
+    """Refusal of a command with a status."""
 
 
 class Reader:
-    """Takes fields from a payload."""
+    """Reads fields of a payload."""
 
     def __init__(self, data: bytes) -> None:
         self.data = data
-        self.at = 0
+        self.offset = 0
 
     def u8(self) -> int:
-        self.at += 1
-        return self.data[self.at - 1]
+        self.offset += 1
+        return self.data[self.offset - 1]
 
     def uleb(self) -> int:
         value = shift = 0
@@ -79,19 +79,19 @@ class Reader:
                 return value
 
     def sleb(self) -> int:
-        start = self.at
+        start = self.offset
         value = self.uleb()
-        bits = 7 * (self.at - start)
-        return value - (1 << bits) if self.data[self.at - 1] & 0x40 else value
+        bits = 7 * (self.offset - start)
+        return value - (1 << bits) if self.data[self.offset - 1] & 0x40 else value
 
     def take(self, count: int) -> bytes:
-        self.at += count
-        return self.data[self.at - count : self.at]
+        self.offset += count
+        return self.data[self.offset - count : self.offset]
 
 
 @dataclass
 class FakeTarget:
-    """State of the target."""
+    """Fake target with its memory and tables."""
 
     mtu: int = 240
     field_width: int = 4
@@ -117,10 +117,10 @@ class FakeTarget:
         self.memory: dict[int, int] = {}
         self._strings: dict[bytes, int] = {}
         self._next_string = 0x0804_F115
-        self._table_places: list[tuple[int, int]] = []
-        self._plus = False
-        self._want_length = False
-        self._todo = 0
+        self._table_ranges: list[tuple[int, int]] = []
+        self._start_received = False
+        self._length_expected = False
+        self._bytes_left = 0
         self._crc = bytearray()
         self._buffer = bytearray()
         self._overflow = False
@@ -168,8 +168,8 @@ class FakeTarget:
         return self._strings[text]
 
     def build(self, table_address: int = 0x2000_10E0) -> None:
-        """Lay the tables and their texts into memory."""
-        self._table_places = []
+        """Write the tables and their strings to memory."""
+        self._table_ranges = []
         for table in self.tables:
             data = b""
             for e in table:
@@ -178,31 +178,31 @@ class FakeTarget:
                 for word in (name, kind, e.address, e.size << 2 | e.kind):
                     data += (word % (1 << 8 * self.field_width)).to_bytes(self.field_width, self.order)
             self.poke(table_address, data)
-            self._table_places.append((table_address, len(data)))
+            self._table_ranges.append((table_address, len(data)))
             table_address += len(data) + 64
 
     # ---- receiver
     def feed(self, data: bytes) -> bytes:
-        """Take bytes; returns what the target answers."""
+        """Receive bytes and return the answer."""
         return b"".join(self._receive(byte) for byte in data)
 
     def _receive(self, byte: int) -> bytes:
         if byte == SOB:
-            self._plus = not self._plus
-            if self._plus:
+            self._start_received = not self._start_received
+            if self._start_received:
                 return b""
-        elif self._plus:
+        elif self._start_received:
             self._crc = bytearray([byte])
             self._buffer = bytearray([byte])
-            self._todo, self._want_length, self._plus, self._overflow = 0, True, False, False
+            self._bytes_left, self._length_expected, self._start_received, self._overflow = 0, True, False, False
             return b""
-        if self._want_length:
-            self._todo = (byte + 1) % 256
+        if self._length_expected:
+            self._bytes_left = (byte + 1) % 256
             self._crc.append(byte)
-            self._want_length = False
-        elif self._todo > 0:
-            self._todo -= 1
-            if self._todo:
+            self._length_expected = False
+        elif self._bytes_left > 0:
+            self._bytes_left -= 1
+            if self._bytes_left:
                 self._crc.append(byte)
                 if len(self._buffer) < self.mtu - 1:
                     self._buffer.append(byte)
@@ -256,7 +256,7 @@ class FakeTarget:
                 return self._exchange_pipe(r)
             case 0x29:
                 index = r.uleb()
-                address, size = self._table_places[index] if index < len(self._table_places) else (0, 999)
+                address, size = self._table_ranges[index] if index < len(self._table_ranges) else (0, 999)
                 width = {2: 0, 4: 1, 8: 2}[self.field_width]
                 return 0x40, bytes([0x03 | width << 4]) + uleb(size) + uleb(address)
             case 0x2A:
@@ -281,7 +281,7 @@ class FakeTarget:
             case 0x30:
                 return self._start_command(r)
             case 0x31:
-                # As our firmware does it: a command runs when its result is asked for.
+                # As in the firmware: a command runs when its result is requested.
                 if self._command is not None:
                     self._command_status = self._run(*self._command)
                     self._command = None
@@ -314,9 +314,9 @@ class FakeTarget:
             raise Refused(0x86)
         if r.u8() >= self.scopes:
             raise Refused(0x94)
-        while len(r.data) - r.at >= 2:
+        while len(r.data) - r.offset >= 2:
             op, length = r.u8(), r.u8()
-            if length > len(r.data) - r.at:
+            if length > len(r.data) - r.offset:
                 raise Refused(0x86)
             body = Reader(r.take(length))
             if op == 1:
@@ -328,7 +328,7 @@ class FakeTarget:
                 slot, address, size = body.u8(), body.uleb(), body.u8()
                 if slot >= len(self.scope):
                     raise Refused(0x85)
-                if size not in (1, 2, 4, 8) or body.at != length:
+                if size not in (1, 2, 4, 8) or body.offset != length:
                     raise Refused(0x86)
                 self._check(address, size, write=False)
                 self.scope[slot] = (address, size)
@@ -357,21 +357,21 @@ class FakeTarget:
         raise Refused(0x92)
 
     def _exchange_pipe(self, r: Reader) -> tuple[int, bytes]:
-        """Port 1 is open, and takes four bytes at a time."""
+        """Pipe 1 is open and accepts four bytes per request."""
         head, acknowledged = r.u8(), r.u8()
         if head & 0x7F != 1:
             raise Refused(0x8C)
         if bool(head & 0x80) == self._pipe_odd:
             self._pipe_odd = not self._pipe_odd
             del self.pipe[:acknowledged]
-            taken = r.data[r.at : r.at + 4]
+            taken = r.data[r.offset : r.offset + 4]
             self.pipe_received += taken
             self._pipe_accepted = len(taken)
         return 0x40, bytes([head, self._pipe_accepted]) + self.pipe[: self.mtu - 3]
 
     # ---- recorder
     def advance(self, ticks: int) -> None:
-        """Let the fast loop run."""
+        """Run the fast loop."""
         for _ in range(ticks):
             self.ticks_done += 1
             if self.on_tick is not None:
@@ -388,9 +388,9 @@ class FakeTarget:
         if index >= len(self.recorders):
             raise Refused(0x94)
         recorder = self.recorders[index]
-        while r.at < len(r.data):
+        while r.offset < len(r.data):
             op, length = r.u8(), r.u8()
-            if length > len(r.data) - r.at:
+            if length > len(r.data) - r.offset:
                 raise Refused(0x86)
             body = Reader(r.take(length))
             match op:
@@ -420,7 +420,7 @@ class FakeTarget:
                     recorder.stop()
                 case _:
                     raise Refused(0x95)
-            if body.at != length:
+            if body.offset != length:
                 raise Refused(0x86)
         return 0, b""
 
@@ -475,15 +475,15 @@ class FakeTarget:
         if not write:
             if any(inside(recorder.address, recorder.size) for recorder in self.recorders):
                 return
-            if any(inside(start, length) for start, length in self._table_places):
+            if any(inside(start, length) for start, length in self._table_ranges):
                 return
             if any(inside(start, len(text)) for text, start in self._strings.items()):
                 return
         raise Refused(0x89)
 
     def reset(self) -> None:
-        """What a restart forgets."""
+        """Reset of the target."""
         self.scope = []
         self.level = self.open_level
-        self._plus = self._want_length = False
-        self._todo = 0
+        self._start_received = self._length_expected = False
+        self._bytes_left = 0

@@ -1,4 +1,4 @@
-"""A FreeMASTER v3 target for tests, written from the description of the protocol and not from the client."""
+"""Fake FreeMASTER v3 target, implemented from the protocol description, independent of the client."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fake_target import SOB, FakeTarget, Reader, Refused, escaped
 
 @dataclass
 class FakeTargetV3(FakeTarget):
-    """State of the target; what both versions have in common is that of version 4."""
+    """Fake target of version 3; it inherits the parts that are common to both versions."""
 
     mtu: int = 60
     wide: bool = True
@@ -32,24 +32,24 @@ class FakeTargetV3(FakeTarget):
 
     def _receive(self, byte: int) -> bytes:
         if byte == SOB:
-            self._plus = not self._plus
-            if self._plus:
+            self._start_received = not self._start_received
+            if self._start_received:
                 return b""
-        elif self._plus:
+        elif self._start_received:
             self._crc = bytearray([byte])
             self._buffer = bytearray([byte])
-            self._plus = self._overflow = False
-            self._want_length = byte < 0xC0
-            self._todo = 0 if self._want_length else 2 * (byte >> 4 & 3) + 1
+            self._start_received = self._overflow = False
+            self._length_expected = byte < 0xC0
+            self._bytes_left = 0 if self._length_expected else 2 * (byte >> 4 & 3) + 1
             return b""
-        if self._want_length:
+        if self._length_expected:
             self._crc.append(byte)
-            self._want_length = False
-            self._todo = byte + 1
-        elif self._todo > 0:
-            self._todo -= 1
+            self._length_expected = False
+            self._bytes_left = byte + 1
+        elif self._bytes_left > 0:
+            self._bytes_left -= 1
             self._crc.append(byte)
-            if self._todo == 0:
+            if self._bytes_left == 0:
                 return self._finish(byte)
             if len(self._buffer) < self.mtu - 1:
                 self._buffer.append(byte)
@@ -125,7 +125,7 @@ class FakeTargetV3(FakeTarget):
             case 0x11 | 0x12:
                 self._require(command == 0x12)
                 index = self._number(r, 2)
-                address, size = self._table_places[index] if index < len(self._table_places) else (0, 999)
+                address, size = self._table_ranges[index] if index < len(self._table_ranges) else (0, 999)
                 flags = self.table_version | (0x0100 if self.field_width == 4 else 0)
                 return 0, self._bytes(flags, 2) + self._bytes(size, 2) + self._bytes(address, self._pointer)
             case 0xD4 | 0xE6:

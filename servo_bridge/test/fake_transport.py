@@ -1,4 +1,4 @@
-"""A transport in simulated time: nothing waits, everything has its moment. For tests."""
+"""A transport in simulated time. For tests."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from servo_bridge.freemaster.line import Line
 
 
 class FakeTransport:
-    """Hands requests to `respond` and delivers what it returns after `delay_ns`.
+    """Transport that passes requests to `respond` and delivers its result after `delay_ns`.
 
-    `respond` returns bytes, or a list of (delay [ns], bytes) for answers that come in pieces or late.
+    `respond` returns bytes, or a list of (delay [ns], bytes) for answers in pieces or with other delays.
     """
 
     def __init__(self, respond: Callable[[bytes], bytes | list[tuple[int, bytes]]], delay_ns: int = 1_000_000) -> None:
@@ -41,13 +41,13 @@ class FakeTransport:
     def read(self, deadline: int) -> bytes:
         due = max(deadline, self.now)
         if self._pending and self._pending[0][0] <= due:
-            moment, data = self._pending.pop(0)
-            self.now = max(self.now, moment)
+            time_ns, data = self._pending.pop(0)
+            self.now = max(self.now, time_ns)
             return data
         self.now = due
         return b""
 
 
 def client_on(transport: FakeTransport, **options: object) -> Client:
-    """Client in the time of a transport."""
+    """Client with the simulated clock of a transport."""
     return Client(Line(transport, clock=transport.clock, **options))  # type: ignore[arg-type]

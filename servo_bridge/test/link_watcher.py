@@ -1,4 +1,4 @@
-"""A link that is watched: collects what it reports and waits for it. For tests."""
+"""A link with a collector of its samples and states. For tests."""
 
 from __future__ import annotations
 
@@ -16,30 +16,32 @@ TIMEOUT = 20.0
 
 
 class Watcher:
-    """Collects what a link reports and waits for it."""
+    """Collects samples and states of a link, and waits for them."""
 
     def __init__(self, url: str, **options: object) -> None:
         self.samples: list[Sample] = []
         self.states: list[LinkStatus] = []
         self.times: list[float] = []
-        self.news = threading.Condition()
+        self.changed = threading.Condition()
         config = replace(LinkConfig(url, telemetry=TELEMETRY, latency=0.1, backoff_max=0.2), **options)  # type: ignore[arg-type]
         self.link = Link(config, CATALOGUE, on_sample=self._sample, on_state=self._state)
 
     def _sample(self, sample: Sample) -> None:
-        with self.news:
+        with self.changed:
             self.samples.append(sample)
-            self.news.notify_all()
+            self.changed.notify_all()
 
     def _state(self, status: LinkStatus) -> None:
-        with self.news:
+        with self.changed:
             self.states.append(status)
             self.times.append(time.monotonic())
-            self.news.notify_all()
+            self.changed.notify_all()
 
     def wait(self, condition: Callable[[], bool]) -> None:
-        with self.news:
-            assert self.news.wait_for(condition, TIMEOUT), f"never happened; states: {[str(s) for s in self.states]}"
+        with self.changed:
+            assert self.changed.wait_for(condition, TIMEOUT), (
+                f"not within {TIMEOUT} s; states: {[str(s) for s in self.states]}"
+            )
 
     def wait_state(self, state: LinkState) -> LinkStatus:
         self.wait(lambda: bool(self.states) and self.states[-1].state is state)

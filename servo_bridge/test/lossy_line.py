@@ -1,4 +1,4 @@
-"""A line in simulated time that loses, delays and damages what it carries. For tests."""
+"""A line in simulated time that loses, delays and damages frames. For tests."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ MS = 1_000_000
 
 
 class LossyLine(FakeTransport):
-    """A target at the end of a bad line; like a real one it answers one request after the other.
+    """A target on a bad line; it answers requests one after the other.
 
     Parameters
     ----------
     feed : callable
-        The target.
+        Maps a request to the answer of the target.
     baud : int
         Speed of the line [bit/s].
     seed : int
-        Of all that is random.
+        Seed of the random numbers.
     """
 
     def __init__(self, feed: Callable[[bytes], bytes], baud: int = 115_200, seed: int = 1) -> None:
-        super().__init__(self._carried)
+        super().__init__(self._transfer)
         self.feed = feed
         self.random = random.Random(seed)
         self.byte_ns = 10_000_000_000 // baud
@@ -36,7 +36,7 @@ class LossyLine(FakeTransport):
         self.damaged = 0
         self._busy_until = 0
 
-    def _carried(self, request: bytes) -> list[tuple[int, bytes]]:
+    def _transfer(self, request: bytes) -> list[tuple[int, bytes]]:
         arrived = self.now + len(request) * self.byte_ns
         if self.random.random() < self.lose_request:
             self.lost += 1
@@ -49,9 +49,9 @@ class LossyLine(FakeTransport):
         return [(self._busy_until - self.now, self._damaged(answer))]
 
     def _damaged(self, frame: bytes) -> bytes:
-        """Change one byte, or drop it."""
+        """Change or drop one byte, with probability `damage`."""
         if self.random.random() >= self.damage:
             return frame
         self.damaged += 1
-        place, byte = self.random.randrange(len(frame)), bytes([self.random.randrange(256)])
-        return frame[:place] + (byte if self.random.randrange(4) else b"") + frame[place + 1 :]
+        index, byte = self.random.randrange(len(frame)), bytes([self.random.randrange(256)])
+        return frame[:index] + (byte if self.random.randrange(4) else b"") + frame[index + 1 :]

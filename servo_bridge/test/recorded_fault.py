@@ -1,4 +1,4 @@
-"""Bytes of a fault record as a board keeps them. For tests."""
+"""Fault records as bytes in the format of the board. For tests."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from servo_msgs_py.catalogue import Catalogue
 from servo_msgs_py.fault_record import FaultRecord
 
 SIZE = 660
-"""Bytes of a record."""
+"""Size of a record [bytes]."""
 NONE = bytes(SIZE)
-"""The record of an axis that never had a fault."""
+"""Record of an axis without a fault."""
 
 
 def recorded(fault: str, tick: int, i_q: int = 0) -> bytes:
-    """Record of a spinning axis whose current `i_q` was constant (raw), and whose other samples are all different."""
+    """Record of a spinning axis with a constant raw current `i_q`; all other samples are different."""
     flag = Catalogue.load().flag("faults", fault)
     head = struct.pack("<II6H", flag.mask, tick, flag.bit + 1, 3, 3, 5, 64, 0)
     rings = [[k - 32 for k in range(64)], [i_q] * 64, *([1000 * r + k for k in range(64)] for r in (3, 4, 5))]

@@ -1,4 +1,4 @@
-"""Who commands: what passes, what is refused and why, what a lost link does."""
+"""Arbiter: accepted set-points, refusals with their reasons, effect of a lost link."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FAULTED = AxisStatus("FAULT", spinning=False, faulted=True)
 
 
 def arbiter(*axes: AxisStatus, limits: JointLimits | None = None) -> Arbiter:
-    """Connected and released; both axes spin unless `axes` says otherwise."""
+    """Connected and released arbiter; both axes spin unless `axes` is given."""
     result = Arbiter(CATALOGUE, [Joint(name, limits=limits or JointLimits()) for name in JOINTS])
     result.set_torque_constants(KT)
     result.release()
@@ -41,7 +41,7 @@ def request(values: Mapping[int, float], mode: Mode = Mode.POSITION, source: str
 
 
 def drain(subject: Arbiter) -> list[CommandWrite]:
-    """Fetch all writes as the dispatcher does: one by one, each accepted by the board."""
+    """Fetch all writes as the dispatcher does, one by one, each accepted."""
     writes = []
     while (write := subject.queue.next_write()) is not None:
         subject.queue.accepted(write)
@@ -81,7 +81,7 @@ def test_velocity_and_effort_are_scaled() -> None:
     assert drain(subject)[1] == CommandWrite("cmd.i_q", 0, (amperes.to_raw(1.0), amperes.to_raw(2.0)))
 
 
-def test_the_newest_set_point_replaces_a_waiting_one() -> None:
+def test_newest_set_point_replaces_a_pending_one() -> None:
     subject = arbiter()
     for turns in (1, 2, 3):
         subject.submit(request({0: turns * TURN}))
@@ -97,7 +97,7 @@ def test_axes_in_different_modes_get_their_own_writes() -> None:
 
 
 def at(counts: int) -> AxisStatus:
-    """An axis whose shaft is there, however often its counter has wrapped."""
+    """Status of an axis at a position [counts], which may exceed the range of the counter."""
     return AxisStatus("RUN/SPIN", spinning=True, position=counts)
 
 
@@ -106,7 +106,7 @@ def wrapped(counts: int) -> int:
 
 
 def written_position(subject: Arbiter, counts: int) -> int:
-    """What the board gets for a position set-point of axis 1."""
+    """Raw value that is written for a position set-point of axis 1."""
     subject.submit(request({0: counts * LSB}))
     (raw,) = drain(subject)[-1].raw
     return raw
@@ -133,7 +133,7 @@ def test_a_set_point_may_cross_the_wrap_of_the_counter(way: int) -> None:
 @example(-(2**31), -1)
 @example(2**42, REACH)
 @example(-(2**42), -REACH)
-def test_the_board_is_sent_as_far_as_was_asked_whatever_its_counter_has_done(shaft: int, way: int) -> None:
+def test_distance_is_independent_of_counter_wraps(shaft: int, way: int) -> None:
     raw = written_position(arbiter(at(shaft), at(0)), shaft + way)
     assert -(2**31) <= raw < 2**31
     assert wrapped(raw - wrapped(shaft)) == way
@@ -141,7 +141,7 @@ def test_the_board_is_sent_as_far_as_was_asked_whatever_its_counter_has_done(sha
 
 @pytest.mark.parametrize("shaft", [0, 2**33, -(2**33)])
 @pytest.mark.parametrize("way", [REACH + 1, -REACH - 1])
-def test_a_set_point_out_of_reach_says_how_far_it_may_be(shaft: int, way: int) -> None:
+def test_too_distant_set_point_is_refused_with_the_maximum(shaft: int, way: int) -> None:
     subject = arbiter(at(shaft), at(0))
     value = (shaft + way) * LSB
     text = refused(subject, request({0: value}))
@@ -152,12 +152,12 @@ def test_a_set_point_out_of_reach_says_how_far_it_may_be(shaft: int, way: int) -
 
 
 @pytest.mark.parametrize("value", [1.7e308, -1.7e308])
-def test_the_largest_numbers_are_only_out_of_reach(value: float) -> None:
+def test_largest_numbers_are_refused_as_too_distant(value: float) -> None:
     assert "outside" in refused(arbiter(), request({0: value}))
 
 
 @given(st.dictionaries(st.integers(0, 1), st.floats(-5e3, 5e3), min_size=1), st.sampled_from([Mode.SPEED, Mode.TORQUE]))
-def test_whatever_passes_is_within_the_limits_of_the_board(values: dict[int, float], mode: Mode) -> None:
+def test_accepted_set_points_are_within_the_limits_of_the_board(values: dict[int, float], mode: Mode) -> None:
     subject = arbiter()
     rejection = None
     try:
@@ -194,7 +194,7 @@ def test_an_axis_whose_points_are_refused_stops() -> None:
 
 
 def geared(limits: JointLimits | None = None) -> Arbiter:
-    """A joint that turns the other way and 50 times slower than the motor of axis 1."""
+    """Arbiter with a reversed joint on axis 1 with a gear ratio of 50."""
     subject = Arbiter(CATALOGUE, [Joint("lift", 50.0, -1, 0.3, limits or JointLimits()), Joint("pan")])
     subject.set_torque_constants(KT)
     subject.release()
@@ -214,7 +214,7 @@ def test_a_geared_joint_reaches_the_board_in_units_of_its_motor(mode: Mode, valu
     assert write.raw[0] * variable.lsb == pytest.approx(motor, abs=variable.lsb)
 
 
-def test_limits_of_a_reversed_joint_are_told_in_its_own_units() -> None:
+def test_limits_of_a_reversed_joint_are_reported_in_joint_units() -> None:
     subject = geared(JointLimits(-1.0, 2.0, 5.0, 20.0))
     text = refused(subject, request({0: 2.5}))
     assert "position of lift is 2.5 rad, outside -1 .. 2 rad" in text
@@ -223,12 +223,12 @@ def test_limits_of_a_reversed_joint_are_told_in_its_own_units() -> None:
     assert f"outside {-board:g} .. {board:g} rad/s; this is the range of the board" in text
 
 
-def test_nothing_moves_before_the_board_is_seen() -> None:
+def test_set_points_are_refused_before_the_first_sample() -> None:
     subject = Arbiter(CATALOGUE, DEFAULT_JOINTS)
     assert "not connected (no board since the start)" in refused(subject, request({0: 1.0}))
 
 
-def test_nothing_moves_before_enable_even_if_the_board_spins() -> None:
+def test_set_points_are_refused_before_enable_even_in_spin() -> None:
     subject = Arbiter(CATALOGUE, DEFAULT_JOINTS)
     subject.update_axes([SPINNING, SPINNING])
     assert not subject.armed
@@ -241,13 +241,13 @@ def test_the_axis_that_is_not_ready_is_named() -> None:
     assert "wait until armed is true" in text
 
 
-def test_the_other_axis_may_move_meanwhile() -> None:
+def test_other_axis_may_move_if_one_is_not_ready() -> None:
     subject = arbiter(SPINNING, STOPPED)
     subject.submit(request({0: 1.0}))
     assert drain(subject)
 
 
-def test_a_fault_names_the_way_out() -> None:
+def test_refusal_in_fault_names_the_remedy() -> None:
     text = refused(arbiter(SPINNING, FAULTED), request({1: 1.0}))
     assert "axis2 is in FAULT" in text
     assert "clear_faults" in text
@@ -287,7 +287,7 @@ def test_effort_without_a_torque_constant() -> None:
     assert "torque constant of axis2" in refused(subject, request({1: 0.01}, Mode.TORQUE))
 
 
-def test_one_bad_value_changes_nothing_for_both() -> None:
+def test_one_invalid_value_refuses_the_set_points_of_both_axes() -> None:
     subject = arbiter()
     subject.submit(request({0: 1.0, 1: 1.0}))
     drain(subject)
@@ -308,7 +308,7 @@ def test_the_same_velocity_or_effort_is_written_again_every_time(mode: Mode, var
 
 
 def test_a_set_point_is_written_once() -> None:
-    """The bridge does not repeat it; the board lets it expire."""
+    """The bridge does not repeat it, so that it expires on the board."""
     subject = arbiter()
     subject.submit(request({0: 5.0}, Mode.SPEED))
     drain(subject)
@@ -317,7 +317,7 @@ def test_a_set_point_is_written_once() -> None:
 
 
 # ---- states and the gate
-def test_an_axis_that_leaves_spin_loses_what_waits_for_it() -> None:
+def test_leaving_spin_discards_pending_set_points() -> None:
     subject = arbiter()
     subject.submit(request({0: 5.0, 1: 5.0}, Mode.SPEED))
     subject.update_axes([SPINNING, FAULTED])
@@ -329,7 +329,7 @@ def drain_raw(speed: float) -> int:
     return CATALOGUE["cmd.speed"].to_raw(speed)
 
 
-def test_block_throws_away_and_says_why_until_release() -> None:
+def test_block_discards_set_points_and_gives_its_reason_until_release() -> None:
     subject = arbiter()
     subject.submit(request({0: 0.0}))
     drain(subject)
@@ -343,7 +343,7 @@ def test_block_throws_away_and_says_why_until_release() -> None:
     assert [w.variable for w in drain(subject)] == ["cmd.mode", "cmd.position"]
 
 
-def test_link_loss_throws_away_and_does_not_rearm() -> None:
+def test_link_loss_discards_set_points_and_needs_a_new_enable() -> None:
     subject = arbiter()
     subject.submit(request({0: 1.0}))
     subject.link_lost("port gone")
@@ -356,7 +356,7 @@ def test_link_loss_throws_away_and_does_not_rearm() -> None:
     assert subject.queue.next_write() is None
 
 
-def test_a_failed_write_voids_the_set_point_and_the_known_mode() -> None:
+def test_failed_write_discards_the_set_point_and_the_known_mode() -> None:
     subject = arbiter()
     subject.submit(request({0: 1.0}))
     drain(subject)
@@ -369,7 +369,7 @@ def test_a_failed_write_voids_the_set_point_and_the_known_mode() -> None:
     assert [w.variable for w in drain(subject)] == ["cmd.mode", "cmd.position"]
 
 
-def test_armed_means_every_joint_obeys() -> None:
+def test_armed_if_all_joints_accept_set_points() -> None:
     assert arbiter().armed
     assert not arbiter(SPINNING, STOPPED).armed
 
@@ -397,7 +397,7 @@ def watched() -> tuple[Arbiter, Sources, Clock]:
     return subject, sources, clock
 
 
-def test_sources_that_command_an_axis_by_turns_are_a_conflict_and_a_take_over_is_none() -> None:
+def test_alternating_sources_are_a_conflict_but_one_change_is_not() -> None:
     subject, sources, clock = watched()
     subject.submit(request({0: 1.0}))
     subject.submit(request({1: 1.0}, Mode.SPEED))
@@ -415,7 +415,7 @@ def test_sources_that_command_an_axis_by_turns_are_a_conflict_and_a_take_over_is
     assert sources.conflict() is None, "so slowly that they may be meant"
 
 
-def test_a_refused_set_point_is_no_source() -> None:
+def test_refused_set_point_does_not_count_as_a_source() -> None:
     subject, sources, _ = watched()
     subject.submit(request({0: 1.0}))
     with pytest.raises(Rejected):
@@ -426,7 +426,7 @@ def test_a_refused_set_point_is_no_source() -> None:
     assert sources.conflict() is None
 
 
-def test_others_are_refused_while_the_preferred_source_is_fresh() -> None:
+def test_other_sources_are_refused_while_the_preferred_source_is_active() -> None:
     subject, sources, clock = watched()
     sources.preferred = "joint_commands"
     subject.submit(request({0: 1.0}, source="commands"))
@@ -444,7 +444,7 @@ def test_others_are_refused_while_the_preferred_source_is_fresh() -> None:
 
 
 class Following:
-    """Axes on the way."""
+    """Path source with active axes."""
 
     def __init__(self, *axes: int) -> None:
         self.axes = set(axes)

@@ -15,7 +15,7 @@ S = 1_000_000_000
 
 # ---- ticks --------------------------------------------------------------------------------------------------------
 @given(st.integers(0, 2**32 - 1), st.lists(st.integers(1, 16_000), max_size=50))
-def test_ticks_are_followed_past_32_bits(start: int, steps: list[int]) -> None:
+def test_ticks_are_unwrapped_beyond_32_bits(start: int, steps: list[int]) -> None:
     extender = TickExtender()
     tick, now = start, 5 * S
     assert extender.update(start, now).tick == start
@@ -30,11 +30,11 @@ def test_ticks_are_followed_past_32_bits(start: int, steps: list[int]) -> None:
     ("last", "gap_s", "raw"),
     [
         (1_000_000, 0.01, 0),  # goes back
-        (0xF000_0000, 0.01, 100),  # goes back across half of the range, so that it looks like a leap forward
-        (5 * 16_000, 60.0, 8 * 16_000),  # came back unobserved
+        (0xF000_0000, 0.01, 100),  # goes back by more than half of the range, which looks like a jump forward
+        (5 * 16_000, 60.0, 8 * 16_000),  # wrapped unobserved
     ],
 )
-def test_a_reset_is_noticed(last: int, gap_s: float, raw: int) -> None:
+def test_reset_is_detected(last: int, gap_s: float, raw: int) -> None:
     extender = TickExtender()
     extender.update(last, S)
     reading = extender.update(raw, S + round(gap_s * 1e9))
@@ -43,15 +43,15 @@ def test_a_reset_is_noticed(last: int, gap_s: float, raw: int) -> None:
     assert (following.epoch, following.reset) == (1, False)
 
 
-def test_a_slow_virtual_board_and_a_pause_are_no_reset() -> None:
+def test_slow_board_or_pause_is_not_detected_as_a_reset() -> None:
     extender = TickExtender()
     extender.update(0, 0)
     assert not extender.update(12 * 16_000, 20 * S).reset  # runs at 60 %
-    assert not extender.update(12 * 16_000 + 8, 21 * S).reset  # stood still for a second
-    assert not extender.update(12 * 16_000 + 8, 21 * S).reset  # the same sample again
+    assert not extender.update(12 * 16_000 + 8, 21 * S).reset  # stopped for 1 s
+    assert not extender.update(12 * 16_000 + 8, 21 * S).reset  # repeated sample
 
 
-def test_a_reset_known_otherwise_begins_an_epoch() -> None:
+def test_reported_reset_starts_a_new_epoch() -> None:
     extender = TickExtender()
     extender.update(1000, S)
     extender.restart()
@@ -63,23 +63,23 @@ def test_a_reset_known_otherwise_begins_an_epoch() -> None:
 def simulate(
     seed: int, drift: float, seconds: float, jitter_ms: float, rate: float = 150.0, floor_ms: float = 1.0
 ) -> list[tuple[int, int, int]]:
-    """Samples of a drifting board: tick, its true host time, arrival."""
+    """Samples of a board with clock drift: tick, true host time, time of arrival."""
     rng = random.Random(seed)
     samples = []
     moment = 0.5
     while moment < seconds:
         tick = int(moment / 62.5e-6 * (1.0 + drift))
         true_ns = round(tick * TICK / (1.0 + drift)) + 7 * S
-        # Adapters hand over in lumps now and then; most of the delay is small.
+        # Adapters sometimes deliver in bursts; most delays are small.
         delay = floor_ms + rng.expovariate(1.0) * 0.2 + (rng.random() * jitter_ms if rng.random() < 0.2 else 0.0)
         samples.append((tick, true_ns, true_ns + round(delay * MS)))
-        moment += max(1.0 / rate, delay * 1e-3)  # the next one is asked for when this one has come
+        moment += max(1.0 / rate, delay * 1e-3)  # the next sample is requested after the arrival of this one
     return samples
 
 
 @pytest.mark.parametrize("drift", [-50e-6, 0.0, 50e-6])
 @given(seed=st.integers(0, 1000))
-def test_stamps_are_true_within_a_quarter_of_a_millisecond(drift: float, seed: int) -> None:
+def test_stamps_are_accurate_within_250_us(drift: float, seed: int) -> None:
     clock = BoardClock(minimum_delay_ns=MS)
     errors = []
     for tick, true_ns, arrival_ns in simulate(seed, drift, 8.0, jitter_ms=16.0):
@@ -90,7 +90,7 @@ def test_stamps_are_true_within_a_quarter_of_a_millisecond(drift: float, seed: i
 
 
 @given(st.integers(0, 1000), st.floats(-100e-6, 100e-6), st.floats(0.0, 100.0))
-def test_stamps_grow_and_never_lie_after_the_arrival(seed: int, drift: float, jitter_ms: float) -> None:
+def test_stamps_increase_and_are_not_after_the_arrival(seed: int, drift: float, jitter_ms: float) -> None:
     clock = BoardClock()
     last = 0
     for tick, _, arrival_ns in simulate(seed, drift, 3.0, jitter_ms):
@@ -100,7 +100,7 @@ def test_stamps_grow_and_never_lie_after_the_arrival(seed: int, drift: float, ji
 
 
 def test_spacing_of_stamps_is_that_of_the_board() -> None:
-    """A differentiating reader must not see the jitter of the arrivals."""
+    """The jitter of the arrivals must not be in the stamps, as readers may differentiate."""
     clock = BoardClock()
     stamps = [(t, clock.update(t, a)) for t, _, a in simulate(3, 30e-6, 8.0, jitter_ms=10.0)][600:]
     ratios = [(b[1] - a[1]) / ((b[0] - a[0]) * TICK) for a, b in itertools.pairwise(stamps)]
@@ -123,7 +123,7 @@ def test_after_a_standstill_the_clock_jumps() -> None:
     assert stamp == 10 * MS * 100 + 10 * S
 
 
-def test_after_a_reset_stamps_go_on_growing() -> None:
+def test_stamps_increase_after_a_reset() -> None:
     clock = BoardClock()
     before = [clock.update(160 * k, 10 * MS * k) for k in range(100)][-1]
     clock.reset()
@@ -146,7 +146,7 @@ def test_wall_clock_follows_when_refreshed() -> None:
     assert clock.wall_ns(1100) == 507_100
 
 
-def test_an_interrupted_comparison_is_dropped() -> None:
+def test_interrupted_clock_comparison_is_discarded() -> None:
     times = iter([0, 0, 1_000, 1_000 + MS, 2_000_000, 2_000_000])
     walls = iter([100, 900_000, 2_000_200])
     clock = WallClock(lambda: next(walls), lambda: next(times))
@@ -157,7 +157,7 @@ def test_an_interrupted_comparison_is_dropped() -> None:
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.5, 2.0])
-def test_stamps_grow_at_any_speed_of_simulated_time(speed: float) -> None:
+def test_stamps_increase_at_any_speed_of_simulated_time(speed: float) -> None:
     now = 0
     clock = WallClock(lambda: 7 * S + int(now * speed) // (10 * MS) * (10 * MS), lambda: now)
     stamps = []

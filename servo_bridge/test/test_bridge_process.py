@@ -1,4 +1,4 @@
-"""The bridge as a process of its own, on a real pty with a fake board: trouble with the port, and the end."""
+"""The bridge as a process on a real pty with a fake board: errors of the port, and the end."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _NODE = "import sys; from servo_bridge.node import main; sys.exit(main())"
 
 
 class Spinning(FakeServo):
-    """A board whose axes spin as soon as they are enabled, and stop as soon as they are not."""
+    """Board whose axes change to SPIN and STOP at once with cmd.enable."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -67,7 +67,7 @@ class Spinning(FakeServo):
 
 
 class Bridge:
-    """The process and a user that listens to it."""
+    """The process, and a ROS node that subscribes to its topics."""
 
     def __init__(self, folder: Path, *arguments: str) -> None:
         self.log_file = folder / "log"
@@ -132,7 +132,7 @@ class Bridge:
         self.until(self.armed)
 
     def change(self, transition: str) -> None:
-        """As ``ros2 lifecycle set``."""
+        """Request a transition, as by ``ros2 lifecycle set``."""
         client = self.user.create_client(ChangeState, "servo_bridge/change_state")
         self.until(client.service_is_ready)
         future = client.call_async(ChangeState.Request(transition=Transition(label=transition)))
@@ -144,7 +144,7 @@ def port_arguments(port: FakePort) -> list[str]:
     return ["--ros-args", "-p", f"port:={port.path}"]
 
 
-def test_the_transition_shutdown_ends_the_program_in_order(tmp_path: Path) -> None:
+def test_shutdown_transition_ends_the_program(tmp_path: Path) -> None:
     servo = Spinning()
     with (
         FakePort(tmp_path / "tty", servo) as port,
@@ -163,11 +163,11 @@ def test_the_transition_shutdown_ends_the_program_in_order(tmp_path: Path) -> No
 
 
 def stops(servo: FakeServo) -> int:
-    """How often the board has been stopped: every attempt to connect begins and ends with it."""
+    """Number of quick stops: one at the start and one at the end of each attempt to connect."""
     return [command for command, _ in servo.requests].count(0x30)
 
 
-def test_an_absent_port_and_a_wrong_board_are_named_once_each_and_the_node_lives_on(tmp_path: Path) -> None:
+def test_missing_port_and_wrong_board_are_reported_once_each(tmp_path: Path) -> None:
     """Other boards: test_link_trouble.py."""
     servo = Spinning()
     servo.put("catalogue_hash", CATALOGUE.hash ^ 1)
@@ -200,7 +200,7 @@ def test_an_absent_port_and_a_wrong_board_are_named_once_each_and_the_node_lives
         (["-p", "nonsense"], "nonsense"),
     ],
 )
-def test_senseless_arguments_end_with_one_line(
+def test_invalid_arguments_give_a_one_line_error(
     arguments: list[str], words: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["--ros-args", *arguments]) == 2

@@ -1,4 +1,4 @@
-"""``servo-command`` beside a bridge whose board the test drives."""
+"""``servo-command`` with a bridge and a fake board."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def rig() -> Iterator[Rig]:
 
 @pytest.fixture
 def command(rig: Rig, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Command:
-    """Runs a command while the board lives; exit status and what it printed. It waits so long for an answer [s]."""
+    """Runs a command while the board sends samples; returns exit status and output. `wait`: time-out of answers [s]."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
 
     def run(*arguments: str, wait: float = 8.0) -> tuple[int, str, str]:
         capfd.readouterr()
-        with rig.alive():
+        with rig.samples():
             status = main(["--wait", str(wait), *arguments])
         out, err = capfd.readouterr()
         return status, out, "".join(line for line in err.splitlines(True) if not line.startswith("["))  # the log
@@ -42,7 +42,7 @@ def command(rig: Rig, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixt
 
 
 def test_parameters_are_set_and_read_back(rig: Rig, command: Command) -> None:
-    rig.up()
+    rig.connect()
     rig.until(rig.parameters)
     status, out, err = command("set", "param.features[0]=DEAD_TIME+FRICTION", "param.i_q_limit=1,1.5")
     assert (status, err) == (0, "")
@@ -58,10 +58,10 @@ def test_parameters_are_set_and_read_back(rig: Rig, command: Command) -> None:
     assert "param.features = 24, 0 (DEAD_TIME+FRICTION, none)" in out
 
 
-def test_what_the_bridge_refuses_is_said(rig: Rig, command: Command) -> None:
+def test_refusals_of_the_bridge_are_printed(rig: Rig, command: Command) -> None:
     one = [rig.link.catalogue["param.position_max"].to_raw(1.0)] * 2
     rig.link.parameters["param.position_max"] = one
-    rig.up()
+    rig.connect()
     rig.until(lambda: rig.parameters()["param.position_max"] == one)
     status, out, err = command("set", "param.position_min[0]=2")
     assert (status, out) == (1, "")
@@ -69,7 +69,7 @@ def test_what_the_bridge_refuses_is_said(rig: Rig, command: Command) -> None:
 
 
 def test_state_names_faults_and_limits(rig: Rig, command: Command) -> None:
-    rig.up(FAULT, SPIN)
+    rig.connect(FAULT, SPIN)
     rig.link.values |= {"axis1.faults": 1 << 6, "axis2.limits": 1 << 4}
     status, out, _ = command("state")
     rig.link.values |= {"axis1.faults": 0, "axis2.limits": 0}
@@ -81,7 +81,7 @@ def test_state_names_faults_and_limits(rig: Rig, command: Command) -> None:
 
 
 def test_state_prints_derating_of_current_limit(rig: Rig, command: Command) -> None:
-    rig.up(SPIN, SPIN)
+    rig.connect(SPIN, SPIN)
     assert command("set", "param.i_q_limit=4,4")[0] == 0
     rig.link.values |= {"axis2.winding_temperature": 118, "axis2.winding_current": 3}
     rig.until(lambda: "derated to 75 %" in rig.diagnosis("axis2").message)
@@ -93,30 +93,30 @@ def test_state_prints_derating_of_current_limit(rig: Rig, command: Command) -> N
 
 
 def test_state_names_parameters_that_the_board_does_not_take(rig: Rig, command: Command) -> None:
-    rig.up(STOP, STOP)
-    rig.link.stubborn = "param.over_speed"
+    rig.connect(STOP, STOP)
+    rig.link.rejected_parameter = "param.over_speed"
     assert rig.set_parameter("board_parameters", ["param.over_speed[0]=300"])[0]
     rig.until(lambda: any("param.over_speed is" in text for text in rig.logs()))
     status, out, _ = command("state")
-    rig.link.stubborn = ""
+    rig.link.rejected_parameter = ""
     assert status == 0
     assert out.splitlines()[-1].startswith("  parameters: param.over_speed is 1.0")
 
 
 def test_a_parameter_that_the_board_refuses_is_named(rig: Rig, command: Command) -> None:
-    """The bridge checks the ranges itself, so this takes a board with other ones."""
-    rig.up(STOP, STOP)
-    rig.link.stubborn = "param.over_speed"
+    """With a board that refuses a value in the range of the bridge."""
+    rig.connect(STOP, STOP)
+    rig.link.rejected_parameter = "param.over_speed"
     status, _, err = command("set", "param.over_speed=310,310", wait=5.0)
-    rig.link.stubborn = ""
+    rig.link.rejected_parameter = ""
     assert status == 1
     assert err.startswith("servo-command: set failed: param.over_speed is ")
     assert "requested 310, 310 rad/s" in err
 
 
 def test_without_a_board(rig: Rig, command: Command) -> None:
-    rig.up(STOP, STOP)
-    rig.link.lose(LinkState.DISCONNECTED, "gone")
+    rig.connect(STOP, STOP)
+    rig.link.disconnect(LinkState.DISCONNECTED, "gone")
     rig.until(lambda: rig.state().startswith("DISCONNECTED"))
     status, _, err = command("disable")
     assert status == 1
@@ -151,12 +151,12 @@ def longest(times: list[float]) -> float:
     return max(later - sooner for sooner, later in pairwise(times))
 
 
-def test_a_velocity_is_renewed_in_time_for_as_long_as_was_asked(
+def test_velocity_is_renewed_for_the_requested_time(
     rig: Rig, command: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rig.ready()
+    rig.enable_axes()
     times: list[float] = []
-    rounds: list[float] = []  # of this process, which a busy machine may hold up
+    rounds: list[float] = []  # time of this process, which other load may delay
     sample = rig.link.sample
 
     def sample_and_note() -> None:
@@ -177,6 +177,6 @@ def test_a_velocity_is_renewed_in_time_for_as_long_as_was_asked(
     # The command waits for the bridge, not for this subscriber, which may miss the first messages.
     assert len(times) >= 4
     assert times[-1] - times[0] <= 1.15
-    assert longest(times) < 0.25 + longest(rounds)  # half of the board's timeout
+    assert longest(times) < 0.25 + longest(rounds)  # half of the time-out of the board
     assert len([name for name, *_ in rig.link.written if name == "cmd.speed"]) >= 2
     assert rig.link.written[-1] == ("cmd.speed", 0, (rig.link.catalogue["cmd.speed"].to_raw(50.0),))

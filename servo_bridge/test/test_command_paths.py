@@ -1,4 +1,4 @@
-"""What ``servo-command`` says of a path before anything moves."""
+"""Reports of ``servo-command`` about a path before the motion."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MOTORS = [Motor(0.05, 8.0e-6), Motor(0.04, 2.0e-5)]
 
 
 def report(motors: list[Motor], gear_ratio: float = 1.0, acceleration: float = 1000.0) -> str:
-    """The report on a sine of so much acceleration of the joint [rad/s^2]."""
+    """Report about a sine with an acceleration amplitude of the joint [rad/s^2]."""
     user = SimpleNamespace(
         positions=lambda: {"axis1": 0.0, "axis2": 0.0},
         joints=lambda: [Joint("axis1", gear_ratio), Joint("axis2")],
@@ -36,7 +36,7 @@ def report(motors: list[Motor], gear_ratio: float = 1.0, acceleration: float = 1
 
 
 @pytest.mark.parametrize("gear_ratio", [1.0, 3.0])
-def test_a_dry_run_tells_the_current_of_the_acceleration(gear_ratio: float) -> None:
+def test_dry_run_prints_the_current_of_the_acceleration(gear_ratio: float) -> None:
     said = re.search(r"rad/s, (\S+) of \S+ rad/s\^2, with (\S+) of 4 A", report(MOTORS, gear_ratio))
     assert said is not None
     acceleration, current = map(float, said.groups())

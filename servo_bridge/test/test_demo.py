@@ -1,4 +1,4 @@
-"""The demonstration: its choreography on a simulated servo, its table, and what it says when there is no servo."""
+"""The demonstration: its moves on a simulated servo, its table, and its message without a servo."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ class FakeClient:
         self.error = [0.0, 0.0]  # steady error
         self.path: Motion | None = None
         self.path_error = 0.0
-        self.refusals = 0  # of paths
+        self.refusals = 0  # number of refused paths
         self.rows: list[dict[str, float]] = []
         self.twin_present = True
         self.twin_gap = twin_gap
         self.twin_lag = 0  # PWM periods
         self.faults = 0
         self.fault_at: int | None = None
-        self.deaf = False
+        self.ignores_commands = False
         self.tick = 0
         self._residuals: list[tuple[int, list[float]]] = []
         self._step()
@@ -100,7 +100,7 @@ class FakeClient:
         self.applied.append(AppliedCommand("cmd.quick_stop", self.tick + 8, (1, 1), 3))
 
     def command(self, targets: Mapping[int, float]) -> None:
-        if self.deaf:
+        if self.ignores_commands:
             return
         self.log.append(f"move {sorted(targets)}")
         for axis, value in targets.items():
@@ -145,7 +145,7 @@ def run(client: FakeClient, said: list[str] | None = None) -> Demo:
     return demo
 
 
-def test_fake_has_the_face_of_the_client() -> None:
+def test_fake_has_the_interface_of_the_client() -> None:
     used = {name for name in dir(FakeClient) if not name.startswith("_")}
     assert used <= set(dir(ServoClient))
 
@@ -184,7 +184,7 @@ def test_targets_are_whole_turns_near_the_shafts() -> None:
     assert demo.rows[1].figures.commanded == pytest.approx(-8 * TURN)
 
 
-def test_an_axis_that_stops_short_fails_but_the_rest_is_shown() -> None:
+def test_axis_that_stops_short_fails_with_all_other_results() -> None:
     client = FakeClient()
     client.error[1] = 3 * COUNT
     demo = run(client)
@@ -214,7 +214,7 @@ def test_a_path_that_the_board_refuses_is_sent_again() -> None:
         run(client)
 
 
-def test_a_silent_twin_fails_and_a_missing_one_does_not() -> None:
+def test_missing_samples_of_the_twin_fail_but_no_twin_does_not() -> None:
     client = FakeClient()
     client.residuals = lambda start_ns, end_ns: np.empty((0, 2))  # type: ignore[method-assign]
     demo = run(client)
@@ -232,7 +232,7 @@ def test_a_silent_twin_fails_and_a_missing_one_does_not() -> None:
         Demo(client, COUNT, 1.0, lambda _: None).connect(0.1, require_twin=True)  # type: ignore[arg-type]
 
 
-def test_a_twin_that_lags_is_waited_for() -> None:
+def test_demonstration_waits_for_a_lagging_twin() -> None:
     client = FakeClient(twin_gap=COUNT)
     client.twin_lag = 16_000
     demo = run(client)
@@ -241,16 +241,16 @@ def test_a_twin_that_lags_is_waited_for() -> None:
         assert row.residual.samples >= 0.25 / SAMPLE  # all of the hold at the end as well
 
 
-def test_a_fault_ends_it_with_cause_and_remedy() -> None:
+def test_fault_ends_the_demonstration_with_cause_and_remedy() -> None:
     client = FakeClient()
     client.fault_at = 6000
     with pytest.raises(DemoError, match=r"axis1=FAULT.*UNDER_VOLTAGE: .*24 V supply"):
         run(client)
 
 
-def test_a_set_point_that_is_not_taken_is_told() -> None:
+def test_set_point_that_is_not_applied_is_reported() -> None:
     client = FakeClient()
-    client.deaf = True
+    client.ignores_commands = True
     with pytest.raises(DemoError, match=r"no cmd\.position took effect"):
         run(client)
 
@@ -284,7 +284,7 @@ def test_table_shows_figures_in_handy_units() -> None:
     assert max(map(len, lines)) <= 120
 
 
-def test_no_rows_is_no_success() -> None:
+def test_empty_result_is_a_failure() -> None:
     assert not passed([], [path_row()], twin=False)
     assert not passed([row()], [], twin=False)
 
@@ -301,7 +301,7 @@ def test_report_is_json() -> None:
 
 # ---- command line
 @pytest.mark.realtime
-def test_no_servo_is_one_sentence_and_status_2(tmp_path: Path) -> None:
+def test_missing_servo_gives_a_message_and_status_2(tmp_path: Path) -> None:
     result = subprocess.run(
         [sys.executable, "-m", "servo_bridge.demo", "--wait", "0.5", "--json", str(tmp_path / "x.json")],
         capture_output=True,
@@ -323,18 +323,18 @@ def test_an_interrupted_demonstration_disables_the_axes(
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
     with Rig() as rig:
-        rig.up(STOP, STOP)
+        rig.connect(STOP, STOP)
         interrupts = iter([number])
 
-        def look() -> None:
-            """The shafts of this board never move, so the first move lasts until it is ended."""
+        def before_sample() -> None:
+            """The shafts of this board do not move, so the first move lasts until the interruption."""
             enables = [raw for name, _, raw in rig.link.written if name == "cmd.enable"]
-            rig.link.axes(*[SPIN if enables and any(enables[-1]) else STOP] * 2)
+            rig.link.set_states(*[SPIN if enables and any(enables[-1]) else STOP] * 2)
             if any(name == "cmd.position" for name, *_ in rig.link.written):
                 for each in interrupts:
                     os.kill(os.getpid(), each)
 
-        with rig.alive(look):
+        with rig.samples(before_sample):
             assert demo_module.main([]) == 130
         assert rig.link.written[-1] == ("cmd.enable", 0, (0, 0))
     said = capfd.readouterr()

@@ -1,4 +1,4 @@
-"""The robot description from a parameter file, and the one that is shipped."""
+"""The robot description from a parameter file, and the packaged description."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from servo_msgs_py.robot_description import joints_of
 PACKAGE = Path(__file__).resolve().parents[1]
 
 
-def test_the_shipped_description_is_that_of_the_defaults() -> None:
+def test_packaged_description_agrees_with_the_defaults() -> None:
     text = (PACKAGE / "urdf" / "servo.urdf").read_text()
     assert text == description_from_file(), "python -m servo_bridge.description > servo_bridge/urdf/servo.urdf"
     assert text == description_from_file(str(PACKAGE / "config" / "servo_bridge.yaml"))
@@ -39,7 +39,7 @@ def test_joints_and_topics_follow_the_file_and_the_namespace(tmp_path: Path) -> 
     ("content", "said"),
     [("direction: [3, 1]", "direction of axis1 is 3"), ("joints: [a, a]", "parameter joints"), (None, "No such file")],
 )
-def test_a_file_that_makes_no_sense_is_refused(
+def test_invalid_file_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str | None, said: str
 ) -> None:
     file = tmp_path / "my.yaml"

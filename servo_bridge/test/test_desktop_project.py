@@ -1,4 +1,4 @@
-"""The project for the desktop tool: whole, and with the scales of the catalogue."""
+"""The project file of the desktop tool is complete and has the scales of the catalogue."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_states_have_their_names_and_only_commands_can_be_changed() -> None:
     assert float(VARIABLES["param.i_q_limit[0]"]["modif_set_max"]) == pytest.approx(limit)
 
 
-def test_the_tool_writes_it_without_a_board(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_desktop_project_is_written_without_a_board(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "servo.pmpx"
     assert tool.main(["--baud", "19200", "project", str(file)]) == 0
     assert "speed=19200" in file.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The way of a write to the board: order, one at a time, the exact tick of its effect, and what failure leaves."""
+"""Dispatcher: order of writes, one at a time, exact tick of the effect, and failures."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Queue(SetPointQueue):
 
 
 class Rig:
-    """A dispatcher with everything around it."""
+    """Dispatcher with a queue, sent writes and errors."""
 
     def __init__(self, *writes: CommandWrite) -> None:
         self.queue = Queue(*writes)
@@ -53,7 +53,7 @@ class Rig:
         return self
 
 
-def test_write_before_the_first_sample_is_reported_with_the_tick_that_the_sample_tells() -> None:
+def test_write_before_the_first_sample_is_reported_with_the_tick_of_the_sample() -> None:
     rig = Rig()
     stop = CommandWrite("cmd.quick_stop", 0, (1, 1))
     rig.dispatcher.open(stop)
@@ -71,7 +71,7 @@ def test_nothing_is_sent_before_the_link_is_up_and_a_sample_was_seen() -> None:
     assert rig.sent == [position(1)]
 
 
-def test_a_write_counts_from_the_sample_that_shows_it_and_then_the_next_goes() -> None:
+def test_next_write_is_sent_after_the_sample_that_confirms_the_previous_one() -> None:
     rig = Rig(position(1), position(2)).connected()
     first = rig.sent[0]
     assert rig.dispatcher.on_sample(8, 0, 0) is None
@@ -92,7 +92,7 @@ def test_ticks_and_counts_wrap() -> None:
     assert rig.dispatcher.on_sample(start + 16, 0, 0) == AppliedCommand("cmd.i_q", 1 << 32, (0, -5), 2)
 
 
-def test_urgent_writes_overtake_set_points_and_tell_their_tick() -> None:
+def test_urgent_writes_precede_set_points_and_report_their_tick() -> None:
     rig = Rig(position(1), position(2)).connected()
     done = rig.dispatcher.urgent(ENABLE)
     rig.dispatcher.acknowledged(rig.sent[0], None)
@@ -116,7 +116,7 @@ def test_urgent_writes_keep_their_order() -> None:
     assert rig.sent == [release, ENABLE]
 
 
-def test_a_refused_write_is_told_and_the_next_goes() -> None:
+def test_refused_write_is_reported_and_the_next_one_is_sent() -> None:
     rig = Rig(position(1), position(2)).connected()
     rig.dispatcher.acknowledged(rig.sent[0], "the board answers 89, access denied")
     assert rig.queue.void == [position(1)]
@@ -133,7 +133,7 @@ def test_a_refused_urgent_write_fails_its_future() -> None:
         done.result(0)
 
 
-def test_a_write_that_never_takes_effect_is_given_up() -> None:
+def test_write_without_effect_times_out() -> None:
     rig = Rig(position(1), position(2)).connected()
     rig.dispatcher.acknowledged(rig.sent[0], None)
     for tick in range(8, 8 + 42 * 8, 8):
@@ -143,7 +143,7 @@ def test_a_write_that_never_takes_effect_is_given_up() -> None:
     assert "not applied within 20 ms" in rig.trouble[0]
 
 
-def test_closing_throws_everything_away_and_a_late_answer_does_nothing() -> None:
+def test_close_discards_pending_writes_and_ignores_late_answers() -> None:
     rig = Rig(position(1), position(2)).connected()
     done = rig.dispatcher.urgent(ENABLE)
     late = rig.sent[0]
@@ -158,7 +158,7 @@ def test_closing_throws_everything_away_and_a_late_answer_does_nothing() -> None
         rig.dispatcher.urgent(ENABLE).result(0)
 
 
-def test_a_late_answer_is_not_taken_for_that_of_the_next_write() -> None:
+def test_late_answer_is_not_assigned_to_the_next_write() -> None:
     rig = Rig(position(1), position(2)).connected()
     late = rig.sent[0]
     rig.dispatcher.close("port gone")
@@ -169,7 +169,7 @@ def test_a_late_answer_is_not_taken_for_that_of_the_next_write() -> None:
     assert rig.queue.taken == []
 
 
-def test_writes_of_another_master_are_not_taken_for_ours() -> None:
+def test_writes_of_another_master_are_not_confirmed_as_own() -> None:
     rig = Rig(position(1)).connected()
     assert rig.dispatcher.on_sample(8, 8, 1) is None
     rig.dispatcher.acknowledged(rig.sent[0], None)
@@ -180,7 +180,7 @@ def test_writes_of_another_master_are_not_taken_for_ours() -> None:
 
 
 class Board:
-    """The firmware's side: writes wait for the next slow tick; the snapshot shows what was latched by then."""
+    """Model of the firmware: writes are latched at the next slow tick and confirmed in the snapshot."""
 
     def __init__(self) -> None:
         self.tick = 0
@@ -200,7 +200,7 @@ class Board:
 
 
 @given(st.integers(0, 2**32), st.sampled_from([0.1, 1.0, 4.0, 16.0]))
-def test_every_tick_is_exact_whatever_the_speed_of_the_line(seed: int, pace: float) -> None:
+def test_reported_ticks_are_exact_at_any_line_speed(seed: int, pace: float) -> None:
     chance = random.Random(seed)
     board = Board()
     rig = Rig(*(position(k) for k in range(20)))

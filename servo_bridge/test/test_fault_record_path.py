@@ -1,4 +1,4 @@
-"""The record of a first fault on its way to people: over a pty to the link and ``servo-tool``, over ROS to a topic."""
+"""Fault records: over a pty to the link and ``servo-tool``, and over ROS to a topic."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ LATER = recorded("OVER_VOLTAGE", 90_001, i_q=-2000)
 
 @pytest.fixture
 def faulted(fake_board: FakeServo) -> FakeServo:
-    """The first axis of the fake board has a fault."""
+    """Fake board with a fault of the first axis."""
     fake_board.poke(fake_board.addresses["axis1.fault_record"], LOST)
     return fake_board
 
 
-def never_after_the_first_piece(board: FakeServo, port: FakePort) -> threading.Event:
-    """Let the board fall silent when the middle of the record is asked for; returns what is set by then."""
+def stop_answers_in_the_record(board: FakeServo, port: FakePort) -> threading.Event:
+    """Stop all answers after the first piece of the record; return the event that is set then."""
     start = board.addresses["axis1.fault_record"]
     reached = threading.Event()
 
@@ -58,19 +58,17 @@ def never_after_the_first_piece(board: FakeServo, port: FakePort) -> threading.E
 
 
 # ---- the link -------------------------------------------------------------------------------------------------------
-def test_a_record_comes_whole(faulted: FakeServo, connected: Watcher) -> None:
-    """In several pieces, each as long as the buffer of the board."""
+def test_record_is_read_in_several_pieces(faulted: FakeServo, connected: Watcher) -> None:
+    """The pieces are as long as the buffer of the board."""
     before = len(faulted.requests)
     assert connected.link.read("axis1.fault_record").result(TIMEOUT) == LOST
     addresses = {Reader(payload).uleb() for command, payload in faulted.requests[before:] if command == READ_MEMORY}
     assert len(addresses) >= 3
 
 
-def test_a_board_that_vanishes_in_the_middle_of_a_record(
-    faulted: FakeServo, fake_port: FakePort, connected: Watcher
-) -> None:
-    """The read fails, the link comes back, and then the record is there."""
-    reached = never_after_the_first_piece(faulted, fake_port)
+def test_link_loss_during_the_read_of_a_record(faulted: FakeServo, fake_port: FakePort, connected: Watcher) -> None:
+    """The read fails, and the record is read after the reconnection."""
+    reached = stop_answers_in_the_record(faulted, fake_port)
     reading = connected.link.read("axis1.fault_record")
     assert reached.wait(TIMEOUT)
     fake_port.unplug()
@@ -127,10 +125,10 @@ def test_snapshot_of_one_axis(
     assert f"axis{3 - int(axis)}" not in out
 
 
-def test_snapshot_of_a_board_that_vanishes_in_the_middle(
+def test_snapshot_reports_link_loss_during_the_read(
     faulted: FakeServo, fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    reached = never_after_the_first_piece(faulted, fake_port)
+    reached = stop_answers_in_the_record(faulted, fake_port)
     status: list[int] = []
     thread = threading.Thread(target=lambda: status.append(run("snapshot")))
     thread.start()
@@ -149,59 +147,59 @@ def rig() -> Iterator[Rig]:
     with Rig() as result:
         result.listen(TOPIC, Float64MultiArray, latched_qos())
         result.link.blocks = {"axis1.fault_record": LOST, "axis2.fault_record": NONE}
-        result.up()
+        result.connect()
         yield result
 
 
 def fail(rig: Rig, word: int) -> None:
-    """Show samples with these faults of the first axis."""
-    rig.link.axes(FAULT if word else STOP, STOP)
+    """Deliver samples with faults of the first axis."""
+    rig.link.set_states(FAULT if word else STOP, STOP)
     rig.link.values["axis1.faults"] = word
     rig.link.sample()
     rig.link.sample()
 
 
-def told(message: Float64MultiArray) -> tuple[str, list[Any]]:
+def published(message: Float64MultiArray) -> tuple[str, list[Any]]:
     names, table = snapshot_table(message)
     assert tuple(names) == COLUMNS
     return message.layout.dim[0].label, table.tolist()
 
 
-def test_a_fault_is_told_with_its_record(rig: Rig) -> None:
+def test_fault_is_published_with_its_record(rig: Rig) -> None:
     fail(rig, PHASE_LOST)
     rig.until(lambda: rig.messages[TOPIC])
     record = decoded(LOST)
-    assert [told(message) for message in rig.messages[TOPIC]] == [(record.summary(), record.table.tolist())]
+    assert [published(message) for message in rig.messages[TOPIC]] == [(record.summary(), record.table.tolist())]
     rig.until(lambda: f"axis1: {record.summary()}" in rig.logs(Log.ERROR))
     values = {pair.key: pair.value for pair in rig.diagnosis("axis1").values}
     assert values["first fault tick"] == "8003"
     assert values["first fault"] == record.summary().removeprefix("first fault ")
 
 
-def test_a_second_fault_is_no_news_and_the_next_one_after_clearing_is(rig: Rig) -> None:
+def test_only_the_first_fault_after_clearing_is_published(rig: Rig) -> None:
     fail(rig, PHASE_LOST)
     rig.until(lambda: rig.messages[TOPIC])
     fail(rig, PHASE_LOST | OVER_VOLTAGE)
     rig.link.sample(8000)
-    rig.until(lambda: rig.link.reads.count("axis1.fault_record") == 2)  # the second look
-    rig.settle()
+    rig.until(lambda: rig.link.reads.count("axis1.fault_record") == 2)  # the second read
+    rig.wait_for_pending()
     assert len(rig.messages[TOPIC]) == 1
     fail(rig, 0)
     rig.link.blocks["axis1.fault_record"] = LATER
     fail(rig, OVER_VOLTAGE)
     rig.until(lambda: len(rig.messages[TOPIC]) == 2)
-    assert told(rig.messages[TOPIC][-1])[1] == decoded(LATER).table.tolist()
+    assert published(rig.messages[TOPIC][-1])[1] == decoded(LATER).table.tolist()
 
 
-def test_a_board_that_vanishes_while_its_record_is_read(rig: Rig) -> None:
-    """Nothing is told of half a record; a board that is back with its fault is asked again."""
-    rig.link.held = []
+def test_no_record_is_published_after_link_loss_during_the_read(rig: Rig) -> None:
+    """An incomplete record is not published; it is read again after the reconnection."""
+    rig.link.pending_reads = []
     fail(rig, PHASE_LOST)
-    rig.until(lambda: rig.link.held)
-    rig.link.lose()
+    rig.until(lambda: rig.link.pending_reads)
+    rig.link.disconnect()
     rig.until(lambda: rig.state().startswith("DISCONNECTED"))
     assert rig.messages[TOPIC] == []
-    rig.link.held = None
-    rig.up(FAULT, STOP)
+    rig.link.pending_reads = None
+    rig.connect(FAULT, STOP)
     rig.until(lambda: rig.messages[TOPIC])
-    assert told(rig.messages[TOPIC][-1])[1] == decoded(LOST).table.tolist()
+    assert published(rig.messages[TOPIC][-1])[1] == decoded(LOST).table.tolist()

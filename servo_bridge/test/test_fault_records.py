@@ -1,4 +1,4 @@
-"""When the bridge reads the record of a first fault, and what it makes of it."""
+"""Reading and publishing of the record of a first fault by the bridge."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ PHASE_LOST, OVER_CURRENT, OVER_VOLTAGE = (
 )
 
 
-class Desk:
-    """A link whose answers wait until the test hands them out, and a log of what has changed."""
+class RecordsRig:
+    """Link whose answers the test delivers, with a log of changed records."""
 
     def __init__(self) -> None:
-        self.asked: list[tuple[str, Future[Value]]] = []
+        self.reads: list[tuple[str, Future[Value]]] = []
         self.changed: list[FaultRecord] = []
         self.posted: list[Callable[[], None]] = []
         self.records = FaultRecords(CATALOGUE, self._read, self.posted.append, self.changed.append)
 
     def _read(self, name: str) -> Future[Value]:
         future: Future[Value] = Future()
-        self.asked.append((name, future))
+        self.reads.append((name, future))
         return future
 
     def snapshot(self, tick: int, *faults: int) -> list[str]:
-        """Show a sample; returns what was asked for because of it."""
-        before = len(self.asked)
+        """Deliver a sample; return the reads that it caused."""
+        before = len(self.reads)
         self.records.on_snapshot(tick, faults)
-        return [name for name, _ in self.asked[before:]]
+        return [name for name, _ in self.reads[before:]]
 
     def answer(self, data: bytes | Exception) -> None:
-        """End the read that was asked for last, and run what was posted."""
-        future = self.asked[-1][1]
+        """Answer the last read, and run the posted functions."""
+        future = self.reads[-1][1]
         if isinstance(data, Exception):
             future.set_exception(data)
         else:
@@ -59,92 +59,92 @@ class Desk:
 
 
 @pytest.fixture
-def desk() -> Desk:
-    return Desk()
+def rig() -> RecordsRig:
+    return RecordsRig()
 
 
-def test_nothing_is_read_without_a_fault(desk: Desk) -> None:
-    assert [desk.snapshot(tick, 0, 0) for tick in range(8, 8 * 1000, 8)] == [[]] * 999
+def test_nothing_is_read_without_a_fault(rig: RecordsRig) -> None:
+    assert [rig.snapshot(tick, 0, 0) for tick in range(8, 8 * 1000, 8)] == [[]] * 999
 
 
 @pytest.mark.parametrize(("axis", "name"), [(0, "axis1.fault_record"), (1, "axis2.fault_record")])
-def test_a_fault_is_read_once(desk: Desk, axis: int, name: str) -> None:
+def test_a_fault_is_read_once(rig: RecordsRig, axis: int, name: str) -> None:
     faults = [PHASE_LOST if k == axis else 0 for k in range(2)]
-    desk.snapshot(8, 0, 0)
-    assert desk.snapshot(16, *faults) == [name]
-    desk.answer(recorded("PHASE_LOST", 11, i_q=4000))
-    (record,) = desk.changed
-    assert (record.axis, desk.names(), record.tick) == (axis, ["PHASE_LOST"], 11)
+    rig.snapshot(8, 0, 0)
+    assert rig.snapshot(16, *faults) == [name]
+    rig.answer(recorded("PHASE_LOST", 11, i_q=4000))
+    (record,) = rig.changed
+    assert (record.axis, rig.names(), record.tick) == (axis, ["PHASE_LOST"], 11)
     np.testing.assert_allclose(record.table[:, 4], 4000 * 8.25 / 2**15)
-    assert desk.records.records == [record if k == axis else None for k in range(2)]
-    assert [desk.snapshot(tick, *faults) for tick in range(24, 2000, 8)] == [[]] * 247
+    assert rig.records.records == [record if k == axis else None for k in range(2)]
+    assert [rig.snapshot(tick, *faults) for tick in range(24, 2000, 8)] == [[]] * 247
 
 
-def test_a_fault_from_before_is_read_by_a_bridge_that_comes_later(desk: Desk) -> None:
-    assert desk.snapshot(800_000, PHASE_LOST, 0) == ["axis1.fault_record"]
+def test_earlier_fault_is_read_at_the_connection(rig: RecordsRig) -> None:
+    assert rig.snapshot(800_000, PHASE_LOST, 0) == ["axis1.fault_record"]
 
 
-def test_a_second_fault_leaves_the_first_one_alone(desk: Desk) -> None:
-    desk.snapshot(16, PHASE_LOST, 0)
-    desk.answer(recorded("PHASE_LOST", 11))
-    assert desk.snapshot(24, PHASE_LOST | OVER_VOLTAGE, 0) == []
-    assert desk.snapshot(16 + SECOND_READ, PHASE_LOST | OVER_VOLTAGE, 0) == ["axis1.fault_record"]
-    desk.answer(recorded("PHASE_LOST", 11))
-    assert desk.names() == ["PHASE_LOST"]
+def test_second_fault_does_not_replace_the_first_record(rig: RecordsRig) -> None:
+    rig.snapshot(16, PHASE_LOST, 0)
+    rig.answer(recorded("PHASE_LOST", 11))
+    assert rig.snapshot(24, PHASE_LOST | OVER_VOLTAGE, 0) == []
+    assert rig.snapshot(16 + SECOND_READ, PHASE_LOST | OVER_VOLTAGE, 0) == ["axis1.fault_record"]
+    rig.answer(recorded("PHASE_LOST", 11))
+    assert rig.names() == ["PHASE_LOST"]
 
 
-def test_a_cause_that_is_found_behind_a_symptom_is_told(desk: Desk) -> None:
-    desk.snapshot(16, OVER_CURRENT, 0)
-    desk.answer(recorded("OVER_CURRENT", 11))
-    assert desk.snapshot(8 + SECOND_READ, OVER_CURRENT, 0) == []
-    assert desk.snapshot(16 + SECOND_READ, OVER_CURRENT, 0) == ["axis1.fault_record"]
-    desk.answer(recorded("CURRENT_SENSE", 11))
-    assert desk.names() == ["OVER_CURRENT", "CURRENT_SENSE"]
-    assert desk.snapshot(16 + 3 * SECOND_READ, OVER_CURRENT, 0) == []
+def test_revised_cause_of_a_fault_is_published(rig: RecordsRig) -> None:
+    rig.snapshot(16, OVER_CURRENT, 0)
+    rig.answer(recorded("OVER_CURRENT", 11))
+    assert rig.snapshot(8 + SECOND_READ, OVER_CURRENT, 0) == []
+    assert rig.snapshot(16 + SECOND_READ, OVER_CURRENT, 0) == ["axis1.fault_record"]
+    rig.answer(recorded("CURRENT_SENSE", 11))
+    assert rig.names() == ["OVER_CURRENT", "CURRENT_SENSE"]
+    assert rig.snapshot(16 + 3 * SECOND_READ, OVER_CURRENT, 0) == []
 
 
-def test_a_fault_after_clearing_is_a_first_one(desk: Desk) -> None:
-    desk.snapshot(16, OVER_CURRENT, 0)
-    desk.answer(recorded("OVER_CURRENT", 11))
-    assert desk.snapshot(24, 0, 0) == []
-    assert desk.records.records == [None, None]
-    assert desk.snapshot(32, OVER_VOLTAGE, 0) == ["axis1.fault_record"]
-    desk.answer(recorded("OVER_VOLTAGE", 27))
-    assert desk.names() == ["OVER_CURRENT", "OVER_VOLTAGE"]
+def test_a_fault_after_clearing_is_a_first_one(rig: RecordsRig) -> None:
+    rig.snapshot(16, OVER_CURRENT, 0)
+    rig.answer(recorded("OVER_CURRENT", 11))
+    assert rig.snapshot(24, 0, 0) == []
+    assert rig.records.records == [None, None]
+    assert rig.snapshot(32, OVER_VOLTAGE, 0) == ["axis1.fault_record"]
+    rig.answer(recorded("OVER_VOLTAGE", 27))
+    assert rig.names() == ["OVER_CURRENT", "OVER_VOLTAGE"]
 
 
-def test_a_fault_that_is_cleared_before_its_record_has_come(desk: Desk) -> None:
-    desk.snapshot(16, OVER_CURRENT, 0)
-    desk.snapshot(24, 0, 0)
-    desk.answer(recorded("OVER_CURRENT", 11))
-    assert (desk.changed, desk.records.records) == ([], [None, None])
+def test_a_fault_that_is_cleared_before_its_record_has_come(rig: RecordsRig) -> None:
+    rig.snapshot(16, OVER_CURRENT, 0)
+    rig.snapshot(24, 0, 0)
+    rig.answer(recorded("OVER_CURRENT", 11))
+    assert (rig.changed, rig.records.records) == ([], [None, None])
 
 
 @pytest.mark.parametrize("error", [LinkDownError("gone"), AnswerTimeoutError("silence")])
-def test_a_board_that_vanishes_in_the_middle_of_reading(desk: Desk, error: Exception) -> None:
-    """Nothing is told; when it is back with its fault, that is read again."""
-    desk.snapshot(16, OVER_CURRENT, 0)
-    desk.records.link_lost()
-    desk.answer(error)
-    assert desk.changed == []
-    assert desk.snapshot(8000, OVER_CURRENT, 0) == ["axis1.fault_record"]
-    desk.answer(recorded("OVER_CURRENT", 11))
-    assert desk.names() == ["OVER_CURRENT"]
+def test_record_is_read_again_after_link_loss(rig: RecordsRig, error: Exception) -> None:
+    """Nothing is published; the record is read again after the reconnection."""
+    rig.snapshot(16, OVER_CURRENT, 0)
+    rig.records.link_lost()
+    rig.answer(error)
+    assert rig.changed == []
+    assert rig.snapshot(8000, OVER_CURRENT, 0) == ["axis1.fault_record"]
+    rig.answer(recorded("OVER_CURRENT", 11))
+    assert rig.names() == ["OVER_CURRENT"]
 
 
-def test_an_answer_from_before_the_link_was_lost_is_not_told(desk: Desk) -> None:
-    desk.snapshot(16, OVER_CURRENT, 0)
-    desk.asked[-1][1].set_result(recorded("OVER_CURRENT", 11))
-    desk.records.link_lost()
-    desk.drain()
-    assert desk.changed == []
+def test_answer_of_a_lost_link_is_not_published(rig: RecordsRig) -> None:
+    rig.snapshot(16, OVER_CURRENT, 0)
+    rig.reads[-1][1].set_result(recorded("OVER_CURRENT", 11))
+    rig.records.link_lost()
+    rig.drain()
+    assert rig.changed == []
 
 
 @pytest.mark.parametrize("data", [NONE, bytes(SIZE - 2), b""])
-def test_a_record_that_is_none(desk: Desk, data: bytes) -> None:
-    desk.snapshot(16, OVER_CURRENT, 0)
-    desk.answer(data)
-    assert desk.changed == []
+def test_invalid_record_is_not_published(rig: RecordsRig, data: bytes) -> None:
+    rig.snapshot(16, OVER_CURRENT, 0)
+    rig.answer(data)
+    assert rig.changed == []
 
 
 # ---- what has become of a job ---------------------------------------------------------------------------------------

@@ -43,7 +43,7 @@ def test_identify_reads_the_configuration_values() -> None:
     assert client.mtu == 100
 
 
-def test_identify_a_target_that_knows_next_to_nothing() -> None:
+def test_identify_a_target_with_minimal_configuration() -> None:
     target = FakeTarget()
     target.config = {"MTU": b"\x20"}
     info = client_on(FakeTransport(target.feed)).identify()
@@ -66,12 +66,12 @@ def test_a_short_circuit_of_the_lines_is_recognised() -> None:
         client_on(FakeTransport(lambda request: request)).identify()
 
 
-def test_a_silent_board_is_not_called_another_protocol() -> None:
+def test_missing_answer_is_not_reported_as_another_protocol() -> None:
     with pytest.raises(AnswerTimeoutError):
         client_on(FakeTransport(lambda _: b"")).identify()
 
 
-def test_a_bad_line_is_not_called_another_protocol() -> None:
+def test_bad_line_is_not_reported_as_another_protocol() -> None:
     with pytest.raises(DisturbedRequestError):
         client_on(FakeTransport(lambda _: b"+\x82\x87")).identify()
 
@@ -142,7 +142,7 @@ def test_28_scope_slots_take_one_frame() -> None:
     assert client.exchange(request).data == b"".join(k.to_bytes(4, "little") for k in range(28))
 
 
-def test_a_small_buffer_takes_the_scope_in_pieces() -> None:
+def test_scope_is_set_up_in_pieces_for_a_small_buffer() -> None:
     target = FakeTarget(mtu=32, safety=False)
     client = connected(target)
     request = client.set_scope([ScopeSlot(0x2000_0000 + k, 1) for k in range(8)])
@@ -166,14 +166,14 @@ def test_application_command_with_result() -> None:
     assert client.run_command(0x11, b"\x01\x02\xd4") == 0x42
 
 
-def test_a_command_that_does_not_end() -> None:
+def test_command_without_completion_times_out() -> None:
     client = connected(FakeTarget(commands={1: lambda _: 0xFE}))
     with pytest.raises(CommandUnfinishedError, match=r"still runs after 0\.5 s"):
         client.run_command(1, timeout=0.5)
 
 
-class Noting:
-    """A target that notes which commands ran; like our firmware it runs one when its result is asked for."""
+class CommandRecorder:
+    """Target that records executed commands; like the firmware it executes a command when its result is requested."""
 
     def __init__(self) -> None:
         self.ran: list[int] = []
@@ -188,8 +188,8 @@ class Noting:
         return b""
 
 
-def test_a_command_whose_answer_is_lost_runs_now_and_not_at_the_next_command() -> None:
-    noting = Noting()
+def test_command_with_a_lost_answer_is_completed_at_once() -> None:
+    noting = CommandRecorder()
     with pytest.raises(AnswerTimeoutError, match="SENDAPPCMD"):
         client_on(FakeTransport(noting.lose_answer)).run_command(1)
     assert noting.ran == [1]
@@ -197,7 +197,7 @@ def test_a_command_whose_answer_is_lost_runs_now_and_not_at_the_next_command() -
 
 
 def test_a_pending_command_of_another_client_is_completed_first() -> None:
-    noting = Noting()
+    noting = CommandRecorder()
     client = connected(noting.target)
     client.exchange(send_command(1))
     assert client.run_command(2) == 2
@@ -213,7 +213,7 @@ def locked(passwords: dict[int, str]) -> tuple[FakeTarget, Client]:
     ("passwords", "given", "level"),
     [({1: "a", 2: "b", 3: "c"}, "a", 1), ({1: "a", 2: "b", 3: "c"}, "c", 3), ({2: "b"}, "b", 3), ({1: "a"}, "a", 3)],
 )
-def test_a_password_opens_the_highest_level_that_it_can(passwords: dict[int, str], given: str, level: int) -> None:
+def test_password_gives_the_highest_possible_level(passwords: dict[int, str], given: str, level: int) -> None:
     target, client = locked(passwords)
     assert client.info.password_level == min(passwords)
     assert client.log_in(given) == level
@@ -237,7 +237,7 @@ def test_a_wrong_password_is_refused() -> None:
         connected(FakeTarget()).log_in("b")
 
 
-def test_the_password_is_asked_for_when_the_target_wants_one() -> None:
+def test_password_is_requested_if_the_target_requires_it() -> None:
     target, client = locked({1: "a", 2: "b"})
     answers = ["b", "a"]
     client.ask_password = answers.pop

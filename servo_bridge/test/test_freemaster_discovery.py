@@ -82,7 +82,7 @@ def test_structures_are_opened() -> None:
     assert found["box"].members == ("box.a", "box.b")
 
 
-def test_a_structure_inside_itself_does_not_hang() -> None:
+def test_recursive_structure_terminates() -> None:
     loop = [FakeEntry("t", STRUCT, 0, 4, NONE), FakeEntry("again", b"t", 0, 4, NONE)]
     assert list(find_all(FakeTarget(tables=[[*loop, FakeEntry("v", b"t", 0x1000, 4, RO)]]))) == ["v", "v.again"]
 
@@ -104,7 +104,7 @@ def test_an_array_of_structures_shows_its_elements() -> None:
     assert (found["line.ends[1].y"].address, found["line.ends[1].y"].count) == (0x1008, 2)
 
 
-def test_structures_that_multiply_are_not_all_opened() -> None:
+def test_expansion_of_structures_is_limited() -> None:
     rows = []
     for depth in range(4):
         rows += [
@@ -162,7 +162,7 @@ def test_variables_without_a_known_type() -> None:
         found["strange"].encode([1])
 
 
-def test_a_text_that_the_target_hides_does_not_end_discovery() -> None:
+def test_unreadable_text_does_not_end_discovery() -> None:
     target = FakeTarget(
         tables=[[FakeEntry("seen", b"\xe0", 0x1000, 1, RO), FakeEntry("hidden", b"\xe1", 0x1002, 2, RO)]]
     )
@@ -184,13 +184,13 @@ def test_a_target_without_tables() -> None:
 
 def test_a_table_of_impossible_size() -> None:
     target = FakeTarget()
-    target._table_places = [(0x1000, 1 << 30)]
+    target._table_ranges = [(0x1000, 1 << 30)]
     client = client_on(FakeTransport(target.feed))
     with pytest.raises(DiscoveryError, match="not plausible"):
         discover(client, client.identify())
 
 
-def test_a_password_is_reported_as_such() -> None:
+def test_required_password_is_reported() -> None:
     with pytest.raises(StatusError, match="password needed"):
         find_all(FakeTarget(passwords={1: "x"}, tables=[[FakeEntry("x", b"\xe0", 0x1000, 1, RO)]]))
 
@@ -239,7 +239,7 @@ def test_an_array_is_encoded_element_by_element() -> None:
 
 
 @given(st.binary(max_size=12), st.integers(0, 300))
-def test_any_type_string_is_survived(text: bytes, size: int) -> None:
+def test_any_type_string_is_accepted(text: bytes, size: int) -> None:
     found = parse_type(text, size)
     assert found is None or (size % found.size == 0 and found.kind is not TypeKind.RAW)
 
@@ -251,7 +251,7 @@ ENTRIES = st.builds(
 
 
 @given(st.lists(ENTRIES, max_size=12))
-def test_any_table_is_survived(entries: list[Entry]) -> None:
+def test_any_table_is_accepted(entries: list[Entry]) -> None:
     for variable in parse_entries(entries):
         assert variable.name
         assert variable.size > 0

@@ -145,7 +145,7 @@ def test_numbers_that_are_cut_off(cut: bytes) -> None:
         decode_uleb(cut)
 
 
-def test_what_cannot_be_sent() -> None:
+def test_invalid_requests_are_refused() -> None:
     with pytest.raises(CodecError):
         encode_request(0x2B)
     with pytest.raises(CodecError):
@@ -204,7 +204,7 @@ def test_echo_and_debug_frames_are_no_answers() -> None:
     assert AnswerParser(2).feed(echo + b"+\xa9\x56" * 3 + answer_frame(0, b"ab")) == Answer(0, b"ab")
 
 
-def test_an_answer_of_another_kind_is_passed_over() -> None:
+def test_answer_of_another_kind_is_skipped() -> None:
     parser = AnswerParser(2, statuses=(0,))
     assert parser.feed(answer_frame(0x40, b"late") + answer_frame(0, b"ab")) == Answer(0, b"ab")
     assert (parser.passed_over, parser.trailing) == (1, False)
@@ -212,7 +212,7 @@ def test_an_answer_of_another_kind_is_passed_over() -> None:
 
 
 @pytest.mark.parametrize("extra", [b"x", b"+", b"++", b"+\x00"])
-def test_bytes_behind_an_answer_are_noted(extra: bytes) -> None:
+def test_bytes_after_an_answer_are_counted(extra: bytes) -> None:
     for data in (b"ab", b"a+"):
         parser = AnswerParser(2)
         assert parser.feed(answer_frame(0, data) + extra) == Answer(0, data)
@@ -229,12 +229,12 @@ def test_damage_is_counted_and_the_next_frame_found() -> None:
 
 
 @given(st.lists(st.binary(max_size=60), max_size=12), st.integers(0, 252))
-def test_garbage_never_breaks_the_parser(chunks: list[bytes], size: int) -> None:
+def test_parser_accepts_arbitrary_bytes(chunks: list[bytes], size: int) -> None:
     parser = AnswerParser(size)
     for chunk in chunks:
         answer = parser.feed(chunk)
         assert answer is None or answer.is_error or len(answer.data) <= 255
-    # An unfinished doubled byte may swallow one start, never more.
+    # An incomplete escaped byte may hide one start byte at most.
     frame = answer_frame(0, bytes(size))
     assert parser.feed(frame) is not None or parser.feed(frame) is not None
 
@@ -243,7 +243,7 @@ def test_garbage_never_breaks_the_parser(chunks: list[bytes], size: int) -> None
 def test_one_flipped_bit_is_never_accepted_as_the_same_kind_of_answer(bit: int, place: int, data: bytes) -> None:
     wire = bytearray(answer_frame(0, data))
     wire[place % len(wire)] ^= 1 << bit
-    # A start byte that comes or goes shifts the whole frame; the checksum then catches 255 of 256.
+    # An additional or missing start byte shifts the frame; the checksum detects 255 of 256 such frames.
     assume(wire.count(b"+") == 1 == answer_frame(0, data).count(b"+"))
     answer = AnswerParser(len(data)).feed(bytes(wire))
     assert answer is None or answer.status != 0 or answer.data == data

@@ -47,7 +47,7 @@ def test_silence_ends_after_the_time_on_the_line_and_the_margin(baud: int) -> No
     assert transport.now - start == pytest.approx(expected, abs=1e5)
 
 
-def test_a_long_answer_at_a_slow_rate_has_its_time() -> None:
+def test_timeout_allows_for_a_long_answer_at_a_low_rate() -> None:
     request = commands.read_memory(0, 200)
     target = FakeTarget(safety=False)
     answer = target.feed(request.frame)
@@ -55,7 +55,7 @@ def test_a_long_answer_at_a_slow_rate_has_its_time() -> None:
     assert line_on(transport, baud=9600, latency=0.05, retries=0).exchange(request).data == bytes(200)
 
 
-def test_an_answer_that_breaks_off_is_given_up() -> None:
+def test_incomplete_answer_times_out() -> None:
     transport = answers(GOOD[:3])
     start = transport.now
     with pytest.raises(DamagedAnswerError, match="no intact response") as caught:
@@ -64,7 +64,7 @@ def test_an_answer_that_breaks_off_is_given_up() -> None:
     assert transport.now - start < 300 * MS
 
 
-def test_endless_chatter_does_not_hold_the_client() -> None:
+def test_continuous_noise_does_not_block_the_client() -> None:
     transport = FakeTransport(lambda _: [(k * MS, b"hello\r\n") for k in range(2000)])
     start = transport.now
     with pytest.raises(DamagedAnswerError):
@@ -72,7 +72,7 @@ def test_endless_chatter_does_not_hold_the_client() -> None:
     assert transport.now - start < 500 * MS
 
 
-def test_a_line_that_is_never_quiet_does_not_hold_the_client() -> None:
+def test_line_without_silence_does_not_block_the_client() -> None:
     class Chatterbox(FakeTransport):
         def read(self, deadline: int) -> bytes:
             self.now += MS
@@ -109,8 +109,8 @@ def test_a_damaged_answer_is_asked_for_again() -> None:
     assert line.statistics.crc_errors == 1
 
 
-def test_the_tail_of_a_damaged_answer_is_not_taken_for_the_next() -> None:
-    """The second request must wait until the damaged answer has ended."""
+def test_rest_of_a_damaged_answer_is_discarded() -> None:
+    """The second request is sent after the end of the damaged answer."""
     damaged = [(MS, b"+\x00\x34\x13\xd3"), (8 * MS, OTHER)]
     transport = answers(damaged, GOOD)
     line = line_on(transport)
@@ -118,8 +118,8 @@ def test_the_tail_of_a_damaged_answer_is_not_taken_for_the_next() -> None:
     assert transport.sent_at[1] - transport.sent_at[0] >= 8 * MS + 30 * MS
 
 
-def test_a_late_answer_does_not_shift_all_that_follow() -> None:
-    """The first answer comes during the retry, the second one right behind it; the next request gets its own."""
+def test_late_answer_does_not_shift_the_following_ones() -> None:
+    """The first answer arrives during the retry, the second one after it; the next request gets its own answer."""
     late = [(215 * MS + 60 * MS, GOOD)]
     second = [(50 * MS, GOOD)]
     transport = answers(late, second, [(10 * MS, OTHER)])
@@ -128,7 +128,7 @@ def test_a_late_answer_does_not_shift_all_that_follow() -> None:
     assert line.exchange(READ).data == b"\x2b\x2b"
 
 
-def test_what_came_unasked_is_thrown_away() -> None:
+def test_unexpected_input_is_discarded() -> None:
     transport = answers(GOOD)
     transport.push(0, OTHER)
     line = line_on(transport)
@@ -190,7 +190,7 @@ def test_a_lost_port_is_passed_on() -> None:
         line_on(FakeTransport(gone)).exchange(READ)
 
 
-def test_work_is_done_while_the_line_is_busy() -> None:
+def test_work_is_done_while_waiting_for_the_answer() -> None:
     transport = answers(GOOD, GOOD)
     line = line_on(transport)
     seen: list[tuple[int, int]] = []

@@ -1,4 +1,4 @@
-"""The client on lines that lose, delay and damage frames: what it costs, and that nothing is ever mixed up."""
+"""The client on lines that lose, delay and damage frames: cost of a loss, and assignment of answers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BASE = 0x1000
 
 
 def a_line(kind: type[FakeTarget] = FakeTarget, **options: object) -> tuple[FakeTarget, LossyLine, Client]:
-    """A target whose words hold their own number, one entry each; identified while the line is still good."""
+    """Target whose words contain their index, one entry each; identified before the line is disturbed."""
     rows = [FakeEntry(f"w{k}", b"\xe1", BASE + 2 * k, 2, RW) for k in range(WORDS)]
     target = kind(tables=[rows], commands={1: lambda _: 1})
     for k in range(WORDS):
@@ -47,8 +47,8 @@ def test_a_lost_request_costs_less_than_three_round_trips() -> None:
 
 
 @pytest.mark.parametrize("kind", [FakeTarget, FakeTargetV3])
-def test_answers_are_never_taken_for_those_to_other_requests(kind: type[FakeTarget]) -> None:
-    """A target that is quick, then slow, then stalls; on a line that loses one frame of ten."""
+def test_answers_are_not_assigned_to_other_requests(kind: type[FakeTarget]) -> None:
+    """A target that is fast, then slow, then stalls, on a line that loses one frame of ten."""
     _, line, client = a_line(kind)
     line.lose_request = line.lose_answer = 0.05
     right = 0
@@ -76,7 +76,7 @@ def test_a_command_is_never_started_twice_by_a_slow_target() -> None:
         assert [command for command, _ in target.requests[before:]].count(0x30) == 1
 
 
-def test_a_target_that_has_become_slow_is_waited_for() -> None:
+def test_timeout_adapts_to_a_slower_target() -> None:
     _, line, client = a_line()
     for _ in range(50):
         client.read_memory(BASE, 2)
@@ -90,11 +90,11 @@ def test_a_target_that_has_become_slow_is_waited_for() -> None:
 
 
 @pytest.mark.parametrize("kind", [FakeTarget, FakeTargetV3])
-def test_damage_changes_nothing_that_was_not_meant(kind: type[FakeTarget]) -> None:
-    """One byte of one frame of three is changed or lost, both ways."""
+def test_damaged_frames_cause_no_wrong_read_or_write(kind: type[FakeTarget]) -> None:
+    """In each direction one byte of one frame of three is changed or lost."""
     target, line, client = a_line(kind, seed=7)
     line.damage = 0.33
-    expected = {k: {0x2B00 + k} for k in range(WORDS)}  # what a word may be: the last value, or one whose write failed
+    expected = {k: {0x2B00 + k} for k in range(WORDS)}  # of successful and failed writes
     errors = 0
     for number in range(4000):
         k = line.random.randrange(WORDS)

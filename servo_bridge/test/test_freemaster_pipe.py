@@ -13,7 +13,7 @@ from servo_bridge.freemaster.errors import CodecError, FreemasterError, StatusEr
 @pytest.mark.parametrize("kind", [FakeTarget, FakeTargetV3])
 @pytest.mark.parametrize("odd", [False, True])
 def test_both_streams_are_complete_on_a_bad_line(kind: type[FakeTarget], odd: bool) -> None:
-    """Whatever toggle the target expects from the client before this one."""
+    """For both toggle states that the target may have from a previous client."""
     target = kind(tables=[[]])
     line = LossyLine(target.feed, seed=5)
     client = client_on(line)
@@ -41,8 +41,8 @@ def test_both_streams_are_complete_on_a_bad_line(kind: type[FakeTarget], odd: bo
     assert target.pipe_received == sent
 
 
-def test_what_another_client_sent_is_not_taken_for_ours() -> None:
-    """Its last frame is remembered by the target; our first one is lost."""
+def test_data_of_another_client_are_not_acknowledged_as_own() -> None:
+    """The target remembers its last frame; the first frame of this client is lost."""
     target = FakeTarget(tables=[[]])
     line = LossyLine(target.feed)
     client = client_on(line)
@@ -60,7 +60,7 @@ def test_what_another_client_sent_is_not_taken_for_ours() -> None:
     assert target.pipe_received == b"12345678abcd"
 
 
-def test_a_pipe_that_is_not_there() -> None:
+def test_missing_pipe_is_reported() -> None:
     target = FakeTarget(tables=[[]])
     client = client_on(LossyLine(target.feed))
     with pytest.raises(StatusError, match="pipe error"):

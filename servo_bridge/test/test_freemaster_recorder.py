@@ -1,4 +1,4 @@
-"""The recorder of fake targets of both versions, which record as the protocol says."""
+"""Recorders of fake targets of both protocol versions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ COUNT, WAVE, LIMIT, REAL = (ScopeSlot(0x1000, 4), ScopeSlot(0x1004, 2), ScopeSlo
 
 
 def signals(target: FakeTarget, tick: int) -> None:
-    """A counter, a triangle -100 .. 100 with a period of 400 ticks that begins at 0, and the same as float."""
+    """A counter, a triangle -100 .. 100 with a period of 400 ticks from 0, and the triangle as float."""
     phase = (tick + 100) % 400
     wave = phase - 100 if phase <= 200 else 300 - phase
     target.set_int(COUNT.address, tick, 4)
@@ -56,7 +56,7 @@ def points_of(client: Client, memory: SampleMemory, piece: int) -> bytes:
 
 
 def burst(target: FakeTarget, client: Client, setup: Setup) -> list[tuple[int, int]]:
-    """Record, and return counter and triangle of all points."""
+    """Record, and return counter and triangle of all samples."""
     recorder = client.recorder()
     points = recorder.configure(setup)
     recorder.start()
@@ -78,9 +78,7 @@ def burst(target: FakeTarget, client: Client, setup: Setup) -> list[tuple[int, i
 @pytest.mark.parametrize(("kind", "mtu"), [(FakeTarget, 240), (FakeTarget, 32), (FakeTargetV3, 60)])
 @pytest.mark.parametrize("above", [True, False])
 @pytest.mark.parametrize("divider", [1, 3])
-def test_the_trigger_is_where_it_should_be(
-    kind: type[FakeTarget], mtu: int, big_endian: bool, above: bool, divider: int
-) -> None:
+def test_position_of_the_trigger(kind: type[FakeTarget], mtu: int, big_endian: bool, above: bool, divider: int) -> None:
     target, client = a_target(kind, mtu=mtu, big_endian=big_endian)
     trigger = Trigger(WAVE, Compare.SIGNED, above, not above, -50)
     rows = burst(target, client, Setup((COUNT, WAVE), 100, 30, divider, trigger))
@@ -134,7 +132,7 @@ def test_a_recording_may_be_stopped_early() -> None:
 
 
 @pytest.mark.parametrize("kind", [FakeTarget, FakeTargetV3])
-def test_all_that_fits_is_recorded_and_no_more(kind: type[FakeTarget]) -> None:
+def test_recording_fills_the_memory(kind: type[FakeTarget]) -> None:
     _, client = a_target(kind)
     recorder = client.recorder()
     fits = (2048 - RECORD_BYTES - 2 * SLOT_BYTES) // 6 if kind is FakeTarget else 2048 // 6
@@ -146,8 +144,8 @@ def test_all_that_fits_is_recorded_and_no_more(kind: type[FakeTarget]) -> None:
         recorder.configure(Setup((COUNT,) * 80))
 
 
-def test_a_target_that_counts_bytes_in_another_way_is_followed() -> None:
-    """The alignment of its memory is its own: what it says after the set-up counts."""
+def test_capacity_reported_by_the_target_is_used() -> None:
+    """The number of samples that the target reports after the set-up is used."""
     target, client = a_target()
     real = target.recorders[0].capacity
     target.recorders[0].capacity = lambda *_: real() - 3  # type: ignore[method-assign]
@@ -156,7 +154,7 @@ def test_a_target_that_counts_bytes_in_another_way_is_followed() -> None:
         client.recorder().configure(Setup((COUNT,), fits))
 
 
-def test_what_cannot_be_recorded() -> None:
+def test_invalid_recordings_are_refused() -> None:
     _, client = a_target(FakeTargetV3)
     level = Trigger(WAVE, Compare.SIGNED, True, False, 0, level=True)
     with pytest.raises(RecorderError, match="one edge through a fixed threshold"):
@@ -176,7 +174,7 @@ def test_what_cannot_be_recorded() -> None:
         client.recorder().configure(Setup((ScopeSlot(0x9999, 2),)))
 
 
-def test_a_memory_that_cannot_be() -> None:
+def test_invalid_memory_is_refused() -> None:
     with pytest.raises(RecorderError, match="not plausible"):
         memory_checked(SampleMemory(0, 4, 10, 10))
     with pytest.raises(RecorderError, match="not plausible"):
@@ -184,7 +182,7 @@ def test_a_memory_that_cannot_be() -> None:
 
 
 def test_set_up_matches_the_wire() -> None:
-    """The frames that a vendor target understands, here all operations in one."""
+    """Frames of a vendor target, with all operations in one frame."""
     head = encode_request(0x24, b"\x00")[:2]
     setup = Setup(
         (ScopeSlot(0x20000038, 4), ScopeSlot(0x2000003C, 2)), 20, 5, 1,

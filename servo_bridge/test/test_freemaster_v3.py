@@ -1,4 +1,4 @@
-"""The client against targets that speak version 3."""
+"""The client with targets of protocol version 3."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_commands_of_fixed_length_carry_their_length() -> None:
 
 
 @given(st.lists(st.binary(max_size=60), max_size=12), st.integers(0, 60))
-def test_garbage_never_breaks_the_parser(chunks: list[bytes], size: int) -> None:
+def test_parser_accepts_arbitrary_bytes(chunks: list[bytes], size: int) -> None:
     parser = AnswerParser(size, V3)
     for chunk in chunks:
         answer = parser.feed(chunk)
@@ -91,7 +91,7 @@ def test_one_changed_byte_is_never_accepted_as_the_same_kind_of_answer(byte: int
     wire = bytearray(FakeTargetV3._frame(0, data))
     good = wire.count(b"+")
     wire[place % len(wire)] = byte
-    # A start byte that comes or goes shifts the whole frame; the checksum then catches 255 of 256.
+    # An additional or missing start byte shifts the frame; the checksum detects 255 of 256 such frames.
     assume(wire.count(b"+") == 1 == good)
     answer = AnswerParser(len(data), V3).feed(bytes(wire))
     assert answer is None or answer.status != 0 or answer.data == data
@@ -165,7 +165,7 @@ def test_application_commands_return_the_answer_of_the_board() -> None:
     assert client.run_command(0x11, b"\x01\x02\xd4") == 0x42
 
 
-def test_what_version_3_does_not_have() -> None:
+def test_functions_missing_in_version_3_are_refused() -> None:
     client = connected(a_target())
     with pytest.raises(FreemasterError, match="no passwords"):
         client.log_in("secret")
@@ -178,7 +178,7 @@ def test_what_version_3_does_not_have() -> None:
 
 
 @given(st.binary(max_size=80))
-def test_garbage_behind_the_recognition_ends_in_a_named_error(garbage: bytes) -> None:
+def test_garbage_after_the_identification_gives_a_specific_error(garbage: bytes) -> None:
     client = client_on(FakeTransport(lambda r: b"+\x82\x7e" if r[1] == 0x20 else garbage), retries=1)
     with contextlib.suppress(FreemasterError):
         client.identify()

@@ -1,4 +1,4 @@
-"""What /diagnostics says about the board."""
+"""Status of the board in /diagnostics."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def axis_status(winding: Winding | None, limit: float | None, faults: int = 0) -
     return Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"]).axis(0, snapshot, None, winding, limit)
 
 
-def test_a_hot_winding_is_a_warning_with_what_it_leaves() -> None:
+def test_hot_winding_is_a_warning_with_the_derated_current() -> None:
     cool = axis_status(Winding(80.0, 8.25), 4.0)
     assert (cool.level, cool.message) == (DiagnosticStatus.OK, "RUN/SPIN")
     about = {value.key: value.value for value in cool.values}

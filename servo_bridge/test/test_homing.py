@@ -1,4 +1,4 @@
-"""Homing without ROS: answers, directions, and the position that a restarted board gets back."""
+"""Homing without ROS: answers, directions, and the restored position after a restart of the board."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ LSB = CATALOGUE["cmd.home_position"].lsb
 
 
 class Rig:
-    """Homing on a real arbiter and dispatcher; `sample` plays the board."""
+    """Homing with a real arbiter and dispatcher; `sample` models the board."""
 
     def __init__(self, *, restores: bool = True, features: int = FEATURE) -> None:
         self.sent: list[CommandWrite] = []
-        self.said: list[str] = []
+        self.log: list[str] = []
         self.moved: list[int] = []
         self.values = {f"axis{k}.home_{what}": 0.0 for k in (1, 2) for what in ("result", "spread")}
         joints = (Joint("arm", gear_ratio=10.0, direction=-1, offset=0.5), Joint("hand"))
         self.arbiter = Arbiter(CATALOGUE, joints)
-        self.dispatcher = Dispatcher(self._send, self.arbiter.queue, self.said.append)
+        self.dispatcher = Dispatcher(self._send, self.arbiter.queue, self.log.append)
         self.homing = Homing(
             CATALOGUE,
             joints,
@@ -40,8 +40,8 @@ class Rig:
             self._read,
             lambda function: function(),
             moved=self.moved.append,
-            info=self.said.append,
-            warn=self.said.append,
+            info=self.log.append,
+            warn=self.log.append,
         )
         self.features = [features, features]
         self.states = [0, 0]
@@ -62,7 +62,7 @@ class Rig:
         return done
 
     def sample(self, ticks: int = 16) -> None:
-        """The board has taken what was written, and shows where it is."""
+        """Apply the last write, and deliver a sample."""
         self.tick += ticks
         if self.sent and self.sent[-1].variable != "seen":
             write = self.sent[-1]
@@ -77,8 +77,8 @@ class Rig:
         self.dispatcher.on_sample(snapshot.tick, snapshot.applied_tick, snapshot.applied_count)
         self.homing.on_snapshot(snapshot, self.features)
 
-    def look(self) -> None:
-        """Long enough for the bridge to see the states."""
+    def read_states(self) -> None:
+        """Run until the bridge has read the homing states."""
         self.sample(4000)
         self.sample()
 
@@ -86,7 +86,7 @@ class Rig:
         return [(write.variable, write.first, write.raw) for write in self.sent]
 
     def restart(self) -> None:
-        """Everything counts from zero again."""
+        """Restart the board, with all counts at 0."""
         self.epoch += 1
         self.tick, self.states, self.counts, self.label = 0, [0, 0], [0, 0], "STOP"
         self.sample()
@@ -100,7 +100,7 @@ def test_methods_are_those_of_the_board() -> None:
     ("result", "success", "text"),
     [("DONE", True, "spread of the reference 3 counts"), ("NOT_FOUND", False, "turns_max")],
 )
-def test_answer_comes_at_the_end(result: str, success: bool, text: str) -> None:
+def test_homing_answers_at_its_end(result: str, success: bool, text: str) -> None:
     rig = Rig()
     rig.arbiter.release()
     answer = rig.homing.home(1, "stop_negative")
@@ -112,7 +112,7 @@ def test_answer_comes_at_the_end(result: str, success: bool, text: str) -> None:
     assert rig.written() == [("cmd.home_position", 1, (0,)), ("cmd.home", 1, (METHOD["STOP_NEGATIVE"],))]
     rig.values |= {"axis2.home_result": RESULT[result], "axis2.home_spread": 3}
     rig.states[1] = STATE["KNOWN"]
-    rig.look()
+    rig.read_states()
     assert answer.result(0)[0] is success
     assert text in answer.result(0)[1]
     assert rig.homing.known == [False, True]
@@ -137,7 +137,7 @@ def test_a_shaft_is_turned_only_while_it_is_enabled() -> None:
     assert rig.sent, "which moves nothing"
 
 
-def test_a_lost_link_is_an_answer() -> None:
+def test_link_loss_answers_a_pending_homing() -> None:
     rig = Rig()
     rig.arbiter.release()
     answer = rig.homing.home(1, "stop_negative")
@@ -150,10 +150,10 @@ def test_a_lost_link_is_an_answer() -> None:
 
 def known(rig: Rig) -> None:
     rig.states, rig.counts = [STATE["KNOWN"]] * 2, [12_345, -77]
-    rig.look()
+    rig.read_states()
 
 
-def test_a_restarted_board_gets_its_positions_back() -> None:
+def test_positions_are_restored_after_a_restart() -> None:
     rig = Rig()
     known(rig)
     rig.restart()
@@ -168,7 +168,7 @@ def test_a_restarted_board_gets_its_positions_back() -> None:
         ("cmd.home", 1, (METHOD["ASSUME"],)),
     ]
     rig.states, rig.counts = [STATE["ASSUMED"]] * 2, [12_345, -77]
-    rig.look()
+    rig.read_states()
     assert not rig.homing.restoring
     assert rig.homing.known == [False, False], "the shaft may have turned meanwhile"
     rig.restart()
@@ -177,7 +177,7 @@ def test_a_restarted_board_gets_its_positions_back() -> None:
 
 
 def test_counts_since_the_restart_are_kept() -> None:
-    """A shaft that is turned by hand until the position is restored."""
+    """The shaft is turned manually before the position is restored."""
     rig = Rig()
     known(rig)
     rig.restart()
@@ -203,13 +203,13 @@ def test_a_second_call_ends_the_first() -> None:
 
 
 @pytest.mark.parametrize("how", ["not wanted", "feature off", "unknown before", "lost before", "turned before"])
-def test_nothing_is_restored(how: str) -> None:
+def test_cases_without_restored_position(how: str) -> None:
     rig = Rig(restores=how != "not wanted", features=0 if how == "feature off" else FEATURE)
     if how != "unknown before":
         known(rig)
     if how == "lost before":
         rig.states = [0, 0]
-        rig.look()
+        rig.read_states()
     if how == "turned before":
         rig.speed = 10.0
         rig.sample()
@@ -221,7 +221,7 @@ def test_nothing_is_restored(how: str) -> None:
     assert not rig.homing.restoring
 
 
-def test_an_attempt_that_has_no_effect_is_repeated_and_given_up() -> None:
+def test_restoration_without_effect_is_repeated_a_limited_number_of_times() -> None:
     rig = Rig()
     known(rig)
     rig.restart()
@@ -229,10 +229,10 @@ def test_an_attempt_that_has_no_effect_is_repeated_and_given_up() -> None:
         rig.sample(1600)
     assert len(rig.sent) > 8
     assert not rig.homing.restoring
-    assert any("home it" in text for text in rig.said)
+    assert any("home it" in text for text in rig.log)
 
 
-def test_an_axis_that_spins_already_is_left_alone() -> None:
+def test_position_of_a_spinning_axis_is_not_restored() -> None:
     rig = Rig()
     known(rig)
     rig.restart()

@@ -9,7 +9,7 @@ from functools import partial
 from servo_bridge.inbox import Inbox
 
 
-def test_one_wake_up_for_everything_that_waits_and_in_order() -> None:
+def test_one_wake_up_for_all_pending_items_in_order() -> None:
     woken: list[Callable[[], None]] = []
     seen: list[int] = []
     inbox = Inbox(woken.append)
@@ -22,7 +22,7 @@ def test_one_wake_up_for_everything_that_waits_and_in_order() -> None:
     assert len(woken) == 2
 
 
-def test_what_is_posted_while_draining_waits_for_the_next_turn() -> None:
+def test_items_posted_during_drain_are_handled_by_the_next_one() -> None:
     woken: list[Callable[[], None]] = []
     seen: list[str] = []
     inbox = Inbox(woken.append)
@@ -60,7 +60,7 @@ def test_nothing_is_lost_between_threads() -> None:
     assert seen == list(range(2000))
 
 
-def test_a_closed_inbox_forgets() -> None:
+def test_closed_inbox_discards_items() -> None:
     woken: list[Callable[[], None]] = []
     seen: list[int] = []
     inbox = Inbox(woken.append)

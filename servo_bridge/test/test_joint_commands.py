@@ -1,4 +1,4 @@
-"""Messages as ros2_control sends them: streams, joints that are left alone, what repeats itself across enabling."""
+"""Messages of ros2_control: streams, ignored joints, and repeated set-points across enable."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ def rig() -> Iterator[Rig]:
 
 @pytest.fixture
 def ready(rig: Rig) -> Rig:
-    rig.ready()
+    rig.enable_axes()
     rig.until(lambda: rig.messages[topics.PARAMETERS])
     return rig
 
 
 def sample(rig: Rig) -> None:
-    """A sample of a board whose clock is right."""
+    """Deliver a sample of a board with an exact clock."""
     now = time.monotonic_ns() // PERIOD_NS
     rig.link.sample(max(now - rig.link.tick, 1) if rig.link.tick > now // 2 else now)
 
 
 def send(rig: Rig, position: list[float], velocity: list[float] | None = None, stamp: float = 0.0) -> None:
-    """A message of all joints, and a sample."""
+    """Send a message of all joints, and deliver a sample."""
     message = JointState(name=["axis1", "axis2"], position=position, velocity=velocity or [])
     message.header.stamp.sec, message.header.stamp.nanosec = int(stamp), round(stamp % 1.0 * 1e9)
     rig.joint_commands.publish(message)
@@ -67,7 +67,7 @@ def written(rig: Rig, name: str) -> list[tuple[int, tuple[int, ...]]]:
 
 
 def until_written(rig: Rig, name: str) -> list[tuple[int, int]]:
-    """Give samples until a variable is written; axis and length of each write."""
+    """Deliver samples until a variable is written; return axis and length of each write."""
 
     def arrived() -> bool:
         sample(rig)
@@ -79,7 +79,7 @@ def until_written(rig: Rig, name: str) -> list[tuple[int, int]]:
 
 
 def stream(rig: Rig, joints: tuple[bool, bool] = (True, True)) -> None:
-    """A ramp, until points of it that move have reached the link."""
+    """Stream a ramp until moving points have reached the link."""
     begin = time.monotonic()
 
     def arrived() -> bool:
@@ -108,13 +108,13 @@ def test_positions_with_velocities_become_timed_points(ready: Rig) -> None:
     assert float(values["delay [ms]"]) > 20.0
 
 
-def test_a_joint_of_nan_is_left_alone(ready: Rig) -> None:
+def test_joint_with_nan_is_ignored(ready: Rig) -> None:
     stream(ready, joints=(True, False))
     assert {point.axis for point in points(ready)} == {0}
     assert ready.rejections() == []
 
 
-def test_a_message_of_nan_is_no_set_point(ready: Rig) -> None:
+def test_message_with_only_nan_is_no_set_point(ready: Rig) -> None:
     for _ in range(20):
         send(ready, [NAN, NAN], [NAN, NAN])
     assert ready.link.written == []
@@ -124,7 +124,7 @@ def test_a_message_of_nan_is_no_set_point(ready: Rig) -> None:
     assert (values["accepted"], values["rejected"]) == ("0", "0")
 
 
-def test_a_position_alone_is_as_before(ready: Rig) -> None:
+def test_position_without_velocity_is_a_set_point(ready: Rig) -> None:
     send(ready, [1.0, NAN], [NAN, NAN])
     assert until_written(ready, "cmd.position") == [(0, 1)]
 
@@ -136,15 +136,15 @@ def test_a_velocity_beyond_its_limit_moves_no_joint(ready: Rig) -> None:
     assert ready.link.written == []
 
 
-def test_what_was_sent_before_enabling_moves_nothing_until_it_changes(rig: Rig) -> None:
-    """Some hardware interfaces command 0 until a controller starts."""
-    rig.up(OFF, OFF)
+def test_set_points_repeated_from_before_enable_are_refused_until_they_change(rig: Rig) -> None:
+    """Some hardware interfaces send 0 until a controller starts."""
+    rig.connect(OFF, OFF)
     rig.until(lambda: rig.messages[topics.PARAMETERS])
     for _ in range(3):
         send(rig, [0.0, 0.0])
     rig.until(rig.rejections)
     assert "not been enabled" in rig.rejections()[-1]
-    rig.link.axes(SPIN, SPIN)
+    rig.link.set_states(SPIN, SPIN)
     rig.enable(True)
     rig.until(rig.armed)
     rig.link.written.clear()

@@ -1,4 +1,4 @@
-"""Signs of life of the node: how often, and never two at once. None from one that hangs: test_failures_bridge.py."""
+"""Keep-alives of the node: their period, one at a time. A blocked node: test_failures_bridge.py."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CODE = CATALOGUE.bits["command"]["KEEP_ALIVE"]
 
 
 class Sent:
-    """Notes what is sent; nothing is answered before the test says so."""
+    """Records sent keep-alives; the test answers them."""
 
     def __init__(self) -> None:
         self.futures: list[Future[int]] = []
@@ -29,7 +29,7 @@ class Sent:
 
 
 @pytest.mark.parametrize("error", [None, TimeoutError("no answer")])
-def test_never_more_than_one_waits(error: Exception | None) -> None:
+def test_at_most_one_keep_alive_is_pending(error: Exception | None) -> None:
     sent = Sent()
     sent.subject.send()
     sent.subject.send()
@@ -45,33 +45,33 @@ def test_never_more_than_one_waits(error: Exception | None) -> None:
 @pytest.mark.parametrize(
     ("timeouts", "period"), [([], 0.1), ([0.5], 0.1), ([30.0], 0.1), ([0.2], 0.05), ([0.2, 0.1], 0.025)]
 )
-def test_four_fit_into_the_time_that_the_board_waits(timeouts: list[float], period: float) -> None:
+def test_period_allows_four_keep_alives_per_host_timeout(timeouts: list[float], period: float) -> None:
     known = [{"param.host_timeout": [CATALOGUE["param.host_timeout"].to_raw(timeout)]} for timeout in timeouts]
     assert Sent().subject.period({}, *known) == pytest.approx(period)
 
 
 def keep_alives(rig: Rig, duration: float) -> int:
-    """How many the node sends meanwhile [s]."""
+    """Number of keep-alives of the node during a time [s]."""
     before, end = len(rig.link.commands), time.monotonic() + duration
     rig.until(lambda: time.monotonic() > end)
     assert {code for _, code in rig.link.commands} == {CODE}
     return len(rig.link.commands) - before
 
 
-def test_the_node_follows_the_time_out_of_the_board() -> None:
+def test_keep_alive_period_follows_the_host_timeout_of_the_board() -> None:
     with Rig() as rig:
         rig.link.parameters["param.host_timeout"] = [CATALOGUE["param.host_timeout"].to_raw(0.5)]
-        rig.up()
+        rig.connect()
         assert 5 <= keep_alives(rig, 1.0) <= 11
         assert rig.set_parameter("board_parameters", ["param.host_timeout=0.08"])[0]
         assert 25 <= keep_alives(rig, 1.0) <= 51
-        rig.link.mute = True
+        rig.link.answers_commands = False
         assert keep_alives(rig, 0.3) <= 1
 
 
-def test_a_short_time_out_that_is_wanted_counts_before_the_board_has_it() -> None:
+def test_requested_shorter_host_timeout_applies_before_it_is_written() -> None:
     with Rig(board_parameters=["param.host_timeout=0.08"]) as rig:
-        rig.link.stubborn = "param.host_timeout"
+        rig.link.rejected_parameter = "param.host_timeout"
         rig.link.parameters["param.host_timeout"] = [CATALOGUE["param.host_timeout"].to_raw(0.5)]
-        rig.up()
+        rig.connect()
         assert keep_alives(rig, 0.5) >= 13

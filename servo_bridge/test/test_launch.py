@@ -1,4 +1,4 @@
-"""The launch files under the real ``ros2 launch``: of a sourced ROS 2, or of ``make launch-tools``."""
+"""The launch files with the real ``ros2 launch`` of a sourced ROS 2 or of ``make launch-tools``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ REASON = "no `ros2 launch`: it has no wheel; source a ROS 2, or `make launch-too
 
 
 class Launch:
-    """One ``ros2 launch``, in a process group of its own."""
+    """A ``ros2 launch`` in a separate process group."""
 
     def __init__(self, folder: Path, file: str, *arguments: str, prefix: Path | None = None) -> None:
         folder.mkdir(exist_ok=True)
@@ -55,7 +55,7 @@ class Launch:
         return self.log_file.read_text()
 
     def until(self, pattern: str, count: int = 1, timeout: float = 60.0) -> list[str]:
-        """Wait until a pattern has been printed so many times; returns what was found."""
+        """Wait until a pattern has been printed `count` times; return the matches."""
         deadline = time.monotonic() + timeout
         while len(found := re.findall(pattern, self.log())) < count:
             assert time.monotonic() < deadline, f"no {pattern}; log:\n{self.log()}"
@@ -64,7 +64,7 @@ class Launch:
         return found
 
     def end(self) -> int:
-        """Wait for the end; returns the exit status."""
+        """Wait for the end; return the exit status."""
         return self.process.wait(60.0)
 
     def kill_bridge(self) -> None:
@@ -72,7 +72,7 @@ class Launch:
         os.kill(int(pid), signal.SIGKILL)
 
     def interrupt(self) -> int:
-        """Ctrl-C; returns the exit status."""
+        """Send Ctrl-C; return the exit status."""
         self.process.send_signal(signal.SIGINT)
         return self.end()
 
@@ -97,7 +97,7 @@ def launch(tmp_path: Path) -> Iterator[Start]:
             each.interrupt()
 
 
-def test_everything_that_is_launched_exists_and_only_nodes_get_the_arguments_of_nodes() -> None:
+def test_launched_programs_exist_and_only_nodes_get_ros_arguments() -> None:
     tree = ast.parse((FOLDER / "bridge.launch.py").read_text())
     calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
     nodes = set()
@@ -152,7 +152,7 @@ def test_parameters_simulated_time_and_respawn(launch: Start, tmp_path: Path) ->
         f"twin_params:={parameters}",
     )  # fmt: skip
     one.until("connected to servo at ")
-    one.until("parameter healthy_after")  # 99 s is out of its range, so the twin says that it has read the file
+    one.until("parameter healthy_after")  # out of range, so the message of the twin shows that it has read the file
     one.kill_bridge()
     one.until("connected to servo at ", count=2)
     assert one.interrupt() == 0, one.log()
@@ -160,7 +160,7 @@ def test_parameters_simulated_time_and_respawn(launch: Start, tmp_path: Path) ->
 
 @pytest.fixture
 def control_packages(tmp_path: Path) -> Path:
-    """An installation in which each program of ros2_control prints its arguments, and waits to be ended."""
+    """Installation with fake programs of ros2_control that print their arguments and wait for a signal."""
     prefix = tmp_path / "prefix"
     programs = {
         "lib/controller_manager/ros2_control_node": "sleep 600",
@@ -203,7 +203,7 @@ def test_ros2_control_gets_the_joints_of_the_bridge(launch: Start, tmp_path: Pat
     assert one.interrupt() == 0, one.log()
 
 
-def test_a_bridge_without_autostart_waits_for_its_transitions(launch: Start, tmp_path: Path) -> None:
+def test_bridge_without_autostart_waits_for_transitions(launch: Start, tmp_path: Path) -> None:
     one = launch("bridge.launch.py", f"port:={tmp_path}/board", "twin:=false", "autostart:=false")
     one.until(r"unconfigured; go on with: ros2 lifecycle set /servo/servo_bridge configure")
     assert one.interrupt() == 0, one.log()

@@ -1,4 +1,4 @@
-"""The lifecycle of the bridge, by the services that ``ros2 lifecycle`` calls. The link is driven by the test."""
+"""The lifecycle of the bridge, by the services of ``ros2 lifecycle``, with a fake link."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def state(rig: Rig) -> str:
 
 
 def change(rig: Rig, transition: str, identifier: int = 0) -> tuple[bool, str]:
-    """Ask for a transition by its label, or by its number; returns whether it was made, and the state then."""
+    """Request a transition by label or number; return its success and the state after it."""
     request = ChangeState.Request(transition=Transition(id=identifier, label=transition))
     return bool(call(rig, ChangeState, "change_state", request).success), state(rig)
 
 
 def endpoints(rig: Rig) -> tuple[list[str], ...]:
-    """Names of everything that the node offers at this time, as often as it does."""
+    """Names of all topics and services of the node, with duplicates."""
     node = rig.bridge
     return (
         sorted(each.topic_name for each in node.publishers),
@@ -52,7 +52,7 @@ def endpoints(rig: Rig) -> tuple[list[str], ...]:
 
 
 def rejected(rig: Rig) -> str:
-    """Why a set-point is refused."""
+    """Reason of the refusal of a set-point."""
     before = len(rig.rejections())
     rig.commands.publish(Float64MultiArray(data=[1.0, 1.0]))
     rig.until_rejected(before)
@@ -68,7 +68,7 @@ def test_every_transition_from_unconfigured_to_finalized() -> None:
 
         assert change(rig, "", Transition.TRANSITION_CONFIGURE) == (True, INACTIVE)
         rig.discover()
-        rig.up(SPIN, SPIN)
+        rig.connect(SPIN, SPIN)
         assert rig.diagnosis("commands").message == ACTIVATE_FIRST
         assert rig.enable(True) == (False, f"{ACTIVATE_FIRST}; then call enable again")
         assert f"commands: {ACTIVATE_FIRST}; then call the service enable" in rejected(rig)
@@ -91,7 +91,7 @@ def test_every_transition_from_unconfigured_to_finalized() -> None:
 
 def test_deactivate_stops_the_axes_and_telemetry_goes_on() -> None:
     with Rig() as rig:
-        rig.ready()
+        rig.enable_axes()
         rig.commands.publish(Float64MultiArray(data=[1.0, 2.0]))
         rig.until(lambda: ("cmd.position", 0) in {write[:2] for write in writes(rig)})
         rig.link.written.clear()
@@ -111,15 +111,15 @@ def test_deactivate_stops_the_axes_and_telemetry_goes_on() -> None:
 
 
 def writes(rig: Rig) -> list[Any]:
-    """What has been written, after one more sample."""
+    """Writes after one more sample."""
     rig.link.sample()
     return rig.link.written
 
 
 @pytest.mark.parametrize("asked", ["deactivate", "cleanup"])
-def test_an_enable_under_way_does_not_outlive_the_transition(asked: str) -> None:
+def test_deactivate_cancels_a_pending_enable(asked: str) -> None:
     with Rig() as rig:
-        rig.up(STOP, STOP)
+        rig.connect(STOP, STOP)
         enable = rig.enable_client.call_async(SetBool.Request(data=True))
         rig.until(lambda: ("cmd.enable", 0, (1, 1)) in writes(rig))
         if asked == "cleanup":
@@ -135,7 +135,7 @@ def test_an_enable_under_way_does_not_outlive_the_transition(asked: str) -> None
         assert not rig.armed()
 
 
-def test_what_is_not_possible_is_answered_and_the_node_lives_on() -> None:
+def test_invalid_transitions_are_refused() -> None:
     with Rig(autostart=False) as rig:
         for label, identifier in (("activate", 0), ("", Transition.TRANSITION_DEACTIVATE), ("fly", 0), ("", 200)):
             assert change(rig, label, identifier) == (False, UNCONFIGURED)
@@ -151,10 +151,10 @@ def test_what_is_not_possible_is_answered_and_the_node_lives_on() -> None:
         assert len(rig.links) == 1
 
 
-def test_a_clean_up_takes_everything_back_and_other_parameters_count_then(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cleanup_releases_everything_and_permits_other_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
     with Rig() as rig:
         configured = endpoints(rig)
-        rig.ready()
+        rig.enable_axes()
         taken, reason = rig.set_parameter("port", "/dev/other")
         assert not taken
         assert reason == (
@@ -174,9 +174,9 @@ def test_a_clean_up_takes_everything_back_and_other_parameters_count_then(monkey
 
         monkeypatch.setattr(first, "close", close_under_load)
         assert change(rig, "cleanup") == (True, UNCONFIGURED)
-        assert [(name, list(values)) for name, values in first.final] == [("cmd.enable", [0.0, 0.0])]
+        assert [(name, list(values)) for name, values in first.final_writes] == [("cmd.enable", [0.0, 0.0])]
         rig.until(lambda: rig.user.count_publishers(topics.JOINT_STATES) == 0)
-        first.sample()  # what is under way when it ends comes to nothing
+        first.sample()  # pending operations end without effect
         supervisor._every_second()
         supervisor._publish_variables()
         supervisor._keep_alive.send()
@@ -194,11 +194,11 @@ def test_a_clean_up_takes_everything_back_and_other_parameters_count_then(monkey
         rig.until(lambda: rig.user.count_subscribers("axis1/position") == 0)
         rig.until(lambda: rig.enable_client.service_is_ready())
         rig.until(lambda: rig.state() == "DISCONNECTED connecting to a test")
-        rig.up()
+        rig.connect()
         assert rig.state() == "pan=STOP axis2=STOP"
 
 
-def test_parameters_that_make_no_sense_are_answered_and_put_right_one_by_one() -> None:
+def test_invalid_parameters_are_refused_until_all_are_corrected() -> None:
     wrong = {"joints": ["one"], "velocity_max": [-1.0, 1.0]}
     with Rig(autostart=False, **wrong) as rig:
         assert change(rig, "configure") == (False, UNCONFIGURED)
@@ -216,13 +216,13 @@ def test_parameters_that_make_no_sense_are_answered_and_put_right_one_by_one() -
 
 def test_a_lost_link_does_not_change_the_state_of_the_lifecycle() -> None:
     with Rig() as rig:
-        rig.ready()
-        rig.link.lose(reason="pulled")
+        rig.enable_axes()
+        rig.link.disconnect(reason="pulled")
         rig.until(lambda: not rig.armed())
         assert state(rig) == ACTIVE
         assert change(rig, "deactivate") == (True, INACTIVE)
         rig.until(lambda: rig.warnings("quick stop failed: not connected: pulled"))
-        rig.up(SPIN, SPIN)
+        rig.connect(SPIN, SPIN)
         assert not rig.enable(True)[0]
         assert change(rig, "activate") == (True, ACTIVE)
         assert not rig.armed()
@@ -230,11 +230,11 @@ def test_a_lost_link_does_not_change_the_state_of_the_lifecycle() -> None:
 
 
 @pytest.mark.parametrize(("transition", "method"), [("activate", "activate"), ("cleanup", "close")])
-def test_an_exception_is_told_and_leaves_the_node_unconfigured(
+def test_exception_is_reported_and_leaves_the_node_unconfigured(
     transition: str, method: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with Rig() as rig:
-        rig.up(SPIN, SPIN)
+        rig.connect(SPIN, SPIN)
         assert change(rig, "deactivate")[0]
         link, works = rig.link, getattr(Supervisor, method)
 
@@ -247,15 +247,15 @@ def test_an_exception_is_told_and_leaves_the_node_unconfigured(
         assert change(rig, transition) == (False, UNCONFIGURED)
         monkeypatch.undo()
         rig.until(lambda: any("ZeroDivisionError: of the test" in text for text in rig.logs(40)))
-        assert link.final
+        assert link.final_writes
         rig.until(lambda: not rig.enable_client.service_is_ready())
         assert change(rig, "configure")[0]
         assert change(rig, "activate") == (True, ACTIVE)
         rig.discover()
-        rig.ready()
+        rig.enable_axes()
 
 
-def test_a_node_that_starts_by_itself_does_not_hide_an_exception(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_autostart_does_not_hide_an_exception(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(_: Supervisor) -> None:
         raise ZeroDivisionError("of the test")
 
@@ -264,7 +264,7 @@ def test_a_node_that_starts_by_itself_does_not_hide_an_exception(monkeypatch: py
         Rig()
 
 
-def test_a_link_that_refuses_its_parameters_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_refused_link_parameters_leave_no_resources(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuses(*_: object) -> None:
         raise ParameterError("parameter telemetry: too much")
 

@@ -1,4 +1,4 @@
-"""The link on a real pty with a fake board at its other end: telemetry, jobs, the end."""
+"""The link on a real pty with a fake board: telemetry, jobs, close."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.realtime
 
 
 # ---- telemetry ----------------------------------------------------------------------------------------------------
-def test_samples_come_with_growing_ticks(connected: Watcher, fake_board: FakeServo) -> None:
+def test_samples_have_increasing_ticks(connected: Watcher, fake_board: FakeServo) -> None:
     connected.wait_samples(20)
     ticks = [sample.tick for sample in connected.samples]
     assert ticks == sorted(set(ticks))
@@ -81,7 +81,7 @@ def test_a_job_does_not_wait_for_a_slow_telemetry(fake_port: FakePort, start_lin
 
 
 # ---- jobs ---------------------------------------------------------------------------------------------------------
-def test_a_write_arrives_and_its_effect_is_seen(connected: Watcher, fake_board: FakeServo) -> None:
+def test_effect_of_a_write_is_in_the_telemetry(connected: Watcher, fake_board: FakeServo) -> None:
     connected.wait_samples(1)
     count = connected.samples[-1].applied_count
     assert count is not None
@@ -104,7 +104,7 @@ def test_raw_write_read_and_command(connected: Watcher, fake_board: FakeServo) -
     assert connected.link.run_command(1).result(TIMEOUT) == 0x42
 
 
-def test_nonsense_is_refused_before_anything_is_sent(connected: Watcher, fake_board: FakeServo) -> None:
+def test_invalid_requests_are_refused_without_sending(connected: Watcher, fake_board: FakeServo) -> None:
     for name, values, first in (
         ("cmd.speed", [1e6], 0),
         ("cmd.speed", [float("nan")], 0),
@@ -125,7 +125,7 @@ def test_reading_an_unknown_variable(connected: Watcher) -> None:
         connected.link.read("no.such")
 
 
-def test_a_refusal_of_the_board_does_not_break_the_link(connected: Watcher, fake_board: FakeServo) -> None:
+def test_refusal_of_the_board_keeps_the_link(connected: Watcher, fake_board: FakeServo) -> None:
     row = next(e for e in fake_board.tables[0] if e.name == "cmd.enable")
     row.kind = RO
     with pytest.raises(StatusError, match="access denied"):
@@ -203,7 +203,7 @@ def test_the_port_is_free_after_closing(fake_port: FakePort, connected: Watcher,
 
 # ---- configuration ------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("names", [("no.such",), ("snapshot",)])
-def test_telemetry_that_cannot_be(names: tuple[str, ...]) -> None:
+def test_invalid_telemetry_is_refused(names: tuple[str, ...]) -> None:
     with pytest.raises(ValueError, match=names[0]):
         Watcher("/dev/null", telemetry=names)
 
@@ -212,6 +212,6 @@ def test_telemetry_that_cannot_be(names: tuple[str, ...]) -> None:
     "options",
     [{"baud": 0}, {"rate": -1.0}, {"latency": 0.0}, {"lost_after": 0}, {"queue_limit": 0}, {"backoff_min": 0.0}],
 )
-def test_configuration_that_makes_no_sense(options: dict[str, float]) -> None:
+def test_invalid_configuration_is_refused(options: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="positive"):
         LinkConfig("/dev/null", **options)  # type: ignore[arg-type]

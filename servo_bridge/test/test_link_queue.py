@@ -41,7 +41,7 @@ def test_urgent_before_writes_before_reads_each_in_order(queue: JobQueue) -> Non
     assert drain(queue) == ["u1", "u2", "w1", "w2", "r1"]
 
 
-def test_the_latest_set_point_wins_and_stays_behind_what_came_between(queue: JobQueue) -> None:
+def test_latest_set_point_replaces_the_previous_one_and_keeps_the_order(queue: JobQueue) -> None:
     old, new = job("position"), job("position")
     queue.put(old, latest_wins=True)
     queue.put(job("mode"))
@@ -64,7 +64,7 @@ def test_a_full_queue_refuses_at_once(queue: JobQueue) -> None:
     assert drain(queue) == ["u", "0", "1", "2", "3"]
 
 
-def test_closing_fails_what_waits_and_what_comes(queue: JobQueue) -> None:
+def test_close_fails_pending_and_later_jobs(queue: JobQueue) -> None:
     waiting, late = job("a"), job("b")
     queue.put(waiting)
     queue.close("the cable is out")
@@ -86,7 +86,7 @@ def test_dropping_set_points_spares_urgent_writes_and_reads(queue: JobQueue) -> 
     assert drain(queue) == ["u", "r"]
 
 
-def test_taking_waits_for_a_job_or_to_be_woken(queue: JobQueue) -> None:
+def test_take_waits_for_a_job_or_a_wake_up(queue: JobQueue) -> None:
     start = time.monotonic()
     assert queue.take(0.02) is None
     assert time.monotonic() - start >= 0.02

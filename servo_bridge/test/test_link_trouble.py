@@ -1,4 +1,4 @@
-"""The link on a real pty and what goes wrong with boards, ports and lines."""
+"""The link on a real pty with failures of boards, ports and lines."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_the_port_is_waited_for(tmp_path: Path, fake_board: FakeServo, start_lin
         watcher.link.close()
 
 
-def test_the_port_vanishes_and_returns(fake_port: FakePort, connected: Watcher, fake_board: FakeServo) -> None:
+def test_port_disappears_and_returns(fake_port: FakePort, connected: Watcher, fake_board: FakeServo) -> None:
     connected.link.write("cmd.enable", [1.0, 1.0]).result(TIMEOUT)
     fake_port.unplug()
     gone = time.monotonic()
@@ -46,7 +46,7 @@ def test_the_port_vanishes_and_returns(fake_port: FakePort, connected: Watcher, 
     assert connected.samples[-1].epoch == 0, "the board has run on"
 
 
-def test_a_board_that_falls_silent(fake_port: FakePort, connected: Watcher, fake_board: FakeServo) -> None:
+def test_board_stops_answering(fake_port: FakePort, connected: Watcher, fake_board: FakeServo) -> None:
     connected.wait_samples(1)
     fake_port.silent = True
     begin = time.monotonic()
@@ -94,7 +94,7 @@ def test_a_board_of_another_version_gets_no_command(
     assert "flash the firmware" in status.remedy
     with pytest.raises(LinkDownError, match="another table of variables"):
         watcher.link.write("cmd.enable", [1.0, 1.0]).result(TIMEOUT)
-    # The right firmware is flashed while the program runs.
+    # The correct firmware is flashed while the program runs.
     fake_board.put("catalogue_hash", CATALOGUE.hash)
     watcher.wait_state(LinkState.CONNECTED)
     assert fake_board.written == []
@@ -128,7 +128,7 @@ def test_a_board_is_stopped_at_every_connection_before_anything_else(connected: 
         assert requests[2][1] == bytes([CATALOGUE.bits["command"]["QUICK_STOP"]])
 
 
-def test_a_reset_that_only_the_lost_set_up_betrays(connected: Watcher, fake_board: FakeServo) -> None:
+def test_reset_is_detected_by_the_lost_scope_set_up(connected: Watcher, fake_board: FakeServo) -> None:
     connected.wait_samples(5)
     fake_board.scope = []
     connected.wait(lambda: connected.states[-1].state is LinkState.CONNECTED and connected.samples[-1].epoch == 1)
@@ -152,7 +152,7 @@ def test_a_reset_while_disconnected_starts_a_new_epoch(
     assert connected.samples[-1].epoch == epoch + 1
 
 
-def test_a_control_loop_that_stands_still(connected: Watcher, fake_board: FakeServo) -> None:
+def test_stopped_control_loop_is_reported(connected: Watcher, fake_board: FakeServo) -> None:
     frozen = fake_board.ticks()
     fake_board.ticks = lambda: frozen
     status = connected.wait_state(LinkState.FAILED)
@@ -161,7 +161,7 @@ def test_a_control_loop_that_stands_still(connected: Watcher, fake_board: FakeSe
     connected.wait_state(LinkState.CONNECTED)
 
 
-def test_a_noisy_line_is_endured(fake_port: FakePort, connected: Watcher) -> None:
+def test_noisy_line_keeps_the_link(fake_port: FakePort, connected: Watcher) -> None:
     count = 0
 
     def damage(answer: bytes) -> bytes:
@@ -178,7 +178,7 @@ def test_a_noisy_line_is_endured(fake_port: FakePort, connected: Watcher) -> Non
     assert [s.state for s in connected.states] == [LinkState.CONNECTING, LinkState.CONNECTED]
 
 
-def test_a_lost_answer_is_no_lost_link(fake_port: FakePort, connected: Watcher) -> None:
+def test_lost_answer_keeps_the_link(fake_port: FakePort, connected: Watcher) -> None:
     lost: list[bytes] = []
 
     def lose_one(answer: bytes) -> bytes:
@@ -193,7 +193,7 @@ def test_a_lost_answer_is_no_lost_link(fake_port: FakePort, connected: Watcher) 
     assert [s.state for s in connected.states] == [LinkState.CONNECTING, LinkState.CONNECTED]
 
 
-def test_a_command_without_answer_is_not_repeated_and_costs_no_link(
+def test_command_without_answer_is_not_repeated_and_keeps_the_link(
     fake_port: FakePort, connected: Watcher, fake_board: FakeServo
 ) -> None:
     fake_port.mangle = lambda answer: b"" if fake_board.requests[-1][0] == 0x30 else answer
@@ -208,7 +208,7 @@ def test_a_command_without_answer_is_not_repeated_and_costs_no_link(
     assert [s.state for s in connected.states] == [LinkState.CONNECTING, LinkState.CONNECTED]
 
 
-def test_lost_bytes_are_endured(fake_port: FakePort, connected: Watcher, fake_board: FakeServo) -> None:
+def test_lost_bytes_keep_the_link(fake_port: FakePort, connected: Watcher, fake_board: FakeServo) -> None:
     count = 0
 
     def lose(answer: bytes) -> bytes:

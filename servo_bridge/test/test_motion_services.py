@@ -1,4 +1,4 @@
-"""What the services do, without ROS: order of stop and enable, answers, second looks at faults."""
+"""Motion services without ROS: order of stop and enable, answers, checks of faults."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STOPPED = AxisStatus("STOP", spinning=False)
 
 
 class Rig:
-    """Services on a real arbiter and dispatcher; `sample` plays the board."""
+    """Services with a real arbiter and dispatcher; `sample` models the board."""
 
     def __init__(self) -> None:
         self.sent: list[CommandWrite] = []
@@ -45,12 +45,12 @@ class Rig:
         return self
 
     def done(self, **state: tuple[int, int]) -> None:
-        """The board takes the newest write and shows its effect."""
+        """Apply the last write and deliver a sample with its effect."""
         self.dispatcher.acknowledged(self.sent[-1], None)
         self.sample(applied=True, **state)
 
 
-def test_enable_opens_the_gate_when_it_took_effect_and_not_before() -> None:
+def test_enable_accepts_set_points_after_its_effect() -> None:
     rig = Rig().connected()
     answer = rig.services.enable(True)
     rig.dispatcher.acknowledged(rig.sent[-1], None)
@@ -73,7 +73,7 @@ def test_enable_answers_when_a_set_point_would_pass() -> None:
     assert answer.result(0) == (True, "both axes are enabled; set-points are accepted")
 
 
-def test_enable_does_not_wait_for_ever() -> None:
+def test_enable_times_out() -> None:
     rig = Rig().connected()
     answer = rig.services.enable(True)
     rig.dispatcher.acknowledged(rig.sent[-1], None)
@@ -85,7 +85,7 @@ def test_enable_does_not_wait_for_ever() -> None:
     assert "enabling in progress: axis1 is in RUN/SPIN, axis2 is in STOP; set-points are accepted when armed is" in text
 
 
-def test_enable_says_what_the_inputs_hold_back() -> None:
+def test_enable_reports_inputs_that_prevent_it() -> None:
     rig = Rig().connected()
     current, inputs = (CATALOGUE.flag("limits", name) for name in ("CURRENT", "INPUT"))
     rig.values = {"axis1.limits": float(current.mask), "axis2.limits": float(inputs.mask)}
@@ -101,7 +101,7 @@ def test_enable_says_what_the_inputs_hold_back() -> None:
 
 
 @pytest.mark.parametrize("end", ["fault", "stop", "link"])
-def test_enable_answers_at_once_when_nothing_comes_of_it(end: str) -> None:
+def test_enable_answers_at_once_if_it_is_impossible(end: str) -> None:
     rig = Rig().connected()
     answer = rig.services.enable(True)
     rig.dispatcher.acknowledged(rig.sent[-1], None)
@@ -120,7 +120,7 @@ def test_enable_answers_at_once_when_nothing_comes_of_it(end: str) -> None:
 
 
 @pytest.mark.parametrize("stop", ["disable", "quick_stop"])
-def test_a_stop_that_came_later_keeps_the_gate_shut(stop: str) -> None:
+def test_later_stop_prevents_set_points(stop: str) -> None:
     rig = Rig().connected()
     enable = rig.services.enable(True)
     halt = rig.services.quick_stop() if stop == "quick_stop" else rig.services.enable(False)
@@ -135,7 +135,7 @@ def test_a_stop_that_came_later_keeps_the_gate_shut(stop: str) -> None:
     assert not rig.arbiter.armed
 
 
-def test_a_stop_shuts_the_gate_at_once() -> None:
+def test_stop_refuses_set_points_at_once() -> None:
     rig = Rig().connected()
     rig.services.enable(True)
     rig.done()
@@ -152,7 +152,7 @@ def test_a_refused_write_is_the_answer() -> None:
     assert not rig.arbiter.armed
 
 
-def test_clear_faults_looks_again_after_the_effect() -> None:
+def test_clear_faults_checks_the_faults_after_its_effect() -> None:
     rig = Rig().connected()
     answer = rig.services.clear_faults()
     rig.done(faults=(0, 0))
@@ -179,7 +179,7 @@ def test_a_lost_link_answers_every_caller() -> None:
         assert "not connected: pulled" in answer.result(0)[1]
 
 
-def test_a_lost_link_answers_the_second_look() -> None:
+def test_link_loss_answers_a_pending_fault_check() -> None:
     rig = Rig().connected()
     answer = rig.services.clear_faults()
     rig.done()
@@ -198,7 +198,7 @@ def test_enable_in_fault_needs_no_write() -> None:
 
 @pytest.mark.parametrize("axes", [(SPINNING, STOPPED), (SPINNING, SPINNING)])
 def test_axes_that_spin_when_the_link_comes_up_are_reported_once(axes: tuple[AxisStatus, AxisStatus]) -> None:
-    """The link has stopped them before it has identified the board."""
+    """The link stops them before it identifies the board."""
     rig = Rig().connected(*axes)
     rig.sample(*axes)
     assert rig.events == ["the board was enabled at the connection and has been stopped; call enable to continue"]
@@ -209,7 +209,7 @@ def test_axes_that_spin_when_the_link_comes_up_are_reported_once(axes: tuple[Axi
     assert rig.sent == []
 
 
-def test_resting_axes_are_left_alone_when_the_link_comes_up() -> None:
+def test_axes_at_rest_are_not_stopped_at_the_connection() -> None:
     rig = Rig().connected(STOPPED, AxisStatus("RUN/ALIGN", spinning=False))
     rig.sample()
     assert rig.sent == []

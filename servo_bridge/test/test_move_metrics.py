@@ -1,4 +1,4 @@
-"""Measurement of moves on signals whose figures are known in closed form."""
+"""Figures of moves for signals with a closed-form solution."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_overshoot_of_a_damped_oscillation(direction: float) -> None:
     assert 0.2 < figures.settling_time < 0.4
 
 
-def test_a_move_that_stops_short() -> None:
+def test_move_that_stops_short_has_not_arrived() -> None:
     figures = measure_move(TIME, np.full_like(TIME, 0.99), 1.0, 1e-3)
     assert not figures.arrived
     assert figures.settling_time is None
@@ -49,7 +49,7 @@ def test_a_disturbance_after_arrival_counts() -> None:
     assert figures.arrived
 
 
-def test_leaving_the_band_at_the_end_is_no_arrival() -> None:
+def test_leaving_the_band_at_the_end_is_not_an_arrival() -> None:
     position = np.ones_like(TIME)
     position[-1] = 1.1
     assert not measure_move(TIME, position, 1.0, 1e-3).arrived
@@ -76,7 +76,7 @@ def test_rms_is_the_root_of_the_mean_square() -> None:
     assert rms(np.array([3.0, -4.0])) == pytest.approx(math.sqrt(12.5))
 
 
-def test_series_that_do_not_fit_are_refused() -> None:
+def test_series_of_different_length_are_refused() -> None:
     with pytest.raises(ValueError, match="two samples"):
         measure_move(TIME[:1], TIME[:1], 1.0, 0.1)
     with pytest.raises(ValueError, match="equal length"):

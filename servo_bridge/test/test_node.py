@@ -1,4 +1,4 @@
-"""The node under real rclpy: topics, services, trouble. The link is driven by the test."""
+"""The node under real rclpy with a fake link: topics, services, failures."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def rig() -> Iterator[Rig]:
 
 
 def writes(rig: Rig, count: int) -> list[Any]:
-    """Give samples until so many writes have been sent."""
+    """Deliver samples until `count` writes have been sent."""
 
     def sent() -> bool:
         rig.link.sample()
@@ -54,7 +54,7 @@ def writes(rig: Rig, count: int) -> list[Any]:
 
 # ---- telemetry
 def test_joint_states_are_si_and_stamped_with_board_time(rig: Rig) -> None:
-    rig.up()
+    rig.connect()
     rig.until(lambda: rig.messages[topics.PARAMETERS])
     rig.link.values.update({"axis1.position": 4000, "axis2.speed": CATALOGUE["axis2.speed"].to_raw(100.0)})
     rig.link.values["axis2.i_q"] = CATALOGUE["axis2.i_q"].to_raw(2.0)
@@ -89,7 +89,7 @@ def test_stamps_grow_while_simulated_time_goes_at_half_speed() -> None:
                 rig.link.sample(periods=320)
             return len(sent) > 150
 
-        rig.up()
+        rig.connect()
         rig.until(step, 30.0)
         stamps = [from_stamp(m.header.stamp) for m in rig.messages[topics.JOINT_STATES][5:]]
         assert len(stamps) > 50
@@ -98,11 +98,11 @@ def test_stamps_grow_while_simulated_time_goes_at_half_speed() -> None:
 
 
 def test_every_sample_is_in_the_snapshots_exactly_once(rig: Rig) -> None:
-    rig.up()
+    rig.connect()
     for _ in range(100):
         rig.link.sample()
     last = rig.link.tick
-    rig.link.lose()  # the rest of the last batch goes out
+    rig.link.disconnect()  # publishes the rest of the last batch
     rig.until(lambda: rig.snapshots() and rig.snapshots()[-1]["tick"] == last)
     ticks = [row["tick"] for row in rig.snapshots()]
     assert ticks == [last - 16 * k for k in range(len(ticks))][::-1]
@@ -114,9 +114,9 @@ def test_every_sample_is_in_the_snapshots_exactly_once(rig: Rig) -> None:
     assert stamps == [(stamp.sec, stamp.nanosec) for stamp in headers]
 
 
-def test_positions_go_on_past_32_bits(rig: Rig) -> None:
+def test_positions_are_unwrapped_beyond_32_bits(rig: Rig) -> None:
     rig.link.values["axis1.position"] = 2**31 - 10
-    rig.up()
+    rig.connect()
     rig.link.values["axis1.position"] = -(2**31) + 10
     rig.link.sample()
     rig.until(lambda: len(rig.messages[topics.JOINT_STATES]) >= 2)
@@ -126,7 +126,7 @@ def test_positions_go_on_past_32_bits(rig: Rig) -> None:
 
 def test_joint_states_rate_is_a_ceiling() -> None:
     with Rig(joint_states_rate=100.0, snapshot_period=0.0) as rig:
-        rig.up()
+        rig.connect()
         for _ in range(100):
             rig.link.sample(periods=32)  # 500 samples per second of board time
         rig.until(lambda: len(rig.messages[topics.SNAPSHOT]) >= 101)
@@ -141,7 +141,7 @@ def test_variables_come_from_the_sample_or_are_read() -> None:
         rig.until(lambda: rig.user.count_publishers("var/param/host_timeout"))
         assert rig.user.count_publishers("var/cmd/position/axis2") == 1
         rig.link.values["axis1.i_q"] = CATALOGUE["axis1.i_q"].to_raw(1.0)
-        rig.up()
+        rig.connect()
         rig.until(lambda: values and rig.messages["var/axis1/i_q"])
         assert rig.messages["var/axis1/i_q"][-1].data == pytest.approx(1.0, abs=1e-3)
         assert values[-1] == 1.5
@@ -151,23 +151,23 @@ def test_variables_come_from_the_sample_or_are_read() -> None:
 def test_state_and_armed_follow_the_board(rig: Rig) -> None:
     assert rig.state().startswith("DISCONNECTED ")
     assert not rig.armed()
-    rig.up(STOP, SPIN)
+    rig.connect(STOP, SPIN)
     assert rig.state() == "axis1=STOP axis2=RUN/SPIN"
     assert rig.enable(True)[0]
     assert not rig.armed()
-    rig.link.axes(SPIN, SPIN)
+    rig.link.set_states(SPIN, SPIN)
     rig.link.sample()
     rig.until(lambda: rig.armed() and rig.state() == "axis1=RUN/SPIN axis2=RUN/SPIN")
     for _ in range(5):
         rig.link.sample()
-    rig.settle()
+    rig.wait_for_pending()
     assert [m.data for m in rig.messages[topics.ARMED]] == [False, True]
     assert len(rig.messages[topics.STATE]) == len({m.data for m in rig.messages[topics.STATE]})
 
 
 # ---- set-points
-def test_a_joint_command_goes_to_both_axes_in_one_write_and_its_tick_is_told(rig: Rig) -> None:
-    rig.ready()
+def test_joint_command_is_one_write_to_both_axes_and_reports_its_tick(rig: Rig) -> None:
+    rig.enable_axes()
     rig.joint_commands.publish(JointState(name=["axis2", "axis1"], position=[TURN, -TURN]))
     assert writes(rig, 2) == [("cmd.mode", 0, (0, 0)), ("cmd.position", 0, (-4000, 4000))]
     rig.link.sample()
@@ -178,7 +178,7 @@ def test_a_joint_command_goes_to_both_axes_in_one_write_and_its_tick_is_told(rig
 
 
 def test_commands_array_and_single_position(rig: Rig) -> None:
-    rig.ready()
+    rig.enable_axes()
     rig.commands.publish(Float64MultiArray(data=[TURN, TURN]))
     writes(rig, 2)
     rig.position.publish(Float64(data=2 * TURN))
@@ -186,45 +186,45 @@ def test_commands_array_and_single_position(rig: Rig) -> None:
 
 
 def test_effort_uses_the_torque_constant_of_the_board(rig: Rig) -> None:
-    rig.ready()
+    rig.enable_axes()
     rig.joint_commands.publish(JointState(name=["axis1", "axis2"], effort=[0.04, 0.05]))
     raw = CATALOGUE["cmd.i_q"].to_raw(1.0)
     assert writes(rig, 2)[1] == ("cmd.i_q", 0, (raw, raw))
 
 
 @pytest.mark.parametrize(("field", "variable"), [("velocity", "cmd.speed"), ("effort", "cmd.i_q")])
-def test_the_same_message_again_renews_the_set_point_and_silence_writes_nothing(
+def test_repeated_message_renews_the_set_point_and_nothing_is_written_without_messages(
     rig: Rig, field: str, variable: str
 ) -> None:
-    rig.ready()
+    rig.enable_axes()
     message = JointState(name=["axis1", "axis2"])
     setattr(message, field, [0.05, 0.05])
-    for count in (2, 3, 4):  # the mode first
+    for count in (2, 3, 4):  # the mode is written first
         rig.joint_commands.publish(message)
         assert writes(rig, count)[-1] == rig.link.written[1]
     assert [name for name, _, _ in rig.link.written] == ["cmd.mode"] + 3 * [variable]
     end = time.monotonic() + 0.7
     rig.until(lambda: time.monotonic() > end)
-    rig.settle()
+    rig.wait_for_pending()
     assert len(rig.link.written) == 4
 
 
-def test_a_set_point_that_expires_is_told_once_with_the_time_of_the_board(rig: Rig) -> None:
+def test_expired_set_point_is_logged_once_with_board_time(rig: Rig) -> None:
     expired = CATALOGUE.flag("limits", "EXPIRED").mask
     rig.link.parameters["param.command_timeout"] = [CATALOGUE["param.command_timeout"].to_raw(0.25)]
-    rig.ready()
+    rig.enable_axes()
     rig.until(lambda: rig.messages[topics.PARAMETERS])
     for limits in (0, 1, expired, expired | 1, expired, 0, expired):
         rig.link.values["axis2.limits"] = limits
         rig.link.sample()
     text = "axis2: no velocity or effort set-point for 0.25 s; the axis stops"
     rig.until(lambda: rig.logs().count(text) == 2)
-    rig.settle()
+    rig.wait_for_pending()
     assert rig.logs().count(text) == 2
     assert "EXPIRED" in rig.diagnosis("axis2").message
 
 
-WRONG = [  # what its form can be: test_set_points.py
+WRONG = [  # all invalid forms: test_set_points.py
     (JointState(name=["elbow"], position=[1.0]), "joint 'elbow' does not exist; the joints are axis1, axis2"),
     (JointState(name=["axis1"], effort=[1.0], velocity=[1.0]), "a velocity and an effort, but no position"),
     (JointState(name=["axis1"], position=[1e9]), "outside -1.68663e+06 .. 1.68663e+06 rad"),
@@ -233,55 +233,55 @@ WRONG = [  # what its form can be: test_set_points.py
 ]
 
 
-def test_every_wrong_joint_command_is_named_and_moves_nothing(rig: Rig) -> None:
-    rig.ready()
+def test_invalid_joint_commands_are_refused_with_their_reason(rig: Rig) -> None:
+    rig.enable_axes()
     for message, sentence in WRONG:
         seen = len(rig.rejections())
         rig.joint_commands.publish(message)
         rig.until_rejected(seen)
         assert "rejected, no motion: joint_commands: " in rig.rejections()[-1]
         assert sentence in rig.rejections()[-1]
-    rig.settle()
+    rig.wait_for_pending()
     assert rig.link.written == []
 
 
-def test_wrong_arrays_move_nothing(rig: Rig) -> None:
-    rig.ready()
+def test_invalid_arrays_are_refused(rig: Rig) -> None:
+    rig.enable_axes()
     for data in ([], [1.0], [math.nan, 0.0], [1e9, 0.0]):
         seen = len(rig.rejections())
         rig.commands.publish(Float64MultiArray(data=data))
         rig.until_rejected(seen)
         assert "commands: " in rig.rejections()[-1]
-    rig.settle()
+    rig.wait_for_pending()
     assert rig.link.written == []
 
 
 def test_set_points_before_enable_are_refused(rig: Rig) -> None:
-    rig.up(SPIN, SPIN)
+    rig.connect(SPIN, SPIN)
     rig.position.publish(Float64(data=1.0))
     rig.until(rig.rejections)
     assert "axis2/position: the outputs have not been enabled" in rig.rejections()[0]
-    rig.settle()
+    rig.wait_for_pending()
     assert rig.link.written == []
 
 
 def test_a_stream_of_wrong_commands_does_not_flood_the_log(rig: Rig) -> None:
-    rig.ready()
+    rig.enable_axes()
     for k in range(60):
         name = f"joint{k}"
         rig.joint_commands.publish(JointState(name=[name], position=[0.0]))
-        rig.until(partial(rig.was_rejected, name))  # the queue of the topic takes ten
+        rig.until(partial(rig.was_rejected, name))  # depth of the topic
     status = rig.diagnosis("commands")
     assert status.level == b"\x01"
     assert "rejected: joint_commands: joint 'joint59'" in status.message
-    rig.commands.publish(Float64MultiArray(data=[0.0] * 9))  # throttled by itself, and logged after all others
+    rig.commands.publish(Float64MultiArray(data=[0.0] * 9))  # has its own throttle, logged after all others
     rig.until(lambda: any("commands: 9 values" in text for text in rig.rejections()))
     assert 20 <= sum("'joint" in text for text in rig.rejections()) <= 30
 
 
 # ---- services
 def test_enable_writes_and_answers_when_it_took_effect(rig: Rig) -> None:
-    rig.up()
+    rig.connect()
     success, text = rig.enable(True)
     assert success
     assert "axis1 is in STOP, axis2 is in STOP; set-points are accepted when armed is true" in text
@@ -291,8 +291,8 @@ def test_enable_writes_and_answers_when_it_took_effect(rig: Rig) -> None:
     assert rig.link.written[1:] == [("cmd.enable", 0, (0, 0))]
 
 
-def test_services_say_why_there_is_no_link(rig: Rig) -> None:
-    rig.link.lose(reason="nothing answers", remedy="check the cable")
+def test_services_report_the_reason_of_a_missing_link(rig: Rig) -> None:
+    rig.link.disconnect(reason="nothing answers", remedy="check the cable")
     rig.until(lambda: "nothing answers" in rig.state())
     for answer in (rig.enable(True), rig.enable(False), rig.quick_stop(), rig.clear_faults()):
         assert not answer[0]
@@ -301,7 +301,7 @@ def test_services_say_why_there_is_no_link(rig: Rig) -> None:
 
 def test_enable_is_refused_in_fault_with_cause_and_remedy(rig: Rig) -> None:
     rig.link.values["axis2.faults"] = 0b10
-    rig.up(STOP, FAULT)
+    rig.connect(STOP, FAULT)
     success, text = rig.enable(True)
     assert not success
     assert "axis2: UNDER_VOLTAGE: " in text
@@ -310,7 +310,7 @@ def test_enable_is_refused_in_fault_with_cause_and_remedy(rig: Rig) -> None:
 
 
 def test_quick_stop_blocks_set_points_until_enable(rig: Rig) -> None:
-    rig.ready()
+    rig.enable_axes()
     assert rig.quick_stop()[0]
     assert rig.link.written == [("cmd.quick_stop", 0, (1, 1))]
     rig.until(lambda: not rig.armed())
@@ -323,9 +323,9 @@ def test_quick_stop_blocks_set_points_until_enable(rig: Rig) -> None:
     assert [w[0] for w in writes(rig, 4)] == ["cmd.quick_stop", "cmd.enable", "cmd.mode", "cmd.position"]
 
 
-def test_clear_faults_tells_what_is_still_there(rig: Rig) -> None:
+def test_clear_faults_reports_remaining_faults(rig: Rig) -> None:
     rig.link.values["axis1.faults"] = 0b10
-    rig.up(FAULT, STOP)
+    rig.connect(FAULT, STOP)
     success, text = rig.clear_faults()
     assert not success
     assert "not cleared, the cause persists: axis1: UNDER_VOLTAGE" in text
@@ -334,36 +334,36 @@ def test_clear_faults_tells_what_is_still_there(rig: Rig) -> None:
     assert rig.link.written == [("cmd.clear_faults", 0, (1, 1))] * 2
 
 
-def test_a_waiting_service_stops_nothing_else_and_a_lost_link_answers_it(rig: Rig) -> None:
-    rig.up()
-    rig.link.deaf = True
+def test_pending_service_does_not_block_others_and_link_loss_answers_it(rig: Rig) -> None:
+    rig.connect()
+    rig.link.ignores_writes = True
     enable = rig.enable_client.call_async(SetBool.Request(data=True))
     rig.until(lambda: rig.link.written)
     seen = len(rig.messages[topics.JOINT_STATES])
     for _ in range(20):
         rig.link.sample()
     rig.until(lambda: len(rig.messages[topics.JOINT_STATES]) >= seen + 20)
-    rig.settle()
+    rig.wait_for_pending()
     assert not enable.done()
-    rig.link.lose(reason="pulled")
+    rig.link.disconnect(reason="pulled")
     rig.until(enable.done)
     assert (enable.result().success, enable.result().message) == (False, "pulled")
 
 
 # ---- a lost link
-def test_link_loss_throws_set_points_away_and_nothing_rearms(rig: Rig) -> None:
-    rig.ready()
-    rig.link.deaf = True
+def test_link_loss_discards_set_points_and_needs_a_new_enable(rig: Rig) -> None:
+    rig.enable_axes()
+    rig.link.ignores_writes = True
     rig.commands.publish(Float64MultiArray(data=[1.0, 1.0]))
     rig.until(lambda: rig.link.written)
     rig.link.written.clear()
-    rig.link.lose(reason="port vanished")
+    rig.link.disconnect(reason="port vanished")
     rig.until(lambda: rig.state() == "DISCONNECTED port vanished; plug it in" and not rig.armed())
     rig.commands.publish(Float64MultiArray(data=[2.0, 2.0]))
     rig.until(rig.rejections)
     assert "not connected (port vanished)" in rig.rejections()[0]
-    rig.link.deaf = False
-    rig.up(SPIN, SPIN)
+    rig.link.ignores_writes = False
+    rig.connect(SPIN, SPIN)
     for _ in range(10):
         rig.link.sample()
     rig.commands.publish(Float64MultiArray(data=[3.0, 3.0]))
@@ -376,12 +376,12 @@ def test_link_loss_throws_set_points_away_and_nothing_rearms(rig: Rig) -> None:
 
 
 def test_every_change_of_the_link_is_one_line_and_an_error_in_diagnostics(rig: Rig) -> None:
-    rig.up()
-    rig.link.figures = LinkStatistics(sample_rate=128.0)
+    rig.connect()
+    rig.link.link_statistics = LinkStatistics(sample_rate=128.0)
     assert (rig.diagnosis("link").level, rig.diagnosis("link").message) == (b"\x00", "128 samples/s")
-    rig.link.figures = LinkStatistics(sample_rate=128.0, crc_errors=3)
+    rig.link.link_statistics = LinkStatistics(sample_rate=128.0, crc_errors=3)
     assert rig.diagnosis("link").message == "in the last second: 3 crc errors"
-    rig.link.lose(LinkState.FAILED, "another table of variables", "flash the firmware of this release")
+    rig.link.disconnect(LinkState.FAILED, "another table of variables", "flash the firmware of this release")
     rig.until(lambda: rig.state().startswith("DISCONNECTED"))
     link = rig.diagnosis("link")
     assert (link.level, link.message) == (b"\x02", "another table of variables; flash the firmware of this release")
@@ -394,7 +394,7 @@ def test_every_change_of_the_link_is_one_line_and_an_error_in_diagnostics(rig: R
 
 def test_late_loops_of_the_board_are_a_warning_without_being_in_the_telemetry(rig: Rig) -> None:
     rig.link.values["late_loops"] = rig.link.values["receiver_overruns"] = 7
-    rig.up()
+    rig.connect()
     rig.until(lambda: {v.key: v.value for v in rig.diagnosis("board").values}["late loops"] == "7")
     rig.link.values["late_loops"] = 9
     rig.until(lambda: rig.diagnosis("board").message == "in the last second: 2 late loops")
@@ -413,7 +413,7 @@ def test_a_hot_winding_is_a_warning_and_its_temperature_a_topic(rig: Rig) -> Non
     rig.link.parameters["param.i_q_limit"] = [CATALOGUE["param.i_q_limit"].to_raw(4.0)] * 2
     for axis, celsius, current in (("axis1", 115.0, 3.0), ("axis2", 80.0, 8.25)):
         rig.link.values |= {f"{axis}.winding_temperature": celsius, f"{axis}.winding_current": current}  # type: ignore[dict-item]
-    rig.up()
+    rig.connect()
     rig.until(lambda: rig.diagnosis("axis1").level == b"\x01")
     assert "hot winding: current limit derated to 75 %" in rig.diagnosis("axis1").message
     assert rig.diagnosis("axis2").level == b"\x00"
@@ -422,8 +422,8 @@ def test_a_hot_winding_is_a_warning_and_its_temperature_a_topic(rig: Rig) -> Non
 
 
 def test_faults_are_logged_once_and_shown(rig: Rig) -> None:
-    rig.up()
-    rig.link.axes(FAULT, STOP)
+    rig.connect()
+    rig.link.set_states(FAULT, STOP)
     rig.link.values["axis1.faults"] = 0b101
     for _ in range(5):
         rig.link.sample()
@@ -433,15 +433,15 @@ def test_faults_are_logged_once_and_shown(rig: Rig) -> None:
     assert axis.message.startswith("OVER_VOLTAGE: ")
     assert "OVER_CURRENT" in axis.message
     rig.until(lambda: len(rig.logs(40)) >= 2)
-    rig.settle()
+    rig.wait_for_pending()
     assert len(rig.logs(40)) == 2
     assert all(text.startswith("axis1: OVER_") for text in rig.logs(40))
 
 
-def test_a_board_reset_starts_time_and_positions_anew(rig: Rig) -> None:
+def test_board_reset_restarts_time_and_positions(rig: Rig) -> None:
     rig.link.tick = 16_000 * 3600
     rig.link.values["axis1.position"] = 2**31 - 1
-    rig.up()
+    rig.connect()
     rig.link.sample()  # waits for its snapshot message
     rig.link.epoch, rig.link.tick, rig.link.values["axis1.position"] = 1, 0, -(2**31)
     for _ in range(3):
@@ -450,7 +450,7 @@ def test_a_board_reset_starts_time_and_positions_anew(rig: Rig) -> None:
     newest = rig.messages[topics.JOINT_STATES][-1]
     assert newest.position[0] < 0.0
     assert abs(from_stamp(newest.header.stamp) - time.time_ns()) < 60e9
-    rig.link.lose()
+    rig.link.disconnect()
     rig.until(lambda: len(rig.snapshots()) >= 5)
     for message in rig.messages[topics.SNAPSHOT]:
         names, table = snapshot_table(message)
@@ -475,27 +475,27 @@ def test_a_board_reset_starts_time_and_positions_anew(rig: Rig) -> None:
         ({"port": ""}, "parameter port is empty"),
     ],
 )
-def test_senseless_parameters_are_named(parameters: dict[str, Any], sentence: str) -> None:
+def test_invalid_parameters_are_reported(parameters: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ParameterError) as caught, Rig(**parameters):
         pass
     assert sentence in str(caught.value)
 
 
 def test_a_bridge_that_failed_to_start_leaves_the_log_of_the_next_one_working() -> None:
-    """What is left of it may be collected at any time, while the next one of its name is at work."""
+    """Its remains may be collected at any time while the next node of the same name runs."""
     with pytest.raises(ParameterError) as refused, Rig(joints=["one"]):
         pass
     with Rig() as rig:
         del refused
         gc.collect()
-        rig.ready()
+        rig.enable_axes()
         rig.commands.publish(Float64MultiArray(data=[1.0]))
         rig.until(rig.rejections)
 
 
 def test_joint_names_reach_topics_and_messages() -> None:
     with Rig(joints=["pan", "axis2"], variables=["axis1.i_q", "cmd.position"]) as rig:
-        rig.up()
+        rig.connect()
         assert rig.state() == "pan=STOP axis2=STOP"
         assert rig.user.count_subscribers("pan/position") == 1
         for name in ("var/pan/i_q", "var/cmd/position/pan", "var/cmd/position/axis2"):
@@ -519,7 +519,7 @@ def test_a_geared_joint_is_in_its_units_on_ros_and_in_those_of_the_motor_on_the_
         rig.link.values |= {"axis1.position": counts, "axis2.position": counts}
         for name, amount in (("speed", 20.0), ("i_q", 0.5)):
             rig.link.values[f"axis1.{name}"] = CATALOGUE[f"axis1.{name}"].to_raw(amount)
-        rig.ready()
+        rig.enable_axes()
         states = rig.messages[topics.JOINT_STATES]
         rig.until(lambda: states and len(states[-1].effort) == 2)
         arm = next(iter(zip(states[-1].position, states[-1].velocity, states[-1].effort, strict=True)))
@@ -555,12 +555,12 @@ def test_the_description_has_the_joints_and_follows_their_limits() -> None:
         rig.until(lambda: joints_of(messages[-1].data)[0].limits.position_max == 1.5)
         assert rig.set_parameter("preferred_source", "commands")[0]
         assert not rig.set_parameter("gear_ratio", [20.0, 1.0])[0]
-        rig.settle()
+        rig.wait_for_pending()
         assert len(messages) == 2
 
 
 def test_limits_change_at_run_time_and_the_port_does_not(rig: Rig) -> None:
-    rig.ready()
+    rig.enable_axes()
     change = rig.set_parameter
     assert change("position_max", [1.0, 1.0])[0]
     rig.commands.publish(Float64MultiArray(data=[0.0, 1.5]))
@@ -577,23 +577,23 @@ def value(name: str, raw: int) -> float:
     return float(CATALOGUE[name].scale(raw))
 
 
-def test_the_parameters_of_the_board_are_told_at_every_connection(rig: Rig) -> None:
-    rig.up()
+def test_parameters_of_the_board_are_published_at_every_connection(rig: Rig) -> None:
+    rig.connect()
     rig.until(lambda: rig.parameters() == rig.link.parameters)
     assert rig.diagnosis("parameters").message == "as requested"
-    rig.link.lose()
+    rig.link.disconnect()
     rig.link.parameters["param.features"] = [7, 8]
-    rig.up()
+    rig.connect()
     rig.until(lambda: rig.parameters() == rig.link.parameters)
     values = {pair.key: pair.value for pair in rig.diagnosis("parameters").values}
     assert values["param.features"] == "7, 8 (ANTI_WINDUP+ENHANCED_MT+BUS_COMPENSATION, DEAD_TIME)"
     assert not [name for name, _, _ in rig.link.written if name.startswith("param.")]
 
 
-def test_wanted_parameters_are_written_at_the_connection_and_when_they_change() -> None:
+def test_requested_parameters_are_written_at_the_connection_and_when_they_change() -> None:
     with Rig(board_parameters=["param.features[1]=DEAD_TIME+FRICTION", "param.i_q_limit=1.0,1.5"]) as rig:
         before = rig.link.parameters["param.features"][0]
-        rig.up()
+        rig.connect()
         rig.until(lambda: rig.parameters() and rig.parameters()["param.features"] == [before, 0b11000])
         limits = [value("param.i_q_limit", raw) for raw in rig.parameters()["param.i_q_limit"]]
         assert limits == pytest.approx([1.0, 1.5], abs=1e-3)
@@ -602,8 +602,8 @@ def test_wanted_parameters_are_written_at_the_connection_and_when_they_change() 
         assert rig.set_parameter("board_parameters", ["param.features[0]=FRICTION"])[0]
         rig.until(lambda: rig.parameters()["param.features"] == [0b10000, 0b11000])
         rig.link.parameters["param.features"] = [0, 0]
-        rig.link.lose()
-        rig.up()
+        rig.link.disconnect()
+        rig.connect()
         rig.until(lambda: rig.parameters()["param.features"] == [0b10000, 0])
 
 
@@ -623,7 +623,7 @@ def test_wanted_parameters_are_written_at_the_connection_and_when_they_change() 
 def test_parameters_that_do_not_fit_are_refused_with_the_reason(rig: Rig, texts: list[str], reason: str) -> None:
     one = CATALOGUE["param.position_max"].to_raw(1.0)
     rig.link.parameters["param.position_max"] = [one, one]
-    rig.up()
+    rig.connect()
     rig.until(rig.parameters)
     done, text = rig.set_parameter("board_parameters", texts)
     assert not done
@@ -632,36 +632,36 @@ def test_parameters_that_do_not_fit_are_refused_with_the_reason(rig: Rig, texts:
     assert not [name for name, _, _ in rig.link.written if name.startswith("param.")]
 
 
-def test_wanted_parameters_that_the_board_cannot_have_are_trouble() -> None:
+def test_requested_parameters_that_the_board_refuses_are_an_error() -> None:
     with Rig(board_parameters=["param.position_min[0]=2"]) as rig:
         rig.link.parameters["param.position_max"] = [0, 0]
-        rig.up()
+        rig.connect()
         rig.until(lambda: any("no motion would be possible" in text for text in rig.logs()))
         assert rig.parameters() == rig.link.parameters
         status = rig.diagnosis("parameters")
         assert (status.level, "no motion would be possible" in status.message) == (b"\x01", True)
-        rig.link.stubborn = "param.features"
+        rig.link.rejected_parameter = "param.features"
         assert rig.set_parameter("board_parameters", ["param.features[0]=FRICTION"])[0]
         rig.until(lambda: any("the board has another value" in text for text in rig.logs()))
 
 
-def test_parameters_that_make_no_sense_keep_the_bridge_from_starting() -> None:
+def test_invalid_board_parameters_prevent_the_start() -> None:
     with pytest.raises(ParameterError, match="FOO"):
         Rig(board_parameters=["param.features[0]=FOO"])
 
 
 # ---- end
-def test_shutdown_switches_off_and_says_so(rig: Rig) -> None:
-    rig.ready()
+def test_shutdown_disables_the_axes_and_logs_it(rig: Rig) -> None:
+    rig.enable_axes()
     link: FakeLink = rig.link
     rig.bridge.shutdown()
-    assert [(name, list(values)) for name, values in link.final] == [("cmd.enable", [0.0, 0.0])]
+    assert [(name, list(values)) for name, values in link.final_writes] == [("cmd.enable", [0.0, 0.0])]
     rig.until(lambda: rig.state() == "DISCONNECTED the bridge was stopped" and not rig.armed())
 
 
 # ---- two sources
 def test_two_sources_are_named_in_log_and_diagnostics_and_one_can_have_precedence(rig: Rig) -> None:
-    rig.ready()
+    rig.enable_axes()
     other = Node("teleop", context=rig.context)
     velocity = other.create_publisher(JointState, "/servo/joint_commands", command_qos())
     try:

@@ -1,4 +1,4 @@
-"""Parameters: the YAML file, the declared ones and their descriptors say the same."""
+"""Parameters: YAML file, declarations and descriptors agree."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ DEFAULTS = {name: spec.default for name, spec in PARAMETERS.items()}
 
 
 def test_the_file_has_a_comment_to_every_parameter() -> None:
-    """Its values: tests/test_node_start.py."""
+    """For the values see tests/test_node_start.py."""
     lines = FILE.read_text(encoding="utf-8").splitlines()
     for name in PARAMETERS:
         number = next(k for k, line in enumerate(lines) if line.startswith(f"    {name}:"))
         assert lines[number - 1].lstrip().startswith("#") or lines[number - 1].startswith("    position_min"), name
 
 
-def test_the_file_names_what_a_configured_node_does_not_take() -> None:
+def test_file_marks_read_only_parameters() -> None:
     blocks = re.split(r"\n(?=    #)", FILE.read_text(encoding="utf-8"))
     for name, spec in PARAMETERS.items():
         block = next(b for b in blocks if re.search(rf"^    {name}:", b, re.MULTILINE))
         assert ("Read-only." in block) == spec.read_only, name
 
 
-def test_descriptors_carry_text_range_and_access() -> None:
+def test_descriptors_have_text_range_and_access() -> None:
     for name, spec in PARAMETERS.items():
         descriptor = spec.descriptor()
         assert len(descriptor.description) > 10, name
@@ -42,7 +42,7 @@ def test_descriptors_carry_text_range_and_access() -> None:
     assert PARAMETERS["variable_rate"].descriptor().floating_point_range[0].from_value == 0.1
 
 
-def test_defaults_make_sense_and_reach_the_settings() -> None:
+def test_defaults_are_valid_and_used_in_the_settings() -> None:
     settings = settings_from(DEFAULTS, CATALOGUE)
     assert settings.names == ["axis1", "axis2"]
     assert settings.joints[1] == Joint("axis2", limits=JointLimits(velocity_max=419.0, effort_max=1.0))

@@ -1,4 +1,4 @@
-"""Figures of a path from samples of two shafts that follow it."""
+"""Figures of a path from samples of two shafts."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ TIME = np.arange(0.0, 4.3, 0.005)
 
 
 def places(*starts: float) -> NDArray[np.float64]:
-    """Both joints on the path, begun at times of their own, in whole counts."""
+    """Positions of both joints on the path with separate starts, rounded to counts."""
     columns = [PATH.state(TIME - start).position[:, k] for k, start in enumerate(starts)]
     return np.round(np.column_stack(columns) / COUNT) * COUNT
 
 
 def measured(first: int, second: int, lag: float = 0.0, guess: float = 0.0) -> PathFigures:
-    """Joints that begin at these ticks; the shafts are late by a lag [s]."""
+    """Figures of joints with start ticks and a lag of the shafts [s]."""
     return measure_path(
         TIME, places(first * TICK + lag, second * TICK + lag), places(first * TICK, second * TICK), PATH, guess
     )
@@ -45,7 +45,7 @@ def test_a_late_shaft_is_a_following_error_of_its_speed(guess: float) -> None:
     assert figures.end_error == pytest.approx((0.0, 0.0), abs=COUNT)
 
 
-def test_samples_that_do_not_hold_the_path_are_named() -> None:
+def test_samples_without_the_path_are_reported() -> None:
     with pytest.raises(ValueError, match="do not contain the path from"):
         measure_path(TIME[:700], places(0.04, 0.04)[:700], places(0.04, 0.04)[:700], PATH, 0.0)
     with pytest.raises(ValueError, match="shape"):

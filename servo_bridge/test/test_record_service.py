@@ -48,11 +48,11 @@ def rig() -> Iterator[Rig]:
         rig.listen(topics.RECORDER, Float64MultiArray, latched_qos())
         rig.record_client = rig.user.create_client(SetBool, topics.RECORD)  # type: ignore[attr-defined]
         rig.until(rig.record_client.service_is_ready)  # type: ignore[attr-defined]
-        rig.up(STOP, STOP)
+        rig.connect(STOP, STOP)
         rig.link.session = connect(client_on(FakeTransport(fed)), CATALOGUE)
         rig.link.tick = FIRST_TICK + 100_000
         rig.link.sample()
-        rig.settle()
+        rig.wait_for_pending()
         yield rig
 
 
@@ -79,9 +79,7 @@ def test_a_burst_is_published_with_its_ticks_and_stamps(rig: Rig) -> None:
     assert now - stamps[-1] == pytest.approx(age, abs=5.0)
 
 
-def test_what_is_recorded_is_said_before_the_recorder_starts_and_taken_back(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_recorder_set_up_is_published_before_the_start_and_withdrawn(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     done: list[object] = []
     begin = Recording._begin
 
@@ -105,7 +103,7 @@ def test_what_is_recorded_is_said_before_the_recorder_starts_and_taken_back(
     assert [setup_from_message(message) for message in rig.messages[topics.RECORDER]] == [None, setup, None]
 
 
-def test_a_burst_whose_trigger_does_not_come_is_ended_by_the_service(rig: Rig) -> None:
+def test_recording_without_trigger_is_ended_by_the_service(rig: Rig) -> None:
     assert rig.set_parameter("recording", "axis1.i_q --trigger 'axis1.i_q > 3' --points 50")[0]
     assert record(rig, False) == (False, "no recording in progress; call record with data: true first")
     assert record(rig, True)[0]
@@ -125,7 +123,7 @@ def test_a_burst_whose_trigger_does_not_come_is_ended_by_the_service(rig: Rig) -
         ("axis1.i_q --slow", "no recorder 1"),
     ],
 )
-def test_what_the_board_cannot_record_is_answered(rig: Rig, options: str, said: str) -> None:
+def test_impossible_recording_is_refused_with_a_reason(rig: Rig, options: str, said: str) -> None:
     assert rig.set_parameter("recording", options)[0]
     success, message = record(rig, True)
     assert not success
@@ -134,7 +132,7 @@ def test_what_the_board_cannot_record_is_answered(rig: Rig, options: str, said: 
 
 
 @pytest.mark.parametrize("options", ["", "axis1.i_q --fast --slow", "axis1.i_q --level", "x 'y", "--before 130% x"])
-def test_options_that_make_no_sense_are_no_parameter(rig: Rig, options: str) -> None:
+def test_invalid_options_are_refused_as_parameter(rig: Rig, options: str) -> None:
     success, reason = rig.set_parameter("recording", options)
     assert not success
     assert "parameter recording: " in reason
@@ -143,7 +141,7 @@ def test_options_that_make_no_sense_are_no_parameter(rig: Rig, options: str) -> 
 def test_a_lost_link_ends_a_recording(rig: Rig) -> None:
     assert rig.set_parameter("recording", "axis1.i_q --trigger 'axis1.i_q > 3'")[0]
     assert record(rig, True)[0]
-    rig.link.lose()
+    rig.link.disconnect()
     rig.until(lambda: rig.warnings("the recording has failed: the link to the board was lost"))
     rig.link.session = None
     assert record(rig, True) == (False, "no link")

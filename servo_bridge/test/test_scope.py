@@ -79,7 +79,7 @@ def test_reader_delivers_new_samples_only() -> None:
     assert following.tick == 848
 
 
-def test_reader_notices_a_clock_that_started_again() -> None:
+def test_reader_detects_a_reset_clock() -> None:
     bench = Bench()
     bench.tick = 100_000_000
     bench.reader.first()
@@ -88,7 +88,7 @@ def test_reader_notices_a_clock_that_started_again() -> None:
         bench.reader.next()
 
 
-def test_reader_notices_a_lost_set_up() -> None:
+def test_reader_detects_a_lost_set_up() -> None:
     bench = Bench()
     epoch = bench.reader.first().epoch
     bench.board.restart()
@@ -98,7 +98,7 @@ def test_reader_notices_a_lost_set_up() -> None:
 
 
 @pytest.mark.parametrize("from_start", [True, False])
-def test_reader_notices_a_clock_that_stands_still(from_start: bool) -> None:
+def test_reader_detects_a_stopped_clock(from_start: bool) -> None:
     bench = Bench()
     if not from_start:
         bench.reader.first()
@@ -109,7 +109,7 @@ def test_reader_notices_a_clock_that_stands_still(from_start: bool) -> None:
     assert bench.transport.now - before < 1_100_000_000
 
 
-def test_reader_passes_refusals_on() -> None:
+def test_reader_forwards_refusals() -> None:
     bench = Bench()
     bench.reader.first()
     bench.board.scopes = 0

@@ -43,7 +43,7 @@ def pty() -> Iterator[Pty]:
     pair.hang_up()
 
 
-def test_bytes_go_both_ways(pty: Pty) -> None:
+def test_bytes_pass_in_both_directions(pty: Pty) -> None:
     with SerialPort(pty.path, 115_200) as port:
         port.write(b"+\x20\x00\x0d\x0a\x11\x13\x7f\xff")
         assert os.read(pty.master, 100) == b"+\x20\x00\x0d\x0a\x11\x13\x7f\xff"
@@ -63,13 +63,13 @@ def test_reading_ends_at_the_deadline(pty: Pty) -> None:
         assert time.monotonic() - start < 0.05
 
 
-def test_what_waits_is_read_even_after_the_deadline(pty: Pty) -> None:
+def test_buffered_bytes_are_read_after_the_deadline(pty: Pty) -> None:
     with SerialPort(pty.path, 115_200) as port:
         os.write(pty.master, b"late")
         assert port.read(0) == b"late"
 
 
-def test_a_port_that_vanishes(pty: Pty) -> None:
+def test_removed_port_is_reported(pty: Pty) -> None:
     with SerialPort(pty.path, 115_200) as port:
         pty.hang_up()
         with pytest.raises(TransportError, match=r"the port /dev/pts/\d+ is lost"):
@@ -78,7 +78,7 @@ def test_a_port_that_vanishes(pty: Pty) -> None:
             port.write(b"x")
 
 
-def test_a_port_that_vanishes_while_it_is_read(pty: Pty) -> None:
+def test_port_removed_during_a_read_is_reported(pty: Pty) -> None:
     with SerialPort(pty.path, 115_200) as port:
         caught: list[BaseException] = []
 
@@ -95,30 +95,30 @@ def test_a_port_that_vanishes_while_it_is_read(pty: Pty) -> None:
         assert caught
 
 
-def test_a_port_that_takes_no_bytes(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_port_that_accepts_no_bytes_times_out(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(serial_port, "_WRITE_LIMIT_NS", 50_000_000)
     with SerialPort(pty.path, 115_200) as port, pytest.raises(TransportError, match="accepts no more bytes"):
         port.write(bytes(1 << 20))
 
 
-def test_old_input_is_thrown_away_when_opening(pty: Pty) -> None:
+def test_old_input_is_discarded_when_opening(pty: Pty) -> None:
     os.write(pty.master, b"old\n")
     with SerialPort(pty.path, 115_200) as port:
         assert port.read(soon(0.05)) == b""
 
 
 def age(link: Path) -> None:
-    """A minute older than now."""
+    """Set the age of a link to one minute."""
     then = time.time() - 60.0
     os.utime(link, (then, then), follow_symlinks=False)
 
 
-def test_a_change_of_mode_is_no_new_terminal(pty: Pty, tmp_path: Path) -> None:
+def test_mode_change_does_not_look_like_a_new_terminal(pty: Pty, tmp_path: Path) -> None:
     link = tmp_path / "board"
     link.symlink_to(pty.path)
-    born = os.stat(pty.path).st_mtime
-    os.utime(pty.path, (born - 60.0, born - 60.0))  # as if it had been made then; changes the third of its times
-    then = born - 59.0
+    created = os.stat(pty.path).st_mtime
+    os.utime(pty.path, (created - 60.0, created - 60.0))  # simulates an older terminal; also sets the change time
+    then = created - 59.0
     os.utime(link, (then, then), follow_symlinks=False)
     os.chmod(pty.path, 0o620)
     with SerialPort(str(link), 115_200):
@@ -134,7 +134,7 @@ def test_a_link_that_is_older_than_its_terminal_is_not_followed(pty: Pty, tmp_pa
     outer = tmp_path / "servo"
     outer.symlink_to("board")
     age(outer)
-    with SerialPort(str(outer), 115_200):  # made once and for all
+    with SerialPort(str(outer), 115_200):  # created once
         pass
     age(link)
     for path in (link, outer):
@@ -202,27 +202,27 @@ USER = 4321
 def test_a_port_without_permission_is_named_with_its_remedy(
     pty: Pty, monkeypatch: pytest.MonkeyPatch, mode: int, owner: int, group: int, remedy: str
 ) -> None:
-    """Tests may run as root, whom nothing is forbidden: what the system says is made up."""
+    """With a faked error of the system, as tests may run as root."""
 
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    def look(_: str) -> os.stat_result:
+    def fake_stat(_: str) -> os.stat_result:
         return os.stat_result((stat.S_IFCHR | mode, 0, 0, 1, owner, group, 0, 0, 0, 0))
 
     names = {0: "root", 20: "dialout"}
-    with monkeypatch.context() as made_up:
-        made_up.setattr(serial, "serial_for_url", refuse)
-        made_up.setattr(serial_port, "_refuse_stale_link", lambda _: None)
-        made_up.setattr(os, "stat", look)
-        made_up.setattr(os, "geteuid", lambda: USER)
-        made_up.setattr(grp, "getgrgid", lambda number: SimpleNamespace(gr_name=names[number]))
+    with monkeypatch.context() as patched:
+        patched.setattr(serial, "serial_for_url", refuse)
+        patched.setattr(serial_port, "_refuse_stale_link", lambda _: None)
+        patched.setattr(os, "stat", fake_stat)
+        patched.setattr(os, "geteuid", lambda: USER)
+        patched.setattr(grp, "getgrgid", lambda number: SimpleNamespace(gr_name=names[number]))
         with pytest.raises(PortError, match=rf"no permission for .*{remedy}"):
             SerialPort(pty.path, 115_200)
 
 
 @pytest.mark.parametrize("url", ["nonsense://x", "socket://"])
-def test_urls_that_are_none(url: str) -> None:
+def test_invalid_urls_are_refused(url: str) -> None:
     with pytest.raises(PortError):
         SerialPort(url, 115_200)
 
@@ -260,7 +260,7 @@ def test_loop_port_without_descriptor() -> None:
 
 # ---- low latency --------------------------------------------------------------------------------------------------
 class FakeSerial(serial.Serial):
-    """Never opened; only its class and its low-latency mode matter."""
+    """Fake port with a low-latency mode; it is not opened."""
 
     flag = True
 

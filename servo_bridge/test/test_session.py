@@ -17,7 +17,7 @@ def entry(board: FakeServo, name: str) -> FakeEntry:
     return next(e for e in board.tables[0] if e.name == name)
 
 
-def test_our_board_is_understood() -> None:
+def test_board_with_the_same_catalogue() -> None:
     board = FakeServo()
     board.put("axis1.position", 4000)
     session = session_on(board)
@@ -57,7 +57,7 @@ def test_writes_that_are_refused_send_nothing(name: str, values: list[float], fi
     assert board.written == []
 
 
-def test_a_board_of_another_version() -> None:
+def test_board_of_another_version_is_refused() -> None:
     board = FakeServo()
     board.put("catalogue_hash", CATALOGUE.hash ^ 1)
     mismatch = session_on(board).mismatch
@@ -67,7 +67,7 @@ def test_a_board_of_another_version() -> None:
     assert not mismatch.stranger
 
 
-def test_a_strange_board_is_read_by_its_own_types() -> None:
+def test_board_with_another_catalogue_is_read_by_its_own_types() -> None:
     target = FakeTarget(
         tables=[[FakeEntry("gain", b"\xf4:3.12", 0x1000, 2, RW), FakeEntry("n", b"\xe1", 0x1002, 2, RO)]]
     )

@@ -1,4 +1,4 @@
-"""Form of incoming commands: every way to get it wrong has its own sentence."""
+"""Form of incoming commands: each error has its own message."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_the_filled_array_chooses_the_mode(field: str, mode: Mode) -> None:
     assert (request.mode, dict(request.values)) == (mode, {0: 1.0, 1: 2.0})
 
 
-def test_one_joint_leaves_the_other_alone() -> None:
+def test_set_point_of_one_joint_does_not_affect_the_other() -> None:
     assert joint_command(["axis2"], position=[3.0]) == {1: JointSetPoint(3.0)}
     assert joint_command(["axis1", "axis2"], position=[math.nan, 3.0]) == {1: JointSetPoint(3.0)}
     assert joint_command(["axis1", "axis2"], position=[math.nan] * 2, velocity=[math.nan] * 2) == {}
@@ -59,7 +59,7 @@ def test_joints_of_different_modes() -> None:
     ]
 
 
-def test_arrays_that_some_joints_are_not_in() -> None:
+def test_arrays_with_values_of_some_joints() -> None:
     interfaces = {"axis1": {"position"}, "axis2": {"velocity"}}
     points = joint_command(["axis1", "axis2"], interfaces, position=[1.0], velocity=[5.0])
     assert points == {0: JointSetPoint(1.0), 1: JointSetPoint(None, 5.0)}
@@ -67,7 +67,7 @@ def test_arrays_that_some_joints_are_not_in() -> None:
         joint_command(["axis1", "axis2"], interfaces, position=[1.0, 2.0])
 
 
-def test_repeats_of_what_came_before_enabling() -> None:
+def test_set_points_repeated_from_before_enable() -> None:
     repeats = RepeatedSetPoints(pause=1.0)
     zero, one = {0: JointSetPoint(0.0), 1: JointSetPoint(0.0, 0.0)}, {0: JointSetPoint(0.0), 1: JointSetPoint(1.0, 0.0)}
     assert repeats.without_repeats(0.0, zero) == zero
@@ -79,7 +79,7 @@ def test_repeats_of_what_came_before_enabling() -> None:
     assert repeats.without_repeats(5.2, zero) == zero, "after a pause it is meant"
 
 
-def test_a_velocity_that_is_held_counts_as_soon_as_the_axes_obey() -> None:
+def test_constant_velocity_is_accepted_after_enable() -> None:
     repeats = RepeatedSetPoints(pause=1.0)
     held = {0: JointSetPoint(velocity=50.0)}
     repeats.refused(1.0, held)
@@ -124,7 +124,7 @@ def test_wrong_array_lengths(data: list[float]) -> None:
         from_array("commands", JOINTS, data)
 
 
-def test_no_number_in_array_or_single() -> None:
+def test_nan_and_infinity_are_refused() -> None:
     with pytest.raises(Rejected, match="position of axis1 is inf"):
         from_array("commands", JOINTS, [math.inf, 0.0])
     with pytest.raises(Rejected, match="axis2/position: position is nan"):

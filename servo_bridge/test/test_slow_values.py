@@ -1,4 +1,4 @@
-"""Values read beside the telemetry, and the log of what is new in a sample."""
+"""Values that are read in addition to the telemetry, and the log of changes in a sample."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EXPIRED = CATALOGUE.flag("limits", "EXPIRED").mask
 
 
 class Reads:
-    """Reads that end when `answer` is called."""
+    """Pending reads that `answer` completes."""
 
     def __init__(self) -> None:
         self.waiting: list[tuple[str, Future[Value]]] = []
@@ -36,7 +36,7 @@ class Reads:
         self.motors += 1
 
     def answer(self, **values: float) -> None:
-        """End the reads that wait, in their order, by the last part of the name; an unknown one fails."""
+        """Complete the pending reads in order, by the last part of the name; unknown names fail."""
         waiting, self.waiting = self.waiting, []
         for name, future in waiting:
             value = values.get(name.split(".")[-1])
@@ -74,7 +74,7 @@ def test_counters_are_not_read_twice_at_a_time() -> None:
     assert len(reads.waiting) == under_way
 
 
-def test_answers_of_a_lost_link_are_not_taken() -> None:
+def test_answers_of_a_lost_link_are_ignored() -> None:
     reads = Reads()
     reads.values.read_motors()
     reads.values.link_lost()
@@ -86,7 +86,7 @@ def snapshot(faults: tuple[int, int] = (0, 0), limits: int = 0) -> Snapshot:
     return Snapshot(16, 0, 0, {"axis1.limits": float(limits)}, 16, 0, (), faults)
 
 
-def test_a_fault_is_told_once() -> None:
+def test_fault_is_logged_once() -> None:
     events = SnapshotEvents(CATALOGUE, ["arm", "hand"])
     [sentence] = events.faults(None, snapshot((0, FAULT.mask)))
     assert sentence.startswith("hand: ")
@@ -94,7 +94,7 @@ def test_a_fault_is_told_once() -> None:
     assert events.faults(snapshot((0, FAULT.mask)), snapshot((0, FAULT.mask))) == []
 
 
-def test_an_expired_set_point_is_told_once_with_the_time_out_once_it_is_known() -> None:
+def test_expired_set_point_is_logged_once_with_the_known_timeout() -> None:
     events = SnapshotEvents(CATALOGUE, ["arm", "hand"])
     timeout = CATALOGUE["param.command_timeout"]
     [sentence] = events.expired(

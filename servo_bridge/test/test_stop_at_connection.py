@@ -1,4 +1,4 @@
-"""The first contact with a board, in simulated time: stopped before anything else, and its host never silent."""
+"""The first contact with a board, in simulated time: quick stop first, then keep-alives during the discovery."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from servo_bridge.wire.session import connect
 from servo_bridge.wire.stop_at_connection import KEEP_ALIVE_PERIOD, stopped_at_connection
 
 HOST_TIMEOUT_NS = 500_000_000
-BYTES_MAX = 300  # of the longest exchange, request and answer with their escapes
+BYTES_MAX = 300  # of the longest exchange, request and answer with escape bytes
 
 
 class Wire:
-    """A servo board at the end of a line that takes its time."""
+    """A servo board on a line with a finite speed."""
 
     def __init__(self, baud: int = 115_200) -> None:
         self.byte_ns = 10_000_000_000 // baud
-        self.lose: Callable[[int], bool] = lambda _: False  # whose answers are lost, by command
+        self.lose: Callable[[int], bool] = lambda _: False  # True for commands whose answers are lost
         self.transport = FakeTransport(self._answer)
         self.board = FakeServo(clock=self.transport.clock)
         self.client = client_on(self.transport, baud=baud)
@@ -39,10 +39,10 @@ class Wire:
 
 
 def application_commands(board: FakeServo) -> list[str]:
-    return [name for _, name in board.signs]
+    return [name for _, name in board.host_signals]
 
 
-def test_the_stop_comes_before_everything_that_needs_an_address() -> None:
+def test_stop_is_sent_before_the_variable_table_is_read() -> None:
     wire = Wire()
     with stopped_at_connection(wire.client, CATALOGUE):
         pass
@@ -66,11 +66,11 @@ def test_another_device_gets_no_command() -> None:
 def test_a_client_that_only_reads_stops_nothing() -> None:
     wire = Wire()
     assert connect(wire.client, CATALOGUE).mismatch is None
-    assert wire.board.signs == []
+    assert wire.board.host_signals == []
 
 
 @pytest.mark.parametrize("baud", [19_200, 115_200])
-def test_a_board_that_holds_does_not_miss_its_host_while_it_is_discovered(baud: int) -> None:
+def test_no_host_timeout_during_discovery(baud: int) -> None:
     wire = Wire(baud)
     opened = wire.transport.clock()
     with stopped_at_connection(wire.client, CATALOGUE):
@@ -80,16 +80,16 @@ def test_a_board_that_holds_does_not_miss_its_host_while_it_is_discovered(baud: 
         assert wire.transport.clock() - begin > HOST_TIMEOUT_NS
     assert application_commands(wire.board)[0] == "QUICK_STOP"
     assert set(application_commands(wire.board)[1:]) == {"KEEP_ALIVE"}
-    assert wire.board.silence_ns < KEEP_ALIVE_PERIOD * 1e9 + 2 * BYTES_MAX * wire.byte_ns < HOST_TIMEOUT_NS
+    assert wire.board.host_silence_ns < KEEP_ALIVE_PERIOD * 1e9 + 2 * BYTES_MAX * wire.byte_ns < HOST_TIMEOUT_NS
 
 
 def test_keep_alives_end_with_the_block() -> None:
     wire = Wire()
     with stopped_at_connection(wire.client, CATALOGUE):
         connect(wire.client, CATALOGUE)
-    known = len(wire.board.signs)
+    known = len(wire.board.host_signals)
     connect(wire.client, CATALOGUE)
-    assert len(wire.board.signs) == known
+    assert len(wire.board.host_signals) == known
 
 
 def test_keep_alives_without_an_answer_are_no_error() -> None:
@@ -98,7 +98,7 @@ def test_keep_alives_without_an_answer_are_no_error() -> None:
         wire.lose = lambda command: command == Command.SENDAPPCMD
         assert connect(wire.client, CATALOGUE).mismatch is None
     assert application_commands(wire.board).count("KEEP_ALIVE") > 1
-    assert wire.board.silence_ns < HOST_TIMEOUT_NS
+    assert wire.board.host_silence_ns < HOST_TIMEOUT_NS
 
 
 def test_a_stop_without_an_answer_ends_the_attempt() -> None:
@@ -109,8 +109,8 @@ def test_a_stop_without_an_answer_ends_the_attempt() -> None:
     assert wire.client.before_exchange is None
 
 
-def test_a_command_that_its_sender_has_left_behind_does_not_keep_the_stop_out() -> None:
-    """The board runs a command when its result is asked for; a host that dies before leaves it pending."""
+def test_pending_command_of_another_host_does_not_prevent_the_stop() -> None:
+    """The board runs a command when its result is requested; a host that ends before leaves it pending."""
     wire = Wire()
     Client(wire.client.line).exchange(send_command(CATALOGUE.bits["command"]["KEEP_ALIVE"]))
     with stopped_at_connection(wire.client, CATALOGUE):

@@ -1,4 +1,4 @@
-"""Samples to snapshots: 64-bit positions, states, and which variables a sample has to carry."""
+"""Samples to snapshots: 64-bit positions, states, required variables."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def wrapped(counts: int) -> int:
 
 
 @given(st.lists(st.integers(-(2**30), 2**30), max_size=30), st.integers(-(2**31), 2**31 - 1))
-def test_positions_follow_any_way_past_32_bits(steps: list[int], start: int) -> None:
+def test_positions_are_unwrapped_beyond_32_bits(steps: list[int], start: int) -> None:
     telemetry = Telemetry(CATALOGUE, LAYOUT.variables)
     counts = start
     for step in [0, *steps]:
@@ -44,7 +44,7 @@ def test_the_set_point_is_extended_with_the_position() -> None:
     assert snapshot.values["axis1.position_ref"] == top * LSB
 
 
-def test_a_new_epoch_starts_anew() -> None:
+def test_new_epoch_restarts_unwrapping() -> None:
     telemetry = Telemetry(CATALOGUE, LAYOUT.variables)
     telemetry.snapshot(sample(axis1_position=2**31 - 1))
     snapshot = telemetry.snapshot(sample(epoch=1, axis1_position=-(2**31)))
@@ -100,6 +100,6 @@ def test_the_default_telemetry_fits_the_scope_of_the_firmware() -> None:
 
 
 @pytest.mark.parametrize(("name", "text"), [("axis3.position", "no variable"), ("snapshot", "is a block")])
-def test_what_cannot_be_sampled_is_named(name: str, text: str) -> None:
+def test_variables_that_cannot_be_sampled_are_reported(name: str, text: str) -> None:
     with pytest.raises(ValueError, match=text):
         telemetry_variables(CATALOGUE, [name])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from servo_bridge.throttle import Throttle
 
 
-def test_a_burst_passes_then_the_rate_rules() -> None:
+def test_burst_passes_and_then_the_rate_is_limited() -> None:
     throttle = Throttle(burst=3, rate=2.0)
     assert [throttle.admit("a", 0.0) for _ in range(5)] == [0, 0, 0, None, None]
     assert throttle.admit("a", 0.4) is None
@@ -13,7 +13,7 @@ def test_a_burst_passes_then_the_rate_rules() -> None:
     assert throttle.admit("a", 0.6) is None
 
 
-def test_keys_do_not_disturb_each_other_and_rest_refills() -> None:
+def test_keys_are_independent_and_a_pause_refills() -> None:
     throttle = Throttle(burst=1, rate=1.0)
     assert throttle.admit("a", 0.0) == 0
     assert throttle.admit("b", 0.0) == 0

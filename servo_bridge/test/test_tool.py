@@ -1,4 +1,4 @@
-"""servo-tool against fake boards on a real pty."""
+"""servo-tool with fake boards on a real pty."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_reading_a_running_board_does_not_stop_it(
     fake_port: FakePort, fake_board: FakeServo, run: Run, arguments: tuple[str, ...]
 ) -> None:
     assert run(*arguments) == 0
-    assert fake_board.signs == []
+    assert fake_board.host_signals == []
 
 
 def test_vars_lists_the_variables_that_match(fake_port: FakePort, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
@@ -246,7 +246,7 @@ def test_a_value_that_the_board_refuses_is_named_with_its_range(
 def test_load_names_the_value_that_the_board_refuses(
     fake_port: FakePort, run: Run, fake_board: FakeServo, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Positions are the only ones that it can refuse: the tool itself looks at the ranges."""
+    """A position: the tool checks all other ranges itself."""
     file = str(tmp_path / "x.toml")
     assert run("save", file, "--match", "cmd.*") == 0
     fake_board.put("axis1.position", 2**30 + 1)
@@ -255,7 +255,7 @@ def test_load_names_the_value_that_the_board_refuses(
     assert "cmd.position: 0, 0 rad is more than 1.68663e+06 rad away from the shaft" in capsys.readouterr().err
 
 
-def test_set_what_the_board_refuses(
+def test_refusal_of_a_write_is_reported(
     fake_port: FakePort, run: Run, fake_board: FakeServo, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def refuse(address: int, data: bytes) -> None:
@@ -293,7 +293,7 @@ def test_save_change_diff_load(
 def test_a_saved_limit_can_be_loaded_again(
     fake_port: FakePort, run: Run, fake_board: FakeServo, tmp_path: Path
 ) -> None:
-    """A limit rounded to a raw number may lie a hair outside of itself."""
+    """A limit that is rounded to a raw number may be slightly out of its range."""
     for name in ("param.speed_limit", "param.acceleration_limit", "param.i_q_limit", "param.host_timeout"):
         v = CATALOGUE[name]
         raw = [v.to_raw(v.minimum), v.to_raw(v.maximum)][: v.count]
@@ -329,7 +329,7 @@ def test_a_saved_limit_can_be_loaded_again(
         ("[parameters]\n'param.i_q_limit' = [1.0, 1.0]\n'axis1.speed' = 1.0", "can only be read"),
     ],
 )
-def test_files_that_do_not_fit_change_nothing(
+def test_invalid_files_are_refused_without_a_write(
     fake_port: FakePort,
     run: Run,
     fake_board: FakeServo,
@@ -620,7 +620,7 @@ def test_baud_from_the_environment(fake_port: FakePort, run: Run, monkeypatch: p
 # ---- as a process -------------------------------------------------------------------------------------------------
 @contextlib.contextmanager
 def process(*arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """The tool as a process of its own, which does not outlive the test."""
+    """The tool as a process, which is ended with the test."""
     tool_process = subprocess.Popen(
         with_parent_death_signal([sys.executable, "-m", "servo_bridge.tool", *arguments]),
         stdout=subprocess.PIPE,
@@ -632,7 +632,7 @@ def process(*arguments: str) -> Iterator[subprocess.Popen[str]]:
         try:
             yield tool_process
         finally:
-            tool_process.kill()  # or the end of `with` would wait for ever
+            tool_process.kill()  # else the end of `with` would block
 
 
 def test_ctrl_c_ends_a_recording_with_a_complete_file(fake_port: FakePort, tmp_path: Path) -> None:
@@ -649,7 +649,7 @@ def test_ctrl_c_ends_a_recording_with_a_complete_file(fake_port: FakePort, tmp_p
     assert len(file.read_text().splitlines()) == rows + 1
 
 
-def test_a_reader_that_has_seen_enough(fake_port: FakePort) -> None:
+def test_closed_output_pipe_ends_the_tool(fake_port: FakePort) -> None:
     with process("--port", fake_port.path, "watch", "tick", "--rate", "500") as tool_process:
         assert tool_process.stdout is not None
         assert "tick=" in tool_process.stdout.readline()

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.realtime
 
 Run = Callable[..., int]
 MANY = [v.name for v in CATALOGUE.variables.values() if v.size in (2, 4) and v.count == 1][:62]
-TICKS = 400  # of the fast loop per request
+TICKS = 400  # ticks of the fast loop per request
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
 
 @pytest.fixture
 def servo(tmp_path: Path) -> Iterator[FakeServo]:
-    """A board of ours whose current is a sine of 2 A with a period of 100 ticks."""
+    """A servo board whose current is a sine of 2 A with a period of 100 ticks."""
     board = FakeServo(recorder_memory=2048)
     lsb = CATALOGUE["axis1.i_q"].lsb
 
@@ -52,7 +52,7 @@ def servo(tmp_path: Path) -> Iterator[FakeServo]:
 
 
 def connect_ticks(board: FakeTarget, port: FakePort) -> None:
-    """Let the loop run only while there is something to record: the discovery of a board takes many requests."""
+    """Run the loop only after the recorder is started, as the discovery of a board takes many requests."""
     feed = board.feed
 
     def fed(data: bytes) -> bytes:
@@ -133,7 +133,7 @@ def test_a_recording_for_rerun(servo: FakeServo, run: Run, tmp_path: Path) -> No
         (["axis1.i_q", "--fast", "-o", "x.txt"], 2, "must end with one of .csv, .npz"),
     ],
 )
-def test_what_cannot_be_recorded_is_said(
+def test_impossible_recordings_are_reported(
     servo: FakeServo,
     run: Run,
     tmp_path: Path,
@@ -159,7 +159,7 @@ def test_wrong_options_show_the_usage(run: Run, arguments: list[str], capsys: py
     assert "usage: servo-tool" in capsys.readouterr().err
 
 
-def test_info_tells_the_recorder(servo: FakeServo, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_prints_the_recorder(servo: FakeServo, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("info") == 0
     line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("recorder 0"))
     assert line.split(None, 2)[2] == "fast, 2048 bytes, 16000 Hz"

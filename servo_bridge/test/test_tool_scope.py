@@ -27,7 +27,7 @@ def at_the_port(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def curve(path: Path, entity: str) -> tuple[list[float], list[float]]:
-    """Times [s] and values of a curve, as they were written."""
+    """Times [s] and values of a curve of a file."""
     from rerun.chunk import RrdReader
 
     times, values = np.empty(0), np.empty(0)
@@ -39,9 +39,7 @@ def curve(path: Path, entity: str) -> tuple[list[float], list[float]]:
     return times[order].tolist(), values[order].tolist()
 
 
-def test_a_board_of_others_is_shown_by_the_clock_of_the_host(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_foreign_board_is_shown_with_the_clock_of_the_host(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = [FakeEntry("saw", b"\xf5", 0x1000, 2, RO), FakeEntry("count", b"\xe1", 0x1002, 2, RO)]
     target = FakeTargetV3(tables=[rows], recorder_memory=512)
     target.build()
@@ -80,7 +78,7 @@ def test_a_board_of_others_is_shown_by_the_clock_of_the_host(
         (["axis1.i_q", "--connect", "rerun+http://127.0.0.1:9/proxy"], 2, "no rerun viewer at"),
     ],
 )
-def test_what_cannot_be_shown_is_said(
+def test_variables_that_cannot_be_shown_are_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], status: int, text: str
 ) -> None:
     with FakePort(tmp_path / "ttyFAKE", FakeServo(recorder_memory=2048)):

@@ -1,4 +1,4 @@
-"""Limits between the waypoints: exact extrema against dense sampling."""
+"""Limits between waypoints: exact extrema compared with dense sampling."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def random_path(seed: int, *, quintic: bool = False) -> Path:
 
 
 def sampled(path: Path, name: str) -> tuple[Array, Array]:
-    """Times and magnitude, both sides of every breakpoint and of every reversal (Coulomb friction jumps) included."""
+    """Times and magnitude, including both sides of every breakpoint and reversal, where Coulomb friction jumps."""
     inside = [np.linspace(a, b, 4001)[:-1] for a, b in zip(path.times[:-1], path.times[1:], strict=True)]
     t = np.sort(np.concatenate((*inside, path.times[1:] - 1e-12)))
     sign = np.sign(path.continued(t).velocity[:, 0])
@@ -76,7 +76,7 @@ def test_a_path_within_its_waypoints_can_leave_its_limits_between_them() -> None
     assert violation.value == pytest.approx(1.0 + 0.5 * 4 / 27)
 
 
-def test_the_first_violation_of_all_joints_is_told() -> None:
+def test_first_violation_of_all_joints_is_reported() -> None:
     path = path_through(Waypoints.of(["axis1", "axis2"], [3, 4, 5], [[0, 0], [0, 1], [1, 1]]))
     limits = [Limits(velocity_max=0.5), Limits(velocity_max=1.0)]
     with pytest.raises(
@@ -91,7 +91,7 @@ def test_the_first_violation_of_all_joints_is_told() -> None:
 
 
 def test_friction_at_a_turn_and_a_shaft_at_rest() -> None:
-    # Velocity from -1 to 1: Coulomb friction adds to the torque of the acceleration after the turn only.
+    # Velocity from -1 to 1: Coulomb friction adds to the torque of the acceleration only after the reversal.
     turn = path_through(Waypoints.of(["axis1"], [0, 2], [[0], [0]], [[-1], [1]]))
     limits = Limits(torque_max=1.4, inertia=1.0, coulomb=0.5)
     violation = first_violation(turn, [limits])
@@ -110,7 +110,7 @@ def test_a_motion_planned_to_its_limit_passes() -> None:
 @pytest.mark.parametrize(
     "wrong", [{"velocity_max": -1.0}, {"torque_max": math.nan}, {"position_min": 1.0, "position_max": 0.0}]
 )
-def test_limits_that_make_no_sense(wrong: dict[str, float]) -> None:
+def test_invalid_limits_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=r"is nan|not negative|above position_max"):
         Limits(**wrong)
 

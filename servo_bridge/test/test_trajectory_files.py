@@ -1,4 +1,4 @@
-"""Waypoints from files: what is read, and what a mistake is answered with."""
+"""Waypoints from files: valid forms, and messages for errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Paths on their way to the board: when they begin, what is sent when, how one replaces another."""
+"""Follower: start of paths, times of the sent points, replacement of paths."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ SAMPLE = 160  # ticks between two samples
 
 
 class Rig:
-    """A follower whose board takes everything and is where it is meant to be."""
+    """Follower with an ideal board that accepts and follows all points."""
 
     def __init__(self, joints: Sequence[Joint] = DEFAULT_JOINTS) -> None:
         self.refusals: list[str] = []
         self.ends: list[float] = []
         self.sent: list[TimedPoint] = []
-        self.leads: list[int] = []  # of each of them, from the sample before it was sent [PWM periods]
+        self.leads: list[int] = []  # lead of each point after the sample before it was sent [PWM periods]
         self.checked: list[Path] = []
         self.joints = joints
         self.follower = Follower(CATALOGUE, joints, self.checked.append, clock=lambda: self.time)
         self.tick = 8000
-        self.time = 0.0  # of the computer [s]
+        self.time = 0.0  # time of the host [s]
         self.references = [1.0, -2.0]
         self.follows = [True, True]
 
@@ -95,7 +95,7 @@ def test_a_path_begins_from_where_the_axes_hold_and_ends_where_it_says(rig: Rig)
     assert rig.follower.axes == frozenset()
 
 
-def test_a_path_that_takes_long_to_work_out_begins_so_much_later(rig: Rig) -> None:
+def test_start_of_a_path_is_delayed_by_its_computing_time(rig: Rig) -> None:
     def plan(running: Path, now: float) -> Path:
         rig.time += 0.3
         waypoints = Waypoints.of(JOINTS, [now + 0.5], [[2.0, 2.0]])
@@ -110,7 +110,7 @@ def test_a_path_that_takes_long_to_work_out_begins_so_much_later(rig: Rig) -> No
     assert known + rig.time + 0.03 < begin < known + 5.0
 
 
-def test_it_waits_until_the_axes_follow_points_and_hold(rig: Rig) -> None:
+def test_follower_waits_until_the_axes_follow_points_and_hold(rig: Rig) -> None:
     rig.follows = [True, False]
     rig.move([2.0, 2.0])
     rig.sample(5)
@@ -173,8 +173,8 @@ def test_a_path_for_later_waits_for_its_time(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("spacing", [20, 50, 400])
-def test_no_two_points_are_closer_than_the_board_takes_them(spacing: int) -> None:
-    """Wherever the first point of a path falls among those of the path that it replaces."""
+def test_distance_of_points_is_not_below_the_minimum_of_the_board(spacing: int) -> None:
+    """For all positions of the first point among the points of the replaced path."""
 
     def plan(running: Path, now: float) -> Path:
         since = np.arange(1, 60) * spacing * PERIOD
@@ -222,7 +222,7 @@ def test_a_cancelled_axis_gets_no_points_any_more(rig: Rig) -> None:
     assert rig.follower.axes == {1}
 
 
-def test_a_request_that_still_waits_is_told_of_the_next_one_and_of_a_cancellation(rig: Rig) -> None:
+def test_pending_request_is_notified_of_replacement_and_cancellation(rig: Rig) -> None:
     rig.follows = [False, False]
     rig.move([2.0, 2.0])
     rig.move([3.0, 3.0])
@@ -268,7 +268,7 @@ def test_points_of_a_geared_reversed_joint_are_those_of_its_motor() -> None:
     assert points[-1].velocity == 0.0
     assert min(point.velocity for point in points) == pytest.approx(-100.0 * 1.875 * 0.5, rel=1e-2)
     assert points[0].current == pytest.approx(-0.1, abs=1e-3)
-    # As many points as the same motion needs on the motor itself: its tolerance is that of the motor.
+    # As many points as for the same motion of the motor, as the tolerance is that of the motor.
     motor = Rig()
     motor.move([51.0], joints=["axis1"], seconds=1.0)
     motor.sample(150)

@@ -1,4 +1,4 @@
-"""The life of one goal of FollowJointTrajectory, in simulated time."""
+"""States of a goal of FollowJointTrajectory, in simulated time."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def at(position: float) -> State:
     return State(np.array([position]), np.array([0.0]), unknown, unknown)
 
 
-def test_a_goal_waits_for_its_path_and_succeeds_within_its_tolerance() -> None:
+def test_goal_succeeds_at_the_end_of_its_path_within_its_tolerance() -> None:
     subject = goal()
     assert subject.sample(0.0, None, at(9.0)) is Step.NOTHING
     subject.begun(2.0)
@@ -54,7 +54,7 @@ def test_a_joint_that_leaves_its_tolerance_ends_the_goal(time: float, position: 
         (NotReady("not enabled"), ErrorCode.INVALID_GOAL),
     ],
 )
-def test_a_refusal_is_the_result(error: TrajectoryError, code: ErrorCode) -> None:
+def test_refusal_is_the_result_of_the_goal(error: TrajectoryError, code: ErrorCode) -> None:
     subject = goal()
     subject.refused(error)
     assert subject.sample(0.0, None, at(0.0)) is Step.END
@@ -75,7 +75,7 @@ def test_a_cancelled_goal_ends_when_the_joints_have_stopped() -> None:
     assert subject.canceled
 
 
-def test_a_goal_that_is_cancelled_before_it_begins_stops_nothing() -> None:
+def test_cancelling_a_goal_before_its_start_stops_no_joint() -> None:
     subject = goal()
     subject.cancel()
     assert subject.sample(0.5, None, at(0.0)) is Step.WITHDRAW
@@ -94,7 +94,7 @@ def test_a_cancelled_goal_whose_stop_is_refused_is_aborted() -> None:
     assert subject.outcome.text == "axis1 is in FAULT"
 
 
-def test_the_first_reason_stays() -> None:
+def test_first_reason_is_kept() -> None:
     subject = goal()
     subject.begun(2.0)
     subject.abandoned(PREEMPTED)

@@ -1,4 +1,4 @@
-"""Limits of paths: those of the board in joint units, and those of the joints, the tighter ones."""
+"""Limits of paths: the tighter of board (in joint units) and joint."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_limits_of_the_board_go_through_the_gear_and_change_ends() -> None:
     assert wheel.torque_max == pytest.approx(0.08, rel=1e-3)
 
 
-def test_the_tighter_limit_counts() -> None:
+def test_tighter_limit_applies() -> None:
     own = JointLimits(-1.0, 20.0, 5.0, 0.3)
     arm, free = limits(Joint("arm", 10.0, -1, 0.5, own), Joint("free", limits=own))
     assert (arm.position_min, arm.position_max) == pytest.approx((-1.0, 1.5), abs=1e-3)
@@ -45,6 +45,6 @@ def test_the_tighter_limit_counts() -> None:
     assert (free.position_min, free.position_max) == (-1.0, 20.0)
 
 
-def test_the_board_confines_no_position_without_its_feature() -> None:
+def test_no_position_limit_without_the_feature() -> None:
     arm, _ = limits(Joint("arm", 10.0, -1, limits=JointLimits(position_max=7.0)), Joint("wheel"), confined=False)
     assert (arm.position_min, arm.position_max) == (-float("inf"), 7.0)

@@ -1,4 +1,4 @@
-"""Trajectories from messages: what is taken, how it begins, and a sentence for each refusal."""
+"""Trajectories from messages: accepted forms, start, and a message for each refusal."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_stamp_in_the_future_is_waited_for(running: Path) -> None:
     same(path.state(path.start_time), running.state(12.5))
 
 
-def test_a_trajectory_that_has_begun_is_joined() -> None:
+def test_trajectory_with_a_past_start_is_joined() -> None:
     points = [point(t, t, -t, velocities=[1.0, -1.0]) for t in (0.0, 1.0, 2.0, 3.0)]
     path = taken(message(*points, at=8.5), MOVING, may_end_moving=True)
     same(path.state(NOW), MOVING.state(NOW))
@@ -86,7 +86,7 @@ def test_joints_in_any_order_and_some_of_them() -> None:
     assert path.state(NOW).position[0] == 2.0
 
 
-def test_what_points_carry() -> None:
+def test_fields_of_points() -> None:
     both: dict[str, Any] = {"velocities": [1.0, 2.0], "accelerations": [3.0, 4.0], "effort": [0.1, 0.2]}
     path = taken(message(point(1.0, 2.0, 3.0, **both), point(2.0, 2.0, 3.0), point(3.0, 2.0, 3.0)))
     state = path.state(11.0)

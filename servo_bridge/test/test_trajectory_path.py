@@ -1,4 +1,4 @@
-"""Paths through waypoints: exact at the waypoints, as smooth as promised, and joined without a step."""
+"""Paths through waypoints: exact at the waypoints, continuous as specified, joined without a step."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ gaps = st.lists(st.floats(0.01, 3.0), min_size=1, max_size=8)
 
 
 def points(steps: list[float], seed: int, *, velocities: bool = False, accelerations: bool = False) -> Waypoints:
-    """Random waypoints of both joints from time 1 s on."""
+    """Random waypoints of both joints after 1 s."""
     random = np.random.default_rng(seed)
     times = 1.0 + np.concatenate(([0.0], np.cumsum(steps)))
     rows = [random.uniform(-5.0, 5.0, (len(times), 2)) for _ in range(4)]
@@ -167,7 +167,7 @@ def test_wrong_waypoints_are_refused(arguments: Any, sentence: str) -> None:
         ),
     ],
 )
-def test_what_does_not_fit_the_start(times: list[float], state: State | None, sentence: str) -> None:
+def test_points_that_do_not_fit_the_start_are_refused(times: list[float], state: State | None, sentence: str) -> None:
     with pytest.raises(TrajectoryError, match=sentence):
         path_through(Waypoints.of(JOINTS, times, [[0.0, 0.0]] * len(times)), state)
 

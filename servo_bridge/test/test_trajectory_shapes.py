@@ -1,4 +1,4 @@
-"""Motions by formula: from rest to rest, and no faster than their limits allow."""
+"""Analytic motions: from rest to rest, within their limits."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_a_move_as_fast_as_the_limits_allow(limit: Limits) -> None:
         ({"limits": [Limits(torque_max=1.0, inertia=0.1, coulomb=2.0)] * 2}, "no duration is long enough: torque of"),
     ],
 )
-def test_moves_that_cannot_be(arguments: dict[str, Any], sentence: str) -> None:
+def test_invalid_moves_are_refused(arguments: dict[str, Any], sentence: str) -> None:
     with pytest.raises(TrajectoryError, match=sentence):
         move(JOINTS, [0.0, 0.0], [1.0, 1.0], **arguments)
 
@@ -125,7 +125,7 @@ def test_frequencies_of_a_lissajous_figure_may_differ() -> None:
         ((np.nan, 1.0, 1.0, 1.0), "positions of axis1 at point #0 is nan"),
     ],
 )
-def test_sines_that_cannot_be(arguments: Any, sentence: str) -> None:
+def test_invalid_sines_are_refused(arguments: Any, sentence: str) -> None:
     with pytest.raises(TrajectoryError, match=sentence):
         sine("axis1", *arguments)
 

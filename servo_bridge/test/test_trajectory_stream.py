@@ -1,4 +1,4 @@
-"""Streams of set-points over a bad network: no step, limited acceleration, and figures that are true."""
+"""Streams of set-points over a bad network: no step, limited acceleration, correct figures."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from servo_bridge.trajectory.waypoints import Array
 LIMIT = 100.0
 LEAD = 0.02
 BEGIN = 1000.0
-"""Time here when the clock of the sender is 0 [s]."""
+"""Local time at time 0 of the sender [s]."""
 TRANSIT = 0.003
 OMEGA = math.pi
 
@@ -43,7 +43,7 @@ def run(
     *, period: float = 0.02, jitter: float = 0.0, loss: float = 0.0, seconds: float = 10.0, seed: int = 1,
     velocities: bool = True, pause: tuple[float, float] = (99.0, 99.0), drift: float = 0.0, **options: Any,
 ) -> Result:  # fmt: skip
-    """A sine of 2 rad and 0.5 Hz through a network, fetched every 5 ms until a second after the last message."""
+    """Result of a sine of 2 rad and 0.5 Hz through a network, fetched every 5 ms until 1 s after the last message."""
     random = np.random.default_rng(seed)
     sent = np.arange(round(seconds / period)) * period
     arrivals = BEGIN + TRANSIT + sent * (1.0 + drift) + random.uniform(0.0, jitter, len(sent))
@@ -70,13 +70,13 @@ def assert_smooth(result: Result) -> None:
     h = np.diff(result.times)
     assert (h > 0.0).all()
     assert np.abs(result.accelerations).max() <= LIMIT * (1.0 + 1e-6)
-    # Constant acceleration between points: the Hermite piece of the board has no other.
+    # The Hermite segment of the board has a constant acceleration between points.
     mean = 0.5 * (result.velocities[1:] + result.velocities[:-1])
     np.testing.assert_allclose(np.diff(result.positions), mean * h, atol=1e-7)
 
 
 def error_of(result: Result, delay: float, begin: float = 3.0, end: float = 9.5) -> float:
-    """Largest distance from the sine that is later by a delay [rad]."""
+    """Largest error to the sine with a delay [rad]."""
     inside = (result.times > BEGIN + begin) & (result.times < BEGIN + end)
     wanted = 2.0 * np.sin(OMEGA * (result.times[inside] - BEGIN - delay))
     return float(np.abs(result.positions[inside] - wanted).max())
@@ -109,11 +109,11 @@ def test_jitter_and_losses_make_no_step(seed: int, velocities: bool, delay_max: 
 
 
 @given(st.integers(0, 10_000), st.floats(0.005, 0.1), st.floats(0.0, 0.2), st.floats(0.0, 0.5))
-def test_no_network_makes_a_step(seed: int, period: float, jitter: float, loss: float) -> None:
+def test_arbitrary_delays_and_losses_cause_no_step(seed: int, period: float, jitter: float, loss: float) -> None:
     assert_smooth(run(seconds=2.0, period=period, jitter=jitter, loss=loss, seed=seed))
 
 
-def test_a_bridged_delay_holds_what_comes_late() -> None:
+def test_bridged_delay_covers_late_messages() -> None:
     few = run(jitter=0.05, delay_max=0.1).reports[-1].late
     many = run(jitter=0.05, delay_max=0.0).reports[-1].late
     assert few < 30 < 200 < many
@@ -128,7 +128,7 @@ def test_losses_are_counted() -> None:
     assert disordered.lost <= 1
 
 
-def test_clocks_that_drift_apart() -> None:
+def test_drift_of_the_clocks() -> None:
     result = run(seconds=30.0, drift=5e-4)
     assert_smooth(result)
     # After 25 s the clocks are 12.5 ms apart; the window looks 2.5 s back.
@@ -152,7 +152,7 @@ def test_a_stream_that_pauses_stops_and_goes_on() -> None:
     assert result.reports[-1].moving == ()
 
 
-def test_nan_leaves_a_joint_alone() -> None:
+def test_joint_with_nan_is_not_moved() -> None:
     stream = Stream(["axis1", "axis2"], State.at_rest([1.0, 2.0]), [LIMIT, LIMIT], lead=LEAD)
     for k in range(100):
         stream.take(0.02 * k, 5.0 + 0.02 * k, [math.nan, 3.0], [math.nan, math.nan])
@@ -164,7 +164,7 @@ def test_nan_leaves_a_joint_alone() -> None:
     assert points["axis2"].positions[-1] == pytest.approx(3.0)
 
 
-def test_a_joint_that_is_left_alone_on_the_way_stops() -> None:
+def test_joint_with_nan_in_motion_stops() -> None:
     stream = Stream(["axis1", "axis2"], State.at_rest([0.0, 0.0]), [LIMIT, LIMIT], lead=LEAD)
     velocity = math.inf
     for k in range(300):
@@ -180,7 +180,7 @@ def test_a_joint_that_is_left_alone_on_the_way_stops() -> None:
 
 
 @pytest.mark.parametrize("step", [-50.0, 50.0])
-def test_a_sender_whose_clock_is_set_goes_on(step: float) -> None:
+def test_stream_continues_after_a_clock_step_of_the_sender(step: float) -> None:
     stream = Stream(["axis1"], State.at_rest([0.0]), [LIMIT], lead=LEAD)
     last = 0.0
     for k in range(400):
@@ -211,7 +211,7 @@ def test_a_velocity_limit() -> None:
         (([1.0, 1.0], None, [0.0, -math.inf]), "efforts of axis2 is -inf"),
     ],
 )
-def test_wrong_messages_change_nothing(arguments: Any, sentence: str) -> None:
+def test_invalid_messages_have_no_effect(arguments: Any, sentence: str) -> None:
     stream = Stream(["axis1", "axis2"], State.at_rest([1.0, 2.0]), [LIMIT, LIMIT])
     with pytest.raises(TrajectoryError, match=sentence):
         stream.take(0.0, 0.0, *arguments)

@@ -1,4 +1,4 @@
-"""Points for the board: near the path between them, on PWM periods, without drift."""
+"""Timed points: close to the path between them, at PWM periods, without drift."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from servo_bridge.trajectory.waypoints import Waypoints
 
 
 def random_path(seed: int, scale: float = 1.0) -> Path:
-    """Two joints from any state through five waypoints, the first half of them with accelerations."""
+    """Random path of two joints from a random state through five waypoints, half of them with accelerations."""
     random = np.random.default_rng(seed)
     times = np.cumsum(random.uniform(0.05, 1.0, 5))
     rows = scale * random.uniform(-3.0, 3.0, (3, 5, 2))
@@ -39,8 +39,8 @@ def test_the_board_stays_near_the_path(seed: int, exponent: float, tolerance: fl
         assert np.diff(points.periods).min() >= 16
 
 
-def test_a_step_of_acceleration_between_periods_stays_in_its_place() -> None:
-    # One cubic second from and to rest beside a hold; the breakpoints fall between two periods.
+def test_acceleration_step_between_periods_is_not_shifted() -> None:
+    # A cubic of 1 s from rest to rest and a hold; the breakpoints are between two periods.
     for shift in (0.0, 0.00002, 0.00004):
         times = [0.0, 1.0 + shift, 2.0 + shift, 3.0 + shift]
         path = path_through(Waypoints.of(["axis1"], times, [[0], [0], [300.0], [300.0]], [[0]] * 4))
@@ -49,7 +49,7 @@ def test_a_step_of_acceleration_between_periods_stays_in_its_place() -> None:
         assert len(points.periods) == (4 if not shift else 6)
 
 
-def test_points_are_not_many_more_than_needed() -> None:
+def test_number_of_points_is_near_the_minimum() -> None:
     quintic = path_through(Waypoints.of(["axis1"], [0, 1], [[0], [6.28]]), None)
     assert len(timed_points(quintic)["axis1"].periods) == 2  # positions alone: a cubic
     quintic = path_through(Waypoints.of(["axis1"], [1], [[6.28]]), State.at_rest([0.0]))
@@ -80,7 +80,7 @@ def test_last_point_is_exact() -> None:
 
 
 def test_an_hour_of_points_does_not_drift() -> None:
-    # 3 ms and a third: no multiple of a period.
+    # 3.33 ms, not a multiple of a period
     times = np.arange(1, 1_080_001, 50) / 300.0
     path = path_through(Waypoints.of(["axis1"], times, np.sin(times)[:, None]))
     points = timed_points(path)["axis1"]

@@ -1,4 +1,4 @@
-"""Goals of FollowJointTrajectory: which tolerances hold, when they are reached, and when they are given up."""
+"""Goals of FollowJointTrajectory: tolerances, success and abort."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ZERO = State.at_rest([0.0, 0.0])
 
 
 def off(position: float = 0.0, velocity: float = 0.0, axis: int = 1) -> State:
-    """Actual state in which one axis is off."""
+    """Actual state with an error of one axis."""
     place = np.eye(2)[axis]
     return State(position * place, velocity * place, 0.0 * place, 0.0 * place)
 
@@ -28,7 +28,7 @@ def requested(name: str, position: float = 0.0, velocity: float = 0.0, accelerat
     return SimpleNamespace(name=name, position=position, velocity=velocity, acceleration=acceleration)
 
 
-def test_zero_is_the_default_and_minus_one_none() -> None:
+def test_tolerance_zero_is_the_default_and_minus_one_is_none() -> None:
     defaults = {"axis1": Tolerance(0.5, 2.0)}
     result = tolerances_from([requested("axis1", 0.0, -1.0, 3.0)], JOINTS, defaults)
     assert result == {"axis1": Tolerance(0.5, math.inf, 3.0), "axis2": Tolerance()}
@@ -65,7 +65,7 @@ def test_a_goal_is_reached_at_the_end_and_not_before() -> None:
     assert monitor.update(3.0, ZERO, off(9.0)) is outcome
 
 
-def test_a_goal_is_waited_for_and_given_up() -> None:
+def test_goal_is_aborted_after_the_goal_time() -> None:
     monitor = GoalMonitor(PATH, GOAL, 2.0, 0.5)
     assert monitor.update(2.49, ZERO, off(0.2)).phase is Phase.RUNNING
     outcome = monitor.update(2.51, ZERO, off(0.2))
@@ -79,7 +79,7 @@ def test_a_goal_is_waited_for_and_given_up() -> None:
     assert late.update(2.5, ZERO, off(0.05)).phase is Phase.SUCCEEDED
 
 
-def test_no_time_to_wait_is_not_for_ever() -> None:
+def test_goal_time_of_zero_is_a_finite_time() -> None:
     assert GoalMonitor(PATH, GOAL, 2.0, 0.0).update(2.0, ZERO, off(0.2)).phase is Phase.ABORTED
 
 
@@ -93,7 +93,7 @@ def test_no_time_to_wait_is_not_for_ever() -> None:
         (off(math.nan, axis=0), ""),
     ],
 )
-def test_the_path_is_watched_on_the_way(actual: State, violated: str) -> None:
+def test_path_tolerance_is_checked_during_the_motion(actual: State, violated: str) -> None:
     outcome = GoalMonitor(PATH, WIDE, 2.0, 0.5).update(1.0, ZERO, actual)
     if not violated:
         assert outcome.phase is Phase.RUNNING

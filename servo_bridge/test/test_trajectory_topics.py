@@ -1,4 +1,4 @@
-"""Trajectories over real topics: what reaches the link, and what is refused with which words."""
+"""Trajectories over real topics: points at the link, and messages of refusals."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def rig() -> Iterator[Rig]:
         for name, value in (("speed", 300.0), ("acceleration", 4000.0), ("i_q", 2.0)):
             variable = CATALOGUE[f"param.{name}_limit"]
             rig.link.parameters[variable.name] = [variable.to_raw(value)] * 2
-        rig.ready()
+        rig.enable_axes()
         rig.until(lambda: rig.messages[topics.PARAMETERS])
         yield rig
 
@@ -48,7 +48,7 @@ def publish(rig: Rig, message: JointTrajectory) -> None:
 
 
 def sampled(rig: Rig) -> list[TimedPoint]:
-    """Give a sample; points that the link has got."""
+    """Deliver a sample; return the points that the link received."""
     rig.link.sample()
     rig.executor.spin_once(timeout_sec=0.005)
     return [
@@ -69,8 +69,8 @@ def test_points_of_both_axes_follow_the_mode(rig: Rig) -> None:
     assert next(p for p in points if p.axis == 0).position == 0.0
 
 
-def test_what_is_wrong_by_itself_is_said_at_once(rig: Rig) -> None:
-    """What can be: test_trajectory_message.py."""
+def test_invalid_trajectory_is_refused_at_once(rig: Rig) -> None:
+    """All kinds of errors: test_trajectory_message.py."""
     publish(rig, trajectory((0.5, [1.0]), joints=("elbow",)))
     rig.until(rig.rejections)
     assert "elbow" in rig.rejections()[-1]
@@ -90,8 +90,8 @@ def test_a_limit_between_two_points_is_named(rig: Rig) -> None:
     assert sampled(rig) == []
 
 
-def test_an_axis_that_does_not_obey_is_named(rig: Rig) -> None:
-    rig.link.axes(SPIN, FAULT)
+def test_axis_that_is_not_ready_is_reported(rig: Rig) -> None:
+    rig.link.set_states(SPIN, FAULT)
     rig.link.sample()
     rig.until(lambda: "FAULT" in rig.state())
     publish(rig, trajectory((0.5, [1.0, -1.0])))

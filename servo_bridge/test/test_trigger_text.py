@@ -1,4 +1,4 @@
-"""Triggers as text, against what a target does with the threshold that is built from them."""
+"""Triggers as text, compared with the action of a target with the resulting threshold."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_any_text_is_a_trigger_or_a_usage_error(text: str) -> None:
 
 
 @given(st.sampled_from(sorted(BOARD)), st.sampled_from([">", " rising "]), st.text(max_size=12))
-def test_any_value_is_taken_or_named(name: str, operator: str, value: str) -> None:
+def test_any_value_is_accepted_or_refused_with_a_reason(name: str, operator: str, value: str) -> None:
     try:
         trigger_of(parse_expression(name + operator + value), BOARD, CATALOGUE)
     except (UsageError, UnknownVariableError):
@@ -80,7 +80,7 @@ def test_any_value_is_taken_or_named(name: str, operator: str, value: str) -> No
 
 
 @pytest.mark.parametrize("name", ["i8", "q"])
-@given(  # what is closer to a whole number of units than a user would write is taken as such
+@given(  # a value very close to an integer number of units is taken as that integer
     operator=OPERATORS, value=st.one_of(st.integers(-200, 200), st.floats(-10, 10).map(lambda value: round(value, 6)))
 )
 def test_a_whole_range_of_raw_numbers_compares_as_the_text_says(name: str, operator: str, value: float) -> None:

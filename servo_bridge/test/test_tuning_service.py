@@ -1,4 +1,4 @@
-"""The service ``tune``, under real rclpy, as far as it answers without a board that takes blocks."""
+"""The service ``tune`` under real rclpy: answers without a board that accepts blocks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def rig() -> Iterator[Rig]:
     with Rig() as rig:
         rig.tune_client = rig.user.create_client(SetBool, topics.TUNE)  # type: ignore[attr-defined]
         rig.until(rig.tune_client.service_is_ready)  # type: ignore[attr-defined]
-        rig.up()
+        rig.connect()
         yield rig
 
 
@@ -40,7 +40,7 @@ def tune(rig: Rig, send: bool) -> tuple[bool, str]:
     return future.result().success, future.result().message
 
 
-def test_what_cannot_be_sent_is_answered(rig: Rig) -> None:
+def test_invalid_configuration_is_refused_with_a_reason(rig: Rig) -> None:
     success, message = tune(rig, True)
     assert not success
     assert "parameter tuning is empty" in message
@@ -53,7 +53,7 @@ def test_what_cannot_be_sent_is_answered(rig: Rig) -> None:
     assert not any(name.startswith("config") for name, *_ in rig.link.written)
 
 
-def test_the_tuning_code_refuses_apart_as_it_does_here(tmp_path: Path) -> None:
+def test_tuning_process_gives_the_refusals_of_the_tuning_code(tmp_path: Path) -> None:
     process = TuningProcess()
     file = tmp_path / "bad.toml"
     with pytest.raises(ConfigError, match="No such file"):

@@ -24,7 +24,7 @@ BLOCKS = st.fixed_dictionaries({member.path: raw(member) for member in MEMBERS})
 
 @settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])  # a block has many members
 @given(BLOCKS, st.integers(0, 1))
-def test_a_block_survives_bytes_and_words(block: dict[str, int], axis: int) -> None:
+def test_block_is_restored_from_bytes_and_words(block: dict[str, int], axis: int) -> None:
     data = TABLE.encode(block)
     assert len(data) == sum(member.size for member in MEMBERS)
     assert TABLE.decode(data) == block
@@ -36,7 +36,7 @@ def test_a_block_survives_bytes_and_words(block: dict[str, int], axis: int) -> N
 
 @settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(BLOCKS, st.sampled_from(MEMBERS), st.sampled_from([-1, 1]))
-def test_what_a_board_does_not_take_is_named(block: dict[str, int], member: Member, way: int) -> None:
+def test_values_that_the_board_refuses_are_reported(block: dict[str, int], member: Member, way: int) -> None:
     wrong = member.maximum + 1 if way > 0 else member.minimum - 1
     with pytest.raises(AxisConfigError, match=member.path.replace(".", r"\.")):
         TABLE.check({**block, member.path: wrong})
@@ -48,7 +48,7 @@ def test_what_a_board_does_not_take_is_named(block: dict[str, int], member: Memb
         TABLE.check({**block, "nothing": 1})
 
 
-def test_lengths_have_to_fit() -> None:
+def test_wrong_lengths_are_refused() -> None:
     with pytest.raises(AxisConfigError, match=f"{len(TABLE)} expected"):
         TABLE.block([0])
     with pytest.raises(AxisConfigError, match="bytes"):
@@ -65,7 +65,7 @@ def test_values_have_units() -> None:
     assert members["encoder.pole_pairs"].text(2) == "2"
 
 
-def test_the_layout_is_another_one_when_a_range_or_a_name_is() -> None:
+def test_layout_hash_depends_on_ranges_and_names() -> None:
     table = {"formats": {"f": {"type": "int16", "maximum": 5}}, "members": {"a": {"format": "f"}, "b": {"format": "f"}}}
     catalogue = Catalogue.load()
     layouts = {

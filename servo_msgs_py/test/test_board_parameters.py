@@ -38,7 +38,7 @@ def test_one_element_and_all_of_them() -> None:
         ("param.features[0]=ANTI_WINDUP+FOO", "'FOO' is not a number or one of the names none, ANTI_WINDUP"),
     ],
 )
-def test_what_is_refused(text: str, reason: str) -> None:
+def test_invalid_assignments_are_refused(text: str, reason: str) -> None:
     with pytest.raises(ValueError, match=r".") as caught:
         parse(text, CATALOGUE)
     assert reason in str(caught.value)
@@ -53,11 +53,11 @@ def test_a_later_assignment_replaces_an_earlier_one() -> None:
     assert merged([both], [other]) == [both, other]
     raw = applied([both, other], DEFAULTS)["param.i_q_limit"]
     assert raw == [other.raw[0], both.raw[1]]
-    assert applied([first], {}) == {}  # of the other element nothing is known
+    assert applied([first], {}) == {}  # the other element is unknown
     assert DEFAULTS["param.i_q_limit"] == [CATALOGUE["param.i_q_limit"].to_raw(0.1)] * 2
 
 
-def test_limits_the_wrong_way_round() -> None:
+def test_reversed_limits_are_refused() -> None:
     assert contradiction(DEFAULTS, CATALOGUE) == ""
     turned = applied([parse("param.position_min[1]=3", CATALOGUE)], DEFAULTS)
     text = contradiction(turned, CATALOGUE)
@@ -65,7 +65,7 @@ def test_limits_the_wrong_way_round() -> None:
     assert contradiction({"param.position_min": [1, 1]}, CATALOGUE) == ""
 
 
-def test_the_message_carries_every_bit() -> None:
+def test_message_conversion_is_exact() -> None:
     values = {
         v.name: [v.raw_type.low + 12345 + k, v.raw_type.high - 54321 % v.raw_type.high - k][: v.count]
         for k, v in enumerate(parameters(CATALOGUE))

@@ -13,7 +13,7 @@ from servo_msgs_py.measurement.bode_plan import bands_of
 
 
 @given(slow=st.booleans(), capacity=st.integers(400, 4000), low=st.floats(1e-4, 0.3), width=st.floats(1.1, 3000.0))
-def test_bands_cover_what_was_asked_for(slow: bool, capacity: int, low: float, width: float) -> None:
+def test_bands_cover_the_requested_range(slow: bool, capacity: int, low: float, width: float) -> None:
     nyquist = 0.5 / step_of(1, slow)
     f_min = low * nyquist
     f_max = min(width * f_min, 0.8 * nyquist)
@@ -31,7 +31,7 @@ def test_bands_cover_what_was_asked_for(slow: bool, capacity: int, low: float, w
     assert len(bands) <= 2 + math.log(f_max / f_min) / math.log(0.05 * capacity)
 
 
-def test_a_band_that_cannot_be_is_refused() -> None:
+def test_invalid_band_is_refused() -> None:
     for low, high in ((900.0, 950.0), (100.0, 50.0), (0.0, 10.0)):
         with pytest.raises(MeasurementError, match="must be between 0 and 800 Hz"):
             bands_of(low, high, 1000, True)

@@ -1,4 +1,4 @@
-"""The table of variables: what it promises, and that a wrong table is named and not guessed at."""
+"""The table of variables: its contract, and error messages for invalid tables."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_every_variable_is_described_and_finite() -> None:
         assert variable.name == variable.name.lower()
 
 
-def test_the_variables_that_the_whole_project_relies_on() -> None:
+def test_variables_that_the_project_uses_exist() -> None:
     per_axis = ["position", "position_ref", "speed", "speed_ref", "i_q", "i_d", "i_q_ref", "u_d", "u_q", "theta_e"]
     per_axis += ["state", "substate", "faults", "limits", "torque_constant"]
     wanted = {f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in per_axis}
@@ -213,12 +213,12 @@ def test_a_scale_changes_the_hash() -> None:
         ({"name": "axis1.mode"}, "axis1.mode: named twice"),
     ],
 )
-def test_a_wrong_table_is_named(changes: dict[str, Any], message: str) -> None:
+def test_error_in_the_table_is_located(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(CatalogueError, match=message):
         small(**changes)
 
 
-def test_a_broken_file_is_named_with_its_path(tmp_path: Path) -> None:
+def test_error_of_an_invalid_file_has_its_path(tmp_path: Path) -> None:
     path = tmp_path / "broken.toml"
     path.write_text("[[variable]\n", encoding="utf-8")
     with pytest.raises(CatalogueError, match=r"broken\.toml"):

@@ -1,4 +1,4 @@
-"""The generated C files: in step with the table, and right for a compiler with 16-bit int."""
+"""The generated C files: up to date, and correct for a compiler with 16-bit int."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_committed_files_are_up_to_date() -> None:
         assert path.read_text(encoding="utf-8") == text, f"{path.name} is out of date: run `make generate`"
 
 
-def test_generation_writes_then_agrees_then_sees_a_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_generator_writes_compares_and_detects_a_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for folder in ("firmware/config", "firmware/app", "firmware/doc", "firmware/diagnosis", "servo_msgs_py"):
         (tmp_path / folder).mkdir(parents=True)
     source = ISOLATE.read_text("utf-8")
@@ -134,7 +134,7 @@ def test_table_has_the_range_of_every_writable_variable() -> None:
         ("cmd.mode", {"maximum": 1.0}, "cmd.mode: the values of control_mode_t are not all integers from 0 to 1"),
     ],
 )
-def test_what_one_range_cannot_say_is_refused(name: str, changes: dict[str, object], text: str) -> None:
+def test_range_that_the_table_cannot_represent_is_refused(name: str, changes: dict[str, object], text: str) -> None:
     with pytest.raises(CatalogueError, match=re.escape(text)):
         codegen.variable_table(_with(name, **changes))
 

@@ -21,7 +21,7 @@ MODULES = sorted(
 
 
 def _imports(module: str) -> set[str]:
-    """Every module that the source of `module` names in an import, at any place in it."""
+    """All modules that `module` imports at any place."""
     path = Path(servo_msgs_py.__path__[0]).parent.joinpath(*module.split("."))
     source = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     found: set[str] = set()

@@ -1,4 +1,4 @@
-"""Conversions to ROS messages and back, through real serialisation where bytes matter."""
+"""Conversions to ROS messages and back, with real serialisation where bytes matter."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_effort_stays_empty_without_torque_constants() -> None:
     ("position", "velocity", "message"),
     [([1.0], [], "1 values for 2 joints"), ([1.0, 2.0], [1.0], "velocity"), ([1.0, math.nan], [], "not finite")],
 )
-def test_bad_joint_states_are_never_made(position: list[float], velocity: list[float], message: str) -> None:
+def test_invalid_joint_states_are_refused(position: list[float], velocity: list[float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         convert.joint_state(JOINTS, 0, position, velocity)
 
@@ -77,7 +77,7 @@ def test_columns_and_row_agree_and_arrays_are_spread() -> None:
         )
     )
 )
-def test_tables_survive_the_wire(rows: list[list[float]]) -> None:
+def test_tables_are_restored_after_serialisation(rows: list[list[float]]) -> None:
     names = [f"c{k}" for k in range(len(rows[0]))]
     message = convert.snapshot_message(names, rows)
     message = deserialize_message(serialize_message(message), Float64MultiArray)
@@ -147,7 +147,7 @@ def test_faults_come_with_cause_and_remedy() -> None:
     assert convert.flag_texts(CATALOGUE, "faults", 0) == []
 
 
-def test_diagnostics_survive_the_wire() -> None:
+def test_diagnostics_are_restored_after_serialisation() -> None:
     status = convert.diagnostic_status("servo_bridge: link", DiagnosticStatus.ERROR, "gone", "/dev/x", {"rate": 1.5})
     array = convert.diagnostic_array(5, [status])
     found = deserialize_message(serialize_message(array), type(array)).status[0]

@@ -13,13 +13,13 @@ from servo_msgs_py.runtime.end_with_parent import with_parent_death_signal
 pytestmark = pytest.mark.realtime
 
 
-def test_a_program_that_is_not_there_is_named() -> None:
+def test_missing_program_is_reported() -> None:
     with pytest.raises(FileNotFoundError, match="/no/such/program is not an executable program"):
         with_parent_death_signal(["/no/such/program"])
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the kernel ends the child on Linux only")
-def test_a_child_whose_parent_died_before_it_could_ask_does_not_begin() -> None:
+def test_child_does_not_start_if_its_parent_has_died() -> None:
     command = with_parent_death_signal([sys.executable, "-c", "print('begun')"])
     position = command.index(str(os.getpid()))
     orphan = [*command[:position], str(os.getpid() + 1), *command[position + 1 :]]
@@ -35,7 +35,7 @@ def test_the_program_ignores_no_signal_for_it() -> None:
     assert bound.stdout == alone.stdout
 
 
-def test_a_program_that_the_system_cannot_run_is_said(tmp_path: Path) -> None:
+def test_program_that_cannot_be_executed_is_reported(tmp_path: Path) -> None:
     broken = tmp_path / "script"
     broken.write_text("#!/no/such/interpreter\n")
     broken.chmod(0o755)

@@ -1,4 +1,4 @@
-"""The record of a first fault, out of the bytes that the board keeps."""
+"""The record of a first fault from the bytes of the board."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CATALOGUE = Catalogue.load()
 
 
 def record(code: int = 18, tick: int = 8003, following: int = 3, size: int = 64) -> bytes:
-    """Samples that say where they lie in the ring."""
+    """Record whose samples contain their index in the ring buffer."""
     ring = list(range(64))
     head = struct.pack("<II6H", 0, tick, code, 3, 3, following, size, 0)
     return head + struct.pack("<320h", *(100 * r + k for r in range(5) for k in ring))
@@ -44,7 +44,7 @@ def test_sample_times_of_the_record(tick: int, periods: int) -> None:
     np.testing.assert_allclose(np.diff(time[:-1]), 0.5e-3)
 
 
-def test_a_record_that_is_not_full() -> None:
+def test_incomplete_record() -> None:
     it = FaultRecord.of(0, record(following=5, size=5), CATALOGUE)
     np.testing.assert_allclose(column(it, "speed") * 2**15 / 523.5987755982989, 400 + np.arange(5))
 

@@ -1,4 +1,4 @@
-"""Open loops that are known, measured in a closed loop with noise."""
+"""Known open loops, measured in a closed loop with noise."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ F_MIN, F_MAX = 8.0, 800.0
 
 
 def integrator(gain: float, delay: int, lag: float = 0.0) -> System:
-    """``gain / s``, held and sampled, `delay` samples late, behind a first-order lag with this pole."""
+    """``gain / s`` with sample and hold, a delay of `delay` samples, and a first-order lag with the pole `lag`."""
 
     def step(x: Matrix, u: Matrix) -> tuple[Matrix, Matrix]:
         total, filtered, *late = x
@@ -34,7 +34,7 @@ def integrator(gain: float, delay: int, lag: float = 0.0) -> System:
 
 
 def resonator(frequency: float, damping: float) -> System:
-    """An integrator with a lightly damped resonance beside it."""
+    """An integrator in parallel with a lightly damped resonator."""
     radius = math.exp(-2.0 * math.pi * frequency * damping * STEP)
     angle = 2.0 * math.pi * frequency * STEP
     a = np.array(
@@ -49,7 +49,7 @@ def resonator(frequency: float, damping: float) -> System:
 
 
 def swept_sine(amplitude: float = 1.0) -> NDArray[np.float64]:
-    """As the board makes it, and then nothing."""
+    """Swept sine of the board, followed by zeros."""
     sine = SweptSine("TORQUE", amplitude, F_MIN, F_MAX, 0.8 * SAMPLES * STEP)
     steps = sine.step * (1.0 + sine.growth) ** np.arange(sine.calls)
     signal = np.zeros(SAMPLES)
@@ -64,9 +64,9 @@ def closed(
     *,
     amplitude: float = 1.0,
     repeats: int = 4,
-    bend: Callable[[float], float] = lambda e: e,
+    nonlinearity: Callable[[float], float] = lambda e: e,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Test signal, error and output of a loop with a disturbed output that is fed back."""
+    """Test signal, error and output of a closed loop with a disturbed output."""
     random = np.random.default_rng(seed)
     d = swept_sine(amplitude)
     error, output = np.empty((2, repeats, SAMPLES))
@@ -76,7 +76,7 @@ def closed(
         for k in range(SAMPLES):
             output[row, k] = float(loop.c[0] @ x) + disturbance[k]
             error[row, k] = d[k] - output[row, k]
-            x = loop.a @ x + loop.b[:, 0] * bend(error[row, k])
+            x = loop.a @ x + loop.b[:, 0] * nonlinearity(error[row, k])
     return np.tile(d, (repeats, 1)), error, output
 
 
@@ -85,7 +85,7 @@ def measured(d: NDArray[np.float64], error: NDArray[np.float64], output: NDArray
 
 
 def deviation(response: Response, loop: System, top: float = F_MAX) -> float:
-    """Largest relative distance from the truth."""
+    """Largest relative error."""
     low = response.frequency < top
     truth = loop.response(2.0 * math.pi * response.frequency)
     return float(np.abs(response.value / truth - 1.0)[low].max())
@@ -116,13 +116,13 @@ def test_a_loop_without_noise_is_found_exactly() -> None:
     noise=st.floats(0.0, 0.03),
     seed=st.integers(0, 1000),
 )
-def test_figures_lie_within_their_uncertainty(gain: float, delay: int, lag: float, noise: float, seed: int) -> None:
+def test_figures_are_within_their_uncertainty(gain: float, delay: int, lag: float, noise: float, seed: int) -> None:
     loop = integrator(gain, delay, lag)
     truth = margins(loop.response, loop.nyquist)
     assert truth.crossover is not None
     assert truth.phase is not None
     if truth.phase < 15.0 or np.abs(np.linalg.eigvals(loop.fed_back(0, 0).a)).max() > 0.995:
-        return  # not a loop that comes to rest within its recording
+        return  # the loop must settle within its recording
     found = figures(measured(*closed(loop, noise, seed)))
     assert found.crossover is not None
     assert found.phase_margin is not None
@@ -131,7 +131,7 @@ def test_figures_lie_within_their_uncertainty(gain: float, delay: int, lag: floa
 
 
 def test_the_feedback_of_noise_does_not_bias_the_loop() -> None:
-    """Output over error tends to -1 where noise drives both; the instrument keeps to the loop."""
+    """Output over error tends to -1 if noise drives both; the instrumental variable avoids this bias."""
     loop = integrator(500.0, 1)
     d, error, output = closed(loop, 0.15, 3, repeats=24)
     response = measured(d, error, output)
@@ -146,15 +146,15 @@ def test_the_feedback_of_noise_does_not_bias_the_loop() -> None:
     assert np.abs(np.mean(ratio) - 1.0) < 0.05
 
 
-def test_a_constant_and_a_bend_of_the_loop_show_in_the_uncertainty() -> None:
-    """Coulomb friction against a shaft that turns round: a signal too small for it is told by scatter or coherence."""
+def test_friction_and_nonlinearity_increase_the_uncertainty() -> None:
+    """With Coulomb friction at reversals, a signal that is too small is detected by scatter or coherence."""
     loop = integrator(500.0, 1)
 
     def dead_zone(e: float) -> float:
         return e - math.copysign(min(abs(e), 0.2), e)
 
-    large = measured(*closed(loop, 0.01, 5, amplitude=20.0, bend=dead_zone))
-    small = measured(*closed(loop, 0.01, 5, amplitude=0.15, bend=dead_zone))
+    large = measured(*closed(loop, 0.01, 5, amplitude=20.0, nonlinearity=dead_zone))
+    small = measured(*closed(loop, 0.01, 5, amplitude=0.15, nonlinearity=dead_zone))
     assert figures(large).crossover is not None
     assert np.median(small.sigma) > 5.0 * np.median(large.sigma)
     d, error, output = closed(loop, 0.01, 6)
@@ -162,7 +162,7 @@ def test_a_constant_and_a_bend_of_the_loop_show_in_the_uncertainty() -> None:
     assert np.abs(shifted.value - measured(d, error, output).value).max() < 1e-9
 
 
-def test_a_signal_in_noise_determines_nothing() -> None:
+def test_no_figures_from_a_signal_below_the_noise() -> None:
     found = figures(measured(*closed(integrator(500.0, 1), 1.0, 7, amplitude=0.01)))
     assert (found.crossover, found.phase_margin, found.gain_margin) == (None, None, None)
     assert found.undetermined
@@ -170,7 +170,7 @@ def test_a_signal_in_noise_determines_nothing() -> None:
     assert nothing.crossover is None
 
 
-def test_a_band_without_the_crossover_says_so() -> None:
+def test_missing_crossover_is_reported() -> None:
     loop = integrator(500.0, 1)
     response = measured(*closed(loop, 0.0, 8))
     for cut, side in ((response.frequency < 60.0, "above"), (response.frequency > 110.0, "below")):

@@ -1,4 +1,4 @@
-"""Joints behind gears, and the robot description that carries them."""
+"""Joints with gears, and the robot description with them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LIMITS = st.builds(
     lambda low, width, speed, effort: JointLimits(low, low + width, speed, effort),
     SMALL,
     st.floats(0.0, 1e4),
-    st.floats(0.0, 0.4),  # slower than any gear lets the motor turn, so that the board does not bind
+    st.floats(0.0, 0.4),  # below the speed of the motor with any gear, so that the limit of the board does not apply
     st.floats(0.0, 1e3) | st.just(math.inf),
 )
 JOINTS = st.builds(
@@ -65,17 +65,17 @@ def test_the_default_joint_is_the_shaft_bit_for_bit(value: float) -> None:
     ("values", "said"),
     [((0.0, 1, 0.0), "gear_ratio of lift"), ((1.0, 2, 0.0), "direction of lift"), ((1.0, 1, math.nan), "offset of")],
 )
-def test_what_is_no_gear_is_refused(values: tuple[float, int, float], said: str) -> None:
+def test_invalid_gears_are_refused(values: tuple[float, int, float], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         Joint("lift", *values)
 
 
 @given(JOINTS)
-def test_a_description_gives_its_joints_back(joint: Joint) -> None:
+def test_joints_are_restored_from_a_description(joint: Joint) -> None:
     assert joints_of(described(joint, LIFT)) == [joint, LIFT]
 
 
-def test_a_description_gives_its_motors_back_once_they_are_known() -> None:
+def test_known_motors_are_restored_from_a_description() -> None:
     motors = [Motor(0.0462, 8.0e-6), Motor(0.0414, 1.2e-5)]
     joints = [Joint("pan"), LIFT]
     told = describe(joints, CATALOGUE, commands_topic="/a", states_topic="/b", motors=motors)

@@ -1,4 +1,4 @@
-"""Estimators of a motor test on made-up recordings of known motors."""
+"""Estimators of a motor test with synthetic recordings of known motors."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NAMES = ("i", "u", "d")
 
 
 def _sweep(r: float, inductance: float, seed: int, *, noise: float = 0.008) -> Recording:
-    """A PI-controlled winding with a swept set-point; the voltage is loaded half a period after its sample."""
+    """PI-controlled winding with a swept set-point; the voltage is loaded half a period after its sample."""
     rng = np.random.default_rng(seed)
     size, calls, omega = 1280, 1100, 2.0 * math.pi * 400.0
     kp, ki = omega * inductance, omega * r * PERIOD
@@ -70,7 +70,7 @@ def test_no_sample_of_a_signal_is_an_error() -> None:
         impedance([recording], NAMES, 0.6, (400.0, 2500.0))
 
 
-def test_resistance_is_told_from_the_lost_voltage() -> None:
+def test_resistance_is_separated_from_the_inverter_voltage_drop() -> None:
     current = np.linspace(0.8, 4.0, 9)
     lost = (2.0 / 3.0) * 1.08 * (switching_share(current / 0.1) + switching_share(0.5 * current / 0.1))
     noise = 1e-3 * np.random.default_rng(1).standard_normal(9)
@@ -93,7 +93,7 @@ def test_pole_pairs_and_direction(pairs: int, way: float) -> None:
 
 
 @pytest.mark.parametrize("position", [np.zeros(400), np.linspace(0.0, 9.0 / 2.4, 400)])
-def test_a_shaft_that_does_not_follow_has_no_pole_pairs(position: Floats) -> None:
+def test_no_pole_pairs_from_a_shaft_that_does_not_follow(position: Floats) -> None:
     with pytest.raises(MeasurementError):
         follow_vector(position, np.angle(np.exp(1j * np.linspace(0.0, 9.0, 400))))
 
@@ -109,7 +109,7 @@ def test_inertia_from_momentum() -> None:
     assert dry.value == pytest.approx(coulomb, rel=0.05)
 
 
-def test_fits_know_their_uncertainty() -> None:
+def test_uncertainty_of_fits() -> None:
     rng = np.random.default_rng(3)
     x = np.linspace(0.0, 1.0, 50)
     inside = 0
@@ -123,7 +123,7 @@ def test_fits_know_their_uncertainty() -> None:
     assert mean_of(np.array([1.0, np.nan]))[1] == math.inf
 
 
-def test_a_log_survives_its_file(tmp_path: Path) -> None:
+def test_log_is_restored_from_its_file(tmp_path: Path) -> None:
     inner = (Call("write", ("cmd.speed", [5], 0)),)
     calls = [
         Call("write", ("cmd.i_q", [100], 1)),
@@ -141,7 +141,7 @@ def test_a_log_survives_its_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.labelled("speed")[0].columns["a"], columns["a"])
 
 
-def test_another_file_is_no_log(tmp_path: Path) -> None:
+def test_other_files_are_refused_as_log(tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
     with pytest.raises(MeasurementError, match=r"other\.npz"):
         MeasurementLog.load(tmp_path / "other.npz")
@@ -155,7 +155,7 @@ def test_stages_may_be_left_out_of_a_repetition() -> None:
 
 
 @pytest.mark.parametrize("values", [{"voltage": 0.0}, {"current": -1.0}, {"speed": math.nan}, {"r_on": -1.0}])
-def test_limits_make_sense(values: dict[str, float]) -> None:
+def test_invalid_limits_are_refused(values: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(values))):
         Limits(**{"voltage": 24.0, "current": 4.0, **values})
 

@@ -36,7 +36,7 @@ def test_command_variables_exist_can_be_written_and_hold_one_element_per_axis() 
         variable = catalogue[name]
         count = {"cmd.points": POINT_WORDS * POINTS_PER_WRITE, "config.take": 1}.get(name, 2)
         assert (variable.writable, variable.count) == (True, count), name
-    # The bridge commands no test signals: they are for measurements, which have the board to themselves.
+    # The bridge has no commands for test signals, which are for measurements without the bridge.
     commands = {name for name in catalogue.variables if name.startswith("cmd.") and not name.startswith("cmd.test_")}
     assert commands | {"config.take"} == set(topics.COMMAND_VARIABLES)
 

@@ -1,4 +1,4 @@
-"""The chip alone: registers are written by the tests, its environment is written in Python."""
+"""Test rig: the chip with an environment in Python; tests read and write its registers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from native_library import NATIVE, Native, compile_c
 
 NEVER = (1 << 64) - 1
 PERIOD, HALF = 6250, 3125
-"""Of the PWM, in bus clocks of 10 ns."""
+"""Period and half period of the PWM [bus clocks of 10 ns]."""
 
 CDEF = """
 /* A call that may end in an error: 0, or -1. */
@@ -82,7 +82,7 @@ def build(folder: Path) -> Native:
 
 
 def pin(name: str) -> int:
-    """Number of a pin by its name, as "C3"."""
+    """Number of a pin from its name, such as "C3"."""
     return (ord(name[0]) - ord("A")) << 4 | int(name[1:])
 
 
@@ -165,25 +165,11 @@ ADDRESS = dict(_addresses())
 
 
 class ChipError(Exception):
-    """The chip has stopped."""
+    """The chip has stopped with an error."""
 
 
 class ChipRig:
-    """A chip with its clocks up and every gate open, and an environment that the test defines.
-
-    Attributes
-    ----------
-    codes : list of int
-        What the analogue pins ANA0-7, ANB0-7 convert to; a function of the clock in its place is called.
-    handlers : dict
-        By vector: what the software does, a function that returns the clocks it takes.
-    edges : list of (clock, pin, level)
-        Levels that the environment will drive at pins; sorted.
-    keeps_back : bool
-        As many of them as the chip can defer come when it asks for them; all are of one timer module then.
-    kept_back : int
-        How many have.
-    """
+    """A chip with running clocks and all clock gates open, in an environment that the test defines."""
 
     def __init__(
         self,
@@ -195,16 +181,17 @@ class ChipRig:
         core: tuple[float, int] = (0.0, 0),
     ) -> None:
         self.ffi, self.lib = native.ffi, native.lib
+        # conversion results of the pins ANA0-7, ANB0-7, or functions of the clock
         self.codes: list[int | Callable[[int], int]] = [100 * k for k in range(16)]
-        self.handlers: dict[int, Callable[[], int | None]] = {}
-        self.edges: list[tuple[int, str, bool]] = []
-        self.keeps_back = False
-        self.kept_back = 0
+        self.handlers: dict[int, Callable[[], int | None]] = {}  # by vector; each returns its duration [clocks]
+        self.edges: list[tuple[int, str, bool]] = []  # future levels at pins: clock, pin, level; sorted by clock
+        self.defers_edges = False  # edges of one timer module are delivered on request, as far as the chip defers them
+        self.edges_deferred = 0  # number of deferred edges
         self.gates: list[tuple[int, int, int, int]] = []
         self.background: Callable[[], None] = lambda: None
         self.boots = 0
         self.raised: list[BaseException] = []
-        self._settled = start
+        self._starts_clocks = start
         environment = {
             "advance": ("void(void *, uint64_t)", lambda _, __: None),
             "next_event": ("uint64_t(void *)", lambda _: self._next()),
@@ -233,16 +220,16 @@ class ChipRig:
 
     def _next(self) -> int:
         first = 0
-        if self.keeps_back and self.edges:
+        if self.defers_edges and self.edges:
             first = min(self.lib.chip_deferrable_edges(self.chip, pin(name)) for _, name, _ in self.edges[:2])
         return self.edges[first][0] if first < len(self.edges) else NEVER
 
     def _late(self) -> None:
-        while self.keeps_back and self.edges and self.edges[0][0] <= self.chip.core.bus.now:
+        while self.defers_edges and self.edges and self.edges[0][0] <= self.chip.core.bus.now:
             if self.lib.chip_deferrable_edges(self.chip, pin(self.edges[0][1])) == 0:
                 break  # an event
             clock, name, level = self.edges.pop(0)
-            self.kept_back += clock < self.chip.core.bus.now
+            self.edges_deferred += clock < self.chip.core.bus.now
             self.lib.chip_pin_late(self.chip, pin(name), level, clock)
 
     def _events(self) -> None:
@@ -263,14 +250,14 @@ class ChipRig:
 
     def _boot(self) -> None:
         self.boots += 1
-        if self._settled:
+        if self._starts_clocks:
             self.lib.chip_write(self.chip, ADDRESS["COP_CTRL"], 0)
-            self.clock_up()
+            self.start_clocks()
             for n, value in enumerate((0xFF7F, 0x1C00, 0x0080, 0x00FF)):
                 self.lib.chip_write(self.chip, ADDRESS[f"SIM_PCE{n}"], value)
 
-    def clock_up(self, divby: int = 0x2031) -> None:
-        """PLL on the internal oscillator; the bus runs at 100 MHz."""
+    def start_clocks(self, divby: int = 0x2031) -> None:
+        """Start the PLL on the internal oscillator, for a bus clock of 100 MHz."""
         write, read = self.lib.chip_write, self.lib.chip_read
         write(self.chip, ADDRESS["OCCS_DIVBY"], divby)
         write(self.chip, ADDRESS["OCCS_CTRL"], 0x0080)
@@ -322,7 +309,7 @@ class ChipRig:
         self.lib.chip_interrupts(self.chip, True)
 
     def on(self, vector: int, values: dict[str, int], read: str = "") -> list[Any]:
-        """The handler of a vector writes these values; the clocks at which it runs, each with what it reads first."""
+        """Install a handler that writes values; return the clocks of its calls, with the value of `read` before."""
         calls: list[Any] = []
 
         def handler() -> None:
@@ -333,7 +320,7 @@ class ChipRig:
         return calls
 
     def clear(self) -> None:
-        """Forget what has been recorded."""
+        """Clear the recorded events."""
         self.chip.core.bus.trace = {"entry": self._trace, "size": 0, "left": 200_000}
         self.gates.clear()
 
@@ -366,7 +353,7 @@ PWM_PINS = {"GPIOE_PER": 0x01FF, "GPIOG_PER": 0x000F, "SIM_GPSEL": 0xA000, "SIM_
 
 
 def pwm_module(letter: str, half: int = 1000, **changes: int) -> dict[str, int]:
-    """Registers of a module as the reference design has them: centre aligned, half-cycle reload, 1 us of dead time."""
+    """Registers of a module in the reference design: centre-aligned, half-cycle reload, 1 us dead time."""
     values: dict[str, int] = {}
     for n in range(3):
         follower = (0x0204 if letter == "A" else 0x0304) if n else (0x0000 if letter == "A" else 0x0300)
@@ -382,7 +369,7 @@ def pwm_module(letter: str, half: int = 1000, **changes: int) -> dict[str, int]:
 
 
 def start_pwm(rig: ChipRig, letter: str, *, outputs: bool = True) -> None:
-    """LDOK, RUN, and outputs on."""
+    """Set LDOK and RUN, and enable the outputs."""
     rig.write(f"PWM{letter}_MCTRL", 0x0007)
     rig.write(f"PWM{letter}_MCTRL", 0x0700)
     if outputs:

@@ -1,4 +1,4 @@
-"""Fixtures of the tests of the virtual board: its C parts, compiled by themselves."""
+"""Fixtures of the virtual board: its C parts, each compiled separately."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-# A shell in the background may have Ctrl-C ignored, and the processes that the tests start would inherit that.
+# A background shell may ignore SIGINT, and child processes inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The helper modules of this folder, and one of the firmware's, can be imported under every import mode of pytest.
@@ -24,20 +24,20 @@ from servo_twin.level import LEVEL_VARIABLE  # noqa: E402
 
 @pytest.fixture(params=[os.environ[LEVEL_VARIABLE]] if LEVEL_VARIABLE in os.environ else ["ideal", "registers"])
 def level(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Both levels of boards that are made without naming one; only one, if the environment names it."""
+    """Default level of boards: both levels, or only the level of the environment variable."""
     monkeypatch.setenv(LEVEL_VARIABLE, request.param)
     return str(request.param)
 
 
 @pytest.fixture(scope="session")
 def plant_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
-    """The C of the plant (``ffi``, ``lib``)."""
+    """Compiled plant (``ffi``, ``lib``)."""
     return compile_c(tmp_path_factory.mktemp("plant"), "plant_under_test", ["plant/plant.h"], PLANT)
 
 
 @pytest.fixture(scope="session")
 def chip_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
-    """The ideal chip with a firmware that only writes down when it is called (``ffi``, ``lib``)."""
+    """Ideal chip with a fake firmware that records its calls (``ffi``, ``lib``)."""
     fake = TEST / "fake_firmware"
     sources = [*PLANT, *(NATIVE / name for name in ("ideal_chip.c", "uart.c", "flash.c")), fake / "servo.c"]
     folder = tmp_path_factory.mktemp("chip")
@@ -67,23 +67,23 @@ static {straight_roots}
 
 @pytest.fixture(scope="session")
 def switching_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
-    """The plant at switching level (``ffi``, ``lib``)."""
+    """Plant at switching level (``ffi``, ``lib``)."""
     return build_switching(tmp_path_factory.mktemp("switching"), "switching_under_test")
 
 
 @pytest.fixture(scope="session")
 def stepping_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
-    """The same without linear intervals: every segment by the general integration."""
+    """Plant at switching level without linear intervals: all segments by the general integration."""
     return build_switching(tmp_path_factory.mktemp("stepping"), "stepping_under_test", "PLANT_NO_LINEAR_INTERVALS")
 
 
 @pytest.fixture(scope="session")
 def registers_c(tmp_path_factory: pytest.TempPathFactory) -> Native:
-    """The chip at register level, alone (``ffi``, ``lib``)."""
+    """Chip at register level without a plant (``ffi``, ``lib``)."""
     return chip_rig.build(tmp_path_factory.mktemp("registers"))
 
 
 @pytest.fixture
 def rig(registers_c: Native) -> chip_rig.ChipRig:
-    """A chip with its clocks up, in an environment that the test makes."""
+    """A chip with running clocks, in an environment that the test defines."""
     return chip_rig.ChipRig(registers_c)

@@ -1,4 +1,4 @@
-"""Build C parts of the virtual board for the tests, and describe them to Python."""
+"""Build C parts of the virtual board as cffi modules for the tests."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ HALF_NS = 31_250
 
 
 class Native(NamedTuple):
-    """A compiled library and the means to make objects for it."""
+    """A compiled library with its cffi interface."""
 
     ffi: FFI
     lib: Any
@@ -35,7 +35,7 @@ def compile_c(
     cdef: str = "",
     preamble: str = "",
 ) -> Native:
-    """Compile C files into a module in `folder`: what the headers declare, and what `preamble` defines for `cdef`."""
+    """Compile C files to a module in `folder`, with the declarations of the headers and of `cdef` (see `preamble`)."""
     declared = re.sub(
         r"[^;{}]*\bboard_\w+\([^;{}]*\);", "", declarations(*headers, include=include)
     )  # no board is linked
@@ -80,8 +80,8 @@ def c_config(native: Native, plant: PlantConfig, seed: int = 0, baud: float = 11
     return config
 
 
-def plain(plant: PlantConfig | None = None, **axis: Any) -> PlantConfig:
-    """Plant with an ideal inverter, ideal sensors and no friction, to which a test adds what it is about."""
+def ideal_plant(plant: PlantConfig | None = None, **axis: Any) -> PlantConfig:
+    """Plant with an ideal inverter, ideal sensors and no friction, with changes by the test."""
     plant = plant or PlantConfig.load()
     ideal = {
         "dead_time": 0.0, "v_drop": 0.0, "r_on": 0.0, "friction": 0.0, "viscous": 0.0, "i_noise": 0.0,

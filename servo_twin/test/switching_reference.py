@@ -1,8 +1,8 @@
-"""An independent integration of the same PWM edges: what the plant at switching level is compared with.
+"""Independent reference for the plant at switching level.
 
-Everything is done another way than in the plant: one joint state of both axes and the bus, in the rotors' frames,
-advanced by Runge-Kutta steps of a fraction of a microsecond; the legs' conduction is found by trying every combination;
-a current that changes its sign, a floating leg that reaches its limit and a shaft that stops end a step by bisection.
+It uses other methods than the plant: one joint state of both axes and the bus in rotor coordinates, Runge-Kutta steps
+below 1 us, the conduction state of the legs by trial of all combinations, and bisection for zero crossings of currents,
+limits of floating legs and stops of shafts.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ def clarke(v: Sequence[float]) -> tuple[float, float]:
 
 
 def iron(inductance: float, i_s: float, current: float) -> tuple[float, float]:
-    """Flux of a current, and its slope, where i = flux / L (1 + (flux / (L i_s))^2 / 3), by Cardano's formula."""
+    """Flux and differential inductance for i = flux / L (1 + (flux / (L i_s))^2 / 3), by Cardano's formula."""
     x = 2.0 * math.sinh(math.asinh(1.5 * current / i_s) / 3.0) if i_s > 0.0 else 0.0
     return (inductance * i_s * x, inductance / (1.0 + x * x)) if i_s > 0.0 else (inductance * current, inductance)
 
 
 @dataclass
 class Machine:
-    """One axis: state and pattern of conduction."""
+    """One axis: state and conduction pattern."""
 
     plant: AxisPlant
     i_d: float = 0.0
@@ -73,7 +73,7 @@ class Machine:
         return 1.5 * p.pole_pairs * ((p.psi_m + flux_d) * i_q - flux_q * i_d)
 
     def pull(self, x: Sequence[float]) -> float:
-        """Torque of cogging and shaft on the rotor."""
+        """Cogging torque and shaft torque on the rotor [N m]."""
         p = self.plant
         omega, theta, omega_load, theta_load = x[2:]
         return p.cogging_torque * math.sin(p.cogging_periods * theta + p.cogging_phase) - self.twist(
@@ -81,7 +81,7 @@ class Machine:
         )
 
     def twist(self, angle: float, speed: float) -> float:
-        """Torque through the shaft."""
+        """Torque of the elastic shaft [N m]."""
         p = self.plant
         deep = math.copysign(max(abs(angle) - 0.5 * p.backlash, 0.0), angle)
         torque = p.shaft_stiffness * deep + p.shaft_damping * speed
@@ -92,7 +92,7 @@ class Machine:
         return {OPEN: (-v, u + v), HIGH: (u - v, u + v), LOW: (-v, v)}[self.gates[k]]
 
     def rates(self, x: Sequence[float], u: float, sign: Sequence[int]) -> tuple[list[float], list[float], float]:
-        """Derivatives of `x`; the leg voltages; the current out of the bus."""
+        """Derivatives of `x`, leg voltages, current out of the bus."""
         p = self.plant
         i_d, i_q, omega, theta, omega_load, theta_load = x
         flux_d, l_d = iron(p.l_d, p.i_saturation_d, i_d)
@@ -152,7 +152,7 @@ class Machine:
         self.i_d, self.i_q, self.omega, self.theta, self.omega_load, self.theta_load = value
 
     def decide(self, u: float) -> None:
-        """Signs of the currents that are zero, by trial; direction of motion."""
+        """Find the signs of zero currents by trial, and the direction of motion."""
         zero = [k for k in range(3) if self.sign[k] == 0]
         if zero:
             for trial in sorted(itertools.product((0, 1, -1), repeat=len(zero)), key=lambda t: sum(map(abs, t))):
@@ -197,7 +197,7 @@ class Machine:
         return True
 
     def violated(self, u: float) -> float:
-        """How far the state is beyond what the pattern allows (0: not at all)."""
+        """Violation of the conduction pattern by the state (0: none)."""
         worst = 0.0
         for current, sign in zip(self.phases(), self.sign, strict=True):
             if sign != 0:
@@ -217,11 +217,11 @@ class Machine:
         return worst
 
     def drive(self) -> float:
-        """Torque on a rotor that stands, without friction."""
+        """Torque on a rotor at standstill, without friction [N m]."""
         return self.torque() + self.pull(self.x) - (0.0 if self.plant.load_inertia > 0.0 else self.load)
 
     def cross(self) -> None:
-        """At the moment of a violation: currents at zero are zero."""
+        """Set the currents that crossed zero to zero, after a violation."""
         for k, current in enumerate(self.phases()):
             if self.sign[k] != 0 and abs(current) < 1e-7 and current * self.sign[k] < 1e-9:
                 self.sign[k] = 0
@@ -299,7 +299,7 @@ class Reference:
             seconds -= h
 
     def run(self, edges: Iterable[Edge], until: int) -> None:
-        """Through the edges, which are in order of time, and on to a clock."""
+        """Execute the edges, in order of time, and run until a clock."""
         for clock, axis, phase, gates in edges:
             self._advance((clock - self.clock) * CLOCK)
             self.clock = clock
@@ -309,7 +309,7 @@ class Reference:
 
 
 def centred_edges(start: int, period: int, duty: Sequence[float], dead: int, axis: int) -> list[Edge]:
-    """Edges of one period that begins at a low-side centre; both gates are off for `dead` clocks at each."""
+    """Edges of one period that starts at a low-side centre, with `dead` clocks of dead time."""
     edges: list[Edge] = []
     for phase, part in enumerate(duty):
         low = round(0.5 * period * (1.0 - part))

@@ -1,4 +1,4 @@
-"""The plant at switching level as Python sees it."""
+"""Python interface of the plant at switching level."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from switching_reference import Edge
 
 
 class Switching:
-    """A plant that follows lists of edges and keeps the events."""
+    """Plant that executes lists of gate edges and records its events."""
 
     def __init__(self, native: Native, plant: PlantConfig, seed: int = 0) -> None:
         self.ffi, self.lib = native.ffi, native.lib
@@ -22,11 +22,11 @@ class Switching:
         self.clock = 0
 
     def spin(self, axis: int, omega: float) -> None:
-        """Give the shaft a speed; before anything has happened."""
+        """Set the initial speed of a shaft [rad/s]."""
         self.c.axis[axis].inverter.omega = self.c.shaft[axis].speed = omega
 
     def charge(self, volts: float) -> None:
-        """Give the bus a voltage; before anything has happened."""
+        """Set the initial voltage of the bus [V]."""
         self.c.supply.u = volts
 
     def advance(self, clock: int) -> None:
@@ -40,7 +40,7 @@ class Switching:
             self.events.append((event.clock, event.kind, event.axis, event.line, event.level))
 
     def take_deferred(self, axis: int, allowed: int) -> int:
-        """Take the deferred edges and allow as many more to be deferred; returns how many there were."""
+        """Take the deferred edges and allow `allowed` more to be deferred; return the number of taken edges."""
         event = self.ffi.new("switching_event_t *")
         before = len(self.events)
         while self.lib.switching_take_deferred(self.c, axis, event):

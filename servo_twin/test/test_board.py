@@ -54,7 +54,7 @@ def session(board: Board) -> NDArray[np.void]:
 
 
 class TestTime:
-    def test_stands_still_by_itself(self, board: Board) -> None:
+    def test_shaft_without_commands_does_not_move(self, board: Board) -> None:
         assert board.time_ns == 0
         board.advance(123_456_789)
         assert board.time_ns == 123_456_789
@@ -70,7 +70,7 @@ class TestTime:
         assert board.record(50 * MS).size == 0
         assert board.record(101 * MS)["tick"].tolist() == [1608, 1616]
 
-    def test_recording_in_pieces_is_the_same(self) -> None:
+    def test_recording_does_not_depend_on_its_pieces(self) -> None:
         with Board(seed=5) as whole, Board(seed=5) as pieces:
             expected = whole.record(40 * MS)
             parts = [pieces.record(t) for t in [*range(1, 40 * MS, 1_234_567), 40 * MS]]
@@ -78,7 +78,7 @@ class TestTime:
 
 
 class TestVariables:
-    def test_the_board_names_all_of_the_catalogue(self, board: Board) -> None:
+    def test_board_has_all_variables_of_the_catalogue(self, board: Board) -> None:
         assert set(board.addresses) == set(Catalogue.load().variables)
         assert board.read("catalogue_hash") == Catalogue.load().hash
 
@@ -110,7 +110,7 @@ class TestVariables:
         assert error.value.status == 0x97
         assert board.read_raw(name) == before
 
-    def test_a_refused_write_names_variable_and_reason(self, board: Board) -> None:
+    def test_refused_write_reports_variable_and_reason(self, board: Board) -> None:
         with pytest.raises(BoardError, match=r"axis1\.position: .*access denied") as error:
             board.write_raw("axis1.position", 1)
         assert error.value.status == 0x89
@@ -123,7 +123,7 @@ class TestVariables:
         with pytest.raises(ValueError, match="2 expected"):
             board.write("cmd.position", 1.0)
 
-    def test_snapshot_rows_hold_what_read_gives(self, board: Board) -> None:
+    def test_snapshot_rows_agree_with_read(self, board: Board) -> None:
         board.run(0.01)
         log = board.record(board.time_ns + SLOW_NS)
         assert log.size == 1
@@ -135,7 +135,7 @@ class TestVariables:
 
 
 class TestRepeatability:
-    def test_bit_for_bit(self) -> None:
+    def test_runs_are_bit_identical(self) -> None:
         runs = []
         for _ in range(2):
             with Board(seed=7) as board:
@@ -143,11 +143,11 @@ class TestRepeatability:
                 runs.append((log.tobytes(), board.serial_out(), board.truth(0), board.truth(1), board.time_ns))
         assert runs[0] == runs[1]
 
-    def test_another_seed_is_another_noise(self) -> None:
+    def test_another_seed_gives_another_noise(self) -> None:
         with Board(seed=1) as first, Board(seed=2) as second:
             assert session(first).tobytes() != session(second).tobytes()
 
-    def test_boards_do_not_know_of_each_other(self) -> None:
+    def test_boards_are_independent(self) -> None:
         with Board(seed=3) as alone:
             expected = session(alone).tobytes()
         with Board(seed=3) as one, Board(seed=4) as other:
@@ -192,7 +192,7 @@ class TestPlant:
         assert (truth.theta_m, truth.omega_m, truth.i_q, truth.u_dc) == (start, 0.0, 0.0, 24.0)
         assert board.stats().watchdog_services == 40
 
-    def test_moves_where_it_is_told(self, board: Board) -> None:
+    def test_moves_to_its_set_point(self, board: Board) -> None:
         enable(board)
         offsets = [board.truth(k).theta_m - float(board.read_raw(f"axis{k + 1}.position")[0]) * math.tau / 4000
                    for k in (0, 1)]  # fmt: skip
@@ -263,7 +263,7 @@ class TestPlant:
             torques.append(board.truth(0).torque_e)
         assert any(torques)
 
-    def test_a_board_has_the_plant_that_it_is_given(self) -> None:
+    def test_board_has_the_given_plant(self) -> None:
         with Board(PlantConfig.load().with_axis(0, theta_start=1.0).with_bus(u_source=20.0)) as board:
             board.run(0.01)
             assert board.truth(0).theta_m == 1.0
@@ -271,7 +271,7 @@ class TestPlant:
 
 
 class TestLife:
-    def test_a_closed_board_says_so(self) -> None:
+    def test_closed_board_raises_an_error(self) -> None:
         board = Board()
         board.close()
         board.close()
@@ -296,7 +296,7 @@ class TestBuildScript:
         with pytest.raises(ValueError, match="CFFI-BEGIN"):
             _build_native.declarations("int a;")
 
-    def test_misses_the_firmware_in_words(self, tmp_path_factory: pytest.TempPathFactory) -> None:
+    def test_missing_firmware_gives_a_message(self, tmp_path_factory: pytest.TempPathFactory) -> None:
         with pytest.raises(FileNotFoundError, match="checkout of the whole repository"):
             _build_native.firmware_sources(tmp_path_factory.mktemp("alone") / "firmware")
 

@@ -21,7 +21,7 @@ def access(request: pytest.FixtureRequest) -> Iterator[VirtualBoardAccess]:
         yield VirtualBoardAccess(board)
 
 
-def test_values_are_si_and_one_element_leaves_the_others_alone(access: VirtualBoardAccess) -> None:
+def test_values_are_si_and_elements_are_written_separately(access: VirtualBoardAccess) -> None:
     access.write("param.i_q_limit", [1.0, 2.0])
     access.write("param.i_q_limit", [1.5], 1)
     assert access.read("param.i_q_limit") == pytest.approx([1.0, 1.5], abs=3e-4)
@@ -33,7 +33,7 @@ def test_values_are_si_and_one_element_leaves_the_others_alone(access: VirtualBo
         access.write("axis1.i_q", [1.0])
 
 
-def test_samples_are_as_far_apart_as_asked_for(access: VirtualBoardAccess) -> None:
+def test_samples_have_the_requested_period(access: VirtualBoardAccess) -> None:
     recording = access.record(["tick"], 50, 4, slow=False)
     assert recording.step == pytest.approx(4 * PERIOD_NS * 1e-9)
     assert np.diff(recording.columns["tick"]).tolist() == [4.0] * 49
@@ -43,7 +43,7 @@ def test_samples_are_as_far_apart_as_asked_for(access: VirtualBoardAccess) -> No
     assert recording.columns["u_dc"].mean() == pytest.approx(24.0, abs=1.0)
 
 
-def test_a_recording_begins_at_its_trigger(access: VirtualBoardAccess) -> None:
+def test_recording_starts_at_its_trigger(access: VirtualBoardAccess) -> None:
     def start() -> None:
         access.wait(0.0)
         access.write("cmd.enable", [1.0], 0)
@@ -60,7 +60,7 @@ def test_a_recording_begins_at_its_trigger(access: VirtualBoardAccess) -> None:
         access.record(["axis3.i_q"], 10, 1, slow=True)
 
 
-def test_a_fault_is_named_with_its_remedy(access: VirtualBoardAccess) -> None:
+def test_fault_is_reported_with_its_remedy(access: VirtualBoardAccess) -> None:
     refuse_faults(access, 0)
     access.board.connect_encoder(0, False)
     access.write("cmd.enable", [1.0], 0)

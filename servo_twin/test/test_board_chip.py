@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from native_library import HALF_NS, Native, c_config, plain
+from native_library import HALF_NS, Native, c_config, ideal_plant
 from servo_twin.plant import PlantConfig
 
 PERIOD_NS = 2 * HALF_NS
@@ -42,7 +42,7 @@ class Chip:
 @pytest.fixture
 def make(chip_c: Native) -> Callable[..., Chip]:
     def chip(plant: PlantConfig | None = None, **options: Any) -> Chip:
-        return Chip(chip_c, plant or plain(), **options)
+        return Chip(chip_c, plant or ideal_plant(), **options)
 
     return chip
 
@@ -72,8 +72,8 @@ def test_background_follows_every_interrupt(make: Callable[..., Chip]) -> None:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_duty_acts_half_a_period_after_its_samples(make: Callable[..., Chip], axis: int) -> None:
-    plant = plain()
+def test_duty_takes_effect_half_a_period_after_its_samples(make: Callable[..., Chip], axis: int) -> None:
+    plant = ideal_plant()
     chip = make(plant)
     chip.lib.chip_run(chip.hal, PERIOD_NS - 1, False)  # at rest; the next M1 is due at one period
     chip.switch_on(axis, 16384 + 3277, 16384 - 1638, 16384 - 1638)
@@ -108,7 +108,7 @@ def test_a_duty_holds_for_a_whole_period(make: Callable[..., Chip], axis: int) -
 
 def test_each_axis_is_sampled_at_its_low_side_centre(make: Callable[..., Chip]) -> None:
     """Currents in its own interrupt, its offsets in the other one's, half a period away."""
-    plant = plain().with_axis(0, i_offset=(0.4, 0.4, 0.4)).with_axis(1, i_offset=(-0.4, -0.4, -0.4))
+    plant = ideal_plant().with_axis(0, i_offset=(0.4, 0.4, 0.4)).with_axis(1, i_offset=(-0.4, -0.4, -0.4))
     chip = make(plant)
     for axis in (0, 1):
         chip.lib.plant_motor_lock(chip.ffi.addressof(chip.motor(axis)), True)
@@ -134,7 +134,7 @@ def test_outputs_off_means_no_current(make: Callable[..., Chip]) -> None:
 
 class TestOverCurrent:
     def trip(self, make: Callable[..., Chip]) -> Chip:
-        chip = make(plain(i_break=5.0))
+        chip = make(ideal_plant(i_break=5.0))
         chip.lib.plant_motor_lock(chip.ffi.addressof(chip.motor(0)), True)
         chip.switch_on(0, 32767, 0, 0)
         chip.switch_on(1, 16384, 16384, 16384)
@@ -143,7 +143,7 @@ class TestOverCurrent:
             assert chip.hal.now_ns < 20 * PERIOD_NS
         return chip
 
-    def test_opens_the_switches_without_software(self, make: Callable[..., Chip]) -> None:
+    def test_comparator_opens_the_switches_without_software(self, make: Callable[..., Chip]) -> None:
         chip = self.trip(make)
         current = max(map(abs, chip.motor(0).phase))
         assert 5.0 < current < 5.0 + 16.0 / 0.403e-3 * HALF_NS * 1e-9
@@ -188,7 +188,7 @@ def test_edge_interrupt_follows_an_armed_capture_only(make: Callable[..., Chip])
     assert not chip.lib.hal_capture_take(chip.hal, 1, chip.ffi.new("edge_capture_t *"))
 
 
-def test_presetting_an_encoder_leaves_the_other_alone(make: Callable[..., Chip]) -> None:
+def test_preset_of_an_encoder_does_not_affect_the_other(make: Callable[..., Chip]) -> None:
     chip = make()
     chip.lib.hal_encoder_preset(chip.hal, 0, 777)
     assert chip.lib.hal_encoder_count(chip.hal, 0) == 777
@@ -206,7 +206,7 @@ class TestSerialLine:
         size = chip.lib.uart_host_read(chip.ffi.addressof(chip.hal.uart), buffer, 70000)
         return bytes(chip.ffi.buffer(buffer, size))
 
-    def test_bytes_take_their_time_both_ways(self, make: Callable[..., Chip]) -> None:
+    def test_bytes_have_the_delay_of_the_line_in_both_directions(self, make: Callable[..., Chip]) -> None:
         chip = make(baud=100_000.0)
         chip.servo.echo = True
         chip.run(7_777)
@@ -222,7 +222,7 @@ class TestSerialLine:
         assert arrivals == [b"", b"", b"", b"a", b"", b"b", b"", b"c", b"", b""]
         assert chip.lib.uart_next_ns(chip.ffi.addressof(chip.hal.uart)) == 2**64 - 1
 
-    def test_a_byte_of_the_same_moment_comes_before_the_interrupt(self, make: Callable[..., Chip]) -> None:
+    def test_byte_at_the_same_time_precedes_the_interrupt(self, make: Callable[..., Chip]) -> None:
         chip = make(baud=10 / HALF_NS * 1e9)
         chip.servo.log_background = True
         self.send(chip, b"x")
@@ -259,7 +259,7 @@ class TestSerialLine:
         chip.run(10_000_000)
         assert self.send(chip, bytes(5000)) == 1000
 
-    def test_an_absent_host_loses_the_newest(self, make: Callable[..., Chip]) -> None:
+    def test_newest_bytes_are_lost_without_a_host(self, make: Callable[..., Chip]) -> None:
         chip = make(baud=10e6)
         chip.servo.echo = True
         for _ in range(20):
@@ -269,7 +269,7 @@ class TestSerialLine:
         assert chip.hal.uart.tx_lost == 20 * 4096 - 65536
 
 
-def test_slices_of_time_do_not_matter(make: Callable[..., Chip]) -> None:
+def test_run_does_not_depend_on_its_time_steps(make: Callable[..., Chip]) -> None:
     """Running in one go or in odd pieces is the same run."""
 
     def result(pieces: list[int]) -> list[Any]:

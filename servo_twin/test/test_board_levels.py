@@ -119,7 +119,7 @@ def test_both_levels_heat_the_windings_alike() -> None:
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_a_board_that_has_been_in_use_is_warm_and_knows(level: Level) -> None:
+def test_board_in_use_starts_with_a_warm_winding_model(level: Level) -> None:
     with Board(level=level, seed=1) as board:
         board.run(0.02)
         board.set_winding(1, 87.5)
@@ -131,7 +131,7 @@ def test_a_board_that_has_been_in_use_is_warm_and_knows(level: Level) -> None:
             board.set_winding(0, 300.0)
 
 
-def test_same_calls_same_bits() -> None:
+def test_same_calls_give_the_same_bits() -> None:
     def run() -> tuple[bytes, bytes]:
         with Board(level="registers", seed=11) as board:
             trace = board.trace(20_000_000)
@@ -140,7 +140,7 @@ def test_same_calls_same_bits() -> None:
     assert run() == run()
 
 
-def test_how_time_is_cut_changes_nothing() -> None:
+def test_run_does_not_depend_on_its_pieces() -> None:
     ends = []
     for step in (3_000_000, 777_770, 62_500):
         with Board(level="registers", seed=2) as board:
@@ -151,7 +151,7 @@ def test_how_time_is_cut_changes_nothing() -> None:
     assert ends[0] == ends[1] == ends[2]
 
 
-def test_a_run_that_is_suspended_in_a_handler_goes_on_in_another_thread() -> None:
+def test_run_suspended_in_a_handler_continues_in_another_thread() -> None:
     """Each piece in a thread of its own, while another board runs in this one."""
     with Board(level="registers", seed=2) as plain, Board(level="registers", seed=2) as moved:
         plain.advance(20_000_000)
@@ -174,12 +174,12 @@ class TestTrace:
             assert len(handlers(log, START)) == 1
             assert np.all(np.diff(log["clock"].astype(np.int64)) >= 0)
 
-    def test_room_is_kept(self) -> None:
+    def test_trace_does_not_exceed_its_size(self) -> None:
         with Board(level="registers") as board:
             assert board.trace(5_000_000, capacity=10).size == 10
             assert board.time_ns == 5_000_000
 
-    def test_looking_changes_nothing(self) -> None:
+    def test_trace_does_not_change_the_run(self) -> None:
         with Board(level="registers", seed=4) as plain, Board(level="registers", seed=4) as traced:
             plain.advance(20_000_000)
             traced.trace(20_000_000)
@@ -213,7 +213,7 @@ class TestCore:
             assert len(set(writes)) > 8
             assert writes[0] >= 30
 
-    def test_a_core_that_is_too_slow_is_late(self) -> None:
+    def test_slow_core_causes_late_loops(self) -> None:
         """The counter tells, and the fault keeps the switches open."""
         for cycles in (2.0, 7.0):
             with Board(level="registers", core=CoreSpeed(cycles, 30)) as board:
@@ -245,7 +245,7 @@ class TestCore:
 
 
 class TestErrors:
-    def test_what_is_not_modelled_reaches_python(self) -> None:
+    def test_use_of_unmodelled_functions_raises_an_error(self) -> None:
         with Board(level="registers") as board:
             board.run(0.005)
             with pytest.raises(ChipError, match=r"ADC GC1 = 0001h: .* \(at \d+\.\d\d us\)"):
@@ -253,7 +253,7 @@ class TestErrors:
             with pytest.raises(SimulationError, match="ADC GC1"):
                 board.run(0.001)
 
-    def test_one_board_that_stops_leaves_the_others_running(self) -> None:
+    def test_error_of_one_board_does_not_stop_the_others(self) -> None:
         with Board(level="registers", seed=1) as good, Board(level="registers", seed=1) as bad:
             with pytest.raises(ChipError):
                 bad.peek(0x0100)
@@ -261,7 +261,7 @@ class TestErrors:
             assert good.read_raw("tick")[0] > 100
 
 
-def test_the_watchdog_starts_the_firmware_anew() -> None:
+def test_watchdog_restarts_the_firmware() -> None:
     """M1 comes no more, so the watchdog is not served: reset, and the sequence runs again."""
     with Board(level="registers") as board:
         board.run(0.02)

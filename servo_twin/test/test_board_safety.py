@@ -32,7 +32,7 @@ def spin(board: Board, speed: float) -> None:
     board.run(0.6)
 
 
-def test_record_ends_where_the_fault_was_captured_and_not_where_its_ramp_ends(board: Board) -> None:
+def test_record_ends_at_the_fault_and_not_at_the_end_of_its_ramp(board: Board) -> None:
     spin(board, 200.0)
     board.write("param.acceleration_limit", [1000.0, 1000.0])
     board.write("param.host_timeout", 0.4)
@@ -56,7 +56,7 @@ def test_record_ends_where_the_fault_was_captured_and_not_where_its_ramp_ends(bo
     assert speeds.min() > 190.0, "before the ramp"
 
 
-def test_enabling_a_coasting_shaft_waits_until_it_rests(board: Board) -> None:
+def test_enable_waits_for_a_coasting_shaft(board: Board) -> None:
     spin(board, 300.0)
     board.set_supply(10.0)
     while board.read_raw("axis1.state") != [FAULT]:
@@ -88,7 +88,7 @@ def test_enabling_a_coasting_shaft_waits_until_it_rests(board: Board) -> None:
     ],
 )
 @pytest.mark.parametrize("speed", [200.0, -200.0])
-def test_an_encoder_that_slips_ends_in_a_fault_and_not_in_a_runaway(
+def test_slipped_encoder_causes_a_fault_and_no_runaway(
     board: Board, gap: float, fault: str, within: float, speed: float
 ) -> None:
     spin(board, speed)
@@ -106,7 +106,7 @@ def test_an_encoder_that_slips_ends_in_a_fault_and_not_in_a_runaway(
     assert board.read_raw("axis2.state") == [RUN]  # the other axis goes on
 
 
-def test_an_encoder_that_dies_ends_in_a_fault(board: Board) -> None:
+def test_dead_encoder_causes_a_fault(board: Board) -> None:
     spin(board, 100.0)
     board.connect_encoder(0, False)
     board.run(0.7)
@@ -145,7 +145,7 @@ def test_torque_ends_at_the_speed_limit(board: Board) -> None:
 
 
 @pytest.mark.parametrize("i_q", [0.3, 0.5, 1.0])
-def test_less_current_makes_moves_slower_and_never_overshoot(board: Board, i_q: float) -> None:
+def test_lower_current_limit_slows_moves_without_overshoot(board: Board, i_q: float) -> None:
     board.write("param.i_q_limit", [i_q, i_q])
     board.run(0.01)
     results, log = move(board, {0: 20000, 1: -20000}, 4.0)
@@ -165,7 +165,7 @@ def test_full_reversals_at_the_current_limit_are_no_runaway(board: Board) -> Non
         assert faults(board, 0) == faults(board, 1) == set()
 
 
-def test_a_shaft_that_never_rests_does_not_start_by_itself_later() -> None:
+def test_enable_of_a_turning_shaft_does_not_take_effect_later() -> None:
     with Board(seed=3) as board:
         board.run(0.03)
         board.set_load(0, -0.0025)  # more than the friction: something turns the shaft for ever
@@ -180,7 +180,7 @@ def test_a_shaft_that_never_rests_does_not_start_by_itself_later() -> None:
         assert board.read_raw("axis1.state") == [STOP]
 
 
-def test_a_shaft_that_is_held_during_the_search_is_not_found_anywhere() -> None:
+def test_rotor_search_fails_with_a_blocked_shaft() -> None:
     """Held after the first twitch: nothing moves any more, at whatever angle the rotor is."""
     for delay in (0.105, 0.11, 0.12, 0.13):
         with Board(seed=int(delay * 1e4)) as board:
@@ -204,7 +204,7 @@ BACK_MAX = 16
 
 
 @pytest.mark.parametrize(("i_q", "acceleration"), [(4.0, 4000.0), (0.5, 4000.0), (0.2, 4000.0), (4.0, 50000.0)])
-def test_a_stop_does_not_run_back(board: Board, i_q: float, acceleration: float) -> None:
+def test_stop_does_not_reverse_the_shaft(board: Board, i_q: float, acceleration: float) -> None:
     """With little current, or a steep ramp, the shaft is still fast when the ramp has ended."""
     spin(board, 300.0)
     board.write("param.i_q_limit", [i_q, i_q])

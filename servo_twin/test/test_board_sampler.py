@@ -16,7 +16,7 @@ SNAPSHOT = [(VARIABLES[name], 0) for name in ("tick", "u_dc", "axis2.position", 
 
 
 @pytest.mark.parametrize("level", get_args(Level))
-def test_the_last_points_are_kept_in_their_order(level: Level) -> None:
+def test_last_samples_are_kept_in_order(level: Level) -> None:
     with Board(level=level, seed=3) as board:
         board.run(0.01)
         board.sample(1, SNAPSHOT, 50)
@@ -29,7 +29,7 @@ def test_the_last_points_are_kept_in_their_order(level: Level) -> None:
             assert points[field].tolist() == rows[variable.name][-50:].tolist(), variable.name
 
 
-def test_every_period_is_sampled_with_what_only_the_loops_have() -> None:
+def test_every_period_is_sampled_including_loop_variables() -> None:
     with Board(seed=3) as board:
         board.sample(0, [(VARIABLES[name], 0) for name in ("tick", "u_dc_now", "axis1.duty_a")], 4000)
         board.run(0.2)
@@ -40,7 +40,7 @@ def test_every_period_is_sampled_with_what_only_the_loops_have() -> None:
         assert len(set(volts.tolist())) > 10
 
 
-def test_what_is_not_there_or_too_much_is_refused_and_the_recorder_is_free_again() -> None:
+def test_invalid_recordings_are_refused_and_release_the_recorder() -> None:
     with Board() as board:
         with pytest.raises(BoardError, match="no sampling is active"):
             board.sampled()

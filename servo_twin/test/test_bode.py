@@ -65,7 +65,7 @@ def kept(access: VirtualBoardAccess) -> tuple[object, ...]:
 
 @pytest.mark.parametrize("loop", LOOPS)
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_loop_is_as_predicted(loop: str, axis: int, level: Level) -> None:
+def test_measured_loop_agrees_with_the_prediction(loop: str, axis: int, level: Level) -> None:
     with Board(level=level, seed=3) as board:
         board.run(0.1)
         access = VirtualBoardAccess(board)
@@ -79,7 +79,7 @@ def test_a_loop_is_as_predicted(loop: str, axis: int, level: Level) -> None:
         assert access.read("late_loops") == [0.0]
 
 
-def test_other_gains_and_the_speed_observer_are_predicted_too(access: VirtualBoardAccess) -> None:
+def test_prediction_for_other_gains_and_the_speed_observer(access: VirtualBoardAccess) -> None:
     source = CONFIG.read_text(encoding="utf-8").replace("speed_bandwidth   = 75.0", "speed_bandwidth   = 40.0")
     blocks = blocks_of_file(source, access.catalogue)
     block = read_block(access, 0)
@@ -97,7 +97,7 @@ def test_other_gains_and_the_speed_observer_are_predicted_too(access: VirtualBoa
     refuse_difference(observed)
 
 
-def test_an_enabled_axis_is_left_in_its_mode_at_rest() -> None:
+def test_mode_of_an_enabled_axis_is_restored_at_rest() -> None:
     with Board(level="ideal", seed=3) as board:
         enable(board)
         access = VirtualBoardAccess(board)
@@ -113,7 +113,7 @@ def test_an_enabled_axis_is_left_in_its_mode_at_rest() -> None:
         assert access.read("axis2.position") == pytest.approx(place, abs=0.01)
 
 
-def test_an_interruption_brings_the_shaft_to_rest() -> None:
+def test_interruption_stops_the_shaft() -> None:
     with Board(level="ideal", seed=3) as board:
         enable(board)
         access = VirtualBoardAccess(board)
@@ -140,7 +140,7 @@ def set_mode(access: VirtualBoardAccess, axis: int, mode: str) -> None:
     access.write("cmd.mode", [access.catalogue.enums["control_mode_t"][mode]], axis)
 
 
-def test_a_load_on_an_axis_in_mode_torque_does_not_fall(access: VirtualBoardAccess) -> None:
+def test_load_on_an_axis_in_torque_mode_is_held(access: VirtualBoardAccess) -> None:
     """Its set-point has expired: it holds its position, and would begin anew with no current."""
     enable(access.board)
     access.write("param.command_timeout", [0.5])
@@ -158,7 +158,7 @@ def test_a_load_on_an_axis_in_mode_torque_does_not_fall(access: VirtualBoardAcce
     assert "axis1 holds its position in mode POSITION" in said[-1]
 
 
-def test_the_other_axis_is_stopped_as_before_when_its_set_points_end(access: VirtualBoardAccess) -> None:
+def test_other_axis_still_stops_when_its_set_points_expire(access: VirtualBoardAccess) -> None:
     """It has 0.5 s for the next one while the first axis is measured, too."""
     enable(access.board)
     access.write("param.command_timeout", [0.5])
@@ -175,7 +175,7 @@ def test_the_other_axis_is_stopped_as_before_when_its_set_points_end(access: Vir
     assert places[-1] == pytest.approx(places[1], abs=0.1)
 
 
-def test_what_the_limits_forbid_moves_nothing(access: VirtualBoardAccess) -> None:
+def test_measurement_beyond_the_limits_is_refused_without_motion(access: VirtualBoardAccess) -> None:
     place = access.read("axis1.position")
     for request, why in (
         (BodeRequest(0, "speed", speed=1000.0), "exceed the limit of axis1"),
@@ -183,7 +183,7 @@ def test_what_the_limits_forbid_moves_nothing(access: VirtualBoardAccess) -> Non
         (BodeRequest(0, "speed", amplitude=3.0), "too large for the limit of axis1"),
         (BodeRequest(0, "current", amplitude=2.0), "too large for the limit of axis1"),
         (BodeRequest(0, "current", speed=10.0), "omit the speed"),
-        (BodeRequest(0, "speed", speed=50.0, way_max=5.0), "use a lower speed"),
+        (BodeRequest(0, "speed", speed=50.0, travel_max=5.0), "use a lower speed"),
         (BodeRequest(0, "position", f_min=0.05), "use a higher lowest frequency"),
         (BodeRequest(0, "speed", f_min=300.0, f_max=200.0), "the band 300 .. 200 Hz"),
         (BodeRequest(0, "position", amplitude=280.0, f_min=300.0, f_max=700.0), "cmd.test_amplitude: 0.53"),
@@ -224,7 +224,7 @@ class SlowHost(VirtualBoardAccess):
         super().wait(self.factor * seconds)
 
 
-def test_a_shaft_that_does_not_keep_its_speed_is_refused(access: VirtualBoardAccess) -> None:
+def test_varying_speed_of_the_shaft_is_an_error(access: VirtualBoardAccess) -> None:
     enable(access.board)
     slow = SlowHost(access.board)
     slow.factor = 4.0  # the trajectory ends before the sweep does
@@ -275,7 +275,7 @@ def test_a_test_signal_that_ends_early_is_refused(access: VirtualBoardAccess) ->
     assert access.read("cmd.enable") == [0.0, 0.0]
 
 
-def test_an_uncertainty_is_only_given_where_half_the_amplitude_confirms_it() -> None:
+def test_figures_need_confirmation_at_half_the_amplitude() -> None:
     """At 0.10 A the steps of the M/T method hide a fifth of the crossover."""
     with Board(level="registers", seed=3) as board:
         board.run(0.1)
@@ -293,13 +293,13 @@ def test_an_uncertainty_is_only_given_where_half_the_amplitude_confirms_it() -> 
         refuse_difference(larger)
 
 
-def test_a_range_is_kept(access: VirtualBoardAccess) -> None:
+def test_range_of_motion_is_kept(access: VirtualBoardAccess) -> None:
     access.write("cmd.enable", [1.0], 0)
     access.wait(4.0)
     theta = [access.board.truth(0).theta_m]
     bode = measure(
         access,
-        BodeRequest(0, "speed", way_max=40.0, repeats=4),
+        BodeRequest(0, "speed", travel_max=40.0, repeats=4),
         progress=lambda *_: theta.append(access.board.truth(0).theta_m),
     )
     assert 5.0 < bode.settings.speed < 40.0
@@ -307,7 +307,7 @@ def test_a_range_is_kept(access: VirtualBoardAccess) -> None:
     assert bode.figures.crossover is not None
 
 
-def test_a_fault_and_an_axis_in_another_state_are_named(access: VirtualBoardAccess) -> None:
+def test_fault_or_wrong_state_of_an_axis_is_reported(access: VirtualBoardAccess) -> None:
     access.write("cmd.enable", [1.0], 0)
     access.wait(4.0)
     with pytest.raises(MeasurementError, match="disable the axis first"):
@@ -324,7 +324,7 @@ def test_a_fault_and_an_axis_in_another_state_are_named(access: VirtualBoardAcce
         measure(access, BodeRequest(0, "speed"))
 
 
-def test_too_small_a_signal_is_noted_or_not_determined(access: VirtualBoardAccess, tmp_path: Path) -> None:
+def test_too_small_signal_gives_a_note_or_no_figures(access: VirtualBoardAccess, tmp_path: Path) -> None:
     bode = measure(access, BodeRequest(0, "speed", amplitude=0.02, speed=100.0, repeats=2), enable=True)
     assert "resolution of the M/T method" in bode.notes[0]
     assert "note: " in text(bode)
@@ -336,7 +336,7 @@ def test_too_small_a_signal_is_noted_or_not_determined(access: VirtualBoardAcces
         draw(bode, tmp_path / "bode.not_a_format")
 
 
-def test_the_resonance_of_a_shaft_that_twists_is_found(level: Level) -> None:
+def test_resonance_of_an_elastic_shaft_is_found(level: Level) -> None:
     """Two masses: the load rests at 150 Hz, both swing against each other at 190 Hz."""
     rotor, load, frequency, damping = 5e-6, 3e-6, 150.0, 0.05
     stiffness = (2.0 * math.pi * frequency) ** 2 * load

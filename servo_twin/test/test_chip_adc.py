@@ -176,7 +176,7 @@ class TestPhaseOfTheSamples:
         assert [a for clock, a in taken if PERIOD - 10 < clock < 2 * PERIOD - 10] == [3, 4, 5]
 
     @pytest.mark.parametrize("broken", [{"XBARA_SEL6": 0}, {"XBARA_SEL6": 0x2E00}, {"ADC_CTRL1": 0x0005}])
-    def test_no_sync_no_scan(self, rig: ChipRig, broken: dict[str, int]) -> None:
+    def test_no_scan_without_sync(self, rig: ChipRig, broken: dict[str, int]) -> None:
         changes = {k: v for k, v in broken.items() if k != "ADC_CTRL1"}
         if "ADC_CTRL1" in broken:
             run_triggered(rig)
@@ -192,7 +192,7 @@ class TestPhaseOfTheSamples:
         run_triggered(rig, AOI_BFCRT01_0=0x5F00)  # A and B
         assert rig.events("sample") == []
 
-    def test_armed_in_the_wrong_half_the_motors_are_swapped(self, rig: ChipRig) -> None:
+    def test_arming_in_the_wrong_half_period_swaps_the_motors(self, rig: ChipRig) -> None:
         t0 = run_triggered(rig)
         rig.write("ADC_CTRL1", 0x5005)
         now = rig.now - t0
@@ -232,7 +232,7 @@ class TestScanEnd:
         assert calls[0] in rig.clocks("scan_end")
         assert [b - a for a, b in pairwise(calls)] == [PERIOD] * (len(calls) - 1)
 
-    def test_a_flag_that_is_not_cleared_starves_everything_below(self, rig: ChipRig) -> None:
+    def test_uncleared_flag_blocks_lower_priorities(self, rig: ChipRig) -> None:
         rig.handlers[30] = lambda: 500
         rig.write("INTC_IPR2", 2 << 10)
         rig.interrupts()
@@ -348,6 +348,6 @@ def test_a_scan_without_samples(rig: ChipRig) -> None:
         ("ADC_CAL", 0x1000, "ADC CAL = 1000h"),
     ],
 )
-def test_what_is_not_modelled(rig: ChipRig, register: str, value: int, spoken: str) -> None:
+def test_unmodelled_settings_raise_an_error(rig: ChipRig, register: str, value: int, spoken: str) -> None:
     with pytest.raises(ChipError, match=spoken):
         rig.write(register, value)

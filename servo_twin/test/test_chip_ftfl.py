@@ -78,7 +78,7 @@ def test_a_read_meanwhile_is_a_collision(rig: ChipRig) -> None:
     assert status(rig) == CCIF
 
 
-def test_an_address_that_is_none_is_an_access_error(rig: ChipRig) -> None:
+def test_invalid_address_is_an_access_error(rig: ChipRig) -> None:
     for byte in (2, 0x8000):
         launch(rig, 0x06, byte, 0)
         assert status(rig) == CCIF | ACCERR
@@ -108,7 +108,7 @@ def test_what_is_not_modelled_stops_the_chip(rig: ChipRig, register: str, value:
         rig.write(register, value)
 
 
-def test_neither_are_other_commands_and_the_program_flash(registers_c: Native) -> None:
+def test_other_commands_and_the_program_flash_stop_the_chip(registers_c: Native) -> None:
     rig = ChipRig(registers_c)
     with pytest.raises(ChipError, match="command 44h is not modelled"):
         launch(rig, 0x44, 0)

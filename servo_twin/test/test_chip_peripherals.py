@@ -1,4 +1,4 @@
-"""Each peripheral of the chip alone: its header, its own C files, and a bus whose signals the test records."""
+"""Each peripheral of the chip new_peripheral: its header, its own C files, and a bus whose signals the test records."""
 
 from __future__ import annotations
 
@@ -80,23 +80,16 @@ static void rig_run(rig_t *rig, uint64_t until)
 """
 
 
-class Alone:
-    """One peripheral on a bus of its own, all clock gates open.
-
-    Attributes
-    ----------
-    calls : list of tuple
-        Clock, name and arguments of each signal and each call of the environment.
-    codes : list of int
-        What the analogue pins convert to.
-    """
+class Peripheral:
+    """One peripheral on a separate bus, with all clock gates open."""
 
     def __init__(self, native: Native) -> None:
         self.ffi, self.lib = native.ffi, native.lib
         self.rig: Any = self.ffi.new("rig_t *")
         self.bus, self.peripheral = self.rig.bus, self.rig.peripheral
+        # clock, name and arguments of each signal and each call of the environment
         self.calls: list[tuple[Any, ...]] = []
-        self.codes = [100 * k for k in range(16)]
+        self.codes = [100 * k for k in range(16)]  # conversion results of the analogue pins
         self._tables = [self._table("chip_signals_t"), self._table("chip_environment_t")]
         self.bus.signals, self.bus.environment = (table for table, _ in self._tables)
         self.bus.sim.pce = [0xFFFF] * 4
@@ -104,7 +97,7 @@ class Alone:
         self.calls.clear()
 
     def _table(self, kind: str) -> tuple[Any, Any]:
-        """A table of functions that record their calls, and what keeps the functions alive."""
+        """A table of functions that record their calls, and the references that keep the functions alive."""
         functions = {
             name: self.ffi.callback(field.type, partial(self._record, name))
             for name, field in self.ffi.typeof(kind).fields
@@ -137,7 +130,7 @@ class Alone:
 
 
 @pytest.fixture(scope="module")
-def alone(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Alone]:
+def new_peripheral(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Peripheral]:
     """Build one peripheral."""
 
     @cache
@@ -156,11 +149,11 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Alone]:
             preamble=PREAMBLE.format(name=name, handlers=handlers),
         )
 
-    return lambda name: Alone(build(name))
+    return lambda name: Peripheral(build(name))
 
 
 @pytest.mark.parametrize("name", PARTS)
-def test_a_peripheral_needs_no_other_one(name: str, tmp_path: Path) -> None:
+def test_peripheral_is_linked_without_the_others(name: str, tmp_path: Path) -> None:
     """Only the bus and its own headers are included, and nothing is missing when it is linked."""
     sources = [NATIVE / path for path in PARTS[name]]
     for source in [*sources, *CHIP.glob(f"{name}*.h")]:
@@ -173,8 +166,8 @@ def test_a_peripheral_needs_no_other_one(name: str, tmp_path: Path) -> None:
     )  # fmt: skip
 
 
-def test_the_watchdog_resets_the_chip_unless_it_is_served(alone: Callable[..., Alone]) -> None:
-    cop = alone("cop")
+def test_the_watchdog_resets_the_chip_unless_it_is_served(new_peripheral: Callable[..., Peripheral]) -> None:
+    cop = new_peripheral("cop")
     cop.write({"COP_CTRL": 0x0140, "COP_TOUT": 99})
     cop.write({"COP_CTRL": 0x0142})  # bus clock / 16
     cop.run(1000)
@@ -187,8 +180,8 @@ def test_the_watchdog_resets_the_chip_unless_it_is_served(alone: Callable[..., A
     assert cop.called("reset") == [(2599, cop.lib.RESET_COP)]
 
 
-def test_converters_sample_in_pairs_after_a_sync_pulse(alone: Callable[..., Alone]) -> None:
-    adc = alone("adc")
+def test_converters_sample_in_pairs_after_a_sync_pulse(new_peripheral: Callable[..., Peripheral]) -> None:
+    adc = new_peripheral("adc")
     adc.peripheral.connected = 0xFFFF
     adc.write({"ADC_PWR": 0x01A0, "ADC_CTRL2": 0x0044, "ADC_SDIS": 0xFCFC, "ADC_PWR2": 0x040F})
     adc.run(200)
@@ -200,8 +193,8 @@ def test_converters_sample_in_pairs_after_a_sync_pulse(alone: Callable[..., Alon
     assert adc.requested(30)  # ADC_CC0
 
 
-def test_a_timer_counts_the_edges_of_an_encoder(alone: Callable[..., Alone]) -> None:
-    timer = alone("qtmr")
+def test_a_timer_counts_the_edges_of_an_encoder(new_peripheral: Callable[..., Peripheral]) -> None:
+    timer = new_peripheral("qtmr")
     timer.write({"TMRA0_CTRL": 0x8080})  # quadrature, A at input 0, B at input 1
     inputs = [(0, True), (1, True), (0, False), (1, False), (0, True)]
     for clock, (pin, level) in enumerate(inputs, 1):
@@ -211,23 +204,23 @@ def test_a_timer_counts_the_edges_of_an_encoder(alone: Callable[..., Alone]) -> 
     assert timer.called("crossbar") == []
 
 
-def test_a_timer_on_the_bus_clock_drives_its_output(alone: Callable[..., Alone]) -> None:
-    timer = alone("qtmr")
+def test_a_timer_on_the_bus_clock_drives_its_output(new_peripheral: Callable[..., Peripheral]) -> None:
+    timer = new_peripheral("qtmr")
     timer.write({"TMRA2_COMP1": 9, "TMRA2_CTRL": 0x3023})  # bus clock, LENGTH, toggle
     timer.run(30)
     assert timer.called("crossbar") == [(9, 38, 18, 1), (19, 38, 18, 0), (29, 38, 18, 1)]
 
 
-def test_the_crossbar_passes_a_trigger_to_the_converter(alone: Callable[..., Alone]) -> None:
-    xbar = alone("xbar")
+def test_the_crossbar_passes_a_trigger_to_the_converter(new_peripheral: Callable[..., Peripheral]) -> None:
+    xbar = new_peripheral("xbar")
     xbar.write({"XBARA_SEL6": 20})  # PWMA0_TRG0 to ADC_SYNC0
     for source in (20, 21):
         xbar.lib.xbar_signal(xbar.ffi.addressof(xbar.peripheral), source, -1, xbar.lib.XBAR_PULSE)
     assert xbar.called("adc_sync") == [(0, 0)]
 
 
-def test_a_pwm_inserts_dead_time_at_both_edges(alone: Callable[..., Alone]) -> None:
-    pwm = alone("pwm")
+def test_a_pwm_inserts_dead_time_at_both_edges(new_peripheral: Callable[..., Peripheral]) -> None:
+    pwm = new_peripheral("pwm")
     pwm.peripheral.module[0].sub[0].pin = [pwm.lib.GATE_PWM] * 2
     pwm.write({"PWMA0_INIT": 0, "PWMA0_VAL1": 999, "PWMA0_VAL2": 200, "PWMA0_VAL3": 600, "PWMA0_DTCNT0": 50,
                "PWMA0_DTCNT1": 50, "PWMA0_DISMAP0": 0, "PWMA_OUTEN": 0x0110})  # fmt: skip

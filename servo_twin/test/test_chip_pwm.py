@@ -46,7 +46,7 @@ class TestCounter:
         for n in range(3):
             assert [c - start for c in rig.clocks("cycle", a=n)] == [PERIOD, 2 * PERIOD, 3 * PERIOD]
 
-    def test_a_trigger_that_has_gone_by_comes_in_the_next_cycle(self, rig: ChipRig) -> None:
+    def test_missed_trigger_occurs_in_the_next_cycle(self, rig: ChipRig) -> None:
         """Switched on after its count, before any other event of the submodule."""
         start = prepare(rig, PWMA1_VAL4=55)
         rig.run(start + HALF + 200)
@@ -89,7 +89,7 @@ class TestCounter:
         rig.run(begun + PERIOD)
         assert [c - begun for c in rig.clocks("cycle", a=0)] == [0, PERIOD]
 
-    def test_a_gated_submodule_freezes(self, rig: ChipRig) -> None:
+    def test_submodule_without_clock_stops(self, rig: ChipRig) -> None:
         start = prepare(rig)
         rig.run(start + 1000)
         rig.write("SIM_PCE3", 0x00FF & ~(1 << 6))  # PWMA SM1
@@ -222,7 +222,7 @@ class TestLoading:
         assert gates(rig, start)[2] == (HALF + 1000, OPEN)
 
     @pytest.mark.parametrize("submodule", [0, 1])
-    def test_edges_may_change_places(self, rig: ChipRig, submodule: int) -> None:
+    def test_edges_may_be_exchanged(self, rig: ChipRig, submodule: int) -> None:
         """Pulses anywhere in the period: before VAL0, behind it, in it; back and forth; VAL3 before VAL2."""
         start = prepare(rig, 1000)
         pulses = [(500, 2000), (-2000, -500), (0, 800), (-700, 0), (1500, -1500), (-3000, 2900), (-1000, 1000)]
@@ -240,7 +240,7 @@ class TestLoading:
             assert sorted(opened) == sorted({on % PERIOD, off % PERIOD}), (on, off)
             start += 2 * PERIOD
 
-    def test_a_load_answers_the_update_flag(self, rig: ChipRig) -> None:
+    def test_load_clears_the_update_flag(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000)
         rig.run(start + 10)
         rig.write("PWMA0_STS", 0x3000)
@@ -431,7 +431,7 @@ class TestFaults:
         rig.run(start + PERIOD + HALF)
         assert gates(rig, start)[-1] == (PERIOD + HALF, HIGH)
 
-    def test_no_boundary_no_resume(self, rig: ChipRig) -> None:
+    def test_no_resume_without_a_boundary(self, rig: ChipRig) -> None:
         """FFULL and FHALF both 0: the outputs stay off for good."""
         start = self.trip(rig)
         rig.pin("E8", False)
@@ -544,7 +544,7 @@ class TestTwoModules:
             {"PWMA0_TCTRL": 2},  # of VAL1
         ],
     )
-    def test_without_the_trigger_b_runs_away(self, rig: ChipRig, broken: dict[str, int]) -> None:
+    def test_module_b_drifts_without_the_trigger(self, rig: ChipRig, broken: dict[str, int]) -> None:
         both(rig, **broken)
         assert rig.clocks("cycle", a=4) == []
 

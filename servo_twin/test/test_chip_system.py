@@ -56,7 +56,7 @@ class TestClocks:
         with pytest.raises(ChipError, match=f"a timer starts while the bus clock is {mhz} MHz"):
             rig.write("TMRA1_CTRL", 0x3E80)
 
-    def test_software_that_waits_for_what_cannot_change(self, rig: ChipRig) -> None:
+    def test_endless_wait_of_the_software_is_an_error(self, rig: ChipRig) -> None:
         def wait() -> None:
             while not rig.read("OCCS_STAT") & 0x80:
                 pass
@@ -72,7 +72,7 @@ class TestAccess:
         text = rig.ffi.string(rig.chip.core.bus.error).decode()
         assert f"({address:04X}h) is not modelled (at " in text
 
-    def test_after_an_error_the_chip_stands_still(self, rig: ChipRig) -> None:
+    def test_chip_stops_after_an_error(self, rig: ChipRig) -> None:
         with pytest.raises(ChipError):
             rig.write("ADC_GC1", 1)
         now = rig.now
@@ -210,7 +210,7 @@ class TestTimeInAHandler(Interrupts):
     def rig(self, registers_c: Native) -> ChipRig:
         return ChipRig(registers_c, core=(2.0, 30))
 
-    def test_an_access_happens_when_the_software_gets_to_it(self, rig: ChipRig) -> None:
+    def test_access_is_timed_by_the_executed_instructions(self, rig: ChipRig) -> None:
         def handler() -> int:
             rig.lib.try_spend(100 * self.INSTRUCTION)
             rig.write("PWMA1_STS", 0x20)
@@ -226,7 +226,7 @@ class TestTimeInAHandler(Interrupts):
         assert rig.clocks("write", a=ADDRESS["PWMA1_STS"]) == [start + 400 + 30 + 200]
         assert rig.clocks("leave", a=85) == [start + 400 + 30 + 2 * 175 + 7]
 
-    def test_parts_of_a_clock_add_up(self, rig: ChipRig) -> None:
+    def test_fractions_of_a_clock_are_accumulated(self, rig: ChipRig) -> None:
         def handler() -> None:
             for _ in range(1600):
                 rig.lib.try_spend(1)
@@ -317,7 +317,7 @@ class TestWatchdog:
         assert rig.chip.cop.services == 5
 
     @pytest.mark.parametrize("words", [(0xAAAA, 0x5555), (0x5555, 0x5555), (0xAAAA,), (0x5555, 0x1234, 0xAAAA)])
-    def test_wrong_words_do_not_count(self, rig: ChipRig, words: tuple[int, ...]) -> None:
+    def test_wrong_service_words_are_ignored(self, rig: ChipRig, words: tuple[int, ...]) -> None:
         self.start(rig)
         rig.step(390 * 12800)
         for word in words:
@@ -375,7 +375,7 @@ class TestSerial:
         with pytest.raises(ChipError, match="written while the transmitter is full"):
             serial.write("SCI0_DATA", 5)
 
-    def test_a_background_that_wakes_itself_runs_again(self, serial: ChipRig) -> None:
+    def test_background_runs_again_for_an_event_that_it_causes(self, serial: ChipRig) -> None:
         """It lets three bytes come and takes one with each run: the reading is what wakes it for the next event."""
         taken: list[int] = []
 

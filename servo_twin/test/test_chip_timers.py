@@ -178,7 +178,7 @@ class TestIndex:
         encoder.turn(-1, 5)
         assert rig.read("TMRA2_CNTR") == 6
 
-    def test_a_touch_makes_a_pulse_without_a_turn(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_touching_the_compare_value_causes_a_pulse_without_a_turn(self, rig: ChipRig, encoder: Encoder) -> None:
         encoder.turn(3999, 5)
         encoder.turn(-10, 5)
         assert rig.read("TMRA2_CNTR") == 1
@@ -266,7 +266,7 @@ class TestTime:
         encoder.turn(2)
         assert rig.read("TMRA3_CNTR") >= 30
 
-    def test_overflow_is_the_age_of_a_shaft_that_stands(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_age_overflows_at_standstill(self, rig: ChipRig, encoder: Encoder) -> None:
         encoder.turn(2)
         rig.write("TMRA3_SCTRL", 0x00C0)
         rig.step(65535 * TICK - 1000)
@@ -287,7 +287,7 @@ class TestTime:
         assert rig.read("TMRA1_HOLD") >= stamp + 100
         assert rig.read("TMRA0_HOLD") == 10
 
-    def test_hold_is_as_old_as_the_read_that_took_it(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_hold_is_latched_by_the_read(self, rig: ChipRig, encoder: Encoder) -> None:
         before = rig.read("TMRA1_CNTR")
         rig.step(100 * TICK)
         rig.read("TMRA0_CNTR")
@@ -356,7 +356,7 @@ class TestDeferrableEdges:
             edges.append((clock, name, levels[name]))
         return edges
 
-    def run(self, native: Native, seed: int, filters: dict[str, int], keeps_back: bool) -> tuple[list[Any], int]:
+    def run(self, native: Native, seed: int, filters: dict[str, int], defers_edges: bool) -> tuple[list[Any], int]:
         chance = random.Random(seed)
         rig = ChipRig(native)
         rig.write_all(LINES | timer("A") | filters)
@@ -369,7 +369,7 @@ class TestDeferrableEdges:
         rig.handlers[28] = handler
         rig.write("INTC_IPR2", 1 << 6)
         rig.interrupts()
-        rig.keeps_back = keeps_back
+        rig.defers_edges = defers_edges
         rig.edges = self.edges(chance, rig.now, 400)
         end = rig.edges[-1][0] + 100
         seen: list[Any] = []
@@ -387,18 +387,18 @@ class TestDeferrableEdges:
             name = chance.choice(WATCHED)
             seen.append((rig.now, name, rig.read(name)))
         seen += [(name, rig.read(name)) for name in WATCHED]
-        return [*seen, *calls, *rig.events("capture", "enter")], rig.kept_back
+        return [*seen, *calls, *rig.events("capture", "enter")], rig.edges_deferred
 
     @pytest.mark.parametrize("filters", [FILTERS, {}], ids=["filter", "no filter"])
     def test_edges_that_come_late_are_counted_like_others(self, registers_c: Native, filters: dict[str, int]) -> None:
-        kept_back = 0
+        edges_deferred = 0
         for seed in range(20):
-            prompt, none = self.run(registers_c, seed, filters, keeps_back=False)
-            late, some = self.run(registers_c, seed, filters, keeps_back=True)
+            prompt, none = self.run(registers_c, seed, filters, defers_edges=False)
+            late, some = self.run(registers_c, seed, filters, defers_edges=True)
             assert late == prompt
             assert none == 0
-            kept_back += some
-        assert kept_back > 500  # of 8000
+            edges_deferred += some
+        assert edges_deferred > 500  # of 8000
 
     @staticmethod
     def at(rig: ChipRig, clocks: int, values: dict[str, int]) -> None:
@@ -421,25 +421,25 @@ class TestDeferrableEdges:
         self, registers_c: Native, change: dict[str, int]
     ) -> None:
         counts = []
-        for keeps_back in (False, True):
+        for defers_edges in (False, True):
             rig = ChipRig(registers_c)
             rig.write_all(LINES | timer("A") | {f"TMRA{n}_SCTRL": 0 for n in (0, 1, 3)} | {"TMRA0_CNTR": 100})
-            rig.keeps_back = keeps_back
+            rig.defers_edges = defers_edges
             self.at(rig, 5000, change)
             rig.edges = [(rig.now + 300 * n, ("C3", "C4")[n % 2], n % 4 in (0, 1)) for n in range(1, 14)]
             rig.step(6000)
-            assert rig.kept_back == (13 if keeps_back else 0)
+            assert rig.edges_deferred == (13 if defers_edges else 0)
             counts.append(rig.read("TMRA0_CNTR"))
         assert counts[0] == counts[1] != 100
 
-    def test_an_input_that_is_waited_for_after_all(self, registers_c: Native) -> None:
+    def test_deferred_input_that_becomes_relevant(self, registers_c: Native) -> None:
         """C4 goes from a counter to the crossbar, and from there to a channel that captures."""
         captures = []
-        for keeps_back in (False, True):
+        for defers_edges in (False, True):
             rig = ChipRig(registers_c)
             rig.write_all(LINES | timer("A") | {f"TMRA{n}_SCTRL": 0 for n in (0, 1, 3)} | {"TMRA0_CNTR": 1000})
             rig.write_all({"SIM_IPS0": 1 << 12, "XBARA_SEL17": 8, "TMRB2_CTRL": 0x3E00, "TMRB2_SCTRL": 0x00C0})
-            rig.keeps_back = keeps_back
+            rig.defers_edges = defers_edges
             self.at(rig, 5000, {"SIM_GPSCL": 1 << 4 | 2 << 8})
             rig.clear()
             rig.edges = [(rig.now + 7000, "C4", True)]
@@ -447,7 +447,7 @@ class TestDeferrableEdges:
             captures.append(rig.clocks("capture"))
         assert captures[0] == captures[1] != []
 
-    def test_what_an_edge_must_not_be_late_for(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_edges_that_must_not_be_deferred(self, rig: ChipRig, encoder: Encoder) -> None:
         def deferrable() -> int:
             return int(rig.lib.chip_deferrable_edges(rig.chip, pin("C3")))
 

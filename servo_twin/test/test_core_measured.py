@@ -15,7 +15,7 @@ COUNTS = {"off": {"m1": 400.0, "m2": 380.0}, "hold": {"m1": 700.0, "m2": 650.0}}
 US = 1e-6
 
 
-def test_one_number_comes_back_out_of_widths_that_have_it() -> None:
+def test_single_number_is_recovered_from_its_widths() -> None:
     widths = {state: {h: 2.3 * n * 10e-9 for h, n in handlers.items()} for state, handlers in COUNTS.items()}
     rows, cycles = compare(widths, COUNTS)
     assert cycles == pytest.approx(2.3)
@@ -23,7 +23,7 @@ def test_one_number_comes_back_out_of_widths_that_have_it() -> None:
     assert [row.measured for row in rows] == pytest.approx([920.0, 874.0, 1610.0, 1495.0])
 
 
-def test_long_handlers_count_more_where_one_number_does_not_fit() -> None:
+def test_long_handlers_have_more_weight_if_one_number_does_not_fit() -> None:
     _, cycles = compare({"off": {"m1": 4.0 * US}, "hold": {"m1": 14.0 * US}}, COUNTS)  # 1.0 and 2.0
     assert cycles == pytest.approx((400.0 * 400.0 + 1400.0 * 700.0) / (400.0**2 + 700.0**2))
 
@@ -39,7 +39,7 @@ def test_long_handlers_count_more_where_one_number_does_not_fit() -> None:
         ({"hold": {"m2": 63.0 * US}}, "hold: m2 = 63 us"),
     ],
 )
-def test_what_makes_no_sense_is_refused(measured: dict[str, dict[str, float]], why: str) -> None:
+def test_invalid_measurements_are_refused(measured: dict[str, dict[str, float]], why: str) -> None:
     with pytest.raises(ValueError, match=why):
         compare(measured, COUNTS)
 
@@ -51,7 +51,7 @@ def test_only_the_one_number_of_the_file_changes() -> None:
         with_cycles("entry_cycles = 30\n", 2.0)
 
 
-def test_measured_widths_go_into_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_measured_widths_are_written_to_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Those of the virtual board, a quarter longer; and what it says of itself then is what was measured."""
     core, measured = tmp_path / "core.toml", tmp_path / "measured.toml"
     shutil.copy(DEFAULT_FILE, core)

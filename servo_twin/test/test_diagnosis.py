@@ -285,7 +285,7 @@ def residuals(pairs: list[Pair], name: str) -> float:
     return float(np.sqrt(np.mean([(one.real[name] - one.twin[name]) ** 2 for one in pairs])))
 
 
-def test_the_residual_after_adapting_is_that_of_an_unchanged_pair() -> None:
+def test_residual_after_adoption_is_as_of_an_unchanged_pair() -> None:
     monitor = DiagnosisMonitor(PLANT, LEARNED)
     with BoardPair(PLANT, PLANT, seed=13, level="ideal") as pair:
         pair.enable()

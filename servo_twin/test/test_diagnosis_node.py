@@ -32,7 +32,7 @@ class DiagnosisRig(Rig):
         super().__init__(**parameters)
         self._listen(TOPIC, DiagnosticArray, latched_qos())
         self._draw = random.Random(4)
-        self.board.up()
+        self.board.enable_axes()
 
     def __enter__(self) -> DiagnosisRig:
         super().__enter__()

@@ -15,7 +15,7 @@ def test_agrees_with_the_reference_design() -> None:
 
 
 @pytest.mark.parametrize("swapped", [True, False])
-def test_bounds_notice_a_missing_anti_windup(monkeypatch: pytest.MonkeyPatch, swapped: bool) -> None:
+def test_missing_anti_windup_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, swapped: bool) -> None:
     genuine = anti_windup.respond
 
     def respond(plant: PlantConfig, seed: int, frequency: float, anti_windup: bool) -> Recording:
@@ -47,7 +47,7 @@ def test_quarter_periods_are_whole_ticks(frequency: float) -> None:
 
 
 @pytest.mark.parametrize("lag", [0.0, 14.4, 72.0])
-def test_height_and_lag_of_a_known_wave(lag: float) -> None:
+def test_amplitude_and_lag_of_a_known_sine(lag: float) -> None:
     time = TICK * np.arange(1000)
     wave = 60.0 * np.sin(2.0 * np.pi * anti_windup.FREQUENCY * time - np.radians(lag))
     peaks, lags = anti_windup.half_waves(wave, anti_windup.FREQUENCY)

@@ -13,7 +13,7 @@ def wrong(plant: PlantConfig) -> set[str]:
     return {row.name for row in braking.run(plant, seed=3).rows if not row.agrees}
 
 
-def test_every_figure_lies_within_its_bound() -> None:
+def test_every_figure_is_within_its_bound() -> None:
     assert wrong(PlantConfig.load()) == set()
 
 
@@ -23,13 +23,13 @@ def test_agrees_with_other_motors_and_a_tenth_of_the_capacitor() -> None:
     assert wrong(heavy) == set()
 
 
-def test_a_board_that_does_not_fold_back_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_current_reduction_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a limit means below where the fold-back begins."""
     monkeypatch.setattr(braking, "OVER_VOLTAGE", 28.0)
     assert "no resistor: highest bus voltage" in wrong(PlantConfig.load())
 
 
-def test_a_forgotten_resistor_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_resistor_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     genuine = braking.stop
     monkeypatch.setattr(braking, "stop", lambda plant, seed, speed, resistor: genuine(plant, seed, speed, 0.0))
     monkeypatch.setattr(braking, "use_budget", lambda plant, seed, resistor: braking.Budget(0.0, math.nan, None))

@@ -9,12 +9,12 @@ from servo_twin.experiments.rig import TICK, Recording
 from servo_twin.plant import PlantConfig
 
 
-def test_every_figure_lies_within_its_bound() -> None:
+def test_every_figure_is_within_its_bound() -> None:
     outcome = bus_ripple.run(PlantConfig.load(), seed=9)
     assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
 
 
-def test_bounds_notice_a_missing_compensation(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_compensation_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     genuine = bus_ripple.turn
 
     def turn(plant: PlantConfig, seed: int, axis: int, compensated: bool) -> Recording:
@@ -25,7 +25,7 @@ def test_bounds_notice_a_missing_compensation(monkeypatch: pytest.MonkeyPatch) -
     assert wrong == {f"axis{n}, current ripple{what}" for n in (1, 2) for what in (", with over without", " with")}
 
 
-def test_a_steady_bus_is_no_experiment(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_steady_bus_does_not_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bus_ripple, "DISCHARGE_FRACTION", 1e3)
     assert not bus_ripple.run(PlantConfig.load(), seed=9).row("axis1, ripple of the bus").agrees
 

@@ -41,7 +41,7 @@ def open_phase(*names: str) -> Trial:
     return Trial(1, 0, Motor.of("axis1", PLANT), STATES["under load"], fault_case, PLANT)
 
 
-def test_trials_on_the_own_motors() -> None:
+def test_trials_with_the_motors_of_the_plant() -> None:
     results = [run_trial(draw(PLANT, 5, number, OWN)) for number in range(25)]
     assert not [str(result) for result in results if result.failed]
     assert {result.trial.fault.kind for result in results} > {
@@ -54,7 +54,7 @@ def test_trials_on_the_own_motors() -> None:
 
 
 @pytest.mark.xfail(strict=True, reason="no fault: one in seven of these trials at level ideal")
-def test_a_held_rotor_is_noticed_without_an_encoder() -> None:
+def test_blocked_rotor_is_detected_without_an_encoder() -> None:
     trial = draw(PLANT, 6, 5, OWN)
     assert (trial.state.name, trial.fault.kind) == ("observer, stop", "rotor held")
     with at_level("ideal"):
@@ -62,7 +62,7 @@ def test_a_held_rotor_is_noticed_without_an_encoder() -> None:
     assert not result.failed, str(result)
 
 
-def test_a_worn_shaft_plays_and_is_no_fault() -> None:
+def test_worn_shaft_has_backlash_and_causes_no_fault() -> None:
     make, _ = INJECTED_FAULTS["worn shaft"]
     trial = Trial(
         1, 0, Motor.of("axis1", PLANT), STATES["reversal"], no_fault(Context(PLANT, 0, STATES["stop"])), PLANT
@@ -77,7 +77,7 @@ def test_a_worn_shaft_plays_and_is_no_fault() -> None:
 
 
 @pytest.mark.slow
-def test_trials_on_a_motor_with_a_firmware_of_its_own() -> None:
+def test_trials_with_a_separately_configured_firmware() -> None:
     """Two motors that are not those of the plant, on one board, which is tuned and compiled here."""
     results = [run_trial(draw(PLANT, 4, number, OTHERS[:2])) for number in range(20)]
     assert not [str(result) for result in results if result.failed]
@@ -86,7 +86,7 @@ def test_trials_on_a_motor_with_a_firmware_of_its_own() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("motor", "seed", "number"), [("fast", 4, 9)])
-def test_a_shaft_that_comes_to_rest_is_not_taken_for_one_that_turns(motor: str, seed: int, number: int) -> None:
+def test_stopping_shaft_is_not_detected_as_turning(motor: str, seed: int, number: int) -> None:
     """Without current, drops and dead time of the switching plant echo the voltage that is to hold the current off."""
     group = OTHERS[:2] if motor in OTHERS[:2] else OTHERS[2:]
     trial = draw(PLANT, seed, number, group)
@@ -97,7 +97,7 @@ def test_a_shaft_that_comes_to_rest_is_not_taken_for_one_that_turns(motor: str, 
 
 
 @pytest.mark.slow
-def test_the_voltage_of_a_start_without_encoder_is_not_taken_for_a_missing_current() -> None:
+def test_voltage_of_a_sensorless_start_is_not_detected_as_lost_phase() -> None:
     """The start-up's frame is not that of the rotor; its voltage contains the back-EMF."""
     trial = draw(PLANT, 3, 44, OTHERS[2:])
     assert (trial.motor.name, trial.state.name, trial.fault.kind) == ("ipm", "observer, manoeuvres", NO_FAULT)
@@ -111,7 +111,7 @@ def test_the_voltage_of_a_start_without_encoder_is_not_taken_for_a_missing_curre
     reason="ENCODER_LOST at 0.62 s: a false alarm that comes and goes with the lengths of the handlers",
 )
 @pytest.mark.slow
-def test_noise_that_the_controllers_add_up_is_not_taken_for_a_back_emf() -> None:
+def test_integrated_noise_is_not_detected_as_back_emf() -> None:
     """Of a motor whose resistance takes more voltage than its back-EMF does, with three times the usual noise."""
     trial = draw(PLANT, 71, 9)
     assert (trial.motor.name, trial.state.name, trial.fault.kind) == ("gimbal", "manoeuvres", NO_FAULT)
@@ -120,7 +120,7 @@ def test_noise_that_the_controllers_add_up_is_not_taken_for_a_back_emf() -> None
     assert not result.failed, str(result)
 
 
-def test_an_encoder_that_dies_at_speed_under_torque_is_not_taken_for_a_lost_phase() -> None:
+def test_dead_encoder_at_speed_is_not_detected_as_lost_phase() -> None:
     """The current stays behind what is asked of one phase, for the angle that it is asked at no longer turns."""
     make, _ = INJECTED_FAULTS["encoder plug"]
     trial = draw(PLANT, 71, 97)
@@ -136,7 +136,7 @@ def slip(state: str, rng: random.Random) -> InjectedFaultCase:
     return make(rng, Context(PLANT, 0, STATES[state]))
 
 
-def test_what_a_slip_may_be_called() -> None:
+def test_permitted_faults_of_a_slip() -> None:
     """The same slips before the rotor has been found, and afterwards."""
     rng, again = random.Random(3), random.Random(3)
     seen = BusRange(24.0, 24.0)
@@ -155,7 +155,7 @@ def test_what_a_slip_may_be_called() -> None:
 
 
 @pytest.mark.parametrize("state", ["hold", "high speed", "reversal"])
-def test_a_slip_has_its_name(state: str) -> None:
+def test_slip_is_reported_with_its_fault(state: str) -> None:
     rng = random.Random(f"slip {state}")
     fault = slip(state, rng)
     while not fault.detectable_at_rest:
@@ -165,13 +165,13 @@ def test_a_slip_has_its_name(state: str) -> None:
     assert result.name == "ANGLE_MISMATCH"
 
 
-def test_no_speed_below_that_at_which_the_start_up_gives_up() -> None:
+def test_drawn_speeds_are_above_the_minimum_of_the_start_up() -> None:
     """0.04 of the limit in the defaults, 0.16 for the tiny motor."""
     assert Motor.of("axis1", PLANT).slowest == pytest.approx(1.1 * 0.04)
     assert Motor.of("fast", PLANT).slowest == pytest.approx(1.1 * 0.16)
 
 
-def test_a_wrong_name_is_a_lost_trial() -> None:
+def test_wrong_fault_fails_the_trial() -> None:
     right, wrong = run_trial(open_phase("PHASE_LOST")), run_trial(open_phase("ENCODER_LOST"))
     assert (right.name, right.failed) == ("PHASE_LOST", False)
     assert wrong.failed
@@ -180,7 +180,7 @@ def test_a_wrong_name_is_a_lost_trial() -> None:
     assert any(note.startswith("FAILED --seed 1 --trial 0: axis1, under load") for note in outcome.notes)
 
 
-def test_a_fault_that_is_not_enabled_counts_as_lost() -> None:
+def test_disabled_fault_fails_the_trial() -> None:
     """With the check switched off, the shaft goes on with a phase less."""
     trial = open_phase("PHASE_LOST")
 
@@ -194,13 +194,13 @@ def test_a_fault_that_is_not_enabled_counts_as_lost() -> None:
     assert result.name != "PHASE_LOST"
 
 
-def test_a_trial_follows_from_its_number() -> None:
+def test_trial_is_determined_by_its_number() -> None:
     one, again, another = (draw(PLANT, 1, number) for number in (7, 7, 8))
     assert (one.motor, one.plant, one.fault.text) == (again.motor, again.plant, again.fault.text)
     assert one.plant != another.plant
 
 
-def test_a_trial_says_what_replays_it() -> None:
+def test_trial_prints_the_command_that_repeats_it() -> None:
     """Other motors to choose from make it another trial."""
     result = Result(draw(PLANT, 1, 7), NOTHING, (), None, 0.0, 0.0, ())
     assert str(result).startswith("--seed 1 --trial 7: ")
@@ -208,19 +208,19 @@ def test_a_trial_says_what_replays_it() -> None:
     assert str(among).startswith("--seed 1 --trial 7 --motors axis1 axis2: ")
 
 
-def test_motors_differ_and_are_known_by_name() -> None:
+def test_motors_differ_and_are_selected_by_name() -> None:
     nominal = [Motor.of(name, PLANT).nominal for name in MOTORS]
     assert len(set(nominal)) == len(MOTORS)
     with pytest.raises(SimulationError, match="unknown motor 'steam'"):
         Motor.of("steam", PLANT)
 
 
-def test_a_configuration_survives_being_written() -> None:
+def test_configuration_is_restored_from_its_text() -> None:
     table = tomllib.loads(SERVO_TOML.read_text(encoding="utf-8"))
     assert tomllib.loads(as_toml(table)) == table
 
 
-def test_a_configuration_that_cannot_work_is_refused(tmp_path: Path) -> None:
+def test_invalid_configuration_is_refused(tmp_path: Path) -> None:
     text = SERVO_TOML.read_text(encoding="utf-8").replace("pole_pairs = 2", "pole_pairs = -2")
     with pytest.raises(SimulationError, match=r"axis1\.motor\.pole_pairs = -2"):
         build_firmware(text, folder=tmp_path)

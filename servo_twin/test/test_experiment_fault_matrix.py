@@ -28,13 +28,13 @@ CASES = {fault_case.name: fault_case for fault_case in fault_cases(PLANT)}
         ("noise x 3", "-250 rad/s"),
     ],
 )
-def test_named_in_time_without_motion(name: str, state: str) -> None:
+def test_fault_is_reported_in_time_without_motion(name: str, state: str) -> None:
     found = case(PLANT, 7, CASES[name], state)
     assert found.agrees, found
     assert judge([found]).agrees
 
 
-def test_a_fault_that_is_not_enabled_counts_as_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_disabled_fault_counts_as_missed(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the check switched off, the shaft goes on with a phase less."""
     genuine = fault_matrix.STATES["100 rad/s"]
 

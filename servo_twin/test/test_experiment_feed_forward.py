@@ -25,7 +25,7 @@ def rows(**changes: float) -> dict[str, bool]:
 
 @pytest.mark.usefixtures("short", "level")
 @pytest.mark.parametrize("changes", [{}, {"inertia": 2.0}])
-def test_every_figure_lies_within_its_bound(changes: dict[str, float]) -> None:
+def test_every_figure_is_within_its_bound(changes: dict[str, float]) -> None:
     found = rows(**changes)
     assert len(found) == 10
     assert all(found.values()), found
@@ -33,7 +33,7 @@ def test_every_figure_lies_within_its_bound(changes: dict[str, float]) -> None:
 
 @pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("missing", ["SPEED_FORWARD", "ACCELERATION_FORWARD"])
-def test_a_feature_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
+def test_missing_feature_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
     genuine, nominals = rig.features, nominal_shafts(PlantConfig.load(), 4)
 
     def features(board: Board, axis: int, **switches: bool) -> None:
@@ -49,7 +49,7 @@ def test_a_feature_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyPat
             assert not found[f"axis{axis} 1 turns, following error, speed, acceleration"]
 
 
-def test_figures_of_a_shaft_that_stays() -> None:
+def test_figures_of_a_shaft_at_rest() -> None:
     with spinning(PlantConfig.load(), 4) as board:
         recording = record(board, [0], 0.1)[0]
     here = round(recording.position[0])
@@ -61,6 +61,6 @@ def test_figures_of_a_shaft_that_stays() -> None:
     assert (away.overshoot, away.settling) == (0.0, None)
 
 
-def test_bounds_go_with_the_inertia() -> None:
+def test_bounds_are_scaled_with_the_inertia() -> None:
     maximum = [feed_forward.error_bound(100.0, Mismatch(there, 1.0)) for there in (0.5, 1.0, 2.0)]
     assert maximum == pytest.approx([253.0, 78.0, 128.0])

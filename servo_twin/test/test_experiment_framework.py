@@ -40,14 +40,14 @@ class TestBounds:
         assert all(bound.holds(value) for value in inside)
         assert not any(bound.holds(value) for value in outside)
 
-    def test_one_wrong_row_spoils_the_outcome(self) -> None:
+    def test_one_wrong_row_fails_the_outcome(self) -> None:
         assert outcome("a", 0.5, 1.0).agrees
         assert not outcome("a", 0.5, 1.1).agrees
         assert not outcome("a", 0.5, None).agrees
 
 
 class TestReport:
-    def test_table_names_what_does_not_agree(self) -> None:
+    def test_table_marks_rows_that_do_not_agree(self) -> None:
         text = table(outcome("a", 0.5, 3.0, None))
         assert text.count("  yes") == 1
         assert text.count("  NO") == 2
@@ -119,14 +119,14 @@ class TestLevels:
         assert pair.difference_max == 0.5
         assert pair.agrees
 
-    def test_overview_names_the_figure_that_differs_most(self) -> None:
+    def test_overview_has_the_figure_with_the_largest_difference(self) -> None:
         pairs = levels.pairs(outcome("a", 0.5, 0.1), outcome("a", 0.6, 0.9))
         line = levels.overview(pairs).splitlines()[1].split("  ")
         assert [cell.strip() for cell in line if cell] == ["a", "2", "2", "0.8 rpm", "0.80", "figure 1"]
 
 
 @pytest.mark.parametrize("words", [[], ["all"], ["levels"], *([name] for name in EXPERIMENTS)])
-def test_every_help_can_be_read(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_help_is_printed(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         cli.main(["experiment", *words, "--help"])
     assert end.value.code == 0
@@ -150,13 +150,13 @@ class TestCommand:
         for name in set(EXPERIMENTS) - set(seen):
             monkeypatch.delitem(EXPERIMENTS, name)
 
-    def test_exit_status_tells(self, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_exit_status_depends_on_the_outcome(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert cli.main(["experiment", "good"]) == 0
         assert cli.main(["experiment", "bad"]) == 1
         assert "does not agree: bad: figure 0" in capsys.readouterr().out
         assert cli.main(["experiment", "good", "--seed", "3"]) == 1
 
-    def test_all_fills_the_folder(self, tmp_path: Path) -> None:
+    def test_all_writes_the_folder(self, tmp_path: Path) -> None:
         assert cli.main(["experiment", "all", "--out", str(tmp_path)]) == 1
         assert {path.name for path in tmp_path.iterdir()} == {
             "good.png", "good.txt", "bad.png", "bad.txt", "summary.json",
@@ -210,7 +210,7 @@ class TestCommand:
             cli.main(["timing", "--level", "ideal"])
         assert "--level" in capsys.readouterr().err
 
-    def test_help_says_what_is_shown(self, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_help_describes_the_experiment(self, capsys: pytest.CaptureFixture[str]) -> None:
         with pytest.raises(SystemExit):
             cli.main(["experiment", "bad", "--help"])
         assert "bad things" in capsys.readouterr().out
@@ -221,7 +221,7 @@ class TestCommand:
         assert cli.main(["experiment", "good", "--plant", str(plant)]) == 1
         assert "inertia" in capsys.readouterr().err
 
-    def test_a_plant_that_cannot_run_is_a_result(
+    def test_error_of_a_plant_is_a_result(
         self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
     ) -> None:
         def run(plant: PlantConfig, seed: int) -> Outcome:

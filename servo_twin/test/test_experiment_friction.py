@@ -18,17 +18,17 @@ def wrong() -> set[str]:
     return {row.name for row in friction.run(PlantConfig.load(), seed=5).rows if not row.agrees}
 
 
-def test_every_figure_lies_within_its_bound() -> None:
+def test_every_figure_is_within_its_bound() -> None:
     assert wrong() == set()
 
 
 @pytest.mark.usefixtures("only_right", "level")
-def test_the_right_nominal_value_agrees() -> None:
+def test_correct_nominal_value_agrees() -> None:
     assert wrong() == set()
 
 
 @pytest.mark.usefixtures("level")
-def test_a_feature_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_feature_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """By every figure, with twice the nominal friction: what a start loses to less, the encoder may hide."""
     monkeypatch.setattr(friction, "TIMES", (2.0,))
     genuine, nominals = rig.features, nominal_shafts(PlantConfig.load(), 5)
@@ -41,7 +41,7 @@ def test_a_feature_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyPat
     assert len(wrong()) == 6
 
 
-def test_a_nominal_value_that_is_half_right_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_nominal_value_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twice the friction where the bounds expect the nominal value."""
     monkeypatch.setattr(friction, "TIMES", (2.0,))
     monkeypatch.setattr(friction, "uncompensated", lambda times: 0.0)

@@ -8,12 +8,12 @@ from servo_twin.experiments import homing, rig
 from servo_twin.plant import PlantConfig
 
 
-def test_every_figure_lies_within_its_bound() -> None:
+def test_every_figure_is_within_its_bound() -> None:
     outcome = homing.run(PlantConfig.load(), seed=6)
     assert [row for row in outcome.rows if not row.agrees] == []
 
 
-def test_stops_that_are_elsewhere_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_position_of_stops_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if the place of the stops were wrong by ten counts."""
     zeros = homing._zeros
     monkeypatch.setattr(homing, "_zeros", lambda board: [zero + 10 * rig.COUNT for zero in zeros(board)])
@@ -21,7 +21,7 @@ def test_stops_that_are_elsewhere_are_noticed(monkeypatch: pytest.MonkeyPatch) -
     assert min(first.place, second.place) > homing.PLACE_MAX
 
 
-def test_switches_that_are_elsewhere_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_position_of_switches_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     zeros = homing._zeros
     monkeypatch.setattr(homing, "_zeros", lambda board: [zero - 10 * rig.COUNT for zero in zeros(board)])
     found = homing.to_switches(PlantConfig.load(), 6, 0)
@@ -29,13 +29,13 @@ def test_switches_that_are_elsewhere_are_noticed(monkeypatch: pytest.MonkeyPatch
     assert all(one.done and not low <= one.place <= high for one in found)
 
 
-def test_without_a_switch_that_is_fitted_nothing_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_switch_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(homing, "fit", lambda board, *pins: None)
     monkeypatch.setattr(homing, "HOMING_TIMEOUT", 3.0)
     assert not any(one.done for one in homing.to_switches(PlantConfig.load(), 6, 0))
 
 
-def test_an_axis_without_the_feature_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_axis_without_the_feature_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rig, "features", lambda board, axis, **switches: None)
     it = homing.unhomed(PlantConfig.load(), 6)
     for stationary in it.stationary.values():

@@ -32,7 +32,7 @@ def test_plain_is_not_better_than_enhanced(monkeypatch: pytest.MonkeyPatch) -> N
     assert not any(agrees for name, agrees in rows.items() if "enhanced over plain" in name)
 
 
-def test_a_wrong_mean_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_mean_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     genuine = low_speed.hold_speed
 
     def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Recording:

@@ -29,7 +29,7 @@ def test_worked_example_gives_exact_fractions() -> None:
 
 
 @pytest.mark.usefixtures("level")
-def test_the_shaft_turns_as_told(plant: PlantConfig) -> None:
+def test_shaft_follows_the_given_speed(plant: PlantConfig) -> None:
     turned = mt_speed.drive(plant, 1, lambda k: 10.0, 0.02, enhanced=True)
     # the switching plant takes viscous friction as constant within its steps of some 30 us
     assert turned.omega == pytest.approx(10.0, rel=1e-4)
@@ -44,7 +44,7 @@ def test_edges_of_a_steady_shaft(plant: PlantConfig) -> None:
     assert (edges.of_b().number % 2 == 0).all()
 
 
-def test_bounds_notice_the_plain_method(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
+def test_plain_method_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
     """Enhanced M/T switched off: it stagnates."""
     genuine = mt_speed.drive
 

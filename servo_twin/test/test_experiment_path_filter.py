@@ -30,13 +30,13 @@ def wrong(recorded: tuple[Recording, float, int], path: NDArray[np.float64]) -> 
     return {row.name for row in rows if not row.agrees}
 
 
-def test_a_ramp_is_no_s_curve(recorded: tuple[Recording, float, int]) -> None:
+def test_ramp_is_not_an_s_curve(recorded: tuple[Recording, float, int]) -> None:
     recording, speed, distance = recorded
     ramp: NDArray[np.float64] = np.minimum(speed * recording.time, distance)
     assert "largest jump of the S curve's speed per slow loop" in wrong(recorded, np.round(ramp))
 
 
-def test_less_damping_is_noticed(recorded: tuple[Recording, float, int]) -> None:
+def test_low_damping_violates_the_bounds(recorded: tuple[Recording, float, int]) -> None:
     recording, speed, distance = recorded
     swing = 0.02 * distance * np.sin(np.pi * np.clip((recording.time - distance / speed) / 0.4, 0.0, 1.0))
     names = wrong(recorded, np.round(recording.position_ref + swing))

@@ -10,17 +10,17 @@ from servo_twin.plant import PlantConfig
 from servo_twin.simulation import SimulationError
 
 
-def test_every_figure_lies_within_its_bound() -> None:
+def test_every_figure_is_within_its_bound() -> None:
     assert {row.name for row in pins.run(PlantConfig.load(), seed=2).rows if not row.agrees} == set()
 
 
-def test_a_load_without_a_brake_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_load_without_a_brake_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pins, "BRAKE", 0.0)
     with pytest.raises(SimulationError, match="after the search"):
         pins.measure_drops(PlantConfig.load(), 2, 1.0)
 
 
-def test_a_firmware_that_knows_nothing_of_its_pins_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unconfigured_pins_violate_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pins, "fit", lambda board, *names: None)
     plant = PlantConfig.load()
     with pytest.raises(SimulationError, match=r"in SPIN|after the search"):
@@ -33,7 +33,7 @@ def test_a_firmware_that_knows_nothing_of_its_pins_is_noticed(monkeypatch: pytes
     assert not said["enable, at rest: refused without a fault"]
 
 
-def test_a_brake_that_is_slower_than_nominal_lets_the_load_drop(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_load_drops_with_a_brake_slower_than_nominal(monkeypatch: pytest.MonkeyPatch) -> None:
     """The time that the configuration waits matters: 30 ms of it are too little for a brake that takes 90 ms."""
     monkeypatch.setattr(pins, "CLOSE_TIME", 0.09)
     found = pins.measure_drops(PlantConfig.load(), 2, math.pi / 3)

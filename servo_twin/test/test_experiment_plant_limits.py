@@ -34,19 +34,19 @@ def both(plant: PlantConfig, **factors: float) -> PlantConfig:
 
 
 @pytest.mark.parametrize("factors", [{}, {"friction": 0.3, "inertia": 2.0}])
-def test_the_nominal_shaft_does_not_depend_on_what_is_there(plant: PlantConfig, factors: dict[str, float]) -> None:
+def test_nominal_shaft_does_not_depend_on_the_plant(plant: PlantConfig, factors: dict[str, float]) -> None:
     """The packaged configuration has the nominal values of the packaged plant."""
     for entry, nominal in zip(plant.axes, nominal_shafts(both(plant, **factors), 3), strict=True):
         assert nominal.inertia == pytest.approx(entry.inertia, rel=0.01)
         assert nominal.friction == pytest.approx(entry.friction + plant_limits.PROBE_SPEED * entry.viscous, rel=0.01)
 
 
-def test_the_nominal_shaft_is_worth_more_on_a_stronger_motor(plant: PlantConfig) -> None:
+def test_nominal_shaft_with_a_stronger_motor(plant: PlantConfig) -> None:
     nominal = nominal_shafts(both(plant, psi_m=1.2), 3)[0]
     assert nominal.inertia == pytest.approx(1.2 * plant.axes[0].inertia, rel=0.01)
 
 
-def test_the_nominal_shaft_shows_in_a_smaller_step(plant: PlantConfig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nominal_shaft_is_measured_with_a_smaller_step(plant: PlantConfig, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the current limit hides the inertia; the friction shows in the large one."""
     genuine, steps = plant_limits._first_current, []
 
@@ -69,7 +69,7 @@ def test_the_nominal_shaft_is_hidden_by_the_current_limit(plant: PlantConfig, mo
         nominal_shafts(plant, 3)
 
 
-def test_path_asks_for_a_half_of_the_current(plant: PlantConfig) -> None:
+def test_path_needs_half_of_the_current(plant: PlantConfig) -> None:
     for entry, demand in zip(plant.axes, path_demands(plant, 3), strict=True):
         needed = entry.inertia * demand.acceleration * SPEED / entry.torque_constant
         # Less by what the ramp takes to come up to its speed at param.acceleration_limit's maximum.
@@ -77,7 +77,7 @@ def test_path_asks_for_a_half_of_the_current(plant: PlantConfig) -> None:
 
 
 class TestTopSpeed:
-    def test_the_plant_as_it_is(self, plant: PlantConfig) -> None:
+    def test_top_speed_of_the_packaged_plant(self, plant: PlantConfig) -> None:
         speeds, note = move_speeds(plant, 3, together=True)
         assert speeds == pytest.approx([SPEED] * 2, rel=1e-4)
         assert note == ""
@@ -87,7 +87,7 @@ class TestTopSpeed:
         assert all(0.3 * SPEED < speed < 0.7 * SPEED for speed in speeds)
         assert "reduced" in note
 
-    def test_bus_takes_the_energy(self, plant: PlantConfig) -> None:
+    def test_energy_limit_of_the_bus(self, plant: PlantConfig) -> None:
         small = plant.with_bus(capacitance=1e-3)
         speed = top_speed(small, [0, 1], SPEED)
         energy = 0.5 * (plant.axes[0].inertia + plant.axes[1].inertia) * speed**2
@@ -108,7 +108,7 @@ class TestTopSpeed:
             top_speed(plant, [0], SPEED, [Demand(1e5, 4.0)] * 2)
 
 
-def test_differences_are_named(plant: PlantConfig) -> None:
+def test_differences_from_nominal_values_as_text(plant: PlantConfig) -> None:
     assert differences(plant, 3) == ()
     notes = differences(plant.with_axis(1, inertia=5.0 * plant.axes[1].inertia), 3)
     assert len(notes) == 1
@@ -116,7 +116,7 @@ def test_differences_are_named(plant: PlantConfig) -> None:
 
 
 @pytest.mark.parametrize("may_fail", [False, True])
-def test_a_fault_is_not_measured(plant: PlantConfig, may_fail: bool) -> None:
+def test_fault_ends_the_measurement_with_an_error(plant: PlantConfig, may_fail: bool) -> None:
     with spinning(plant, 3) as board:
         board.set_supply(10.0)
         choose_mode(board, 1, "SPEED")

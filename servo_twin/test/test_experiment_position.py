@@ -47,7 +47,7 @@ def test_figures_of_a_known_shape(still: Recording) -> None:
     assert (back.overshoot, back.cycle) == (7.0, 1.0)
 
 
-def test_a_limit_cycle_is_seen(still: Recording) -> None:
+def test_limit_cycle_is_detected(still: Recording) -> None:
     shape = TARGET + 2 * np.sign(np.sin(2.0 * np.pi * 10.0 * still.time))
     shape[0] = 0
     move = position.measure(moved(still, shape), TARGET, 0.0, SHAFT)
@@ -60,7 +60,7 @@ def test_a_shaft_that_does_not_arrive_never_settles(still: Recording) -> None:
     assert move.error == TARGET
 
 
-def test_a_held_shaft_does_not_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocked_shaft_does_not_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(position, "DISTANCES", (1.0,))
     with spinning(PlantConfig.load(), 1) as board:
         board.lock_shaft(0)

@@ -12,7 +12,7 @@ from servo_twin.plant import PlantConfig
 
 
 @pytest.mark.usefixtures("level")
-def test_every_figure_lies_within_its_bound() -> None:
+def test_every_figure_is_within_its_bound() -> None:
     outcome = plant_effects.run(PlantConfig.load(), seed=5)
     assert [(row.name, row.measured, str(row.bound)) for row in outcome.rows if not row.agrees] == []
     assert len(outcome.rows) == len(outcome.panels) * 2 == 14
@@ -29,7 +29,7 @@ UNSEEN = {
 
 
 @pytest.mark.parametrize("name", UNSEEN)
-def test_a_part_that_is_not_there_is_noticed(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_missing_effect_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     """The equation still expects it."""
     effect = next(effect for effect in EFFECTS if effect.name == name)
 

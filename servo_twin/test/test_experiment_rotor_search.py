@@ -37,7 +37,7 @@ def test_agrees_with_the_reference_design(outcome: Outcome) -> None:
     assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
 
 
-def test_picture_of_f16_shows_every_vector(outcome: Outcome) -> None:
+def test_picture_of_f16_has_every_vector(outcome: Outcome) -> None:
     for axis, curve in enumerate(outcome.panels[1].curves):
         searches = outcome.row(f"axis{axis + 1} from 30 degrees, searches").measured
         assert searches is not None
@@ -70,7 +70,7 @@ def test_a_wrong_angle_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: Pl
     assert len([name for name in wrong if name.endswith("error")]) == 14
 
 
-def test_a_shaft_that_moves_is_no_held_shaft(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
+def test_moving_shaft_is_not_a_blocked_shaft(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
     few(monkeypatch)
     monkeypatch.setattr(Board, "lock_shaft", lambda self, axis, locked=True: None)
     rows = {row.name: row.agrees for row in rotor_search.run(plant, seed=2).rows}
@@ -79,7 +79,7 @@ def test_a_shaft_that_moves_is_no_held_shaft(monkeypatch: pytest.MonkeyPatch, pl
     assert rows["axis1 encoder unplugged: ENCODER_LOST"]
 
 
-def test_a_wrong_name_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
+def test_wrong_fault_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
     few(monkeypatch)
     monkeypatch.setattr(Board, "connect_encoder", lambda self, axis, connected=True: self.lock_shaft(axis))
     rows = {row.name: row.agrees for row in rotor_search.run(plant, seed=2).rows}
@@ -87,7 +87,7 @@ def test_a_wrong_name_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: Pla
     assert rows["axis1 encoder line A dead: ENCODER_LOST"]
 
 
-def test_a_long_way_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
+def test_large_motion_does_not_agree(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
     few(monkeypatch)
     monkeypatch.setattr(rotor_search, "TWITCH_COUNTS", 1)
     long = [row.name for row in rotor_search.run(plant, seed=2).rows if not row.agrees]
@@ -105,7 +105,7 @@ def test_one_axis_may_fail_alone(plant: PlantConfig, search_fault: SearchFault) 
     assert second.faults == {search_fault.fault}
 
 
-def test_damages_are_told_apart_without_dead_time_compensation(plant: PlantConfig) -> None:
+def test_faults_are_distinguished_without_dead_time_compensation(plant: PlantConfig) -> None:
     """The host may switch it off; the search compares voltages and does not let it."""
     for k, search_fault in enumerate((rotor_search.LOCKED, rotor_search.UNPLUGGED)):
         with Board(rotor_search.start_at(plant, 75.0), seed=k) as board:

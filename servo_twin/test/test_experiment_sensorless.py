@@ -62,7 +62,7 @@ def test_observer_agrees_with_the_reference_design(short_observer: None) -> None
     assert wrong(run(observer)) == []
 
 
-def test_observer_notices_errors_and_a_compensation_that_does_nothing(
+def test_errors_and_missing_compensation_violate_the_bounds(
     short_observer: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     genuine = observer.measure
@@ -83,7 +83,7 @@ def test_observer_notices_errors_and_a_compensation_that_does_nothing(
     assert any("not made up over made up" in name for name in names)
 
 
-def test_angle_error_on_paper() -> None:
+def test_angle_error_by_calculation() -> None:
     motor = PLANT.axes[0]
     other = dataclasses.replace(motor, l_q=2.0 * motor.l_q)
     expected = math.degrees(math.atan2((2.0 * 0.512e-3 - 0.4575e-3) * 2.0, 0.0154))
@@ -104,7 +104,7 @@ def test_start_up_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
     assert outcome.row("random starts, success").measured == 100.0
 
 
-def test_start_up_notices_a_shaft_that_does_not_turn() -> None:
+def test_start_up_of_a_blocked_shaft_does_not_agree() -> None:
     stuck = PLANT
     for axis in range(2):
         stuck = stuck.with_axis(axis, friction=10.0)
@@ -113,7 +113,7 @@ def test_start_up_notices_a_shaft_that_does_not_turn() -> None:
     assert not any(start.succeeded for start in starts)
 
 
-def test_random_starts_are_those_of_the_seed() -> None:
+def test_random_starts_are_determined_by_the_seed() -> None:
     assert draws(1, 3) == draws(1, 5)[:3]
     assert draws(1, 3) != draws(2, 3)
     for draw in (draw for board in draws(1, 200) for draw in board):
@@ -121,7 +121,7 @@ def test_random_starts_are_those_of_the_seed() -> None:
         assert 0.15 <= abs(draw.set_point) <= 0.9
 
 
-def test_times_count_from_the_beginning_of_the_start_up() -> None:
+def test_times_are_relative_to_the_start_up() -> None:
     substates = np.array([1] * 10 + [5] * 100 + [3] * 50)
     angle = np.where(np.arange(160) < 70, 1.0, 0.1)
     found = examine(trace(np.zeros(160), substate=substates, angle=angle), 5, 3)
@@ -135,7 +135,7 @@ def test_times_count_from_the_beginning_of_the_start_up() -> None:
 
 
 @pytest.mark.parametrize(("words", "count"), [([], start_up.STARTS), (["--count", "3"], 3)])
-def test_number_of_starts_is_chosen(monkeypatch: pytest.MonkeyPatch, words: list[str], count: int) -> None:
+def test_number_of_starts_is_an_option(monkeypatch: pytest.MonkeyPatch, words: list[str], count: int) -> None:
     counts: list[int] = []
 
     def counted(plant: PlantConfig, seed: int, count: int, runner: Runner) -> list[start_up.Start]:
@@ -158,7 +158,7 @@ def test_minimum_speed_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
     assert outcome.row("axis1, load 25 %, lowest speed").measured == pytest.approx(5.0)
 
 
-def test_minimum_speed_notices_what_is_not_slow(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_high_speed_violates_the_bounds_of_the_minimum_speed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(minimum_speed, "LOADS", (0.0,))
     monkeypatch.setattr(minimum_speed, "STEPS", (0.3, 0.1))
     assert wrong(run(minimum_speed)) == ["axis1, no load, lowest speed", "axis2, no load, lowest speed"]
@@ -173,7 +173,7 @@ def test_load_step_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
     assert wrong(run(sensorless_load_step)) == []
 
 
-def test_load_step_notices_what_was_not_borne() -> None:
+def test_too_large_load_step_is_detected() -> None:
     """More than the current can hold: the shaft goes back, and the step before is what was borne."""
     it = sensorless_load_step.largest_step(PLANT, SEED, 0, 0.1, (0.3, 1.2))
     assert it.torque == pytest.approx(0.3 * 4.0 * PLANT.axes[0].torque_constant, rel=1e-3)
@@ -183,7 +183,7 @@ def test_load_step_notices_what_was_not_borne() -> None:
 # ---- stall ----------------------------------------------------------------------------------------------------------
 
 
-def test_the_variance_alone_tells_noise_and_not_a_steady_speed() -> None:
+def test_variance_detects_noise_and_accepts_a_steady_speed() -> None:
     noise = np.random.default_rng(1).normal(0.0, 30.0, 3000)
     told = variance_detection_time(trace(noise), 0.0)
     assert told is not None
@@ -193,7 +193,7 @@ def test_the_variance_alone_tells_noise_and_not_a_steady_speed() -> None:
     assert variance_detection_time(trace(slow), 0.0) is None, "the blind spot of the reference design"
 
 
-def test_stall_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stall_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sensorless_stall, "SPEEDS", (0.2, 0.8))
     monkeypatch.setattr(sensorless_stall, "FREQUENCIES", (4.0,))
     monkeypatch.setattr(sensorless_stall, "LONG", 2.0)

@@ -13,11 +13,11 @@ def wrong() -> set[str]:
     return {row.name for row in soft_limits.run(PlantConfig.load(), seed=6).rows if not row.agrees}
 
 
-def test_every_figure_lies_within_its_bound() -> None:
+def test_every_figure_is_within_its_bound() -> None:
     assert wrong() == set()
 
 
-def test_limits_that_are_not_switched_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_disabled_limits_violate_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rig, "features", lambda board, axis, **switches: None)
     names = wrong()
     for mode in ("position", "speed", "torque"):
@@ -27,7 +27,7 @@ def test_limits_that_are_not_switched_are_noticed(monkeypatch: pytest.MonkeyPatc
     assert "axis1, limit set behind the shaft, target farther out: moves" in names
 
 
-def test_limits_that_are_not_written_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unwritten_limits_violate_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     genuine = rig.set_axis
 
     def set_axis(board: Board, name: str, axis: int, value: float) -> None:

@@ -26,10 +26,10 @@ def run(monkeypatch: pytest.MonkeyPatch, swapped: bool) -> dict[str, bool]:
     return {row.name: row.agrees for row in speed_observer.run(PlantConfig.load(), seed=1).rows}
 
 
-def test_everything_is_better_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_figures_are_better_with_the_observer(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(run(monkeypatch, swapped=False).values())
 
 
-def test_nothing_is_smoother_or_closer_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_figure_is_better_without_the_observer(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = run(monkeypatch, swapped=True)
     assert not any(agrees for name, agrees in rows.items() if "with over without" in name)

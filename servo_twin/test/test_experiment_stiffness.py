@@ -14,18 +14,18 @@ def plant() -> PlantConfig:
 
 
 @pytest.mark.usefixtures("level")
-def test_every_figure_lies_within_its_bound(plant: PlantConfig) -> None:
+def test_every_figure_is_within_its_bound(plant: PlantConfig) -> None:
     outcome = stiffness.run(plant, seed=8)
     assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
 
 
-def test_too_little_current_is_noticed(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
+def test_too_small_current_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
     """Less current than the load needs: the shaft is carried away."""
     monkeypatch.setattr(stiffness, "LIMIT", 1.5)
     with pytest.raises(SimulationError, match="axis1 ended in a fault"):
         stiffness.run(plant, seed=8)
 
 
-def test_no_deflection_is_no_measurement(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
+def test_missing_deflection_is_an_error(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
     monkeypatch.setattr(stiffness, "NOMINAL", 1e-6)  # less than the friction holds
     assert not stiffness.run(plant, seed=8).row("axis1, recovery").agrees

@@ -15,11 +15,11 @@ def wrong() -> set[str]:
     return {row.name for row in supervision.run(PlantConfig.load(), seed=7).rows if not row.agrees}
 
 
-def test_every_figure_lies_within_its_bound() -> None:
+def test_every_figure_is_within_its_bound() -> None:
     assert wrong() == set()
 
 
-def test_supervision_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_disabled_supervision_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     genuine = rig.features
 
     def features(board: Board, axis: int, **switches: bool) -> None:
@@ -32,13 +32,13 @@ def test_supervision_that_is_not_switched_is_noticed(monkeypatch: pytest.MonkeyP
             assert f"axis1, {cause}: {figure}" in names
 
 
-def test_a_false_alarm_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_false_alarm_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """So tight a bound that the load steps go beyond it."""
     monkeypatch.setattr(supervision, "FOLLOWING", 0.05)
     assert supervision.permitted_operation(Bench.of(PlantConfig.load(), 7), forward=False) != 0
 
 
-def test_a_late_fault_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_late_fault_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """The bound leaves no room for a fault that comes some milliseconds after it could."""
     bench = Bench.of(PlantConfig.load(), 7)
     for axis, event in enumerate(supervision.BLOCKED.responses(bench, True)):

@@ -19,22 +19,22 @@ def wrong(plant: PlantConfig) -> set[str]:
     return {row.name for row in two_axes.run(plant, seed=3).rows if not row.agrees}
 
 
-def test_every_figure_lies_within_its_bound() -> None:
+def test_every_figure_is_within_its_bound() -> None:
     assert wrong(PlantConfig.load()) == set()
 
 
-def test_a_softer_bus_brakes_from_less() -> None:
+def test_braking_speed_is_lower_with_a_softer_bus() -> None:
     assert wrong(PlantConfig.load().with_bus(capacitance=1e-3)) == set()
 
 
-def test_what_the_bus_cannot_take_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_much_braking_energy_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """With a limit that the energy of both shafts reaches from the full speed."""
     monkeypatch.setattr(two_axes, "top_speed", lambda plant, axes, wanted: wanted)
     monkeypatch.setattr(two_axes, "OVER_VOLTAGE", 28.0)
     assert "both brake: highest bus voltage" in wrong(PlantConfig.load().with_bus(capacitance=2e-3))
 
 
-def test_an_axis_at_rest_does_not_disturb(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_axis_at_rest_has_no_influence(monkeypatch: pytest.MonkeyPatch) -> None:
     genuine = two_axes.turn
 
     def turn(
@@ -46,7 +46,7 @@ def test_an_axis_at_rest_does_not_disturb(monkeypatch: pytest.MonkeyPatch) -> No
     assert {"axis1, the other reverses: bus swing", "axis2, the other reverses: bus swing"} <= wrong(PlantConfig.load())
 
 
-def test_influence_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_influence_of_the_other_axis_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     genuine = two_axes.turn
 
     def turn(

@@ -13,7 +13,7 @@ SEED = 4
 QUICK = (Motor(2.0, 0.2), Motor(2.4, 0.3, r_s=0.35))
 
 
-def test_other_motors_than_those_of_the_experiment_agree_too(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_motors_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(winding, "SECONDS", 15.0)
     monkeypatch.setattr(winding, "CASES", (winding.Case("quick", QUICK),))
     outcome = winding.run(PLANT, SEED)
@@ -22,7 +22,7 @@ def test_other_motors_than_those_of_the_experiment_agree_too(monkeypatch: pytest
     assert len(outcome.panels) == 2
 
 
-def test_a_drive_that_does_not_derate_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_derating_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the feature nothing holds the current back."""
     monkeypatch.setattr(rig, "features", lambda *_, **__: None)
     world, text, nominal, true = configured(PLANT, QUICK)
@@ -33,7 +33,7 @@ def test_a_drive_that_does_not_derate_shows(monkeypatch: pytest.MonkeyPatch) -> 
         assert it.current[-1] == pytest.approx(4.0, abs=0.01)
 
 
-def test_a_wrong_nominal_value_is_the_controllers_alone() -> None:
+def test_wrong_nominal_value_applies_only_to_the_controller() -> None:
     world, _, nominal, true = configured(PLANT, CASES[2].motors)
     for axis, (model, real, motor) in enumerate(zip(nominal, true, CASES[2].motors, strict=True)):
         assert model.resistance == pytest.approx(motor.resistance_error * real.resistance)

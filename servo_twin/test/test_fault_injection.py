@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from native_library import Native, c_axis, plain
+from native_library import Native, c_axis, ideal_plant
 from servo_twin.board import Board
 from servo_twin.experiments.named_faults import faults
 from servo_twin.fault_injection import (
@@ -43,7 +43,7 @@ class Averaged:
 
     def __init__(self, native: Native, bus: float = 24.0, **axis: Any) -> None:
         self.native, self.bus = native, bus
-        self.plant = plain(inertia=FLYWHEEL, **axis).axes[0]
+        self.plant = ideal_plant(inertia=FLYWHEEL, **axis).axes[0]
         config = c_axis(native, self.plant)
         self.motor = native.ffi.new("plant_motor_t *")
         self.inverter = native.ffi.new("averaged_inverter_t *")
@@ -79,7 +79,7 @@ class Switched:
     """The same at switching level."""
 
     def __init__(self, native: Native, bus: float = 24.0, **axis: Any) -> None:
-        plant = plain(inertia=FLYWHEEL, dead_time_min=0.0, **axis).with_bus(
+        plant = ideal_plant(inertia=FLYWHEEL, dead_time_min=0.0, **axis).with_bus(
             u_source=bus, r_source=1e-3, capacitance=1.0
         )
         self.plant = plant.axes[0]
@@ -146,7 +146,7 @@ def test_an_open_phase_leaves_two_in_series(make: Any, phase: int) -> None:
 
 
 @pytest.mark.parametrize("phase", [0, 1, 2])
-def test_a_current_that_is_cut_off_goes_on_in_the_other_two(make: Any, phase: int) -> None:
+def test_current_of_an_opened_phase_continues_in_the_other_two(make: Any, phase: int) -> None:
     it = make()
     it.spin(SPEED)
     it.short((phase + 1) % 3, (phase + 2) % 3)  # a current to begin with
@@ -158,7 +158,7 @@ def test_a_current_that_is_cut_off_goes_on_in_the_other_two(make: Any, phase: in
 
 
 @pytest.mark.parametrize("alone", [0, 1, 2])
-def test_two_phases_that_touch_brake_by_their_loop(make: Any, alone: int) -> None:
+def test_shorted_phases_brake_by_their_loop_current(make: Any, alone: int) -> None:
     """sqrt(3) w psi across 2 R and 2 L, with all switches open."""
     it = make(l_d=0.45e-3, l_q=0.45e-3)
     it.spin(SPEED)
@@ -170,7 +170,7 @@ def test_two_phases_that_touch_brake_by_their_loop(make: Any, alone: int) -> Non
     assert np.all(i[:, alone] == 0.0)
 
 
-def test_three_phases_on_bus_minus_are_the_winding_short(make: Any) -> None:
+def test_three_phases_on_bus_minus_are_a_winding_short(make: Any) -> None:
     """All low sides on: K_e w / sqrt(R^2 + w^2 L^2)."""
     it = make(l_d=0.45e-3, l_q=0.45e-3)
     it.spin(SPEED)
@@ -246,7 +246,7 @@ def test_a_short_opens_the_switches_without_software(board: Board, fault: Inject
     assert faults(board, 0) == set()
 
 
-def test_an_open_phase_carries_nothing(board: Board) -> None:
+def test_open_phase_has_no_current(board: Board) -> None:
     turn(board, 100.0)
     board.inject(OpenPhase(0, "a"))
     board.run(0.0005)
@@ -258,7 +258,7 @@ def test_an_open_phase_carries_nothing(board: Board) -> None:
     board.clear_fault(OpenPhase(0, "a"))
 
 
-def test_a_stuck_converter_is_found_out(board: Board) -> None:
+def test_stuck_converter_is_detected(board: Board) -> None:
     board.inject(StuckConverter(0, "c", 3000))
     board.run(0.02)
     board.write("cmd.enable", [1, 0])
@@ -290,7 +290,7 @@ def test_a_stuck_line_shows_one_count_back_and_forth(board: Board, line: Any, hi
 
 
 @pytest.mark.parametrize("line", ["A", "B"])
-def test_glitches_leave_the_count_alone(board: Board, line: Any) -> None:
+def test_glitches_do_not_change_the_count(board: Board, line: Any) -> None:
     """An edge there and back."""
     board.run(0.01)
     before = board.read_raw("axis1.position")[0]
@@ -302,7 +302,7 @@ def test_glitches_leave_the_count_alone(board: Board, line: Any) -> None:
     assert board.read_raw("axis1.position")[0] == before
 
 
-def test_a_held_rotor_stays(board: Board) -> None:
+def test_blocked_rotor_does_not_move(board: Board) -> None:
     turn(board, 100.0)
     board.inject(LockedRotor(0))
     board.run(0.01)
@@ -329,7 +329,7 @@ def test_a_dip_of_the_supply_ends_by_itself(board: Board) -> None:
     assert board.truth(0).u_dc == pytest.approx(24.0, abs=0.1)
 
 
-def test_noise_can_be_heard(board: Board) -> None:
+def test_noise_is_in_the_measured_current(board: Board) -> None:
     turn(board, 50.0)
     quiet = board.si(board.record(board.time_ns + 100_000_000))
     board.inject(CurrentNoise(0, 0.06))

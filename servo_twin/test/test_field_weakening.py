@@ -51,7 +51,7 @@ def test_a_position_move_at_the_rated_speed_arrives() -> None:
     assert float(np.abs(move.i_d[-100:]).max()) < 0.1
 
 
-def test_turns_backwards_as_well(rated: Board) -> None:
+def test_negative_rated_speed_is_reached(rated: Board) -> None:
     command_speed(rated, AXIS, -RATED)
     rated.run(0.5)
     assert rated.truth(AXIS).omega_m == pytest.approx(-RATED, rel=0.005)
@@ -86,7 +86,7 @@ def test_the_angle_check_raises_no_alarm(rated: Board) -> None:
         assert float(run.i_d[-100:].mean()) < -0.3
 
 
-def test_a_stop_ends_it(rated: Board) -> None:
+def test_stop_ends_field_weakening(rated: Board) -> None:
     rated.write("cmd.enable", [0, 0])
     run = record(rated, [AXIS], 0.4)[AXIS]
     assert float(np.abs(run.omega[-1])) < 1.0
@@ -119,7 +119,7 @@ def test_works_without_an_encoder() -> None:
 
 
 @pytest.mark.parametrize("supply", [24.0, 20.0])
-def test_outputs_off_at_the_rated_speed_spare_the_bus(rated: Board, supply: float) -> None:
+def test_outputs_off_at_the_rated_speed_keep_the_bus_voltage(rated: Board, supply: float) -> None:
     """The rectified back-EMF, 22.3 V between two phases, charges the bus to no more than that."""
     rated.set_supply(supply)
     rated.write_raw("param.on_disable", [0, 0])  # COAST
@@ -139,7 +139,7 @@ def test_a_fault_at_the_rated_speed_coasts(rated: Board) -> None:
     assert float(np.hypot(run.i_d, run.i_q)[first + 1 :].max()) < 0.1
 
 
-def test_the_experiment_agrees_and_notices_that_nothing_is_switched(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_experiment_agrees_and_detects_a_disabled_feature(monkeypatch: pytest.MonkeyPatch) -> None:
     def wrong() -> list[str]:
         return [row.name for row in field_weakening.run(PlantConfig.load(), 3).rows if not row.agrees]
 

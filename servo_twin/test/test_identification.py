@@ -50,7 +50,7 @@ def test_the_plant_file_has_the_motor(folder: Path) -> None:
     assert found.v_drop == pytest.approx(true.v_drop, rel=0.03)
 
 
-def test_intervals_hold_the_truth(folder: Path) -> None:
+def test_intervals_contain_the_true_values(folder: Path) -> None:
     content = json.loads((folder / "estimates.json").read_text())
     true = PlantConfig.load().axes[AXIS]
     for name in TARGETS:
@@ -109,7 +109,7 @@ def test_a_locked_shaft_has_no_flux(tmp_path: Path, capsys: pytest.CaptureFixtur
         ("correct --voltage", 48.0, ""),
     ],
 )
-def test_what_cannot_be_measured_is_named(reason: str, voltage: float, what: str) -> None:
+def test_data_that_cannot_be_measured_are_reported(reason: str, voltage: float, what: str) -> None:
     def prepare(board: Board) -> None:
         if what == "reverse":
             board.reverse_encoder(0)
@@ -202,7 +202,7 @@ def _protected(board: Board) -> None:
     board.run(0.05)
 
 
-def test_what_protects_the_axis_holds_and_all_is_left_as_it_was() -> None:
+def test_protective_settings_apply_and_everything_is_restored() -> None:
     with Board(PlantConfig.load(), seed=1, level="ideal") as board:
         _protected(board)
         before = _state(board)
@@ -217,7 +217,7 @@ def test_what_protects_the_axis_holds_and_all_is_left_as_it_was() -> None:
 
 
 @pytest.mark.parametrize("turns", [3.0, 20.0])
-def test_turns_are_kept_to_over_a_slow_line(turns: float) -> None:
+def test_permitted_turns_are_kept_over_a_slow_line(turns: float) -> None:
     with Board(PlantConfig.load(), seed=1, level="ideal") as board:
         board.run(0.05)
         access = _Watched(board, slow=0.005)
@@ -225,7 +225,7 @@ def test_turns_are_kept_to_over_a_slow_line(turns: float) -> None:
         assert 0.5 * turns < access.way / (2.0 * math.pi) < turns
 
 
-def test_a_low_speed_is_enough_and_kept_to() -> None:
+def test_low_speed_limit_is_sufficient_and_kept() -> None:
     with Board(PlantConfig.load(), seed=1, level="ideal") as board:
         board.run(0.05)
         access = _Watched(board, slow=0.005)
@@ -234,7 +234,7 @@ def test_a_low_speed_is_enough_and_kept_to() -> None:
 
 
 @pytest.mark.parametrize("at", [(60,), (60, 62, 63), (160, 162)])
-def test_ctrl_c_leaves_the_board_as_it_was_found(at: tuple[int, ...]) -> None:
+def test_ctrl_c_restores_the_board(at: tuple[int, ...]) -> None:
     def press(access: _Watched) -> None:
         if access.waits in at:
             raise KeyboardInterrupt
@@ -251,7 +251,7 @@ def test_ctrl_c_leaves_the_board_as_it_was_found(at: tuple[int, ...]) -> None:
         assert board.read("axis1.state") == board.catalogue.enums["state_t"]["STOP"]
 
 
-def test_a_line_that_fails_for_a_while_does_not_end_the_restoration() -> None:
+def test_restoration_continues_after_a_line_failure() -> None:
     class Lost(_Watched):
         left = 3
 
@@ -271,7 +271,7 @@ def test_a_line_that_fails_for_a_while_does_not_end_the_restoration() -> None:
 
 
 @pytest.mark.parametrize("seconds", [10.0, math.inf])
-def test_a_shaft_that_does_not_come_to_rest_is_waited_for_and_told(seconds: float) -> None:
+def test_shaft_that_does_not_stop_is_reported_after_a_wait(seconds: float) -> None:
     """A load that turns the shaft once the outputs are off."""
 
     class Loaded(_Watched):
@@ -301,7 +301,7 @@ def test_a_shaft_that_does_not_come_to_rest_is_waited_for_and_told(seconds: floa
         assert ("Do not enable it" in test.restoring_text) == math.isinf(seconds)
 
 
-def test_a_set_point_is_kept_up_while_exchanges_take_the_time() -> None:
+def test_set_point_is_renewed_with_slow_exchanges() -> None:
     """As on a serial port that delays each answer by 16 ms."""
     written: list[float] = []
 
@@ -323,7 +323,7 @@ def test_a_set_point_is_kept_up_while_exchanges_take_the_time() -> None:
 
 
 @pytest.mark.parametrize("mode", ["TEST", "SPEED"])
-def test_a_host_that_falls_silent_ends_the_motion(mode: str) -> None:
+def test_host_pause_ends_the_motion(mode: str) -> None:
     """The board stops the shaft by itself, and the set-point is not given again."""
     speeds: list[float] = []
 
@@ -344,7 +344,7 @@ def test_a_host_that_falls_silent_ends_the_motion(mode: str) -> None:
 
 
 @pytest.mark.parametrize(("axis", "reason"), [(0, "axis1 is enabled"), (1, "axis2 is enabled")])
-def test_nothing_is_done_while_an_axis_is_enabled(axis: int, reason: str) -> None:
+def test_identification_is_refused_with_an_enabled_axis(axis: int, reason: str) -> None:
     class Silent(_Watched):
         def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
             raise AssertionError(f"{name} is written")
@@ -365,7 +365,7 @@ def test_nothing_is_done_while_an_axis_is_enabled(axis: int, reason: str) -> Non
         (dataclasses.replace(LIMITS, speed=0.01), "raise --speed-max"),
     ],
 )
-def test_what_leaves_too_little_room_is_refused_before_anything_moves(limits: Limits, reason: str) -> None:
+def test_too_small_range_is_refused_before_any_motion(limits: Limits, reason: str) -> None:
     with Board(PlantConfig.load(), seed=1, level="ideal") as board:
         board.run(0.05)
         before, access = _state(board), _Watched(board)
@@ -375,7 +375,7 @@ def test_what_leaves_too_little_room_is_refused_before_anything_moves(limits: Li
         assert access.way < 0.01
 
 
-def test_iron_that_saturates_is_no_success(tmp_path: Path) -> None:
+def test_saturation_is_reported_as_failure(tmp_path: Path) -> None:
     plant = PlantConfig.load().with_axis(0, i_saturation_d=5.0, i_saturation_q=5.0)
     log, problem = measure_virtual(plant, 0, LIMITS, servo_table(), level="ideal", seed=1)
     result = identified(log, PlantConfig.load(), problem, refined=False)
@@ -386,7 +386,7 @@ def test_iron_that_saturates_is_no_success(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("part", [0, 30, 5_000, 50_000, None])
-def test_a_cut_off_or_foreign_recording_is_named(
+def test_truncated_or_foreign_recording_is_reported(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], part: int | None
 ) -> None:
     content = (folder / "measurement.npz").read_bytes()
@@ -429,7 +429,7 @@ def test_uncertainties_of_few_points_are_not_too_small() -> None:
     assert np.all(np.diag(found) < 2.0 * np.diag(true))
 
 
-def test_trials_that_are_ended_leave_what_they_have(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_trials_keep_their_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def run(_: Trials, number: int) -> Trial:
         if number == 2:
             raise KeyboardInterrupt

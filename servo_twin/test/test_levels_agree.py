@@ -44,7 +44,7 @@ def test_a_search_on_a_stiff_shaft(level: Level) -> None:
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_a_shaft_that_comes_to_rest_on_an_edge_is_no_dead_line(level: Level) -> None:
+def test_shaft_at_rest_on_an_edge_is_not_detected_as_dead_line(level: Level) -> None:
     """The search of axis 2 holds its rotor there for 0.4 s, with 4 A along it."""
     other = PLANT.with_axis(0, l_d=0.5 * PLANT.axes[0].l_d, l_q=0.5 * PLANT.axes[0].l_q)
     with at_level(level), spinning(other, 1) as board:
@@ -53,7 +53,7 @@ def test_a_shaft_that_comes_to_rest_on_an_edge_is_no_dead_line(level: Level) -> 
 
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize(("state", "seed"), [("STOP", 199), ("CALIB", 200)])
-def test_a_millisecond_without_the_core(level: Level, state: str, seed: int) -> None:
+def test_stall_of_the_core_for_a_millisecond(level: Level, state: str, seed: int) -> None:
     """The sequence of the two loops begins anew, whatever edges the duties had when it did."""
     fault_case = next(d for d in fault_matrix.fault_cases(PLANT) if d.name == "core stands still 1 ms")
     with at_level(level):
@@ -74,7 +74,7 @@ def turning() -> Iterator[Board]:
         yield board
 
 
-def test_a_core_that_stands_still_is_late_whatever_it_does_next() -> None:
+def test_stalled_core_is_late_with_any_next_handler() -> None:
     """The loops would interrupt the handler of an edge, were it that which takes long."""
     with turning() as board:
         while True:
@@ -90,7 +90,7 @@ def test_a_core_that_stands_still_is_late_whatever_it_does_next() -> None:
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_a_shaft_that_stands_is_not_handed_over(level: Level) -> None:
+def test_no_hand_over_of_a_shaft_at_standstill(level: Level) -> None:
     """What dead time and damping current leave looks like a back-EMF for a moment, and locks the PLL."""
     stuck = PLANT
     for axis in range(2):
@@ -101,7 +101,7 @@ def test_a_shaft_that_stands_is_not_handed_over(level: Level) -> None:
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_shorted_windings_give_the_bus_nothing(level: Level) -> None:
+def test_shorted_windings_return_no_energy_to_the_bus(level: Level) -> None:
     """A capacitor that shows every pulse: 0.5 J would lift it far beyond its limit, and the short would be over."""
     plant = PLANT.with_bus(capacitance=0.3e-3).with_axis(0, inertia=2.4e-5)
     motor = plant.axes[0]

@@ -106,7 +106,7 @@ def test_the_brake_takes_its_time_and_a_reset_closes_it(level: Level) -> None:
 
 
 @LEVELS
-def test_a_closed_brake_holds_its_torque_and_no_more(level: Level) -> None:
+def test_closed_brake_holds_up_to_its_torque(level: Level) -> None:
     with board_with(level, brake_torque=0.05) as board:
         start = board.truth(0).theta_m
         board.set_load(0, 0.05)
@@ -134,7 +134,7 @@ def test_a_plant_file_with_impossible_pins_is_refused(tmp_path: Path, text: str,
         PlantConfig.load(path)
 
 
-def test_a_plant_file_names_what_differs(tmp_path: Path) -> None:
+def test_plant_file_contains_only_differences(tmp_path: Path) -> None:
     path = tmp_path / "plant.toml"
     path.write_text("[axis2.pins]\nlimit_max = 12.5\n", encoding="utf-8")
     plant = PlantConfig.load(path)
@@ -143,6 +143,6 @@ def test_a_plant_file_names_what_differs(tmp_path: Path) -> None:
     assert math.isinf(plant.axes[1].pins.limit_min)
 
 
-def test_a_wire_that_no_axis_has_cannot_be_cut() -> None:
+def test_missing_wire_cannot_be_cut() -> None:
     with pytest.raises(ValueError, match="none of home"):
         CutWire(0, "reset").raw()  # type: ignore[arg-type]

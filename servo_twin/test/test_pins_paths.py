@@ -37,7 +37,7 @@ def board(request: pytest.FixtureRequest) -> Iterator[Board]:
         yield found
 
 
-def test_no_path_goes_on_into_a_switch(board: Board) -> None:
+def test_no_path_continues_into_an_active_switch(board: Board) -> None:
     begin = board.truth(0).theta_m
     ahead = board.plant.axes[0].pins.limit_max - begin
     if ahead < 0.0:
@@ -55,7 +55,7 @@ def test_no_path_goes_on_into_a_switch(board: Board) -> None:
     assert board.read_raw("axis1.faults")[0] == 0
 
 
-def test_a_drive_that_is_disabled_during_its_first_search_holds_the_load_until_the_brake_does() -> None:
+def test_load_is_held_until_the_brake_closes_after_disable_in_the_first_search() -> None:
     plant = wired(PlantConfig.load().drawn(1), brake_torque=0.2, brake_open_time=0.03, brake_close_time=0.02)
     with Board(plant, seed=1, level="ideal") as board:
         fit(board, "brake")

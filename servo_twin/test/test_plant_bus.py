@@ -26,7 +26,7 @@ def make(plant_c: Native, bus_plant: BusPlant) -> Any:
     return bus
 
 
-def test_the_bus_begins_charged(plant_c: Native, bus_plant: BusPlant) -> None:
+def test_bus_is_charged_at_the_start(plant_c: Native, bus_plant: BusPlant) -> None:
     bus = make(plant_c, bus_plant)
     assert bus.u == 24.0
     plant_c.lib.supply_advance(bus, STEP, 0.0)
@@ -83,9 +83,7 @@ def test_crossing_the_voltage_of_the_source(plant_c: Native, bus_plant: BusPlant
 
 @settings(deadline=None, derandomize=True)
 @given(loads=st.lists(st.floats(-30, 30), min_size=1, max_size=60), resistance=st.floats(1e-3, 10))
-def test_the_source_never_takes_and_never_gives_too_much(
-    plant_c: Native, loads: list[float], resistance: float
-) -> None:
+def test_source_current_is_not_negative_and_limited(plant_c: Native, loads: list[float], resistance: float) -> None:
     bus_plant = dataclasses.replace(PlantConfig.load().bus, r_source=resistance)
     bus = make(plant_c, bus_plant)
     for load in loads:

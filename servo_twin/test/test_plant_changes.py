@@ -49,7 +49,7 @@ def seen(board: Board) -> dict[str, float]:
 
 @pytest.mark.parametrize("level", LEVELS)
 @pytest.mark.parametrize("name", CHANGES)
-def test_a_change_is_what_the_drive_sees(name: str, level: Level) -> None:
+def test_change_of_the_plant_is_measured_by_the_drive(name: str, level: Level) -> None:
     plant = PlantConfig.load().with_value("axis1.load_torque", LOAD)
     with Board(level=level, seed=3) as board:
         enable(board)
@@ -68,7 +68,7 @@ def test_a_change_is_what_the_drive_sees(name: str, level: Level) -> None:
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_what_is_set_by_other_hands_stays_when_something_else_changes(level: Level) -> None:
+def test_other_settings_are_kept_after_a_change(level: Level) -> None:
     with Board(level=level) as board:
         board.set_load(0, 0.011)
         board.set_supply(25.0)
@@ -81,7 +81,7 @@ def test_what_is_set_by_other_hands_stays_when_something_else_changes(level: Lev
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_no_change_changes_no_bit(level: Level) -> None:
+def test_empty_change_keeps_runs_bit_identical(level: Level) -> None:
     logs = []
     for again in (False, True):
         with Board(level=level, seed=5) as board:
@@ -96,7 +96,7 @@ def test_no_change_changes_no_bit(level: Level) -> None:
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_a_noisy_sensor_outlives_a_change_and_heals_to_the_present_value(level: Level) -> None:
+def test_noise_fault_is_kept_after_a_change_and_removed_to_the_present_value(level: Level) -> None:
     fault = CurrentNoise(0, 0.04)
     spread = []
     with Board(level=level) as board:
@@ -127,13 +127,13 @@ def test_a_noisy_sensor_outlives_a_change_and_heals_to_the_present_value(level: 
         ("pwm_frequency", 8000.0, "pwm_frequency: cannot be changed on a running board"),
     ],
 )
-def test_what_cannot_change_says_so(name: str, value: float, text: str) -> None:
+def test_invalid_changes_are_refused(name: str, value: float, text: str) -> None:
     with Board(level="ideal") as board, pytest.raises(PlantError, match=text):
         board.set_plant(name, value)
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_damages_that_are_other_values(level: Level) -> None:
+def test_faults_that_change_plant_values(level: Level) -> None:
     """Each is seen in the truth, several of one value add up, and their removal leaves what there was."""
     plant = PlantConfig.load().with_axis(0, load_inertia=1e-5, shaft_stiffness=50.0, backlash=1e-3)
     axis = plant.axes[0]
@@ -156,7 +156,7 @@ def test_damages_that_are_other_values(level: Level) -> None:
 
 
 @pytest.mark.parametrize("level", LEVELS)
-def test_a_worn_shaft_has_more_play(level: Level) -> None:
+def test_worn_shaft_has_more_backlash(level: Level) -> None:
     plant = PlantConfig.load().with_axis(0, load_inertia=1e-5, shaft_stiffness=5.0, shaft_damping=0.01, backlash=0.01)
     rest = []
     with Board(plant, level=level) as board:
@@ -205,7 +205,7 @@ def test_a_disc_that_shifts_moves_the_position(level: Level) -> None:
     assert np.mean(after) == pytest.approx(np.mean(before), abs=2.0 * np.pi / 4000.0)
 
 
-def test_damages_that_cannot_be_say_so() -> None:
+def test_invalid_wear_is_refused() -> None:
     with Board(level="ideal") as board:
         for fault, text in (
             (WornShaft(0, 0.01), "axis 0 has no second mass"),

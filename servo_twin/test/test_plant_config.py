@@ -9,7 +9,7 @@ import pytest
 from servo_twin.plant import AxisPlant, PlantConfig, PlantError
 
 
-def test_packaged_plant_is_the_one_of_the_data_sheet() -> None:
+def test_packaged_plant_agrees_with_the_data_sheet() -> None:
     plant = PlantConfig.load()
     first, second = plant.axes
     assert (first.r_s, first.l_d, first.l_q, first.psi_m, first.pole_pairs) == (0.55, 0.403e-3, 0.512e-3, 0.0154, 2)
@@ -34,7 +34,7 @@ def test_a_file_names_only_what_differs(tmp_path: Path) -> None:
     assert plant.axes[1].inertia == packaged.axes[1].inertia
 
 
-def test_changed_copies_leave_the_original_alone() -> None:
+def test_changed_copies_do_not_affect_the_original() -> None:
     plant = PlantConfig.load()
     changed = plant.with_axis(1, friction=0.01).with_bus(u_source=20.0)
     assert (changed.axes[1].friction, changed.bus.u_source) == (0.01, 20.0)
@@ -74,7 +74,7 @@ def test_a_missing_file_is_an_os_error(tmp_path: Path) -> None:
         PlantConfig.load(tmp_path / "none.toml")
 
 
-def test_parse_wants_everything() -> None:
+def test_parse_requires_all_entries() -> None:
     table: dict[str, Any] = {"axis1": {}, "axis2": {}, "bus": {}, "pwm_frequency": 16000.0}
     with pytest.raises(PlantError, match="axis1: r_s is missing"):
         PlantConfig.parse(table)

@@ -8,7 +8,7 @@ import math
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from native_library import Native, c_axis, c_config, plain
+from native_library import Native, c_axis, c_config, ideal_plant
 
 EDGE = 2 * math.pi / 4000  # [rad]
 TICK_NS = 1280
@@ -21,7 +21,7 @@ class Encoder:
         self.native = plant_c
         self.edge = 2 * math.pi / (4 * lines)
         self.c = plant_c.ffi.new("plant_encoder_t *")
-        axis = plain(theta_start=start * self.edge, encoder_lines=lines).axes[0]
+        axis = ideal_plant(theta_start=start * self.edge, encoder_lines=lines).axes[0]
         plant_c.lib.plant_encoder_init(self.c, c_axis(plant_c, axis))
         self.at = start
         self.now_ns = 0
@@ -112,7 +112,7 @@ def test_a_preset_shifts_the_angle_and_reloads_as_before(plant_c: Native) -> Non
     assert encoder.count == 10
 
 
-def test_other_line_counts_leave_the_timers_alone(plant_c: Native) -> None:
+def test_other_line_counts_do_not_change_the_timers(plant_c: Native) -> None:
     encoder = Encoder(plant_c, lines=500)
     encoder.move_to(3999.5)
     encoder.move_to(4000.5)
@@ -120,7 +120,7 @@ def test_other_line_counts_leave_the_timers_alone(plant_c: Native) -> None:
 
 
 class TestCapture:
-    def test_nothing_before_it_is_armed(self, plant_c: Native) -> None:
+    def test_no_capture_before_arming(self, plant_c: Native) -> None:
         encoder = Encoder(plant_c)
         encoder.move_to(100.5)
         assert encoder.take() is None
@@ -144,7 +144,7 @@ class TestCapture:
         encoder.move_to(2.5)
         assert encoder.c.latched
 
-    def test_arming_again_throws_a_waiting_capture_away(self, plant_c: Native) -> None:
+    def test_arming_again_discards_a_pending_capture(self, plant_c: Native) -> None:
         encoder = Encoder(plant_c)
         plant_c.lib.plant_encoder_arm(encoder.c)
         encoder.move_to(2.5)
@@ -160,7 +160,7 @@ class TestCapture:
         omega_1=st.floats(0.0, 400.0),
         sign=st.sampled_from([1, -1]),
     )
-    def test_time_lies_inside_the_movement_and_on_its_curve(
+    def test_capture_time_is_on_the_curve_of_the_movement(
         self, plant_c: Native, position: int, omega_0: float, omega_1: float, sign: int
     ) -> None:
         encoder = Encoder(plant_c, start=position + 0.5)
@@ -187,7 +187,7 @@ class TestCapture:
 def test_time_of_an_edge_after_the_shaft_has_turned_back(plant_c: Native) -> None:
     """The shaft stops after 1 us of a step and crosses the edge behind it another 1.05 us later."""
     acceleration, edge = 2e8, 3 * 2 * EDGE
-    plant = plain(theta_start=edge + 1e-5, inertia=1e-10)
+    plant = ideal_plant(theta_start=edge + 1e-5, inertia=1e-10)
     state = plant_c.ffi.new("plant_t *")
     plant_c.lib.plant_init(state, c_config(plant_c, plant))
     axis = state.axis[0]
@@ -228,7 +228,7 @@ class TestAge:
         assert encoder.age() == 1
 
 
-def test_an_unplugged_encoder_counts_nothing_and_loses_what_it_missed(plant_c: Native) -> None:
+def test_unplugged_encoder_loses_the_motion(plant_c: Native) -> None:
     encoder = Encoder(plant_c)
     encoder.move_to(10.5)
     plant_c.lib.plant_encoder_arm(encoder.c)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from native_library import Native, c_axis, plain
+from native_library import Native, c_axis, ideal_plant
 from servo_twin.plant import AxisPlant, PlantConfig
 
 PWM = 16000.0
@@ -57,7 +57,7 @@ def locked(plant_c: Native, axis: AxisPlant, **options: Any) -> Leg:
 
 
 def test_ideal_inverter_applies_its_mean_voltage(plant_c: Native) -> None:
-    axis = plain().axes[0]
+    axis = ideal_plant().axes[0]
     leg = locked(plant_c, axis)
     leg.duty(0.55, 0.475, 0.475)
     leg.run(3000)
@@ -70,7 +70,7 @@ def test_error_voltage_against_the_current(
     plant_c: Native, dead_time: float, v_drop: float, r_on: float, sign: int
 ) -> None:
     """Current forwards in one phase, backwards in two: the vector is short by 4/3 (t_d f u + V_drop)."""
-    axis = plain(dead_time=dead_time, v_drop=v_drop, r_on=r_on).axes[0]
+    axis = ideal_plant(dead_time=dead_time, v_drop=v_drop, r_on=r_on).axes[0]
     leg = locked(plant_c, axis)
     swing = sign * 0.1
     leg.duty(0.5 + swing, 0.5 - swing / 2, 0.5 - swing / 2)
@@ -83,7 +83,7 @@ def test_error_voltage_against_the_current(
 
 def test_the_dead_time_error_is_0_384_volts(plant_c: Native) -> None:
     """1 us at 16 kHz and 24 V."""
-    axis = plain(dead_time=1e-6).axes[0]
+    axis = ideal_plant(dead_time=1e-6).axes[0]
     leg = locked(plant_c, axis)
     leg.native.lib.plant_motor_set_phases(leg.motor, 2.0, -1.0)
     leg.duty(0.6, 0.45, 0.45)
@@ -100,7 +100,7 @@ def test_the_dead_time_error_is_0_384_volts(plant_c: Native) -> None:
 def test_pulses_shorter_than_the_dead_time_are_lost(
     plant_c: Native, current: float, duty: float, forward: float, backward: float
 ) -> None:
-    leg = locked(plant_c, plain(dead_time=1e-6).axes[0])
+    leg = locked(plant_c, ideal_plant(dead_time=1e-6).axes[0])
     leg.native.lib.plant_motor_set_phases(leg.motor, current, -current / 2)
     leg.duty(duty, 0.5, 0.5)
     leg.run(1)
@@ -108,7 +108,7 @@ def test_pulses_shorter_than_the_dead_time_are_lost(
 
 
 def test_the_transition_is_smooth_odd_and_inside_the_ripple(plant_c: Native) -> None:
-    axis = plain(dead_time=1e-6, v_drop=0.7).axes[0]
+    axis = ideal_plant(dead_time=1e-6, v_drop=0.7).axes[0]
     currents = np.linspace(-0.5, 0.5, 401)
     volts = []
     for current in currents:
@@ -129,7 +129,7 @@ def test_the_transition_is_smooth_odd_and_inside_the_ripple(plant_c: Native) -> 
     assert np.abs(np.diff(volts_a)).max() < 1.6 * full / band * np.diff(currents).max()
 
 
-def test_currents_die_without_chatter_at_rest(plant_c: Native) -> None:
+def test_currents_decay_without_oscillation_at_rest(plant_c: Native) -> None:
     leg = locked(plant_c, PlantConfig.load().axes[0])
     leg.native.lib.plant_motor_set_phases(leg.motor, 0.3, -0.1)
     leg.duty(0.5, 0.5, 0.5)
@@ -142,9 +142,9 @@ def test_currents_die_without_chatter_at_rest(plant_c: Native) -> None:
 
 
 @pytest.mark.parametrize("swing", [0.01, 0.03, 0.1])
-def test_heats_by_what_the_bus_gives_and_the_winding_does_not_burn(plant_c: Native, swing: float) -> None:
+def test_inverter_loss_is_bus_power_minus_winding_loss(plant_c: Native, swing: float) -> None:
     """A held motor, also at currents so small that the drop of the legs has faded with them."""
-    axis = plain(dead_time=1e-6, v_drop=0.7, r_on=0.03).axes[0]
+    axis = ideal_plant(dead_time=1e-6, v_drop=0.7, r_on=0.03).axes[0]
     leg = locked(plant_c, axis)
     leg.duty(0.5 + swing, 0.5 - swing / 2, 0.5 - swing / 2)
     leg.run(2000)
@@ -156,9 +156,9 @@ def test_heats_by_what_the_bus_gives_and_the_winding_does_not_burn(plant_c: Nati
 
 
 class TestAllSwitchesOpen:
-    def test_current_dies_at_the_rate_of_the_bus_and_feeds_it(self, plant_c: Native) -> None:
+    def test_current_decays_into_the_bus(self, plant_c: Native) -> None:
         """Phase a hangs on the lower rail, b and c on the upper one: -2/3 (u + 2 V_drop) along a."""
-        axis = plain(v_drop=0.7).axes[0]
+        axis = ideal_plant(v_drop=0.7).axes[0]
         leg = locked(plant_c, axis, on=False)
         leg.native.lib.plant_motor_set_phases(leg.motor, 3.0, -1.5)
         volts = 2 / 3 * (BUS + 1.4)
@@ -175,7 +175,7 @@ class TestAllSwitchesOpen:
         assert -leg.charge == pytest.approx(3.0 * time / 2, rel=0.15)  # a triangle; its end falls inside one step
 
     def test_one_phase_may_end_before_the_others(self, plant_c: Native) -> None:
-        leg = locked(plant_c, plain(v_drop=0.7).axes[0], on=False)
+        leg = locked(plant_c, ideal_plant(v_drop=0.7).axes[0], on=False)
         leg.native.lib.plant_motor_set_phases(leg.motor, 3.0, -2.7)
         seen = set()
         for _ in range(20):
@@ -188,7 +188,7 @@ class TestAllSwitchesOpen:
         assert leg.phase == [0.0, 0.0, 0.0]
 
     def test_a_slow_rotor_carries_no_current(self, plant_c: Native) -> None:
-        axis = plain(friction=2e-3).axes[0]
+        axis = ideal_plant(friction=2e-3).axes[0]
         leg = Leg(plant_c, axis, on=False)
         leg.motor.omega = 300.0
         leg.run(100)
@@ -197,7 +197,7 @@ class TestAllSwitchesOpen:
         assert leg.motor.omega == pytest.approx(300.0 - 100 * STEP * 2e-3 / axis.inertia, rel=1e-9)
 
     def test_a_floating_terminal_shows_the_back_emf(self, plant_c: Native) -> None:
-        axis = plain().axes[0]
+        axis = ideal_plant().axes[0]
         leg = Leg(plant_c, axis, on=False)
         leg.motor.omega = 300.0
         leg.run(1)
@@ -207,7 +207,7 @@ class TestAllSwitchesOpen:
 
     def test_a_fast_rotor_charges_the_bus_through_the_diodes(self, plant_c: Native) -> None:
         """A three-phase rectifier into a stiff bus: the peak of the line voltage has to exceed u + 2 V_drop."""
-        axis = plain(v_drop=0.7).axes[0]
+        axis = ideal_plant(v_drop=0.7).axes[0]
         threshold = (BUS + 1.4) / (math.sqrt(3) * axis.psi_m * axis.pole_pairs)
         for omega, conducts in [(0.99 * threshold, False), (1.5 * threshold, True)]:
             leg = Leg(plant_c, axis, on=False)
@@ -229,10 +229,10 @@ class TestAllSwitchesOpen:
         theta=st.floats(-4, 4),
         bus=st.floats(1, 40),
     )
-    def test_never_invents_energy(
+    def test_energy_is_not_created(
         self, plant_c: Native, i_a: float, i_b: float, omega: float, theta: float, bus: float
     ) -> None:
-        axis = plain(v_drop=0.7, theta_start=theta).axes[0]
+        axis = ideal_plant(v_drop=0.7, theta_start=theta).axes[0]
         leg = Leg(plant_c, axis, on=False, bus=bus)
         leg.native.lib.plant_motor_set_phases(leg.motor, i_a, i_b)
         leg.motor.omega = omega
@@ -266,7 +266,7 @@ class TestShunts:
     def test_carry_what_the_low_side_conducts(
         self, plant_c: Native, duty: float, current: float, low: float, high: float
     ) -> None:
-        leg = locked(plant_c, plain(dead_time=1e-6).axes[0])
+        leg = locked(plant_c, ideal_plant(dead_time=1e-6).axes[0])
         leg.duty(duty, 0.5, 0.5)
         leg.native.lib.plant_motor_set_phases(leg.motor, current, -current / 2)
         leg.run(1)
@@ -276,7 +276,7 @@ class TestShunts:
         assert shunt(leg.inverter, leg.motor, 0, False) == (now if high else 0.0)
 
     def test_only_lower_diodes_pass_them(self, plant_c: Native) -> None:
-        leg = locked(plant_c, plain().axes[0], on=False)
+        leg = locked(plant_c, ideal_plant().axes[0], on=False)
         leg.native.lib.plant_motor_set_phases(leg.motor, 3.0, -1.0)
         shunt = leg.native.lib.averaged_inverter_shunt
         assert [shunt(leg.inverter, leg.motor, k, True) for k in range(3)] == pytest.approx([3.0, 0.0, 0.0])

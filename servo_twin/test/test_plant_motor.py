@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from native_library import Native, c_axis, plain
+from native_library import Native, c_axis, ideal_plant
 from numpy.typing import NDArray
 from servo_twin.plant import AxisPlant, PlantConfig
 
@@ -86,7 +86,7 @@ def stator_frame_reference(
 
 @pytest.mark.parametrize("iron", [{}, {"i_saturation_d": 3.0, "i_saturation_q": 2.0}], ids=["linear", "saturated"])
 def test_agrees_with_the_flux_equations_of_the_stator_frame(plant_c: Native, iron: dict[str, Any]) -> None:
-    plant = plain(viscous=2e-5, theta_start=0.4, **iron)
+    plant = ideal_plant(viscous=2e-5, theta_start=0.4, **iron)
     axis = plant.axes[0]
     # a voltage vector that accelerates the shaft and pulls the motor out of step: everything is excited
     times = np.arange(640) * STEP
@@ -108,7 +108,7 @@ def test_agrees_with_the_flux_equations_of_the_stator_frame(plant_c: Native, iro
 @pytest.mark.parametrize("iron", [0.0, 1.5], ids=["linear", "saturated"])
 def test_energy_is_conserved(plant_c: Native, iron: float) -> None:
     """Electrical energy in = heat + friction + kinetic + magnetic energy."""
-    axis = plain(friction=2e-3, viscous=1e-5, i_saturation_d=iron, i_saturation_q=iron).axes[0]
+    axis = ideal_plant(friction=2e-3, viscous=1e-5, i_saturation_d=iron, i_saturation_q=iron).axes[0]
     motor = make(plant_c, axis)
     supplied = heat = rubbed = 0.0
     for k in range(4000):
@@ -129,9 +129,9 @@ def test_energy_is_conserved(plant_c: Native, iron: float) -> None:
     assert heat + rubbed + kinetic + magnetic == pytest.approx(supplied, rel=1e-3)
 
 
-def test_phases_and_rotor_frame_are_the_same_current(plant_c: Native) -> None:
+def test_phase_currents_agree_with_the_rotor_frame(plant_c: Native) -> None:
     """Amplitude-invariant transforms (k = 2/3): a current vector of 3 A along phase a is 3 A in phase a."""
-    motor = make(plant_c, plain(theta_start=0.6).axes[0])
+    motor = make(plant_c, ideal_plant(theta_start=0.6).axes[0])
     plant_c.lib.plant_motor_set_phases(motor, 3.0, -1.5)
     assert math.hypot(motor.i_d, motor.i_q) == pytest.approx(3.0, rel=1e-12)
     assert math.atan2(motor.i_q, motor.i_d) == pytest.approx(-1.2, rel=1e-12)
@@ -139,14 +139,14 @@ def test_phases_and_rotor_frame_are_the_same_current(plant_c: Native) -> None:
 
 def test_trigonometry_is_as_good_as_the_library(plant_c: Native) -> None:
     for theta in [0.0, 1e-9, 0.4, math.pi / 4, -math.pi / 2, 3.0, -7.5, 1234.5678, -98765.4321]:
-        motor = make(plant_c, plain(theta_start=theta).axes[0])
+        motor = make(plant_c, ideal_plant(theta_start=theta).axes[0])
         assert motor.sine == pytest.approx(math.sin(2 * theta), abs=3e-15 + 1e-16 * abs(theta))
         assert motor.cosine == pytest.approx(math.cos(2 * theta), abs=3e-15 + 1e-16 * abs(theta))
 
 
 class TestFriction:
     def test_holds_up_to_its_limit(self, plant_c: Native) -> None:
-        motor = make(plant_c, plain(friction=2e-3).axes[0])
+        motor = make(plant_c, ideal_plant(friction=2e-3).axes[0])
         for load, moves in [(1.99e-3, False), (-1.99e-3, False), (2.01e-3, True), (-2.01e-3, True)]:
             motor.load, motor.omega, motor.theta = load, 0.0, 0.0
             for _ in range(200):
@@ -155,7 +155,7 @@ class TestFriction:
             assert math.copysign(1.0, -load) * motor.theta >= 0.0  # the load opposes positive motion
 
     def test_stops_a_coasting_shaft_exactly_and_for_good(self, plant_c: Native) -> None:
-        axis = plain(friction=2e-3).axes[0]
+        axis = ideal_plant(friction=2e-3).axes[0]
         motor = make(plant_c, axis)
         motor.omega = -50.0
         way = 50.0**2 * axis.inertia / (2 * axis.friction)
@@ -167,9 +167,9 @@ class TestFriction:
         assert motor.omega == 0.0
         assert motor.theta == pytest.approx(-way, rel=1e-9)
 
-    def test_of_a_powered_motor_that_reverses(self, plant_c: Native) -> None:
+    def test_friction_of_a_powered_motor_at_reversal(self, plant_c: Native) -> None:
         """Current drives against the motion: through zero the friction changes its side, nothing else does."""
-        axis = plain(friction=4e-3).axes[0]
+        axis = ideal_plant(friction=4e-3).axes[0]
         torque = 0.01
         motor = make(plant_c, axis)
         motor.load, motor.omega = torque, 20.0
@@ -180,7 +180,7 @@ class TestFriction:
             left -= plant_c.lib.plant_motor_coast(motor, min(left, STEP))
         assert motor.omega == pytest.approx(-after * (torque - axis.friction) / axis.inertia, rel=1e-6)
 
-    def test_current_that_is_too_small_moves_nothing(self, plant_c: Native) -> None:
+    def test_too_small_current_does_not_move_the_shaft(self, plant_c: Native) -> None:
         axis = PlantConfig.load().with_axis(0, theta_start=0.35).axes[0]
         motor = make(plant_c, axis)
         current = 0.99 * axis.friction / axis.torque_constant
@@ -192,7 +192,7 @@ class TestFriction:
         assert motor.theta == float(axis.theta_start)
 
     def test_a_locked_shaft_does_not_move(self, plant_c: Native) -> None:
-        motor = make(plant_c, plain().axes[0])
+        motor = make(plant_c, ideal_plant().axes[0])
         motor.omega = 100.0
         plant_c.lib.plant_motor_lock(motor, True)
         for _ in range(100):

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from native_library import Native, c_config, plain
+from native_library import Native, c_config, ideal_plant
 from servo_twin.plant import PlantConfig
 
 
@@ -86,7 +86,7 @@ class Converters:
 
 
 def test_current_codes_carry_offset_and_noise_of_their_phase(plant_c: Native) -> None:
-    plant = plain(i_offset=(0.2, -0.1, 0.05), i_noise=0.02)
+    plant = ideal_plant(i_offset=(0.2, -0.1, 0.05), i_noise=0.02)
     for phases, offsets in (((0, 1), (0.2, -0.1)), ((1, 2), (-0.1, 0.05)), ((2, 0), (0.05, 0.2))):
         converters = Converters(plant_c, plant, *phases)
         codes = np.array([converters.read(converters.sample()) for _ in range(4000)])
@@ -97,7 +97,7 @@ def test_current_codes_carry_offset_and_noise_of_their_phase(plant_c: Native) ->
 
 def test_codes_do_not_depend_on_when_or_how_often_they_are_read(plant_c: Native) -> None:
     """Late, twice or never: it changes neither these codes nor those of any other sample."""
-    both, one = (Converters(plant_c, plain(i_noise=0.05), 0, 1) for _ in range(2))
+    both, one = (Converters(plant_c, ideal_plant(i_noise=0.05), 0, 1) for _ in range(2))
     read = []
     for n in range(20):
         for converters in (both, one):

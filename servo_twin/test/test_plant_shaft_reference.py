@@ -47,7 +47,7 @@ def test_against_an_independent_integration(switching_c: Native, part: str) -> N
             assert math.dist((truth.theta,), (truth.theta_load,)) > 1e-5
 
 
-def test_the_reference_sees_a_stiffer_shaft(switching_c: Native) -> None:
+def test_comparison_detects_a_stiffer_shaft(switching_c: Native) -> None:
     """The comparison can fail."""
     config = plant().with_axis(0, **PARTS["two masses"])
     softer: PlantConfig = config.with_axis(0, shaft_stiffness=90.0)

@@ -109,7 +109,7 @@ def test_damping_of_the_shaft(level: Level) -> None:
     assert math.log(early / late) == pytest.approx(480 * PERIOD * 1e-9 * d / (2.0 * mu), rel=0.03)
 
 
-def test_energy_stays_through_the_backlash(level: Level) -> None:
+def test_energy_is_conserved_with_backlash(level: Level) -> None:
     """A rotor and a mass that hit each other for ever lose nothing, and momentum is kept."""
     rotor, load, gap, k = 0.8e-5, 1.2e-5, 0.02, 20.0
     config = free(load_inertia=load, shaft_stiffness=k, backlash=gap)
@@ -129,7 +129,7 @@ def test_energy_stays_through_the_backlash(level: Level) -> None:
     assert np.ptp(energy) < 0.02 * (energy.mean() - together)
 
 
-def test_backlash_is_the_way_between_the_flanks(level: Level) -> None:
+def test_backlash_is_the_distance_between_the_flanks(level: Level) -> None:
     """Pushed to and fro with the rotor held, the mass comes to rest by the gap and twice the spring's way apart."""
     gap, k, torque = 0.01, 5.0, 0.02
     config = free(load_inertia=1e-5, shaft_stiffness=k, shaft_damping=0.01, backlash=gap)
@@ -203,7 +203,7 @@ def test_two_masses_against_an_integration_in_fine_steps(level: Level) -> None:
         ({"backlash": -1.0}, "backlash: -1.0 is not 0 or more"),
     ],
 )
-def test_a_shaft_that_cannot_be_says_so(level: Level, changes: dict[str, float], text: str) -> None:
+def test_invalid_shaft_is_refused(level: Level, changes: dict[str, float], text: str) -> None:
     with pytest.raises(PlantError, match=text):
         free(**changes)
 
@@ -211,7 +211,7 @@ def test_a_shaft_that_cannot_be_says_so(level: Level, changes: dict[str, float],
 # ---- cogging ---------------------------------------------------------------------------------------------------------
 
 
-def test_cogging_swings_and_holds(level: Level) -> None:
+def test_cogging_oscillation_and_holding_angle(level: Level) -> None:
     """Around a stable angle it swings with sqrt(A N / J); with viscous friction it rests where sin = T / A."""
     torque, periods, phase, inertia = 5e-3, 24.0, 0.4, 0.8e-5
     rest = (math.pi - phase) / periods  # sin falls there
@@ -231,7 +231,7 @@ def test_cogging_swings_and_holds(level: Level) -> None:
             assert board.truth(0).theta_m == pytest.approx(angle, abs=1e-7)
 
 
-def test_cogging_lets_go_above_its_torque(level: Level) -> None:
+def test_cogging_holds_up_to_its_torque(level: Level) -> None:
     config = free(cogging_torque=5e-3, cogging_periods=24.0, viscous=4e-3, theta_start=math.pi / 24.0)
     with Board(config, level=level) as board:
         board.set_load(0, -4.9e-3)
@@ -335,7 +335,7 @@ def test_warm_winding_and_magnet(level: Level) -> None:
         assert board.truth(0).psi_m == pytest.approx(axis.psi_m * 0.76, rel=0.02)
 
 
-def test_warm_magnet_is_seen_as_a_lower_voltage(level: Level) -> None:
+def test_warm_magnet_lowers_the_voltage(level: Level) -> None:
     """At a given speed the firmware needs the voltage of the back-EMF, which is down by 15 % at 100 deg C, and R i."""
     axis = PlantConfig.load().axes[0]
     speed = 150.0

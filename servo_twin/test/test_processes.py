@@ -49,14 +49,14 @@ def alive(pid: int) -> bool:
     return state != "Z"
 
 
-def test_a_polite_child_ends_by_itself(children: list[Child], tmp_path: Path) -> None:
+def test_child_ends_after_a_signal(children: list[Child], tmp_path: Path) -> None:
     child = start(children, tmp_path, POLITE)
     assert wait_until(lambda: ready(child), children, 10.0)
     assert child.stop() is True
     assert child.exit_status == 0
 
 
-def test_a_stubborn_child_is_killed_with_its_whole_group(children: list[Child], tmp_path: Path) -> None:
+def test_child_that_ignores_signals_is_killed_with_its_group(children: list[Child], tmp_path: Path) -> None:
     child = start(children, tmp_path, STUBBORN)
     assert wait_until(lambda: ready(child), children, 10.0)
     grandchild = int(child.text().split()[1])
@@ -65,7 +65,7 @@ def test_a_stubborn_child_is_killed_with_its_whole_group(children: list[Child], 
     assert wait_until(lambda: not alive(grandchild), [], 5.0)
 
 
-def test_all_are_stopped_in_order_and_the_killed_ones_are_named(children: list[Child], tmp_path: Path) -> None:
+def test_children_are_stopped_in_order_and_killed_ones_reported(children: list[Child], tmp_path: Path) -> None:
     for _ in range(2):
         start(children, tmp_path, POLITE)
     assert wait_until(lambda: all(map(ready, children)), children, 10.0)
@@ -73,13 +73,13 @@ def test_all_are_stopped_in_order_and_the_killed_ones_are_named(children: list[C
     assert not any(child.running for child in children)
 
 
-def test_a_child_that_dies_is_named_with_its_last_words(children: list[Child], tmp_path: Path) -> None:
+def test_child_that_ends_is_reported_with_its_last_output(children: list[Child], tmp_path: Path) -> None:
     child = start(children, tmp_path, "print('the reason'); raise SystemExit(3)")
     with pytest.raises(ChildError, match=r"(?s)child0 has ended with status 3.*the reason"):
         wait_until(lambda: False, [child], 10.0)
 
 
-def test_a_program_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_missing_program_is_reported(tmp_path: Path) -> None:
     with pytest.raises(ChildError, match="gone cannot be started"):
         Child("gone", ["/no/such/program"], tmp_path / "log", os.environ)
     with pytest.raises(ChildError, match="make setup"):

@@ -74,7 +74,7 @@ def test_the_samples_are_the_currents_of_the_32_ms_before_the_fault(board: Board
 
 @AXES
 @pytest.mark.parametrize("name", ["UNDER_VOLTAGE", "PHASE_LOST"])
-def test_the_times_of_the_samples_are_those_at_which_the_shaft_was_there(board: Board, axis: int, name: str) -> None:
+def test_times_of_the_samples_agree_with_the_motion_of_the_shaft(board: Board, axis: int, name: str) -> None:
     """In each of its electrical turns of 31 ms, and whether a watch has raised the fault or something else."""
     board.write("cmd.mode", [1, 1])
     board.write("cmd.speed", [100.0, -100.0])

@@ -106,7 +106,7 @@ def resets_by_watchdog(board: Board) -> bool:
 # ---- as it should be ------------------------------------------------------------------------------------------------
 
 
-def test_without_a_mistake_the_loops_run_on_time(board: Board) -> None:
+def test_loops_run_on_time_with_correct_registers(board: Board) -> None:
     events = trace(board, 10 * PERIOD_S)
     assert abs(lag(events) - HALF) <= 3
     assert loops(events) in ([M1, M2] * 10, [M2, M1] * 10)
@@ -122,7 +122,7 @@ def test_sync_compare_shifts_the_phase(board: Board) -> None:
     assert lag(trace(board, 5 * PERIOD_S)) == before - 800
 
 
-def test_without_sync_the_second_carrier_runs_away(board: Board) -> None:
+def test_second_carrier_drifts_without_sync(board: Board) -> None:
     board.poke(0xE35A, 0)
     board.poke(0xE35B, 0)
     events = trace(board, 20 * PERIOD_S)
@@ -176,7 +176,7 @@ def test_only_one_motor_triggers(board: Board, term: int) -> None:
     assert resets_by_watchdog(board)
 
 
-def test_a_slower_converter_clock_is_set_right_again(board: Board) -> None:
+def test_wrong_converter_clock_is_corrected(board: Board) -> None:
     """The pairs are four times as far apart; M1 finds the scan unfinished and starts anew with the right divider."""
     board.poke(ADC_CTRL2, 0x0053)
     events = trace(board, 3 * PERIOD_S)
@@ -392,12 +392,12 @@ def test_a_wrong_baud_rate_gives_no_answer(board: Board) -> None:
     assert answer(board)[:1] != b"+"
 
 
-def test_access_behind_a_closed_gate_is_named(board: Board) -> None:
+def test_access_without_clock_is_reported(board: Board) -> None:
     board.poke(0xE40F, 0x006E)
     with pytest.raises(ChipError, match="PWMA"):
         board.run(0.001)
 
 
-def test_what_is_not_modelled_is_named(board: Board) -> None:
+def test_unmodelled_access_is_reported(board: Board) -> None:
     with pytest.raises(ChipError, match="SCTRL"):
         board.poke(SCTRL, 0x0010)

@@ -165,7 +165,7 @@ def test_comes_back_after_the_watchdog(holding: Board) -> None:
     assert abs(holding.read_raw("axis1.position")[0] - start - 1000) <= 4
 
 
-def test_same_calls_same_bits() -> None:
+def test_same_calls_give_the_same_bits() -> None:
     def run() -> bytes:
         with Board(seed=3, level="registers") as board:
             enable(board)

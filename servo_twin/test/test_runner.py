@@ -94,7 +94,7 @@ def test_results_come_while_others_are_still_run() -> None:
         assert {next(results)[0] for _ in range(10)} <= set(range(20))
 
 
-def test_a_worker_that_dies_costs_nothing_but_time(tmp_path: Path) -> None:
+def test_crash_of_a_worker_loses_no_result(tmp_path: Path) -> None:
     results = run_in_order(Runner(2), DiesOnce(tmp_path, 7), NUMBERS, "trials")
     assert (tmp_path / "died").exists()
     assert [number for number, _ in results] == list(NUMBERS)
@@ -102,7 +102,7 @@ def test_a_worker_that_dies_costs_nothing_but_time(tmp_path: Path) -> None:
     assert os.getpid() not in {pid for _, pid in results}
 
 
-def test_a_trial_that_ends_every_worker_is_named() -> None:
+def test_trial_that_ends_every_worker_is_reported() -> None:
     with pytest.raises(WorkerLostError, match=r"trial 5 has ended 3 workers.*-9"):
         run_in_order(Runner(2), DiesAlways(5), NUMBERS, "trials")
 
@@ -117,7 +117,7 @@ class _NoStart:
         return number
 
 
-def test_workers_that_cannot_start_are_not_blamed_on_a_trial() -> None:
+def test_failed_start_of_workers_is_not_reported_as_a_trial() -> None:
     with pytest.raises(RunError, match="exit status 3 before its first trial"):
         run_in_order(Runner(2), _NoStart(), NUMBERS, "trials")
 
@@ -129,12 +129,12 @@ def test_an_exception_names_its_trial(workers: int) -> None:
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_what_a_board_says_comes_without_a_traceback(workers: int) -> None:
+def test_error_of_a_board_has_no_traceback(workers: int) -> None:
     with pytest.raises(TrialError, match=r"\Atrial 11:\non purpose\Z"):
         run_in_order(Runner(workers), Raises(11, SimulationError), NUMBERS, "trials")
 
 
-def test_no_worker_outlives_a_run_that_is_left() -> None:
+def test_workers_end_with_an_abandoned_run() -> None:
     results = Runner(2).run(DiesAlways(-1), range(1000), "trials")
     next(results)
     mine = _children()
@@ -216,7 +216,7 @@ def test_no_result_is_missing_when_a_worker_of_the_cluster_is_killed(cluster: Cl
     assert results == {number: number * number for number in range(300)}
 
 
-def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_scheduler_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("servo_twin.runner.cluster.CONNECT_TIME", 0.5)
     with pytest.raises(RuntimeError, match=r"no Dask scheduler at tcp://127.0.0.1:1"):
         run_in_order(Runner(scheduler="tcp://127.0.0.1:1"), Square(), NUMBERS, "squares")

@@ -89,7 +89,7 @@ def running() -> Iterator[Board]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_starts_as_on_the_slide(seed: int) -> None:
+def test_start_up_time_agrees_with_the_slide(seed: int) -> None:
     """ST slide "起动实例": the criterion is met within 500 ms. Both axes at once, each its own way."""
     with sensorless((100.0, -200.0), seed=seed) as board:
         assert until(board, SPIN, 0.5) < 0.35
@@ -133,7 +133,7 @@ def test_hand_over_has_no_jump() -> None:
 
 
 @pytest.mark.parametrize("speed", [60.0, 250.0, -200.0])
-def test_turning_shaft_is_caught(speed: float) -> None:
+def test_flying_start_of_a_turning_shaft(speed: float) -> None:
     """Outputs off at speed, and enabled again: no ramp, no jerk, within 100 ms."""
     with sensorless((speed, 0.0)) as board:
         until(board, SPIN, 0.5)
@@ -211,7 +211,7 @@ def test_reversal_goes_through_a_new_start(running: Board) -> None:
     assert running.truth(0).omega_m == pytest.approx(-100.0, abs=3.0)
 
 
-def test_below_the_minimum_it_waits(running: Board) -> None:
+def test_axis_waits_below_the_minimum_speed(running: Board) -> None:
     set_axis(running, "cmd.speed", 0, 5.0)
     until(running, READY, 0.1)
     running.run(0.3)
@@ -230,7 +230,7 @@ def test_no_position_without_an_encoder(running: Board) -> None:
     assert running.truth(0).omega_m == pytest.approx(0.0, abs=0.5)
 
 
-def test_no_torque_from_rest_but_of_a_turning_shaft(running: Board) -> None:
+def test_torque_mode_starts_only_with_a_turning_shaft(running: Board) -> None:
     """The start-up would turn the shaft with a current of its own, whatever torque is asked for: it needs a speed."""
     choose_mode(running, 0, "TORQUE")
     set_axis(running, "cmd.i_q", 0, 0.3)
@@ -248,7 +248,7 @@ def test_no_torque_from_rest_but_of_a_turning_shaft(running: Board) -> None:
     assert running.truth(0).omega_m == pytest.approx(0.0, abs=0.5)
 
 
-def test_disabled_it_comes_down_and_lets_go(running: Board) -> None:
+def test_disable_ramps_down_and_switches_off(running: Board) -> None:
     set_axis(running, "cmd.enable", 0, 0)
     running.run(0.2)
     assert running.read_raw("axis1.state")[0] == STOP
@@ -256,7 +256,7 @@ def test_disabled_it_comes_down_and_lets_go(running: Board) -> None:
 
 
 @pytest.mark.parametrize(("speed", "within"), [(20.0, 0.132), (100.0, 0.08), (300.0, 0.08)])
-def test_stalled_rotor_is_found_out(speed: float, within: float) -> None:
+def test_stalled_rotor_is_detected(speed: float, within: float) -> None:
     """Near the minimum speed within what the experiment `stall` allows; most moments of the turn give 45 ms."""
     with sensorless((speed, -100.0)) as board:
         until(board, SPIN, 0.5)
@@ -271,7 +271,7 @@ def test_stalled_rotor_is_found_out(speed: float, within: float) -> None:
         assert board.truth(1).omega_m == pytest.approx(-100.0, abs=5.0)
 
 
-def test_held_shaft_does_not_start() -> None:
+def test_blocked_shaft_does_not_start() -> None:
     with sensorless((100.0, 0.0)) as board:
         board.lock_shaft(0)
         time, names = until_fault(board, 3.0)
@@ -279,7 +279,7 @@ def test_held_shaft_does_not_start() -> None:
         assert time == pytest.approx(1.55, abs=0.1)
 
 
-def test_motor_that_is_not_there_does_not_start() -> None:
+def test_unplugged_motor_does_not_start() -> None:
     with sensorless((100.0, 0.0)) as board:
         board.connect_motor(0, False)
         assert until_fault(board, 3.0)[1] == ["PHASE_LOST"]
@@ -324,7 +324,7 @@ def fault_of_offset(board: Board, degrees: float, seconds: float) -> tuple[float
 
 
 @pytest.mark.parametrize(("degrees", "maximum"), [(45.0, 90.0), (135.0, 90.0), (180.0, 100.0)])
-def test_wrong_offset_is_caught_before_the_shaft_runs_away(degrees: float, maximum: float) -> None:
+def test_wrong_offset_is_detected_before_a_runaway(degrees: float, maximum: float) -> None:
     with with_encoders() as board:
         time, names = fault_of_offset(board, degrees, 0.3)
         assert names == ["ANGLE_MISMATCH"]
@@ -332,7 +332,7 @@ def test_wrong_offset_is_caught_before_the_shaft_runs_away(degrees: float, maxim
         assert abs(board.truth(0).omega_m) < maximum
 
 
-def test_offset_of_90_degrees_moves_nothing_and_is_told_by_a_turning_vector() -> None:
+def test_offset_of_90_degrees_is_detected_by_a_rotating_vector() -> None:
     """No current makes torque, no back-EMF tells; ten degrees to either side one does."""
     with with_encoders() as board:
         time, names = fault_of_offset(board, 90.0, 1.0)
@@ -341,7 +341,7 @@ def test_offset_of_90_degrees_moves_nothing_and_is_told_by_a_turning_vector() ->
 
 
 @pytest.mark.parametrize("mode", ["TORQUE", "SPEED"])
-def test_dead_encoder_of_a_turning_shaft_is_noticed(mode: str) -> None:
+def test_dead_encoder_of_a_turning_shaft_is_detected(mode: str) -> None:
     with with_encoders() as board:
         features(board, 0, ANGLE_CHECK=True)
         choose_mode(board, 0, "SPEED")

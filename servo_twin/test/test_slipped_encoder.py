@@ -72,7 +72,7 @@ def until_fault(board: Board, axis: int, seconds: float) -> tuple[float, set[str
 
 
 @pytest.mark.parametrize("counts", [300, -1500, 9000])
-def test_a_disc_that_slips_counts_and_moves_nothing(counts: int) -> None:
+def test_slipping_disc_changes_the_count_without_motion(counts: int) -> None:
     """Also through the compare values of the counter."""
     with Board(seed=1) as board:
         board.run(0.05)
@@ -115,7 +115,7 @@ def test_a_slip_at_rest_is_named_when_the_shaft_is_asked_to_move(axis: int, degr
         assert fastest < 125.0  # a back-EMF of 3.8 V; half of the resistance accounts for 1.1 V of it
 
 
-def test_a_slip_without_the_features_that_tell_the_voltage_is_a_runaway(board: Board) -> None:
+def test_slip_without_voltage_compensation_is_detected_as_runaway(board: Board) -> None:
     features(board, 0, BUS_COMPENSATION=False)
     speed(board, 0, 100.0)
     board.run(0.3)
@@ -130,7 +130,7 @@ def test_a_slip_without_the_features_that_tell_the_voltage_is_a_runaway(board: B
 @pytest.mark.parametrize(
     ("degrees", "friction"), [(90.0, 1.0), (-90.0, 1.0), (-90.0, 2.0), (82.0, 20.0), (-98.0, 20.0)]
 )
-def test_an_angle_without_torque_is_told_from_a_shaft_that_is_held(axis: int, degrees: float, friction: float) -> None:
+def test_angle_without_torque_is_distinguished_from_a_blocked_shaft(axis: int, degrees: float, friction: float) -> None:
     with started(rough(axis, friction)) as board:
         slip(board, axis, degrees)
         speed(board, axis, 100.0)
@@ -162,7 +162,7 @@ def test_an_angle_without_torque_in_motion(rough_board: Board) -> None:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_shaft_that_is_held_is_stalled(board: Board, sign: float) -> None:
+def test_blocked_shaft_is_reported_as_stalled(board: Board, sign: float) -> None:
     board.lock_shaft(0)
     speed(board, 0, 60.0 * sign)
     time, names, _ = until_fault(board, 0, 2.0)
@@ -172,7 +172,7 @@ def test_a_shaft_that_is_held_is_stalled(board: Board, sign: float) -> None:
 
 @pytest.mark.parametrize("room", [0.0, 0.005])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_shaft_against_an_end_stop_is_stalled(board: Board, sign: float, room: float) -> None:
+def test_shaft_at_an_end_stop_is_reported_as_stalled(board: Board, sign: float, room: float) -> None:
     """The vector that turns pulls it back, as far as there is room: none but some backlash, or all."""
     back = math.inf if room == 0.0 else room
     board.obstruct_shaft(0, back if sign > 0.0 else 0.01, 0.01 if sign > 0.0 else back)
@@ -184,7 +184,7 @@ def test_a_shaft_against_an_end_stop_is_stalled(board: Board, sign: float, room:
 
 
 @pytest.mark.parametrize("part", [0.05, 0.2, 0.35, 0.6, 0.95])
-def test_a_shaft_that_comes_free_while_it_is_tried_was_held(board: Board, part: float) -> None:
+def test_shaft_released_during_the_stall_test_is_reported_as_stalled(board: Board, part: float) -> None:
     board.lock_shaft(0)
     speed(board, 0, 60.0)
     while place(board, 0) != "ALIGN":
@@ -223,7 +223,7 @@ def coast(board: Board, axis: int, rad_per_s: float) -> None:
 
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("rad_per_s", [35.0, -60.0, 90.0, -200.0])
-def test_an_encoder_that_dies_without_current_is_lost(board: Board, axis: int, rad_per_s: float) -> None:
+def test_dead_encoder_without_current_is_detected(board: Board, axis: int, rad_per_s: float) -> None:
     coast(board, axis, rad_per_s)
     board.connect_encoder(axis, False)
     time, names, fastest = until_fault(board, axis, 0.5)

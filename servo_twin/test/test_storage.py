@@ -76,7 +76,7 @@ def kept() -> Iterator[Kept]:
         yield kept
 
 
-def test_a_save_comes_back_after_power_was_off(kept: Kept) -> None:
+def test_saved_values_are_restored_after_power_off(kept: Kept) -> None:
     kept.change(1)
     values = kept.values()
     before = kept.board.time_ns
@@ -100,7 +100,7 @@ def test_each_sector_is_erased_by_every_second_save(kept: Kept) -> None:
     assert set(kept.words()[: -32 - WORDS]) == {0xFFFF_FFFF}, "the tables of the chip lie there"
 
 
-def test_power_may_fail_at_any_instant_of_a_save(kept: Kept) -> None:
+def test_power_failure_at_any_instant_of_a_save(kept: Kept) -> None:
     """At random parts of random commands, and at the instants beside the seal."""
     random = np.random.default_rng(1)
     kept.change(1)
@@ -132,7 +132,7 @@ def test_power_may_fail_at_any_instant_of_a_save(kept: Kept) -> None:
     assert not any(seen[:-1]), "a seal in part fits by one chance in 2^32"
 
 
-def test_power_may_fail_at_any_instant_of_an_erase_of_both(kept: Kept) -> None:
+def test_power_failure_at_any_instant_of_a_factory_reset(kept: Kept) -> None:
     built_in = kept.values()
     for number in (1, 2):
         kept.change(number)
@@ -166,7 +166,7 @@ def test_a_cut_at_any_moment_is_the_end_of_the_command_under_way(kept: Kept) -> 
             assert read_storage(board.memory).source == "BUILT_IN"
 
 
-def test_the_loops_go_on_while_the_flash_is_written(kept: Kept) -> None:
+def test_loops_run_during_a_flash_command(kept: Kept) -> None:
     """A free shaft, and an axis that is enabled meanwhile."""
     token = begin_request(kept.memory, "SAVE")
     kept.run(0.02)

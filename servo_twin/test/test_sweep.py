@@ -233,7 +233,7 @@ def trial(number: int) -> Trial:
     return Trial(number, {"x": 0.1 * number}, {"f": Figure(1.0 / (number + 1), "s", None)})
 
 
-def test_results_are_found_again_in_order(tmp_path: Path) -> None:
+def test_results_are_read_in_order(tmp_path: Path) -> None:
     with Store(tmp_path, {"a": 1}, 5, resume=False) as store:
         for number in (3, 0, 4):
             store.add(trial(number))
@@ -244,7 +244,7 @@ def test_results_are_found_again_in_order(tmp_path: Path) -> None:
 
 
 @given(st.integers(1, 400))
-def test_a_line_that_a_crash_has_cut_short_costs_only_itself(cut: int) -> None:
+def test_truncated_line_loses_only_its_result(cut: int) -> None:
     import tempfile
 
     with tempfile.TemporaryDirectory() as name:
@@ -321,7 +321,7 @@ def test_results_are_the_same_with_any_number_of_workers(tmp_path: Path) -> None
     assert rows_of(tmp_path / "1") == rows_of(tmp_path / "3")
 
 
-def test_the_command_that_is_named_repeats_a_trial(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_printed_command_repeats_a_trial(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["sweep", "position", "--level", "ideal", "--vary", "plant.axis1.friction=*1,60", "--out", str(tmp_path)]
     cli.main(words)
     printed = capsys.readouterr().out
@@ -344,7 +344,7 @@ def test_invalid_options_are_reported(tmp_path: Path, capsys: pytest.CaptureFixt
     assert not (tmp_path / "none").exists()
 
 
-def test_an_interrupted_sweep_keeps_its_results_and_goes_on(tmp_path: Path) -> None:
+def test_interrupted_sweep_keeps_its_results_and_continues(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "servo_twin.cli", "sweep", "move", "--level", "ideal", *VARY, "--count", "100000"]
     command += ["--workers", "2", "--out", str(tmp_path)]
     process = subprocess.Popen(

@@ -42,7 +42,7 @@ def any_plant(rnd: random.Random) -> PlantConfig:
 
 # The last ones came to instants without an end: at end stops, without friction, without a drop, on buses of 30 uF.
 @pytest.mark.parametrize("seed", [*range(200), 235, 259, 260, 270, 278, 703])
-def test_currents_stay_sound_whatever_the_gates_do(switching_c: Native, seed: int) -> None:
+def test_state_stays_valid_with_random_gates(switching_c: Native, seed: int) -> None:
     rnd = random.Random(seed)
     plant = any_plant(rnd)
     switching = Switching(switching_c, plant, seed)

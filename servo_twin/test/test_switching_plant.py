@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from native_library import Native, c_config, plain
+from native_library import Native, c_config, ideal_plant
 from servo_twin.plant import PlantConfig
 from switching_reference import HIGH, LOW, OPEN, Edge, centred_edges
 from switching_rig import Switching
@@ -36,7 +36,7 @@ def vector(axis: int, clock: int, gates: Sequence[int]) -> list[Edge]:
 
 
 class TestEnergy:
-    def test_nothing_is_lost(self, switching_c: Native) -> None:
+    def test_energy_is_conserved(self, switching_c: Native) -> None:
         """What the source gives is in the capacitor, in the coils, in the masses, or has become heat or work."""
         plant = PlantConfig.load().with_axis(0, theta_start=0.4).with_axis(1, theta_start=2.0)
         switching = Switching(switching_c, plant)
@@ -86,8 +86,8 @@ class TestEnergy:
             )
         assert heat[0] == pytest.approx(heat[1], rel=5e-4)
 
-    def test_the_source_takes_nothing_back(self, switching_c: Native) -> None:
-        switching = Switching(switching_c, plain())
+    def test_source_current_is_not_negative(self, switching_c: Native) -> None:
+        switching = Switching(switching_c, ideal_plant())
         for axis in range(2):
             switching.spin(axis, 366.0)
         before = 0.0
@@ -119,7 +119,7 @@ class TestMeans:
     @pytest.mark.parametrize("swing", [0.12, -0.12])
     def test_dead_time_and_drops_by_arithmetic(self, switching_c: Native, swing: float) -> None:
         """Mean of a held axis: duty, less t_d f u and the drop, against the current."""
-        plant = plain(dead_time=1e-6, v_drop=0.7, r_on=0.03, dead_time_min=0.0)
+        plant = ideal_plant(dead_time=1e-6, v_drop=0.7, r_on=0.03, dead_time_min=0.0)
         switching = Switching(switching_c, plant)
         switching.lib.switching_lock(switching.c, 0, True)
         duty = (0.5 + swing, 0.5 - swing / 2, 0.5 - swing / 2)
@@ -168,7 +168,7 @@ class TestMeans:
 
     def test_mean_voltages_follow_the_duties(self, switching_c: Native) -> None:
         """Of a held axis with constant duties, over whole periods."""
-        switching = Switching(switching_c, plain(dead_time_min=0.0))
+        switching = Switching(switching_c, ideal_plant(dead_time_min=0.0))
         switching.lib.switching_lock(switching.c, 0, True)
         switching.run(cycles([0], (0.6, 0.5, 0.4), 0, 40, dead=0), 40 * PERIOD)
         bus = switching.bus.u_dc
@@ -177,7 +177,7 @@ class TestMeans:
     @pytest.mark.parametrize("late", [0, 1, 6249])
     def test_mean_voltages_are_those_of_the_last_full_period(self, switching_c: Native, late: int) -> None:
         """A turning motor without current shows its back-EMF: the change of the magnet's flux in that period."""
-        switching = Switching(switching_c, plain())
+        switching = Switching(switching_c, ideal_plant())
         switching.spin(0, 150.0)
         axis = switching.plant.axes[0]
         for n in range(1, 40):
@@ -198,7 +198,7 @@ class TestShunts:
     def test_current_only_through_the_lower_half(
         self, switching_c: Native, gates: int, current: int, seen: bool
     ) -> None:
-        switching = Switching(switching_c, plain(theta_start=0.0))
+        switching = Switching(switching_c, ideal_plant(theta_start=0.0))
         drive = [HIGH, LOW, LOW] if current > 0 else [LOW, HIGH, HIGH]
         switching.run(vector(0, 0, drive), 2000)
         switching.run([(2000, 0, 0, OPEN), (2010, 0, 0, gates)], 2050)
@@ -207,7 +207,7 @@ class TestShunts:
         assert truth.shunt[0] == (truth.phase[0] if seen else 0.0)
 
     def test_the_amplifier_settles(self, switching_c: Native) -> None:
-        plant = plain(theta_start=0.0, i_settle=0.3e-6)
+        plant = ideal_plant(theta_start=0.0, i_settle=0.3e-6)
         switching = Switching(switching_c, plant)
         switching.run(vector(0, 0, [HIGH, LOW, LOW]), 3000)
         switching.run([(3000, 0, 0, OPEN)], 3000)
@@ -252,7 +252,7 @@ class TestShunts:
         assert largest < 1e-3  # a quarter of a converter's step
 
     def test_amplifier_offsets_shift_the_codes(self, switching_c: Native) -> None:
-        plant = plain(theta_start=0.0, i_offset=(0.5, 0.0, -0.5))
+        plant = ideal_plant(theta_start=0.0, i_offset=(0.5, 0.0, -0.5))
         switching = Switching(switching_c, plant)
         switching.run(vector(0, 0, [LOW, LOW, LOW]), 2000)
         codes = [switching.lib.switching_current_code(switching.c, 0, phase) for phase in range(3)]
@@ -263,7 +263,7 @@ class TestShunts:
         """Shortly after an edge the sample comes from the slope, later from a step of the plant."""
         codes = []
         for glance in (False, True):
-            switching = Switching(switching_c, plain(theta_start=0.0))
+            switching = Switching(switching_c, ideal_plant(theta_start=0.0))
             switching.run(vector(0, 0, [HIGH, LOW, LOW]), 1000)
             switching.run(vector(0, 1000, [LOW, LOW, LOW]), 1020)
             if glance:
@@ -278,12 +278,12 @@ class TestShunts:
 
 class TestComparator:
     def test_trips_at_the_threshold(self, switching_c: Native) -> None:
-        switching = Switching(switching_c, plain(theta_start=0.0, i_break=3.0))
+        switching = Switching(switching_c, ideal_plant(theta_start=0.0, i_break=3.0))
         switching.lib.switching_lock(switching.c, 0, True)
         switching.run(vector(0, 0, [HIGH, LOW, LOW]), 20_000)
         trips = [event for event in switching.events if event[1] == OVER_CURRENT]
         assert [(event[2], event[4]) for event in trips] == [(0, True)]
-        axis = plain().axes[0]
+        axis = ideal_plant().axes[0]
         expected = -axis.l_d / axis.r_s * math.log(1 - 3.0 * axis.r_s / 16.0) / CLOCK
         assert trips[0][0] == pytest.approx(expected, abs=20)
         assert switching.lib.switching_over_current(switching.c, 0)
@@ -294,20 +294,20 @@ class TestComparator:
     @pytest.mark.parametrize(("dead", "trips"), [(30, False), (20, True), (0, True)])
     def test_too_little_dead_time_is_a_short(self, switching_c: Native, dead: int, trips: bool) -> None:
         """The switches need 0.25 us; what is missing of that is a short."""
-        switching = Switching(switching_c, plain(dead_time_min=0.25e-6))
+        switching = Switching(switching_c, ideal_plant(dead_time_min=0.25e-6))
         switching.run([(0, 0, 0, HIGH), (500, 0, 0, OPEN), (500 + dead, 0, 0, LOW)], 1000)
         events = [(event[0], event[4]) for event in switching.events if event[1] == OVER_CURRENT]
         assert events == ([(500 + dead, True), (525, False)] if trips else [])
 
     def test_both_gates_on(self, switching_c: Native) -> None:
-        switching = Switching(switching_c, plain(dead_time_min=0.0))
+        switching = Switching(switching_c, ideal_plant(dead_time_min=0.0))
         switching.run([(100, 1, 2, 3)], 200)
         assert switching.lib.switching_over_current(switching.c, 1)
         switching.run([(300, 1, 2, OPEN)], 400)
         assert not switching.lib.switching_over_current(switching.c, 1)
 
     def test_the_same_switch_again_is_no_short(self, switching_c: Native) -> None:
-        switching = Switching(switching_c, plain(dead_time_min=0.25e-6))
+        switching = Switching(switching_c, ideal_plant(dead_time_min=0.25e-6))
         switching.run([(0, 0, 0, HIGH), (500, 0, 0, OPEN), (505, 0, 0, HIGH)], 1000)
         assert not switching.events
 
@@ -316,7 +316,7 @@ class TestRoot:
     """Where a parabola comes down to zero within a step."""
 
     @pytest.mark.parametrize(("f0", "d0"), [(1.0, -2.0), (1.0, 3.0), (0.0, 2.0), (1e-9, 0.0)])
-    def test_is_where_the_parabola_is_zero(self, switching_c: Native, f0: float, d0: float) -> None:
+    def test_root_is_the_zero_of_the_parabola(self, switching_c: Native, f0: float, d0: float) -> None:
         h, f1 = 1e-3, -0.5
         bend = (f1 - f0 - d0 * h) / h**2
         t = switching_c.lib.root_of(f0, d0, f1, h)
@@ -324,7 +324,7 @@ class TestRoot:
         assert f0 + d0 * t + bend * t**2 == pytest.approx(0.0, abs=1e-12)
 
     @pytest.mark.parametrize("way", [1.0, -1.0])
-    def test_a_series_finds_those_of_currents_that_hardly_bend(self, switching_c: Native, way: float) -> None:
+    def test_series_finds_roots_of_nearly_straight_currents(self, switching_c: Native, way: float) -> None:
         """Of all phases at once, as far as it says so; what bends more it leaves to others."""
         lanes, legs, h = (0, 2, 3), 0b1101, 1e-5
         rnd = random.Random(7)
@@ -350,13 +350,13 @@ class TestRoot:
 class TestEncoder:
     def turn(self, switching_c: Native, omega: float, clocks: int, **axis: Any) -> Switching:
         exact = {"encoder_jitter": 0.0, "encoder_duty_error": 0.0, "encoder_hysteresis": 0.0, "theta_start": 0.001}
-        switching = Switching(switching_c, plain(**{**exact, **axis}))
+        switching = Switching(switching_c, ideal_plant(**{**exact, **axis}))
         switching.spin(0, omega)
         switching.advance(clocks)
         return switching
 
     @pytest.mark.parametrize("omega", [366.0, -366.0, 20.0, -3.0])
-    def test_edges_come_when_the_shaft_is_there(self, switching_c: Native, omega: float) -> None:
+    def test_edges_agree_with_the_position_of_the_shaft(self, switching_c: Native, omega: float) -> None:
         switching = self.turn(switching_c, omega, 1_000_000 if abs(omega) > 10 else 10_000_000)
         pitch = 2 * math.pi / 4000
         first = math.floor(0.001 / pitch)
@@ -391,8 +391,8 @@ class TestEncoder:
         assert np.std(gaps) == pytest.approx(0.03 * math.sqrt(2) * pitch_clocks, rel=0.05)
         assert np.mean(gaps) == pytest.approx(pitch_clocks, rel=1e-3)
 
-    def test_a_shaft_that_turns_back_gives_every_edge_back(self, switching_c: Native) -> None:
-        switching = Switching(switching_c, plain(encoder_jitter=0.05, theta_start=0.001))
+    def test_reversal_returns_every_edge(self, switching_c: Native) -> None:
+        switching = Switching(switching_c, ideal_plant(encoder_jitter=0.05, theta_start=0.001))
         switching.spin(0, 60.0)
         switching.lib.switching_set_load(switching.c, 0, 0.02)  # back at the start after 48 ms
         before = [switching.lib.switching_line(switching.c, 0, line) for line in range(2)]
@@ -404,10 +404,10 @@ class TestEncoder:
         after = [switching.lib.switching_line(switching.c, 0, line) for line in range(2)]
         assert before == after or abs(len(switching.events) - 2 * up) == 1
 
-    def test_an_edge_comes_back_behind_where_it_was_passed(self, switching_c: Native) -> None:
+    def test_edges_have_hysteresis(self, switching_c: Native) -> None:
         """Half of the hysteresis late in either direction, whatever the jitter."""
         late, pitch = 0.1, 2 * math.pi / 4000
-        switching = Switching(switching_c, plain(encoder_jitter=0.05, encoder_hysteresis=late, theta_start=0.001))
+        switching = Switching(switching_c, ideal_plant(encoder_jitter=0.05, encoder_hysteresis=late, theta_start=0.001))
         switching.spin(0, 6.0)
         switching.lib.switching_set_load(switching.c, 0, 0.02)
         braking = 0.02 / switching.plant.axes[0].inertia
@@ -422,7 +422,7 @@ class TestEncoder:
     def test_a_shaft_that_dithers_on_an_edge(self, switching_c: Native, hysteresis: float, chatters: bool) -> None:
         """By a hundredth of a count to either side, less than the jitter."""
         switching = Switching(
-            switching_c, plain(encoder_jitter=0.05, encoder_hysteresis=hysteresis, theta_start=0.0015)
+            switching_c, ideal_plant(encoder_jitter=0.05, encoder_hysteresis=hysteresis, theta_start=0.0015)
         )
         speed, torque, pitch = 0.2, 0.01, 2 * math.pi / 4000
         acceleration = torque / switching.plant.axes[0].inertia
@@ -451,7 +451,7 @@ class TestEncoder:
 
         def run(keeps: bool) -> tuple[list[tuple[int, int, int, int, bool]], int]:
             chance = random.Random(5)
-            switching = Switching(switching_c, plain(encoder_jitter=0.05, encoder_hysteresis=0.1), 3)
+            switching = Switching(switching_c, ideal_plant(encoder_jitter=0.05, encoder_hysteresis=0.1), 3)
             switching.spin(0, 100.0)
             switching.lib.switching_set_load(switching.c, 0, 0.05)
             glitches = {
@@ -501,8 +501,8 @@ class TestEncoder:
 
 class TestEndStops:
     @pytest.mark.parametrize("omega", [150.0, -150.0])
-    def test_a_shaft_stops_there(self, switching_c: Native, omega: float) -> None:
-        switching = Switching(switching_c, plain(encoder_jitter=0.05, theta_start=0.001))
+    def test_shaft_stops_at_an_end_stop(self, switching_c: Native, omega: float) -> None:
+        switching = Switching(switching_c, ideal_plant(encoder_jitter=0.05, theta_start=0.001))
         switching.spin(0, omega)
         switching.lib.switching_obstruct(switching.c, 0, 0.0301, 0.0301)
         switching.advance(400_000)
@@ -513,10 +513,10 @@ class TestEndStops:
         assert len(switching.events) == pytest.approx(0.0301 / (2 * math.pi / 4000), abs=1.5)
         assert switching.events[-1][0] <= 0.0301 / 150.0 / CLOCK + 1
 
-    def test_pressed_against_it_a_motor_stands_as_if_held(self, switching_c: Native) -> None:
+    def test_motor_at_an_end_stop_behaves_like_a_blocked_one(self, switching_c: Native) -> None:
         results = []
         for held in (False, True):
-            switching = Switching(switching_c, plain(theta_start=0.2, friction=2e-3))
+            switching = Switching(switching_c, ideal_plant(theta_start=0.2, friction=2e-3))
             switching.lib.switching_lock(switching.c, 0, held)
             switching.lib.switching_obstruct(switching.c, 0, 0.01, 0.0)
             switching.run(cycles([0], (0.45, 0.55, 0.50), 0, 20), 20 * PERIOD)
@@ -525,8 +525,8 @@ class TestEndStops:
         assert results[0].theta == results[1].theta
         assert list(results[0].phase) == pytest.approx(list(results[1].phase), abs=1e-5)
 
-    def test_driven_away_it_leaves(self, switching_c: Native) -> None:
-        switching = Switching(switching_c, plain(theta_start=0.2))
+    def test_motor_leaves_an_end_stop(self, switching_c: Native) -> None:
+        switching = Switching(switching_c, ideal_plant(theta_start=0.2))
         switching.lib.switching_obstruct(switching.c, 0, 0.01, 0.0)
         switching.run(cycles([0], (0.45, 0.55, 0.50), 0, 10), 10 * PERIOD)
         switching.run(cycles([0], (0.55, 0.45, 0.50), 10 * PERIOD, 60), 60 * PERIOD)
@@ -534,8 +534,8 @@ class TestEndStops:
         assert truth.torque < -0.01
         assert truth.theta == pytest.approx(0.19, abs=1e-15)  # and has come to the other one
 
-    def test_infinite_ones_are_none(self, switching_c: Native) -> None:
-        switching = Switching(switching_c, plain(theta_start=0.2))
+    def test_infinite_end_stops_have_no_effect(self, switching_c: Native) -> None:
+        switching = Switching(switching_c, ideal_plant(theta_start=0.2))
         switching.spin(0, 100.0)
         switching.lib.switching_obstruct(switching.c, 0, math.inf, math.inf)
         switching.advance(100_000)
@@ -543,7 +543,7 @@ class TestEndStops:
 
 
 class TestOther:
-    def test_to_look_changes_nothing(self, switching_c: Native) -> None:
+    def test_reading_does_not_change_the_run(self, switching_c: Native) -> None:
         results = []
         for looks in (0, 7):
             switching = Switching(switching_c, PlantConfig.load().with_axis(0, theta_start=1.0))
@@ -557,10 +557,10 @@ class TestOther:
             results.append((truth.theta, truth.omega, list(truth.phase), switching.bus.u_dc))
         assert results[0] == results[1]
 
-    def test_events_one_by_one_or_all_at_once(self, switching_c: Native) -> None:
+    def test_events_do_not_depend_on_the_steps(self, switching_c: Native) -> None:
         """Advancing past an event, or exactly to it, gives the same edges."""
-        stepwise = Switching(switching_c, plain(encoder_jitter=0.02))
-        at_once = Switching(switching_c, plain(encoder_jitter=0.02))
+        stepwise = Switching(switching_c, ideal_plant(encoder_jitter=0.02))
+        at_once = Switching(switching_c, ideal_plant(encoder_jitter=0.02))
         for switching in (stepwise, at_once):
             switching.spin(0, 300.0)
         while stepwise.clock < 50_000:
@@ -570,7 +570,7 @@ class TestOther:
         assert len(at_once.events) > 50
 
     def test_losses_warm_winding_and_power_stage(self, switching_c: Native) -> None:
-        plant = plain(theta_start=0.0, winding_capacity=0.01, winding_resistance=10.0, v_drop=0.7)
+        plant = ideal_plant(theta_start=0.0, winding_capacity=0.01, winding_resistance=10.0, v_drop=0.7)
         switching = Switching(switching_c, plant)
         switching.lib.switching_lock(switching.c, 0, True)
         switching.run(cycles([0], (0.7, 0.5, 0.5), 0, 320), 320 * PERIOD)
@@ -578,7 +578,7 @@ class TestOther:
         assert truth.t_winding == pytest.approx(25.0 + truth.e_copper / 0.01, rel=0.15)
         assert truth.t_winding > 26.0
         assert 25.0 < truth.t_sink < 25.1
-        cold = Switching(switching_c, plain(theta_start=0.0, v_drop=0.7))
+        cold = Switching(switching_c, ideal_plant(theta_start=0.0, v_drop=0.7))
         cold.lib.switching_lock(cold.c, 0, True)
         cold.run(cycles([0], (0.7, 0.5, 0.5), 0, 320), 320 * PERIOD)
         assert truth.i_d < 0.998 * cold.truth(0).i_d  # copper that is warmer
@@ -599,7 +599,7 @@ class TestOther:
 
 
 @pytest.mark.parametrize("gap", [1000, 2400, 3100])
-def test_encoder_edges_come_when_the_shaft_is_there(switching_c: Native, gap: int) -> None:
+def test_encoder_edges_agree_with_the_angle(switching_c: Native, gap: int) -> None:
     """However long a frame lasts until the next gate: edges are where the angle is, in both axes."""
     plant = PlantConfig.load()
     for axis in range(2):
@@ -627,7 +627,7 @@ def test_encoder_edges_come_when_the_shaft_is_there(switching_c: Native, gap: in
         assert counts == pytest.approx(round(counts), abs=0.01)
 
 
-def test_vectors_lie_in_one_line_of_the_cache_each(switching_c: Native) -> None:
+def test_vectors_are_aligned_to_cache_lines(switching_c: Native) -> None:
     """If the plant begins one. A vector across two costs time, and nothing else shows that."""
     ffi = switching_c.ffi
     axis = ffi.offsetof("switching_t", "axis")

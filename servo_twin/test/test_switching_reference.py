@@ -115,7 +115,7 @@ def test_a_shaft_that_stops_and_turns_back(switching_c: Native) -> None:
     assert reference.axes[1].omega > 0.1
 
 
-def test_the_reference_sees_a_wrong_dead_time(switching_c: Native) -> None:
+def test_comparison_detects_a_wrong_dead_time(switching_c: Native) -> None:
     """The comparison can fail: twenty nanoseconds more of dead time are seen."""
     switching, reference = Switching(switching_c, plant()), Reference(plant())
     duty = (0.65, 0.45, 0.4)
@@ -139,26 +139,16 @@ def test_every_gate_pattern(switching_c: Native) -> None:
 
 
 @dataclass(frozen=True)
-class AnyRun:
-    """Shafts at any angles and speeds, and gates that anything may happen to at any clock.
+class RandomRun:
+    """Run with random angles and speeds of the shafts, and random states of the gates at random clocks."""
 
-    Attributes
-    ----------
-    config : PlantConfig
-        The plant.
-    speeds : list of float
-        Of the shafts at the beginning [rad/s].
-    edges : list of Edge
-        Of the gates.
-    """
-
-    config: PlantConfig
-    speeds: list[float]
-    edges: list[Edge]
+    config: PlantConfig  # plant data
+    speeds: list[float]  # initial speeds of the shafts [rad/s]
+    edges: list[Edge]  # edges of the gates
 
 
-def any_run(seed: int, longest: int | None) -> AnyRun:
-    """Draw one with at most so many clocks from edge to edge; one of three numbers, if none is given."""
+def random_run(seed: int, longest: int | None) -> RandomRun:
+    """Random run with at most `longest` clocks between two edges; None: one of three values."""
     rnd = random.Random(seed)
     config = PlantConfig.load()
     for axis in range(2):
@@ -174,12 +164,12 @@ def any_run(seed: int, longest: int | None) -> AnyRun:
     while clock < 15_000:
         clock += rnd.randrange(60 if rnd.random() < 0.4 else longest) + 1
         edges.append((clock, rnd.randrange(2), rnd.randrange(3), rnd.randrange(3)))
-    return AnyRun(config, speeds, edges)
+    return RandomRun(config, speeds, edges)
 
 
-# Shafts that break loose while a current grows (6, 8, 22, 47, 132), gates that only seemed to make no difference (6 and
-# 70), a current that bends through zero at the end of a step (78), legs that only just begin to conduct (87 to 217),
-# the largest deviations of linear intervals (221, 240, 276).
+# Shafts that break loose while a current grows (6, 8, 22, 47, 132), edges that seem to have no effect (6 and 70), a
+# current that crosses zero at the end of a step (78), legs that just begin to conduct (87 to 217), the largest
+# deviations of linear intervals (221, 240, 276).
 @pytest.mark.parametrize(
     ("seed", "longest"),
     [
@@ -192,7 +182,7 @@ def test_any_gates_give_the_currents_of_the_reference(
     request: pytest.FixtureRequest, linear: bool, seed: int, longest: int | None
 ) -> None:
     native = request.getfixturevalue("switching_c" if linear else "stepping_c")
-    run = any_run(seed, longest)
+    run = random_run(seed, longest)
     switching, reference = Switching(native, run.config), Reference(run.config)
     for axis, omega in enumerate(run.speeds):
         switching.spin(axis, omega)

@@ -63,7 +63,7 @@ def test_the_rotor_follows_the_vector(board: Board) -> None:
 
 
 @pytest.mark.parametrize("point", ["I_D", "I_Q"])
-def test_a_signal_is_in_the_current(board: Board, point: str) -> None:
+def test_test_signal_is_in_the_current(board: Board, point: str) -> None:
     """0.4 A at 100 Hz, well within the bandwidth of the current controllers."""
     board.write("cmd.i_q", [1.5, 1.5])
     board.run(0.6)

@@ -45,13 +45,13 @@ def test_all_and_plot_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert not list(tmp_path.iterdir())
 
 
-def test_late_trigger_shows() -> None:
+def test_late_trigger_violates_the_bounds() -> None:
     """1.5 us after the centre the converter still samples before M1, but no longer where the current is the mean."""
     names = wrong(poke(PWMA_SM1_VAL4, lambda value: value + 100))
     assert "motor 1: currents after the centre, maximum" in names
 
 
-def test_early_interrupt_shows() -> None:
+def test_early_interrupt_violates_the_bounds() -> None:
     """M1 comes before the third conversion."""
     names = wrong(poke(PWMA_SM1_VAL5, lambda value: value - 120))
     assert "M1 begins after its data, minimum" in names

@@ -113,7 +113,7 @@ def longer(vector: int, clocks: int) -> Mistake:
         (shift(Kind.SAMPLE, {3, 11}, 200), "periods with t0, t1, t2, t3 in order"),
     ],
 )
-def test_every_mistake_shows_in_its_row(mistake: Mistake, row: str) -> None:
+def test_every_error_is_in_its_row(mistake: Mistake, row: str) -> None:
     assert row in wrong(pwm_cycle(trace(mistake(ideal()))))
 
 
@@ -252,7 +252,7 @@ def test_right_start_agrees() -> None:
         (lambda e: [*e, (900, int(Kind.ENTER), VECTOR_M2, 1)], "M1, M2, M1, ... from the start on"),
     ],
 )
-def test_mistake_of_the_start_shows(mistake: Mistake, row: str) -> None:
+def test_error_of_the_start_is_in_its_row(mistake: Mistake, row: str) -> None:
     assert row in wrong(start(trace(mistake(beginning()))))
 
 

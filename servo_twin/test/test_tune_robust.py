@@ -28,20 +28,20 @@ def trial(value: float | None, slack: float | None = None, problem: str = "") ->
     return Trial(0, {}, {} if problem else {"f": Figure(value, "", slack)}, problem)
 
 
-def test_a_score_is_of_the_nominal_plant_and_the_worst() -> None:
+def test_score_of_nominal_and_worst_plant() -> None:
     found = Score.of({"a": 1.0}, SMALL, [trial(2.0), trial(5.0), trial(3.5)])
     assert (found.nominal, found.mean, found.worst, found.violations) == (2.0, 3.5, 5.0, 0)
     assert Score.of({}, LARGE, [trial(2.0), trial(5.0), trial(1.0)]).worst == 1.0
 
 
-def test_what_fails_is_infinitely_bad_and_counts() -> None:
+def test_failed_trial_has_an_infinite_score() -> None:
     found = Score.of({}, SMALL, [trial(1.0, -0.1), trial(None, -math.inf), trial(None, problem="a fault")])
     assert found.violations == 3
     assert found.worst == math.inf
     assert Score.of({}, LARGE, [trial(1.0), trial(None, problem="a fault")]).worst == -math.inf
 
 
-def test_on_the_front_none_is_better_in_both() -> None:
+def test_front_has_no_dominated_candidate() -> None:
     scores = [score(1, 9), score(2, 5), score(3, 6), score(4, 3), score(5, 3), score(0, 1, violations=2)]
     kept = front(scores, SMALL, score(9, 9))
     assert [(s.nominal, s.worst) for s in kept] == [(4, 3), (2, 5), (1, 9)]
@@ -54,7 +54,7 @@ def _bowl(candidates: Sequence[Mapping[str, float]]) -> list[Score]:
     return [Score(dict(c), (c["x"] - 1.0) ** 2, 0.0, (c["x"] - 3.0) ** 2, int(c["x"] > 4.0)) for c in candidates]
 
 
-def test_the_search_finds_what_there_is_and_repeats_itself() -> None:
+def test_search_finds_the_front_reproducibly() -> None:
     tuned = [Varied.parse("x=-10..10")]
     today = _bowl([{"x": 0.0}])[0]
     first, again = (list(search(_bowl, tuned, SMALL, today, 48, 5)) for _ in range(2))
@@ -63,12 +63,12 @@ def test_the_search_finds_what_there_is_and_repeats_itself() -> None:
     assert sum(s.violations for s in first) < 16  # of 48; without the constraint 14 of 20 draws are forbidden
 
 
-def test_levels_are_taken_as_they_are() -> None:
+def test_given_levels_are_used() -> None:
     found = list(search(_bowl, [Varied.parse("x=1,3")], SMALL, score(0, 9), 16, 1))
     assert {s.candidate["x"] for s in found} == {1.0, 3.0}
 
 
-def test_candidates_meet_the_nominal_plant_first(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_candidates_are_tested_on_the_nominal_plant_first(monkeypatch: pytest.MonkeyPatch) -> None:
     points: list[dict[str, float]] = []
 
     def kept(number: int, measure: str, base: object, point: dict[str, float], seed: int, level: str) -> Trial:

@@ -45,9 +45,9 @@ def follows(rig: TwinRig, pairs: list[Pair]) -> None:
 
 
 class TestExactness:
-    def test_boards_that_differ_in_nothing_agree_bit_for_bit(self) -> None:
+    def test_equal_boards_agree_bit_for_bit(self) -> None:
         with TwinRig(real_seed=7, twin_seed=7) as rig:
-            rig.up()
+            rig.enable_axes()
             rig.move([3.0, -2.0])
             rig.write("cmd.mode", [1, 1])
             rig.write("cmd.speed", [100.0, -80.0])
@@ -78,23 +78,23 @@ class TestExactness:
         histories = []
         for _ in range(2):
             with TwinRig(real_seed=4, twin_seed=8) as rig:
-                rig.up()
+                rig.enable_axes()
                 rig.move([1.0, -1.0])
                 histories.append(rig.pairs)
         assert histories[0] == histories[1]
 
-    def test_noise_makes_a_difference_of_counts_only(self, rig: TwinRig) -> None:
-        rig.up()
+    def test_noise_causes_only_differences_of_counts(self, rig: TwinRig) -> None:
+        rig.enable_axes()
         pairs = rig.move([5.0, -5.0])
         follows(rig, pairs)
         assert worst_counts(pairs) > 0.0
         assert worst(pairs, "axis1.i_q") > 0.0
         assert pairs[-1].real["axis1.position"] == pytest.approx(10 * math.pi, abs=3 * COUNT)
 
-    def test_a_plant_that_is_not_the_twins_model_shows(self) -> None:
+    def test_another_plant_causes_a_residual(self) -> None:
         heavy = PlantConfig.load().with_axis(0, friction=8e-3)
         with TwinRig(plant=heavy) as rig:
-            rig.up()
+            rig.enable_axes()
             pairs = rig.move([5.0, -5.0], seconds=0.25)
             mean = {name: np.mean([p.real[name] - p.twin[name] for p in pairs]) for name in ("axis1.i_q", "axis2.i_q")}
             extra = 6e-3 / PlantConfig.load().axes[0].torque_constant
@@ -126,16 +126,16 @@ def follow_sines(rig: TwinRig, count: int = 60) -> list[Pair]:
 class TestTrajectories:
     def test_timed_points_are_replayed_to_the_tick(self) -> None:
         with TwinRig(real_seed=7, twin_seed=7) as rig:
-            rig.up()
+            rig.enable_axes()
             pairs = follow_sines(rig, 61)
             assert max(pair.real["axis1.position"] for pair in pairs) > 1.9
             assert rig.real.raw["axis1.points_taken"] == 61
             assert worst_counts(rig.pairs) == 0.0
             assert worst(rig.pairs, "axis2.i_q") == 0.0
 
-    def test_a_twin_that_began_later_and_elsewhere_follows_them(self) -> None:
+    def test_twin_with_another_start_follows_points(self) -> None:
         with TwinRig(real_seed=7, twin_seed=8) as rig:
-            rig.up()
+            rig.enable_axes()
             rig.move([1.25, -2.5])
             rig.twin.resync("test")
             rig.run(0.5)
@@ -144,7 +144,7 @@ class TestTrajectories:
             assert worst_counts(pairs) <= 12.0
 
     def test_both_stop_when_no_point_follows(self, rig: TwinRig) -> None:
-        rig.up()
+        rig.enable_axes()
         follow_sines(rig, 20)
         pairs = rig.run(0.5)
         assert rig.real.raw["axis1.limits"] == rig.real.raw["axis2.limits"] == STARVED
@@ -158,28 +158,28 @@ OTHER_LIMITS = ("param.speed_limit=60,90", "param.i_q_limit=2.0,2.5", "param.acc
 
 
 class TestParameters:
-    def test_the_twin_has_those_of_the_board(self, rig: TwinRig) -> None:
+    def test_twin_takes_parameters_of_the_board(self, rig: TwinRig) -> None:
         rig.set_parameters(f"param.features={FEATURES},{FEATURES}", *OTHER_LIMITS)
-        rig.up()
+        rig.enable_axes()
         assert rig.twin.parameters_known
         follows(rig, rig.move([5.0, -5.0]))
         assert max(pair.real["axis1.speed"] for pair in rig.pairs) < 70.0
 
-    def test_parameters_not_reported_show_in_the_residual(self, rig: TwinRig) -> None:
-        rig.set_parameters(*OTHER_LIMITS, tell=False)
-        rig.up()
+    def test_unreported_parameters_cause_a_residual(self, rig: TwinRig) -> None:
+        rig.set_parameters(*OTHER_LIMITS, report=False)
+        rig.enable_axes()
         assert not rig.twin.parameters_known
         assert worst_counts(rig.move([5.0, -5.0])) > 1000.0
 
-    def test_those_after_reset_change_nothing(self, rig: TwinRig) -> None:
-        rig.up()
+    def test_default_parameters_cause_no_synchronisation(self, rig: TwinRig) -> None:
+        rig.enable_axes()
         rig.set_parameters()
         assert rig.twin.status == ""
         follows(rig, rig.move([1.0, -1.0]))
         assert rig.twin.synchronisations == 1
 
-    def test_a_change_begins_anew_once_the_shafts_rest(self, rig: TwinRig) -> None:
-        rig.up()
+    def test_changed_parameters_resynchronise_at_rest(self, rig: TwinRig) -> None:
+        rig.enable_axes()
         rig.move([20.0, -20.0], 0.2)
         rig.set_parameters("param.speed_limit[1]=50", f"param.features[0]={FEATURES}")
         changed = "changed parameters of the board: param.speed_limit, param.features"
@@ -191,10 +191,10 @@ class TestParameters:
         rig.run(0.2)
         follows(rig, rig.move([15.0, -18.0], 0.5))
 
-    def test_soft_limits_hold_both_at_the_same_place(self) -> None:
+    def test_soft_limits_stop_both_at_the_same_position(self) -> None:
         """The twin found its rotor elsewhere, so its positions count from elsewhere."""
         with TwinRig(plant=PlantConfig.load().with_axis(0, theta_start=1.0)) as rig:
-            rig.up()
+            rig.enable_axes()
             rig.move([2.0, 3.0], 0.8)
             rig.twin.resync("to be in the middle")
             rig.run(0.5)
@@ -227,7 +227,7 @@ class TestConfiguration:
 
     def test_gains_that_change_in_motion_change_at_the_same_tick(self) -> None:
         with TwinRig(real_seed=7, twin_seed=7) as rig:
-            rig.up()
+            rig.enable_axes()
             rig.move([40.0, -40.0], 0.2)
             rig.tune({axis: self.quicker(rig, axis) for axis in range(2)})
             rig.run(0.1)
@@ -242,27 +242,27 @@ class TestConfiguration:
                 for name, value in pair.twin.items():
                     assert value == pair.real[name], (pair.tick, name)
 
-    def test_a_twin_that_was_not_told_of_other_gains_differs(self) -> None:
+    def test_unreported_gains_cause_a_residual(self) -> None:
         with TwinRig(real_seed=7, twin_seed=7) as rig:
-            rig.up()
-            rig.held = []
+            rig.enable_axes()
+            rig.held_reports = []
             rig.tune({0: self.quicker(rig, 0)})
             rig.run(0.02)
-            rig.held = None
+            rig.held_reports = None
             assert any(pair.twin[name] != pair.real[name] for pair in rig.move([5.0, -5.0]) for name in pair.twin)
 
     def test_motor_data_at_rest_and_a_twin_that_begins_later(self) -> None:
         with TwinRig(real_seed=7, twin_seed=7) as rig:
             rig.run(0.1)
             rig.tune({0: self.quicker(rig, 0) | {"torque_constant": 1200, "stop_ticks_max": 900}})
-            rig.up()
+            rig.enable_axes()
             assert rig.twin.torque_constants[0] == pytest.approx(1200 / 2**15)
             rig.twin.resync("for a test")
             rig.run(0.3)
             follows(rig, rig.move([5.0, -5.0]))
             assert rig.twin.torque_constants[0] == pytest.approx(1200 / 2**15)
 
-    def test_a_configuration_that_only_the_bridge_has_seen_is_taken_over(self) -> None:
+    def test_configuration_reported_by_the_bridge_is_adopted(self) -> None:
         with TwinRig() as rig:
             rig.listening = False
             rig.run(0.1)
@@ -275,14 +275,14 @@ class TestConfiguration:
             assert rig.twin.labels(), "the twin's board has that one, too, and goes on"
             rig.twin.blocks({1: tuple(AxisConfigTable.load().words(block))})
             assert rig.twin.status == "changed configuration of the board"
-            rig.up()
+            rig.enable_axes()
             began = rig.twin.synchronisations
             follows(rig, rig.move([5.0, -5.0]))
             rig.twin.blocks({1: tuple(AxisConfigTable.load().words(block))})
             assert rig.twin.synchronisations == began
 
     @pytest.mark.parametrize("told_after", [0.0, 0.4])
-    def test_a_board_that_comes_up_with_stored_values_is_followed(self, told_after: float) -> None:
+    def test_board_with_stored_values_is_followed(self, told_after: float) -> None:
         """The bridge reads blocks and parameters at every connection, some time after the first samples."""
         with TwinRig() as rig:
             rig.run(0.1)
@@ -300,7 +300,7 @@ class TestConfiguration:
             rig.run(told_after)
             rig.twin.parameters({v.name: rig.board.read_raw(v.name) for v in parameters(CATALOGUE)})
             rig.twin.blocks(blocks)
-            rig.up()
+            rig.enable_axes()
             moving = rig.move([40.0, -40.0])
             follows(rig, moving)
             for pair in moving:
@@ -310,7 +310,7 @@ class TestConfiguration:
 
 class TestRotorSearch:
     @pytest.mark.parametrize("start", [0.0, 1.0, 2.0, 3.0])
-    def test_a_search_of_another_length_is_made_up_for(self, start: float) -> None:
+    def test_rotor_search_of_another_length_is_compensated(self, start: float) -> None:
         with TwinRig(plant=PlantConfig.load().with_axis(0, theta_start=start)) as rig:
             rig.run(0.1)
             rig.write("cmd.enable", [1, 1])
@@ -332,7 +332,7 @@ class TestRotorSearch:
         rig.run(0.1)
         follows(rig, rig.move([0.0, 1.0]))
 
-    def test_commands_that_came_before_the_twin_was_ready_are_made_up_for(self) -> None:
+    def test_commands_before_the_twin_is_ready_are_repeated(self) -> None:
         # The real rotor stands where its search is short; axis 1 never rests, so the twin must not be run ahead.
         quick = PlantConfig.load().with_axis(1, theta_start=0.2)
         lengths = []
@@ -358,7 +358,7 @@ class TestRotorSearch:
 class TestLateStart:
     def test_in_the_middle_at_rest(self, rig: TwinRig) -> None:
         rig.listening = False
-        rig.up()
+        rig.enable_axes()
         rig.move([5.0, -3.0])
         rig.listening = True
         rig.run(0.2)
@@ -371,13 +371,13 @@ class TestLateStart:
         rig.listening = True
         rig.run(0.2)
         assert rig.twin.simulated_ticks < rig.real.tick
-        rig.up()
+        rig.enable_axes()
         follows(rig, rig.move([2.0, 2.0]))
 
     def test_waits_for_shafts_that_move(self, rig: TwinRig) -> None:
         rig.listening = False
         rig.set_parameters("param.command_timeout=0")
-        rig.up()
+        rig.enable_axes()
         rig.write("cmd.mode", [1, 1])
         rig.write("cmd.speed", [0.0, 50.0])
         rig.run(0.3)
@@ -391,7 +391,7 @@ class TestLateStart:
     @pytest.mark.parametrize(("variable", "value"), [("cmd.speed", 60.0), ("cmd.i_q", 0.3)])
     def test_a_mode_not_reported_is_taken_from_the_set_point(self, rig: TwinRig, variable: str, value: float) -> None:
         rig.listening = False
-        rig.up()
+        rig.enable_axes()
         rig.write("cmd.mode", [1, 1] if variable == "cmd.speed" else [2, 2])
         rig.run(0.1)
         rig.listening = True
@@ -402,7 +402,7 @@ class TestLateStart:
         assert pairs[-1].twin["axis1.speed"] == pytest.approx(pairs[-1].real["axis1.speed"], rel=0.1)
 
     def test_a_quick_stop_is_remembered(self, rig: TwinRig) -> None:
-        rig.up()
+        rig.enable_axes()
         rig.write("cmd.quick_stop", [1, 1])
         rig.run(0.2)
         rig.twin.resync("asked")
@@ -416,16 +416,16 @@ class TestLateStart:
 
 
 class TestReports:
-    def test_late_reports_hold_the_samples_up(self) -> None:
+    def test_samples_wait_for_late_reports(self) -> None:
         with TwinRig(real_seed=5, twin_seed=5) as rig:
-            rig.up()
-            rig.held = []
+            rig.enable_axes()
+            rig.held_reports = []
             rig.write("cmd.position", [6.0, -6.0])
             pairs = rig.run(0.04)
             assert pairs == []
-            for command in rig.held:
+            for command in rig.held_reports:
                 rig.twin.command(command)
-            rig.held = None
+            rig.held_reports = None
             pairs = rig.run(0.3)
             assert len(pairs) > 50
             assert worst_counts(pairs) == 0.0
@@ -433,25 +433,25 @@ class TestReports:
 
     def test_reports_in_the_wrong_order_and_twice(self) -> None:
         with TwinRig(real_seed=5, twin_seed=5) as rig:
-            rig.up()
-            rig.held = []
+            rig.enable_axes()
+            rig.held_reports = []
             rig.write("cmd.mode", [1, 1])
             rig.sample()
             rig.write("cmd.speed", [50.0, 50.0])
             rig.sample()
             rig.write("cmd.speed", [80.0, 20.0])
             rig.sample()
-            assert [command.variable for command in rig.held] == ["cmd.mode", "cmd.speed", "cmd.speed"]
-            for command in [*reversed(rig.held), rig.held[0]]:
+            assert [command.variable for command in rig.held_reports] == ["cmd.mode", "cmd.speed", "cmd.speed"]
+            for command in [*reversed(rig.held_reports), rig.held_reports[0]]:
                 rig.twin.command(command)
-            rig.held = None
+            rig.held_reports = None
             pairs = rig.run(0.3)
             assert worst_counts(pairs) == 0.0
             assert pairs[-1].twin["axis1.speed"] == pytest.approx(80.0, abs=2.0)
             assert rig.twin.synchronisations == 1
 
     def test_a_command_not_reported_causes_a_resynchronisation(self, rig: TwinRig) -> None:
-        rig.up()
+        rig.enable_axes()
         rig.reporting = False
         rig.write("cmd.position", [6.0, -6.0])
         rig.run(0.2)
@@ -461,9 +461,9 @@ class TestReports:
         assert rig.twin.synchronisations == 2
         follows(rig, rig.move([0.0, 0.0]))
 
-    def test_says_what_it_misses(self) -> None:
+    def test_missing_columns_are_reported(self) -> None:
         with TwinRig(settings=TwinSettings(rest=10.0)) as rig:
-            rig.up()
+            rig.enable_axes()
             rig.reporting = False
             rig.write("cmd.mode", [0, 0])
             said = []
@@ -474,7 +474,7 @@ class TestReports:
             assert rig.twin.synchronisations == 1
             assert said[-1].startswith("waiting: ")
 
-    def test_a_table_without_what_it_needs_is_refused(self, rig: TwinRig) -> None:
+    def test_table_without_required_columns_is_refused(self, rig: TwinRig) -> None:
         columns = [name for name in COLUMNS if name not in ("applied_count", "axis2.i_q")]
         with pytest.raises(ValueError, match=r"no applied_count, axis2\.i_q"):
             rig.twin.samples(columns, np.zeros((1, len(columns))))
@@ -482,17 +482,17 @@ class TestReports:
 
 class TestTrouble:
     def test_a_reset_of_the_board(self, rig: TwinRig) -> None:
-        rig.up()
+        rig.enable_axes()
         rig.move([1.0, 1.0])
         rig.reset_board(seed=9)
         rig.run(0.1)
         assert rig.twin.synchronisations == 2
-        rig.up()
+        rig.enable_axes()
         follows(rig, rig.move([2.0, -1.0]))
         assert rig.twin.synchronisations == 2
 
     def test_a_gap_in_the_telemetry(self, rig: TwinRig) -> None:
-        rig.up()
+        rig.enable_axes()
         rig.listening = False
         rig.move([1.0, 1.0], seconds=2.5)
         rig.listening = True
@@ -502,8 +502,8 @@ class TestTrouble:
         assert rig.twin.synchronisations == 2
         follows(rig, rig.move([0.0, 0.0]))
 
-    def test_a_short_gap_is_lived_through(self, rig: TwinRig) -> None:
-        rig.up()
+    def test_short_gap_causes_no_synchronisation(self, rig: TwinRig) -> None:
+        rig.enable_axes()
         rig.listening = False
         rig.run(1.0)
         rig.listening = True
@@ -511,7 +511,7 @@ class TestTrouble:
         assert rig.twin.synchronisations == 1
 
     def test_a_fault_of_the_board_alone(self, rig: TwinRig) -> None:
-        rig.up()
+        rig.enable_axes()
         rig.board.set_supply(5.0)
         rig.write("cmd.position", [30.0, -30.0])
         rig.until("FAULT")
@@ -523,11 +523,11 @@ class TestTrouble:
         assert rig.twin.labels() == ["STOP", "STOP"]
         rig.write("cmd.clear_faults", [1, 1])
         rig.run(0.1)
-        rig.up()
+        rig.enable_axes()
         follows(rig, rig.move([1.0, 1.0]))
 
-    def test_asked_to_begin_anew(self, rig: TwinRig) -> None:
-        rig.up()
+    def test_requested_synchronisation(self, rig: TwinRig) -> None:
+        rig.enable_axes()
         rig.twin.resync("asked")
         assert rig.twin.status == "asked"
         assert rig.twin.labels() == []
@@ -535,9 +535,9 @@ class TestTrouble:
         assert rig.twin.synchronisations == 2
         follows(rig, rig.move([1.0, -1.0]))
 
-    def test_what_waits_can_be_discarded(self, rig: TwinRig) -> None:
-        rig.up()
-        rig.held = []
+    def test_pending_samples_can_be_discarded(self, rig: TwinRig) -> None:
+        rig.enable_axes()
+        rig.held_reports = []
         rig.write("cmd.position", [1.0, 1.0])
         rig.run(0.03)
         assert rig.twin.newest_tick != rig.twin.tick
@@ -570,7 +570,7 @@ class TestFaults:
 
     def turning(self, rig: TwinRig) -> None:
         rig.set_parameters("param.command_timeout=0")
-        rig.up()
+        rig.enable_axes()
         rig.write("cmd.mode", [1, 1])
         rig.write("cmd.speed", [self.SPEED, -self.SPEED])
         rig.run(0.2)
@@ -580,7 +580,7 @@ class TestFaults:
         assert causes(rig.pairs) == [""]
         assert rig.twin.fault == ""
 
-    def test_one_that_the_twin_does_not_have_is_named_until_it_is_cleared(self, rig: TwinRig) -> None:
+    def test_fault_of_the_board_alone_is_reported_until_it_is_cleared(self, rig: TwinRig) -> None:
         rig.set_parameters("param.features[0]=ANTI_WINDUP+ENHANCED_MT+BUS_COMPENSATION+DEAD_TIME+ANGLE_CHECK")
         self.turning(rig)
         rig.board.inject(SlippedEncoder(0, 667))
@@ -596,13 +596,13 @@ class TestFaults:
         rig.write("cmd.clear_faults", [1, 0], 1)
         rig.sample()
         assert rig.pairs[-1].fault == ""
-        rig.up()
+        rig.enable_axes()
         assert rig.twin.synchronisations == 2
         follows(rig, rig.move([1.0, 1.0]))
 
-    def test_one_that_both_have_is_the_boards_too(self, rig: TwinRig) -> None:
+    def test_fault_of_both_is_reported_for_the_board(self, rig: TwinRig) -> None:
         rig.set_parameters("param.features=FOLLOWING_ERROR+ANTI_WINDUP,FOLLOWING_ERROR+ANTI_WINDUP", LITTLE)
-        rig.up()
+        rig.enable_axes()
         rig.move([5.0, -5.0], 1.0)
         assert rig.label(0) == rig.label(1) == "FAULT"
         assert rig.twin.labels() == ["FAULT", "FAULT"]
@@ -616,9 +616,9 @@ class TestFaults:
         assert rig.twin.labels() == ["STOP", "STOP"]
         assert rig.twin.synchronisations == 1
 
-    def test_one_that_was_there_before_the_twin_began(self, rig: TwinRig) -> None:
+    def test_fault_from_before_the_start_of_the_twin(self, rig: TwinRig) -> None:
         rig.listening = False
-        rig.up()
+        rig.enable_axes()
         rig.board.set_supply(5.0)
         rig.write("cmd.position", [30.0, -30.0])
         rig.until("FAULT")
@@ -632,7 +632,7 @@ class TestFaults:
         assert causes(pairs) == [named]
         assert rig.twin.synchronisations == 1
 
-    def test_a_host_that_falls_silent(self, rig: TwinRig) -> None:
+    def test_host_time_out_of_the_board(self, rig: TwinRig) -> None:
         """The board stops first and is in FAULT then; the twin's board does not supervise a host."""
         self.turning(rig)
         for request in KEEP_ALIVE:
@@ -651,7 +651,7 @@ class TestFaults:
         assert (rig.twin.fault, rig.twin.status) == ("", "")
 
     def test_an_enable_that_the_board_does_not_take_does_not_start_the_twin(self, rig: TwinRig) -> None:
-        rig.up()
+        rig.enable_axes()
         rig.board.set_supply(5.0)
         rig.write("cmd.position", [30.0, -30.0])
         rig.until("FAULT")
@@ -664,11 +664,11 @@ class TestFaults:
         assert rig.twin.synchronisations == 2
         rig.write("cmd.clear_faults", [1, 1])
         rig.run(0.02)
-        rig.up()
+        rig.enable_axes()
         follows(rig, rig.move([1.0, 1.0]))
         assert rig.twin.synchronisations == 2
 
-    def test_one_that_only_the_twin_has_does_not_pass_for_agreement(self, rig: TwinRig) -> None:
+    def test_fault_of_the_twin_alone_is_not_agreement(self, rig: TwinRig) -> None:
         boards: list[Board] = []
 
         def new_board() -> Board:
@@ -689,7 +689,7 @@ class TestFaults:
 class TestExpiry:
     """A board that stops because its set-point was not written again; here only its samples say so."""
 
-    def test_lets_the_axis_come_to_rest_where_it_does(self, rig: TwinRig) -> None:
+    def test_expired_set_point_stops_the_twin_like_the_board(self, rig: TwinRig) -> None:
         bit = CATALOGUE.flag("limits", "EXPIRED").mask
         expired = False
         original = rig.twin.samples
@@ -699,7 +699,7 @@ class TestExpiry:
             original(columns, table)
 
         rig.twin.samples = saying  # type: ignore[method-assign, assignment]
-        rig.up()
+        rig.enable_axes()
         rig.write("cmd.mode", [1, 1])
         rig.write("cmd.speed", [40.0, 40.0])
         assert {pair.stopping for pair in rig.run(0.2)} == {(False, False)}
@@ -720,7 +720,7 @@ class TestLongUp:
     def test_ticks_beyond_32_bits(self) -> None:
         with TwinRig(tick_base=1 << 32) as rig:
             rig.run(0.3)
-            rig.up()
+            rig.enable_axes()
             pairs = rig.move([3.0, -3.0])
             follows(rig, pairs)
             assert pairs[-1].tick > 1 << 32
@@ -728,7 +728,7 @@ class TestLongUp:
     def test_positions_that_have_wrapped(self, rig: TwinRig) -> None:
         """The host counts on past 32 bits, the board does not; commands are the board's."""
         rig.listening = False
-        rig.up()
+        rig.enable_axes()
         rig.listening = True
         frame = (1 << 32) * COUNT
         original = rig.twin.samples
@@ -745,7 +745,7 @@ class TestLongUp:
         assert pairs[-1].twin["axis1.position"] == pytest.approx(frame + 4 * math.pi, abs=CLOSE * COUNT)
 
 
-def test_torque_constants_outlast_the_board_that_named_them(rig: TwinRig) -> None:
+def test_torque_constants_are_kept_after_a_new_board(rig: TwinRig) -> None:
     assert rig.twin.torque_constants == []
     rig.run(0.1)
     expected = [axis.torque_constant for axis in PlantConfig.load().axes]
@@ -754,7 +754,7 @@ def test_torque_constants_outlast_the_board_that_named_them(rig: TwinRig) -> Non
     assert len(rig.twin.torque_constants) == 2
 
 
-def test_a_twin_that_finds_no_rotor_costs_little_and_is_said() -> None:
+def test_failed_rotor_search_of_the_twin_is_reported() -> None:
     stuck = PlantConfig.load()
     stuck = stuck.with_axis(0, friction=10.0)
     boards: list[Board] = []
@@ -765,7 +765,7 @@ def test_a_twin_that_finds_no_rotor_costs_little_and_is_said() -> None:
 
     with TwinRig() as rig:
         rig.twin = Twin(new_board)
-        rig.up()
+        rig.enable_axes()
         pairs = rig.run(1.0)
         assert apart(pairs) == ["axis1 is RUN/SPIN, its twin FAULT"]
         # It tries again, not with every sample but each time that it has waited for agreement.
@@ -773,8 +773,8 @@ def test_a_twin_that_finds_no_rotor_costs_little_and_is_said() -> None:
         assert rig.twin.simulated_ticks * PERIOD_NS * 1e-9 < 2.0
 
 
-def test_what_was_written_during_a_gap_is_not_taken_for_known(rig: TwinRig) -> None:
-    rig.up()
+def test_commands_during_a_gap_are_unknown(rig: TwinRig) -> None:
+    rig.enable_axes()
     rig.listening = False
     rig.write("cmd.mode", [1, 1])
     rig.run(2.5)
@@ -786,8 +786,8 @@ def test_what_was_written_during_a_gap_is_not_taken_for_known(rig: TwinRig) -> N
     assert pairs[-1].twin["axis1.speed"] == pytest.approx(50.0, abs=2.0)
 
 
-def test_what_was_discarded_is_still_remembered(rig: TwinRig) -> None:
-    rig.up()
+def test_discarded_commands_are_remembered(rig: TwinRig) -> None:
+    rig.enable_axes()
     step = rig.twin.step
     rig.twin.step = lambda maximum=64: []  # type: ignore[method-assign]
     rig.write("cmd.mode", [1, 1])
@@ -800,18 +800,18 @@ def test_what_was_discarded_is_still_remembered(rig: TwinRig) -> None:
     assert pairs[-1].twin["axis1.speed"] == pytest.approx(50.0, abs=2.0)
 
 
-def test_a_report_that_comes_too_late_to_be_replayed_is_still_known(rig: TwinRig) -> None:
+def test_report_too_late_for_replay_is_remembered(rig: TwinRig) -> None:
     rig.listening = False
-    rig.up()
-    rig.held = []
+    rig.enable_axes()
+    rig.held_reports = []
     rig.write("cmd.mode", [1, 1])
     rig.run(0.1)
     rig.listening = True
     rig.run(0.2)
-    for command in rig.held:
+    for command in rig.held_reports:
         rig.twin.command(command)
-    rig.held = None
-    rig.write("cmd.i_q", [0.5, 0.5])  # would tell the mode if it were not known, and is not obeyed in speed mode
+    rig.held_reports = None
+    rig.write("cmd.i_q", [0.5, 0.5])  # would show the mode if it were unknown; ignored in speed mode
     pairs = rig.run(0.2)
     assert pairs
     assert abs(pairs[-1].real["axis1.speed"]) < 1.0
@@ -819,13 +819,13 @@ def test_a_report_that_comes_too_late_to_be_replayed_is_still_known(rig: TwinRig
 
 
 @pytest.mark.parametrize("variable", ["cmd.quick_stop", "cmd.enable"])
-def test_after_a_stop_the_twin_is_where_the_board_is(variable: str) -> None:
+def test_positions_agree_after_a_stop(variable: str) -> None:
     """Each ramps down from the speed that it measures; with the larger inertia the two measure differently."""
     plant = PlantConfig.load()
     for n, axis in enumerate(plant.axes):
         plant = plant.with_axis(n, inertia=1.4 * axis.inertia)
     with TwinRig(plant=plant) as rig:
-        rig.up()
+        rig.enable_axes()
         rig.move([0.0, 0.0], 0.3)
         rig.move([10.0, -10.0], 0.2)
         rig.write(variable, [float(variable == "cmd.quick_stop")] * 2)
@@ -847,7 +847,7 @@ def test_after_a_stop_the_twin_is_where_the_board_is(variable: str) -> None:
 
 
 def test_enabling_forgets_a_quick_stop(rig: TwinRig) -> None:
-    rig.up()
+    rig.enable_axes()
     rig.write("cmd.quick_stop", [1, 1])
     rig.run(0.1)
     rig.write("cmd.enable", [1, 1])
@@ -857,7 +857,7 @@ def test_enabling_forgets_a_quick_stop(rig: TwinRig) -> None:
     follows(rig, rig.move([2.0, 2.0]))
 
 
-def test_rest_is_judged_anew_after_a_reset() -> None:
+def test_standstill_is_evaluated_again_after_a_reset() -> None:
     with TwinRig(settings=TwinSettings(from_reset=0.0)) as rig:
         rig.run(1.0)
         assert rig.twin.synchronisations == 1
@@ -869,8 +869,8 @@ def test_rest_is_judged_anew_after_a_reset() -> None:
         follows(rig, rig.run(0.1))
 
 
-def test_a_gap_does_not_count_as_rest(rig: TwinRig) -> None:
-    rig.up()
+def test_gap_does_not_count_as_standstill(rig: TwinRig) -> None:
+    rig.enable_axes()
     rig.write("cmd.mode", [1, 1])
     rig.write("cmd.speed", [0.05, 0.05])  # so slow that two samples far apart could be at the same place by chance
     rig.listening = False
@@ -887,11 +887,11 @@ def celsius(replica: Replica, axis: int) -> float:
     return replica.raw[f"axis{axis + 1}.winding_temperature"] * CATALOGUE["axis1.winding_temperature"].lsb
 
 
-def test_a_twin_that_begins_in_the_middle_is_as_hot_as_the_board(rig: TwinRig) -> None:
+def test_twin_started_later_has_the_temperature_of_the_board(rig: TwinRig) -> None:
     """A cold one would not hold its current back where the board does."""
     rig.listening = False
-    rig.set_parameters("param.features[0]=ANTI_WINDUP+ENHANCED_MT+DEAD_TIME+WINDING_MODEL", tell=False)
-    rig.up()
+    rig.set_parameters("param.features[0]=ANTI_WINDUP+ENHANCED_MT+DEAD_TIME+WINDING_MODEL", report=False)
+    rig.enable_axes()
     rig.board.set_winding(0, 126.0)
     rig.board.set_winding(1, 70.0)
     rig.run(0.1)
@@ -912,11 +912,11 @@ def test_a_twin_that_begins_in_the_middle_is_as_hot_as_the_board(rig: TwinRig) -
     assert twin == pytest.approx(real, abs=0.1)
 
 
-def test_what_the_board_forgets_in_a_reset_its_twin_forgets_too(rig: TwinRig) -> None:
+def test_twin_resets_with_the_board(rig: TwinRig) -> None:
     rig.run(0.2)
     rig.twin.windings([30.0, 30.0])
     rig.reset_board()
-    rig.up()
+    rig.enable_axes()
     replica = rig.twin._replica
     assert replica is not None
     assert celsius(replica, 0) == pytest.approx(celsius(rig.real, 0), abs=1.0)

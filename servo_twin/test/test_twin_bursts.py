@@ -34,7 +34,7 @@ def rig() -> Iterator[TwinRig]:
 
 
 def begin(rig: TwinRig, setup: RecorderSetup) -> None:
-    """Set the recorder of the real board up, and tell the twin before it starts."""
+    """Set the recorder of the real board up, and report the twin before it starts."""
     rig.twin.recorder(setup)
     elements = [(CATALOGUE.variables[name], 0) for name in setup.names]
     rig.board.sample(setup.recorder, elements, setup.points)
@@ -78,7 +78,7 @@ def recorded(rig: TwinRig, setup: RecorderSetup, turns: tuple[float, float] = (2
 @pytest.mark.parametrize("setup", [FAST, replace(FAST, period_ns=4 * PERIOD_NS), SLOW])
 def test_of_boards_that_differ_in_nothing_the_residual_is_exactly_zero(setup: RecorderSetup) -> None:
     with TwinRig(real_seed=7, twin_seed=7) as rig:
-        rig.up()
+        rig.enable_axes()
         burst = recorded(rig, setup)
         assert burst.note == ""
         assert burst.label == "a burst"
@@ -93,7 +93,7 @@ def test_of_boards_that_differ_in_nothing_the_residual_is_exactly_zero(setup: Re
 def test_of_another_plant_it_is_the_difference() -> None:
     plant = PlantConfig.load()
     with TwinRig(real_seed=7, twin_seed=7, plant=plant.with_axis(0, r_s=2.0 * plant.axes[0].r_s)) as rig:
-        rig.up()
+        rig.enable_axes()
         burst = recorded(rig, FAST)
         width = len(FAST.names)
         assert burst.note == ""
@@ -106,7 +106,7 @@ def test_of_another_plant_it_is_the_difference() -> None:
 
 def test_a_twin_synchronised_later_has_the_ticks_and_positions_of_the_board() -> None:
     with TwinRig(real_seed=7, twin_seed=8, tick_base=3 << 32) as rig:
-        rig.up()
+        rig.enable_axes()
         rig.move([1.25, -2.5])
         rig.twin.resync("test")
         rig.run(0.5)
@@ -193,7 +193,7 @@ def test_samples_before_a_resynchronisation_are_not_available(rig: TwinRig) -> N
 
 def test_no_residual_while_the_boards_are_not_comparable() -> None:
     with TwinRig(real_seed=7, twin_seed=7) as rig:
-        rig.up()
+        rig.enable_axes()
         begin(rig, replace(FAST, points=4000))
         rig.run(0.1)
         rig.board.inject(HotPowerStage(0, 200.0))

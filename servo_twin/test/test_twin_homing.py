@@ -31,7 +31,7 @@ def stopped(seed: int, away: float) -> PlantConfig:
 def test_a_set_position_is_set_on_both_boards(held: bool, method: int) -> None:
     with TwinRig() as rig:
         if held:
-            rig.up()
+            rig.enable_axes()
         else:
             rig.run(0.2)
         rig.write("cmd.home_position", [100.0, -2000.0])
@@ -41,7 +41,7 @@ def test_a_set_position_is_set_on_both_boards(held: bool, method: int) -> None:
         assert pairs[-1].real["axis1.position"] == pytest.approx(100.0, abs=2e-3)
         assert pairs[-1].twin["axis1.home_state"] == pairs[-1].real["axis1.home_state"] != 0
         if not held:
-            rig.up()
+            rig.enable_axes()
         rig.write("cmd.position", [104.0, -2003.0])
         pairs += rig.run(0.8)
         assert worst_counts(pairs) <= (8 if held else 60), "a rotor search moves the shafts differently"
@@ -52,7 +52,7 @@ def test_a_set_position_is_set_on_both_boards(held: bool, method: int) -> None:
 
 def test_a_homed_axis_is_taken_over() -> None:
     with TwinRig(plant=stopped(1, 1.0)) as rig:
-        rig.up()
+        rig.enable_axes()
         rig.write("cmd.home_position", [10.0, 0.0])
         rig.run(0.01)
         rig.write("cmd.home", [STOP, 0], mask=1)
@@ -73,7 +73,7 @@ def test_a_homed_axis_is_taken_over() -> None:
 
 def test_a_twin_that_begins_in_the_middle_knows_what_a_position_is_worth() -> None:
     with TwinRig() as rig:
-        rig.up()
+        rig.enable_axes()
         rig.write("cmd.home_position", [1.0, 2.0])
         rig.run(0.01)
         rig.write("cmd.home", [HERE, HERE])

@@ -193,7 +193,7 @@ def test_says_that_it_waits(rig: Rig) -> None:
 
 
 def test_follows_and_publishes_the_boards_topics(rig: Rig) -> None:
-    rig.board.up()
+    rig.board.enable_axes()
     rig.board.move([2.0, -1.0])
     rig.caught_up()
     joints, rows = rig.messages["/twin/joint_states"], rig.rows()
@@ -218,7 +218,7 @@ def test_follows_and_publishes_the_boards_topics(rig: Rig) -> None:
 def test_joints_residuals_and_state_are_those_of_the_description() -> None:
     joints = [Joint("lift", 50.0, -1, 0.3), Joint("pan", 2.0)]
     with Rig(joints=joints) as rig:
-        rig.board.up()
+        rig.board.enable_axes()
         rig.board.move([2.0, -1.0])
         rig.caught_up()
         rig.until(lambda: len(rig.messages["/twin/joint_states"]) == len(rig.rows()))
@@ -256,7 +256,7 @@ def test_without_a_description_nothing_is_compared_in_unknown_units() -> None:
 
 
 def test_residuals_are_stamped_with_the_real_sample_and_left_out_while_searching(rig: Rig) -> None:
-    rig.board.up()
+    rig.board.enable_axes()
     rig.board.move([2.0, -1.0])
     rig.caught_up()
     newest = rig.rows()[-1]["tick"]
@@ -287,7 +287,7 @@ def test_a_board_in_fault_makes_it_unhealthy_until_the_fault_is_cleared(
 ) -> None:
     """ANGLE_MISMATCH: nothing is there for the twin's encoder to slip on."""
     rig.board.set_parameters("param.features[0]=ANTI_WINDUP+ENHANCED_MT+BUS_COMPENSATION+DEAD_TIME+ANGLE_CHECK")
-    rig.board.up()
+    rig.board.enable_axes()
     rig.board.write("cmd.mode", [1, 1])
     rig.board.write("cmd.speed", [60.0, 0.0])
     rig.board.run(0.7)
@@ -330,7 +330,7 @@ def test_tolerances_are_parameters() -> None:
     with Rig(position_tolerance=1e-4, unhealthy_after=0.0, healthy_after=0.0) as rig:
         rig.board.run(0.1)
         rig.until(lambda: rig.last("/twin/healthy"))
-        rig.board.up()
+        rig.board.enable_axes()
         rig.board.move([5.0, -5.0])
         rig.caught_up()
         healths = [m.data for m in rig.messages["/twin/healthy"]]
@@ -387,7 +387,7 @@ def test_has_the_parameters_of_the_board(rig: Rig) -> None:
     rig.board.set_parameters(*OTHERS)
     rig.board.run(0.7)
     rig.until(lambda: rig.last("/twin/healthy"))
-    rig.board.up()
+    rig.board.enable_axes()
     known = len(rig.messages["/twin/residual"])
     rig.board.move([5.0, -5.0])
     rig.caught_up()
@@ -411,8 +411,8 @@ def test_has_the_configuration_that_the_bridge_reads_from_the_board(
 
 
 def test_names_unknown_parameters_when_the_boards_differ(rig: Rig) -> None:
-    rig.board.set_parameters(*OTHERS, tell=False)
-    rig.board.up()
+    rig.board.set_parameters(*OTHERS, report=False)
+    rig.board.enable_axes()
     rig.board.run(0.7)
     rig.until(lambda: rig.last("/twin/healthy"))
     rig.board.move([5.0, -5.0], 0.4)

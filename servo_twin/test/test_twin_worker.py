@@ -74,7 +74,7 @@ def line() -> Iterator[Line]:
 
 def test_what_goes_in_comes_out_in_order_and_exact(line: Line) -> None:
     line.worker.start()
-    line.rig.up()
+    line.rig.enable_axes()
     line.rig.move([2.0, -2.0], seconds=0.3)
     last = line.rig.real.tick
     line.recorder.wait_for(lambda: line.recorder.pairs and line.recorder.pairs[-1].tick == last)

@@ -1,4 +1,4 @@
-"""A virtual board in the part of the real one, with a twin that hears of it what the bridge would tell. For tests."""
+"""Test rig: a virtual board in place of the real one, and a twin that receives the messages of the bridge."""
 
 from __future__ import annotations
 
@@ -32,29 +32,20 @@ EVERY = 96  # ticks between two samples: 6 ms, as at 115200 baud
 
 
 class TwinRig:
-    """Runs the real board and feeds the twin.
+    """Runs the real board and passes its samples and commands to the twin.
 
     Parameters
     ----------
     real_seed, twin_seed : int
-        Of both boards.
+        Seeds of both boards.
     every : int
         Ticks between two samples.
     plant : PlantConfig, optional
-        Of the real board, where it differs from the twin's model.
+        Plant of the real board, if it differs from the model of the twin.
     settings : TwinSettings, optional
-        Of the twin.
+        Settings of the twin.
     tick_base : int
-        Added to the ticks that the twin hears of, a multiple of 2^32: the board has been up for days.
-
-    Attributes
-    ----------
-    reporting, listening : bool
-        Whether applied commands are reported; whether anything at all reaches the twin.
-    tick_base : int
-        As above.
-    held : list or None
-        If a list, reports of applied commands are kept there instead of going to the twin.
+        Multiple of 2^32 that is added to the ticks for the twin, as of a board in operation for days.
     """
 
     def __init__(
@@ -72,8 +63,11 @@ class TwinRig:
         self.real = Replica(self.board)
         self.twin = Twin(lambda: Board(seed=twin_seed), settings)
         self.pairs: list[Pair] = []
-        self.reporting = self.listening = True
-        self.held: list[AppliedCommand] | None = None
+        self.reporting = True  # applied commands are reported to the twin
+        self.listening = True  # samples and commands are passed to the twin
+        self.held_reports: list[AppliedCommand] | None = (
+            None  # collects reports of applied commands; None: passed to the twin
+        )
         self.tick_base = tick_base
         self._written: list[tuple[str, tuple[int, ...], int]] = []
 
@@ -85,7 +79,7 @@ class TwinRig:
         self.real.close()
 
     def reset_board(self, seed: int = 1) -> None:
-        """Switch the real board off and on; its data flash keeps what is in it."""
+        """Switch the real board off and on with its data flash."""
         flash = self.board.cut_power()
         self.real.close()
         self.board = Board(seed=seed, flash=flash)
@@ -104,7 +98,7 @@ class TwinRig:
         self._written.append(("cmd.points", words, axes_of_points(words)))
 
     def tune(self, blocks: Mapping[int, Mapping[str, int]]) -> None:
-        """Let the real board take configuration blocks; their effect is reported with the next sample."""
+        """Write configuration blocks to the real board; their effect is reported with the next sample."""
         mask = sum(1 << axis for axis in blocks)
         for axis, block in blocks.items():
             send_block(self.real, axis, block)
@@ -112,24 +106,24 @@ class TwinRig:
         words = [word for axis in sorted(blocks) for word in AxisConfigTable.load().words(blocks[axis])]
         self._written.append(("config.take", tuple(words), mask))
 
-    def set_parameters(self, *texts: str, tell: bool = True) -> None:
-        """Set parameters of the real board, written as ``NAME=VALUE``, and tell the twin of all it has."""
+    def set_parameters(self, *texts: str, report: bool = True) -> None:
+        """Set parameters of the real board, as ``NAME=VALUE``, and report all its parameters to the twin."""
         present = {v.name: self.board.read_raw(v.name) for v in parameters(CATALOGUE)}
         for name, raw in applied([parse(text, CATALOGUE) for text in texts], present).items():
             self.board.write_raw(name, raw)
             present[name] = raw
-        if tell:
+        if report:
             self.twin.parameters(present)
 
     def run(self, seconds: float) -> list[Pair]:
-        """Run the real board with samples; returns what the twin made of them."""
+        """Run the real board with samples; return the pairs of the twin."""
         before = len(self.pairs)
         for _ in range(round(seconds * 1e9 / PERIOD_NS / self.every)):
             self.sample()
         return self.pairs[before:]
 
     def sample(self) -> None:
-        """Run the real board to its next sample and hand that to the twin."""
+        """Run the real board to its next sample and pass it to the twin."""
         self.real.run_to(self.real.tick + self.every)
         for variable, raw, mask in self._written:
             self._report(AppliedCommand(variable, self.tick_base + self.real.raw["applied_tick"], raw, mask))
@@ -143,8 +137,8 @@ class TwinRig:
             self.pairs.extend(self.twin.step())
 
     def _report(self, command: AppliedCommand) -> None:
-        if self.held is not None:
-            self.held.append(command)
+        if self.held_reports is not None:
+            self.held_reports.append(command)
         elif self.reporting and self.listening:
             self.twin.command(command)
 
@@ -160,21 +154,21 @@ class TwinRig:
         prefix = f"axis{axis + 1}"
         return state_label(CATALOGUE, self.real.raw[f"{prefix}.state"], self.real.raw[f"{prefix}.substate"])
 
-    def up(self) -> None:
-        """Both axes under control for 0.15 s."""
+    def enable_axes(self) -> None:
+        """Enable both axes and wait until they have been in SPIN for 0.15 s."""
         self.run(0.1)
         self.write("cmd.enable", [1, 1])
         self.until("RUN/SPIN")
         self.run(0.15)
 
     def move(self, turns: Sequence[float], seconds: float = 0.6, mask: int = 3) -> list[Pair]:
-        """Move to positions in turns from where the real board has its zero."""
+        """Move to positions in turns from the zero of the real board."""
         self.write("cmd.position", [2.0 * math.pi * x for x in turns], mask)
         return self.run(seconds)
 
 
 def worst(pairs: Sequence[Pair], name: str) -> float:
-    """Largest difference of a variable over pairs, of which there have to be some."""
+    """Largest difference of a variable over pairs; fails without pairs."""
     return max(abs(pair.real[name] - pair.twin[name]) for pair in pairs)
 
 
@@ -184,5 +178,5 @@ def worst_counts(pairs: Sequence[Pair]) -> float:
 
 
 def apart(pairs: Sequence[Pair]) -> list[str]:
-    """What kept the boards from being compared, each text once."""
+    """Reasons why the boards were not comparable, each once."""
     return list(dict.fromkeys(pair.difference for pair in pairs if pair.difference))

@@ -1,4 +1,4 @@
-"""Telemetry of two shafts that move from rest to rest, as the bridge and the twin publish it. For tests."""
+"""Telemetry of a move of both shafts, in the format of bridge and twin. For tests."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ def stamp(tick: int, start_ns: int = START_NS) -> int:
 def move(
     first: int = 0, samples: int = 1000, *, lag: float = 0.0, error: float = 0.0, start_ns: int = START_NS
 ) -> NDArray[np.float64]:
-    """Rows of `COLUMNS`: both axes go smoothly there, axis 1 by 5 turns and axis 2 by -2, within 2 s from 1 s on.
+    """Rows of `COLUMNS`: a smooth move of 5 turns of axis 1 and -2 turns of axis 2, from 1 s to 3 s.
 
     Parameters
     ----------
     first : int
         Tick of the first row.
     samples : int
-        Rows.
+        Number of rows.
     lag : float
-        Of the measured behind the set-point [s].
+        Lag of the measured values behind the set-points [s].
     error : float
-        Of the measured position, added [rad].
+        Offset of the measured positions [rad].
     start_ns : int
         ROS time of tick 0 [ns].
     """
@@ -56,17 +56,17 @@ def move(
             return np.clip((times - late - 1.0) / 2.0, 0.0, 1.0)
 
         amplitude = 2.0 * np.pi * turns
-        place = [amplitude * (3 * phase(late) ** 2 - 2 * phase(late) ** 3) for late in (lag, 0.0)]
+        position = [amplitude * (3 * phase(late) ** 2 - 2 * phase(late) ** 3) for late in (lag, 0.0)]
         speed = [amplitude * 3.0 * (phase(late) - phase(late) ** 2) for late in (lag, 0.0)]
         current = [np.full(samples, 0.1 * turns), np.full(samples, 0.12 * turns)]
         words = [np.where(times < 0.5, stop, spin) for stop, spin in zip(STOP, SPIN, strict=True)]
-        parts.append(np.column_stack([place[0] + error, place[1], *speed, *current, *words, np.zeros(samples)]))
+        parts.append(np.column_stack([position[0] + error, position[1], *speed, *current, *words, np.zeros(samples)]))
     stamps = [divmod(stamp(int(tick), start_ns), 1_000_000_000) for tick in ticks]
     return np.column_stack([*parts, np.array(stamps, dtype=np.float64)])
 
 
 def points(first_tick: int, last_tick: int, *, replaces: bool) -> AppliedCommand:
-    """Points of both axes at two ticks, as the board took them."""
+    """Applied points of both axes at two ticks."""
     chosen = [
         TimedPoint(axis, tick, 0.0, 0.0, replaces=replaces and tick == first_tick)
         for tick in (first_tick, last_tick)
@@ -76,7 +76,7 @@ def points(first_tick: int, last_tick: int, *, replaces: bool) -> AppliedCommand
 
 
 def verify(path: Path) -> subprocess.CompletedProcess[str]:
-    """What ``rerun rrd verify`` says of a file."""
+    """Result of ``rerun rrd verify`` for a file."""
     beside = Path(sys.executable).with_name("rerun")
     command = str(beside) if beside.exists() else shutil.which("rerun")
     assert command

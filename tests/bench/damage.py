@@ -1,8 +1,7 @@
-"""A client and the server of the firmware on a line that damages bytes in both directions: ``make bench-damage``.
+"""Client and server of the firmware on a line that damages bytes in both directions: ``make bench-damage``.
 
-One byte of a frame is changed or lost. Nothing may be written that was not meant, and nothing may be read that is not
-there: a variable holds the value written last, or one whose write failed since. No byte is put in: CRC-8 lets one of
-256 of such frames pass.
+One byte of a frame is changed or lost. No wrong value may be written or read: a variable has the value of the last
+successful write, or of a later write that failed. No byte is inserted: CRC-8 would accept one of 256 such frames.
 """
 
 from __future__ import annotations
@@ -28,35 +27,25 @@ from servo_bridge.freemaster.errors import FreemasterError  # noqa: E402
 VARIABLES: Final = tuple(
     entry for entry in ENTRIES if entry.name in ("M.var_u16", "M.var_i32", "M.ramp", "M.word0", "M.pair")
 )
-"""What is written; no other byte of the memory may change."""
+"""Written variables; no other byte of the memory may change."""
 
 FRAMES: Final = 1_000_000
-SHARE: Final = 0.33
+DAMAGED_FRACTION: Final = 0.33
 
 
 @dataclass
 class Report:
-    """What a damaging line has done.
+    """Counts of a run on a line with damage."""
 
-    Attributes
-    ----------
-    damaged : int
-        Frames of which one byte was damaged.
-    exchanges, failed : int
-        Requests of the user, and those of them that ended in an error after all retries.
-    wrong_writes, wrong_reads : int
-        Words that hold, or were read as, something that was not meant.
-    """
-
-    damaged: int = 0
-    exchanges: int = 0
-    failed: int = 0
-    wrong_writes: int = 0
-    wrong_reads: int = 0
+    damaged: int = 0  # damaged frames
+    exchanges: int = 0  # requests of the user
+    failed: int = 0  # requests that failed after all retries
+    wrong_writes: int = 0  # variables with a wrong value in the memory
+    wrong_reads: int = 0  # variables that were read with a wrong value
 
 
 def new_server(folder: Path) -> Board:
-    """The server of the firmware with the memory of the product."""
+    """Server of the firmware with the memory layout of the product."""
     table = folder / "table.c"
     table.write_text(SERVO.c_source(), encoding="ascii")
     sources: list[str | Path] = [*COMM_SOURCES, "test/freemaster_harness.c", table]
@@ -64,8 +53,8 @@ def new_server(folder: Path) -> Board:
     return Board(ffi, lib, SERVO)
 
 
-def run(board: Board, frames: int, seed: int = 1, share: float = SHARE) -> Report:
-    """Write, read and watch variables until that many frames have been damaged."""
+def run(board: Board, frames: int, seed: int = 1, damaged_fraction: float = DAMAGED_FRACTION) -> Report:
+    """Write, read and sample variables until `frames` frames have been damaged."""
     line = LossyLine(board.send, seed=seed)
     client = client_on(line)
     client.identify()
@@ -73,7 +62,7 @@ def run(board: Board, frames: int, seed: int = 1, share: float = SHARE) -> Repor
     memory = board.memory()
     allowed = {entry: {memory[entry.at : entry.at + entry.size]} for entry in VARIABLES}
     scope = client.set_scope([ScopeSlot(base + entry.at, entry.size) for entry in VARIABLES])
-    line.damage = share
+    line.damage = damaged_fraction
     while line.damaged < frames:
         entry = random.choice(VARIABLES)
         report.exchanges += 1
@@ -88,15 +77,15 @@ def run(board: Board, frames: int, seed: int = 1, share: float = SHARE) -> Repor
                     report.wrong_reads += client.read_memory(base + entry.at, entry.size) not in allowed[entry]
                 case 2:
                     data = client.exchange(scope).data
-                    for watched in VARIABLES:
-                        report.wrong_reads += data[: watched.size] not in allowed[watched]
-                        data = data[watched.size :]
+                    for variable in VARIABLES:
+                        report.wrong_reads += data[: variable.size] not in allowed[variable]
+                        data = data[variable.size :]
         except FreemasterError:
             report.failed += 1
         found = board.memory()
-        for watched in VARIABLES:
-            part = slice(watched.at, watched.at + watched.size)
-            report.wrong_writes += found[part] not in allowed[watched]
+        for variable in VARIABLES:
+            part = slice(variable.at, variable.at + variable.size)
+            report.wrong_writes += found[part] not in allowed[variable]
             found = found[: part.start] + memory[part] + found[part.stop :]
         report.wrong_writes += found != memory
         line.requests.clear()
@@ -106,7 +95,7 @@ def run(board: Board, frames: int, seed: int = 1, share: float = SHARE) -> Repor
 
 
 def main() -> int:
-    """Run the command line; exit status 1 when something was written or read that was not meant."""
+    """Run the command line; exit status 1 if a wrong value was written or read."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--frames", type=int, default=FRAMES, help="damaged frames (default: %(default)d)")
     parser.add_argument("--seed", type=int, default=1)
@@ -115,7 +104,7 @@ def main() -> int:
         report = run(new_server(Path(folder)), arguments.frames, arguments.seed)
     print(
         f"{report.damaged} damaged frames, {report.exchanges} requests: {report.failed} failed after all retries, "
-        f"{report.wrong_writes} words written and {report.wrong_reads} read that were not meant"
+        f"{report.wrong_writes} wrong values written and {report.wrong_reads} read"
     )
     return int(report.wrong_writes + report.wrong_reads > 0)
 

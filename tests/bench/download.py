@@ -1,7 +1,7 @@
-"""Download of the recorder's samples against the time of their bytes on the wire: ``make bench``.
+"""Duration of a download of recorder samples, relative to the wire time of its bytes: ``make bench``.
 
-A virtual board as a process, and the link of the bridge with its telemetry. The time on the wire is that of all bytes
-in both directions, telemetry included: what is above it is spent waiting for board, computer and adapters.
+A virtual board as a process, and the link of the bridge with telemetry. The wire time is that of all bytes in both
+directions, including telemetry; the remaining time is waiting for board, computer and adapters.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ RUNS: Final = 3
 
 
 def wire_bytes(session: Session) -> int:
-    """Bytes in both directions so far."""
+    """Transferred bytes, both directions."""
     counters = session.client.line.statistics
     return counters.bytes_in + counters.bytes_out
 
 
 def measure(baud: int) -> dict[str, Any]:
-    """Figures of one line speed: the best of some downloads, for the machine may be busy."""
+    """Figures of one line speed: the best of several downloads, as other load disturbs."""
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         return best_of(Chain(Path(folder), baud))
 
 
 def best_of(chain: Chain) -> dict[str, Any]:
-    """The best download of some from the board of a chain."""
+    """Best of several downloads from the board of a chain."""
     samples: list[float] = []
     catalogue = Catalogue.load()
     link = Link(
@@ -68,7 +68,7 @@ def best_of(chain: Chain) -> dict[str, Any]:
 
 
 def download(link: Link, catalogue: Catalogue, samples: list[float], baud: int, usual: float) -> dict[str, Any]:
-    """Fill the memory of a recorder and read it beside the telemetry."""
+    """Fill the memory of a recorder and read it during telemetry."""
     recording = Recording(BurstRequest(NAMES), catalogue, piece_size(link.layout.size, baud))
     while recording.phase is not Phase.READING:
         link.call(recording.step).result(10.0)

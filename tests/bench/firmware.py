@@ -1,6 +1,6 @@
-"""What the firmware costs on a Cortex-M3: ``make bench-firmware``.
+"""Cost of the firmware on a Cortex-M3: ``make bench-firmware``.
 
-Prints the table, says how it differs from the committed one, and writes the numbers as JSON.
+Prints the table and its difference from the committed one, and writes the numbers as JSON.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ TABLE: Final = Path(__file__).with_name("firmware_cost.md")
 
 
 def difference(new: str) -> list[str]:
-    """Lines by which a table differs from the committed one."""
+    """Difference of a table from the committed one, as lines."""
     old = TABLE.read_text(encoding="utf-8") if TABLE.exists() else ""
     return list(difflib.unified_diff(old.splitlines(), new.splitlines(), "committed", "measured", n=0, lineterm=""))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Return 0 unless something could not be measured; a difference is for its reader to judge."""
+    """Return 0 if everything was measured; a difference from the committed table is no error."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path, default=ROOT / "out" / "bench" / "firmware.json", metavar="FILE")
     parser.add_argument(
@@ -56,11 +56,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.update:
         TABLE.write_text(text, encoding="utf-8")
         WEIGHTS.write_text(weights_text(measurement.weights), encoding="utf-8")
-    _tell(text)
+    _print_status(text)
     return 0
 
 
-def _tell(text: str) -> None:
+def _print_status(text: str) -> None:
     committed = compiler_of(TABLE.read_text(encoding="utf-8")) if TABLE.exists() else ""
     if committed != compiler_of(text):
         print(f"The committed table was made with {committed or 'nothing'}.")

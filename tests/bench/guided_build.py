@@ -1,7 +1,7 @@
-"""Compile the virtual board guided by a profile of itself: faster until a source changes, the same but for last bits.
+"""Profile-guided build of the virtual board: faster until a source changes; results differ in the last bits only.
 
-The newest clang from 19 on that can link a profile compiles (10 % faster than gcc 12), else gcc. The compiler is that
-of the environment if ``CC`` is set. ``SERVO_TWIN_FLAGS`` are the flags of the ordinary build.
+The compiler is the newest clang >= 19 that can link a profile (10 % faster than gcc 12), else gcc, or ``CC`` of the
+environment if set. ``SERVO_TWIN_FLAGS`` are the flags of the normal build.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ PACKAGE: Final = Path(__file__).resolve().parents[2] / "servo_twin"
 CLANG_VERSIONS: Final = (22, 21, 20, 19)
 LEVELS: Final = ("ideal", "registers")
 
-# Vector code is slower here. Of the sources, Valgrind reads only the older debug format of such a clang.
+# Vector code is slower here. Valgrind reads only the older debug format of such a clang.
 _CLANG: Final = [
     "-O3",
     "-gdwarf-4",
@@ -28,34 +28,26 @@ _CLANG: Final = [
     "-fuse-ld=lld",
     "-Wno-unused-command-line-argument",
 ]
-# With gcc the use of a profile turns vector code on again, so it is switched off here too.
+# With gcc the use of a profile enables vector code again, so it is disabled here too.
 _GCC: Final = [
     "-fprofile-partial-training",
     "-Wno-missing-profile",
     "-fno-tree-loop-vectorize",
     "-fno-tree-slp-vectorize",
 ]
-# FMA makes the dependency chains of a segment shorter: 3 to 5 % faster, and other last bits.
+# FMA shortens the dependency chains of a segment: 3 to 5 % faster, different last bits.
 _FMA: Final = ["-mfma", "-ffp-contract=fast"]
 
 
 @dataclass(frozen=True)
 class Build:
-    """Compiles with one compiler and one folder for the profile.
+    """Build with one compiler and one profile."""
 
-    Attributes
-    ----------
-    clang : int or None
-        Version of clang; None for the compiler of the environment, taken as gcc.
-    profile : Path
-        Folder of the profile, absolute.
-    """
-
-    clang: int | None
-    profile: Path
+    clang: int | None  # version of clang; None: compiler of the environment, treated as gcc
+    profile: Path  # absolute path of the folder of the profile
 
     def record(self) -> None:
-        """Compile a board that writes a profile, and run it at both levels."""
+        """Compile an instrumented board and run it at both levels."""
         by_compiler = _CLANG if self.clang else ["-fprofile-update=single"]
         self._compile("for a profile", [f"-fprofile-generate={self.profile}", *by_compiler])
         environment = {name: value for name, value in os.environ.items() if name != "LLVM_PROFILE_FILE"}
@@ -91,7 +83,7 @@ class Build:
 
 
 def newest_clang() -> int | None:
-    """Version of the newest clang that links a program which writes a profile; None if there is none."""
+    """Version of the newest clang that can link an instrumented program; None if there is none."""
     for version in CLANG_VERSIONS:
         if shutil.which(f"llvm-profdata-{version}") and shutil.which(f"clang-{version}"):
             command = [

@@ -1,8 +1,7 @@
-"""What a lost frame costs on the serial line: ``make bench``.
+"""Cost of a lost frame on the serial line: ``make bench``.
 
-A fake target on a pseudo terminal, in a process of its own, whose answers take the time of the line, and that does not
-answer every so many-th request. The cost is what an exchange with one loss takes longer than the median of those
-without.
+A fake target on a pseudo terminal, in a separate process, whose answers take the time of the line, and that does not
+answer every `LOST`-th request. The cost is the duration of an exchange with one loss minus the median without a loss.
 """
 
 from __future__ import annotations
@@ -34,11 +33,11 @@ BAUDS = (115_200, 1_000_000)
 VARIABLES = (8, 24)
 EXCHANGES = 2000
 LOST = 20
-"""One request of so many is not answered."""
+"""One of this number of requests is not answered."""
 
 
 class Lossy:
-    """A target that does not answer some requests for its scope."""
+    """A target that does not answer some scope requests."""
 
     def __init__(self) -> None:
         self.target = FakeTarget(mtu=254, scope_limit=28, safety=False)
@@ -51,7 +50,7 @@ class Lossy:
 
 
 def serve(link: Path, baud: int, up: Event, end: Event) -> None:
-    """Be the target until the end."""
+    """Run the target until `end`."""
     with FakePort(link, Lossy(), baud):
         up.set()
         end.wait()
@@ -59,7 +58,7 @@ def serve(link: Path, baud: int, up: Event, end: Event) -> None:
 
 @contextmanager
 def a_target(baud: int) -> Iterator[str]:
-    """A target in a process of its own; yields its port."""
+    """A target in a separate process; yields its port."""
     up, end = multiprocessing.Event(), multiprocessing.Event()
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         link = Path(folder) / "tty"

@@ -1,4 +1,4 @@
-"""What one PWM period of both axes costs in the plant alone: switching level against averages, in one run.
+"""CPU time of one PWM period of both axes in the plant alone: switching level and averaged, in one run.
 
 Compiles ``plant/bench_plant.c`` with the options of the extension module, prints its table and writes it as JSON. No
 firmware and no chip take part.

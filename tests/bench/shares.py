@@ -1,6 +1,6 @@
-"""Who takes the instructions of a turning board, firmware, chip or plant: counted by valgrind, on a loaded machine too.
+"""Instructions of a turning board by part: firmware, drivers, chip and plant, counted by valgrind.
 
-Needs valgrind and an extension with line numbers, which is what compilers are told to make where Python says so.
+The counts do not depend on the load of the machine. Needs valgrind and an extension compiled with line numbers.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _PARTS: Final = (
     ("drivers", ("/firmware/port/",)),
     ("firmware", ("/firmware/",)),
 )
-"""Parts by what stands in the name of a source file; the first that fits counts."""
+"""Parts by a substring of the path of a source file; the first match counts."""
 
 _CHILD: Final = f"""
 import sys
@@ -42,21 +42,21 @@ _COST: Final = re.compile(r"[+\-*\d]\S* (?P<cost>\d+)$")
 
 
 def part_of(name: str) -> str:
-    """To whom a source file belongs."""
+    """Part of a source file."""
     return next((part for part, marks in _PARTS if any(mark in name for mark in marks)), "other")
 
 
 def by_part(lines: Iterable[str]) -> dict[str, int]:
-    """Instructions by part, out of a file that callgrind has written."""
+    """Instructions by part, from a callgrind file."""
     names: dict[str, str] = {}
     costs: dict[str, int] = defaultdict(int)
     part = "other"
-    called = False  # the next cost is that of a call, and counted where it arises
+    called = False  # the next cost is that of a call, which is counted in the callee
     for line in lines:
         if match := _FILE.match(line):
             if match["name"]:
                 names[match["number"]] = match["name"]
-            if not match["kind"].startswith("c"):  # of who is called
+            if not match["kind"].startswith("c"):  # kinds with c are callees
                 part = part_of(names[match["number"]])
         elif line.startswith("calls="):
             called = True
@@ -68,7 +68,7 @@ def by_part(lines: Iterable[str]) -> dict[str, int]:
 
 
 def shares(level: str) -> Mapping[str, float] | str:
-    """Instructions per PWM period by part, or why there are none."""
+    """Instructions per PWM period by part, or the reason of a failure."""
     valgrind = shutil.which("valgrind")
     if valgrind is None:
         return "not counted: there is no valgrind (apt install valgrind)"

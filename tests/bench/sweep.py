@@ -1,4 +1,4 @@
-"""How well a sweep uses the cores: boards per second on all of them over those of one core times their number.
+"""Parallel efficiency of a sweep: boards per second on all cores, relative to one core times their number.
 
 ``python tests/bench/sweep.py`` (in ``make bench``). The reference is the same trials in this process, one after the
 other; the workers' start counts.
@@ -21,7 +21,7 @@ VARY = ("plant.axis1.inertia=*0.5..2 log", "plant.axis2.friction=*0.5..2", "plan
 
 
 def trials_per_second(sweep: Sweep, workers: int, count: int) -> float:
-    """Rate of so many trials."""
+    """Trials per second."""
     begin = time.perf_counter()
     run_in_order(Runner(workers), sweep, range(count), "sweep, trials")
     return count / (time.perf_counter() - begin)

@@ -1,4 +1,4 @@
-"""Telemetry and latency of the whole chain against the limit of the wire: ``make bench``.
+"""Telemetry rate and latency of the whole chain, relative to the limit of the line: ``make bench``.
 
 Virtual board and bridge as processes, a user on ROS topics. Rates are those that the user sees; the limit is what
 the line could carry if request and answer followed each other without a pause. The latency of a set-point runs from its
@@ -20,46 +20,46 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from chain import Chain, User, rows_of, user  # noqa: E402
+from chain import Chain, User, ros_user, rows_of  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from servo_msgs_py.convert import applied_from_message  # noqa: E402
 from servo_msgs_py.units import PERIOD_NS  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
 CASES = ((115200, 0.0, 200), (1_000_000, 0.0, 200), (1_000_000, 200.0, 10_000))
-"""Line speed, parameter ``telemetry_rate`` [Hz], and how many set-points are sent."""
+"""Line speed [bit/s], parameter ``telemetry_rate`` [Hz], number of set-points."""
 SECONDS = 5.0
 STREAM_PERIOD = 0.01
-"""Of the stream that is sent to both axes [s]."""
+"""Period of the stream that is sent to both axes [s]."""
 AIMS = "at 1 Mbaud and 200 Hz: 2.0, 5.0, 20.0 ms; 20 % of a core"
 
 
-def rate(me: User) -> tuple[float, float]:
-    """Samples per second of joint_states, and bytes per second on the wire both ways, over some board time."""
-    first, start = len(me.messages["/servo/joint_states"]), me.seconds(SECONDS)
-    samples = len(me.messages["/servo/joint_states"]) - first
-    rows = me.rows(start)
+def rate(user: User) -> tuple[float, float]:
+    """Samples per second of joint_states, and bytes per second on the line in both directions."""
+    first, start = len(user.messages["/servo/joint_states"]), user.wait_board_time(SECONDS)
+    samples = len(user.messages["/servo/joint_states"]) - first
+    rows = user.rows(start)
     span = (rows[-1]["tick"] - rows[0]["tick"]) * PERIOD_NS * 1e-9
-    values = {entry.key: entry.value for entry in me.status("servo/servo_bridge: link").values}
+    values = {entry.key: entry.value for entry in user.status("servo/servo_bridge: link").values}
     return samples / span, float(values["bytes/s in"]) + float(values["bytes/s out"])
 
 
-def latencies(me: User, count: int) -> list[float]:
-    """From publishing a position to the tick of its effect [ms], one set-point at a time.
+def latencies(user: User, count: int) -> list[float]:
+    """Latency from publishing a position to the tick of its effect [ms], one set-point at a time.
 
     Lists of messages are emptied at every set-point: work that grows with them would delay the user, not the bridge.
     """
-    applied, snapshots = me.messages["/servo/commands_applied"], me.messages["/servo/snapshot"]
+    applied, snapshots = user.messages["/servo/commands_applied"], user.messages["/servo/snapshot"]
     result = []
     for number in range(count):
-        for messages in me.messages.values():
+        for messages in user.messages.values():
             messages[:-1] = []
         applied.clear()
-        begin = me.node.get_clock().now().nanoseconds
-        me.position[0].publish(Float64(data=0.01 * (number % 2)))
-        me.until(lambda: applied, 5.0, "no set-point took effect")
+        begin = user.node.get_clock().now().nanoseconds
+        user.position[0].publish(Float64(data=0.01 * (number % 2)))
+        user.until(lambda: applied, 5.0, "no set-point took effect")
         tick = applied_from_message(applied[0]).tick
-        me.until(lambda tick=tick: rows_of(snapshots[-1])[-1]["tick"] >= tick, 5.0, "no telemetry")  # type: ignore[misc]
+        user.until(lambda tick=tick: rows_of(snapshots[-1])[-1]["tick"] >= tick, 5.0, "no telemetry")  # type: ignore[misc]
         row = rows_of(snapshots[-1])[-1]
         stamp = int(row["stamp.sec"]) * 1_000_000_000 + int(row["stamp.nanosec"])
         result.append((stamp - (row["tick"] - tick) * PERIOD_NS - begin) * 1e-6)
@@ -69,17 +69,17 @@ def latencies(me: User, count: int) -> list[float]:
 POINTS = [f"axis{n}.points_{what}" for n in (1, 2) for what in ("taken", "late")] + ["points_refused"]
 
 
-def fed(baud: int) -> dict[str, Any]:
-    """Samples beside a stream of both axes at 100 Hz, and what became of its points."""
+def streamed(baud: int) -> dict[str, Any]:
+    """Samples per second during a stream of both axes at 100 Hz, and counts of its points."""
     chain = Chain(Path(tempfile.mkdtemp(prefix="bench-")), baud)
-    with user() as me:
+    with ros_user() as user:
         try:
             chain.board()
             bridge = chain.bridge()
-            me.until(me.connected, 30.0, "the bridge is not connected")
-            me.spinning()
+            user.until(user.connected, 30.0, "the bridge is not connected")
+            user.enable_axes()
             joints, omega, sent = ["axis1", "axis2"], 2.0 * math.pi, 0
-            snapshots = me.messages["/servo/snapshot"]
+            snapshots = user.messages["/servo/snapshot"]
             first = len(snapshots)
             begin = time.monotonic()
             while (now := time.monotonic() - begin) < SECONDS:
@@ -89,14 +89,16 @@ def fed(baud: int) -> dict[str, Any]:
                     velocity = 0.5 * (
                         rise * omega * math.cos(omega * now) + (math.sin(omega * now) if now < 1.0 else 0.0)
                     )
-                    me.joint_commands.publish(JointState(name=joints, position=[position] * 2, velocity=[velocity] * 2))
+                    user.joint_commands.publish(
+                        JointState(name=joints, position=[position] * 2, velocity=[velocity] * 2)
+                    )
                     sent += 1
-                me.executor.spin_once(timeout_sec=0.002)
-            rows = me.rows(first)
+                user.executor.spin_once(timeout_sec=0.002)
+            rows = user.rows(first)
             span = (rows[-1]["tick"] - rows[0]["tick"]) * PERIOD_NS * 1e-9
-            me.enable(False)
+            user.enable(False)
             bridge.stop()
-            points = chain.look(*POINTS)
+            points = chain.read_variables(*POINTS)
         finally:
             chain.end()
     return {"baud": baud, "samples_per_s": (len(rows) - 1) / span, "messages_per_s": sent / SECONDS, **points}
@@ -105,17 +107,17 @@ def fed(baud: int) -> dict[str, Any]:
 def measure(baud: int, telemetry_rate: float, count: int) -> dict[str, Any]:
     """Figures of one line speed and rate of telemetry."""
     chain = Chain(Path(tempfile.mkdtemp(prefix="bench-")), baud)
-    with user() as me:
+    with ros_user() as user:
         try:
             chain.board()
             bridge = chain.bridge(telemetry_rate=telemetry_rate)
-            me.until(me.connected, 30.0, "the bridge is not connected")
-            me.spinning()
-            samples, carried = rate(me)
+            user.until(user.connected, 30.0, "the bridge is not connected")
+            user.enable_axes()
+            samples, carried = rate(user)
             begin, used = time.monotonic(), bridge.cpu_seconds()
-            delays = latencies(me, count)
+            delays = latencies(user, count)
             load = (bridge.cpu_seconds() - used) / (time.monotonic() - begin)
-            me.enable(False)
+            user.enable(False)
         finally:
             chain.end()
     return {
@@ -144,7 +146,7 @@ def main() -> int:
             f" {row['set_points']:11} {p50:19.1f} {p99:5.1f} {largest:7.1f} {row['cpu_of_a_core']:18.0%}"
         )
     print(f"aims {AIMS}")
-    stream = fed(115200)
+    stream = streamed(115200)
     taken = [stream[f"axis{n}.points_taken"] / SECONDS for n in (1, 2)]
     print(
         f"stream of both axes at 115200 baud: {stream['messages_per_s']:.0f} messages/s, points/s {taken[0]:.0f} and "

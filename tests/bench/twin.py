@@ -1,9 +1,9 @@
-"""How fast a virtual board is: ``make bench-twin``.
+"""Speed of a virtual board: ``make bench-twin``.
 
-Real-time factors of one board with two axes, both levels in one run, and of several boards on several threads; who
-takes the instructions; and simulators that others use, on one drive in the same run. A factor says how today's machine
-does, ratios and counts of instructions last. The time of one board is that of its thread; of several together only the
-clock on the wall tells, so that the one board that they are compared with is timed in the same way.
+Real-time factors of one board with two axes, both levels in one run, and of several boards on several threads;
+instructions by part; and other simulators with one drive in the same run. Factors depend on the machine and its load,
+ratios and counts of instructions hardly. One board is timed by the CPU time of its thread; boards in parallel, and the
+one board that they are compared with, by wall-clock time.
 """
 
 from __future__ import annotations
@@ -33,27 +33,27 @@ from servo_twin import _registers
 
 OUT: Final = Path(__file__).resolve().parents[2] / "out" / "bench" / "twin.json"
 AIMS: Final[dict[str, float]] = {"registers": 20.0, "ideal": 150.0}
-"""Real-time factors of a turning board that are wanted."""
+"""Required real-time factors of a turning board."""
 
 SIMULATED: Final[dict[str, float]] = {"registers": 1.0, "ideal": 10.0}
-"""Length of a run [s]: a tenth of a second by the clock on the wall, or a slice that the scheduler gives away shows."""
+"""Simulated time of a run [s]: at least 0.1 s of wall-clock time, so that one time slice of the scheduler is small."""
 
 LOAD: Final = 0.09  # [N m]
 ROUNDS: Final = 30
-"""Runs of each state, one state after the other: a machine that has others on it is slow for seconds at a time."""
-ATTEMPTS: Final = 3  # the best counts: others work on this machine, too
+"""Runs of each state, in turn: other load slows a machine down for seconds."""
+ATTEMPTS: Final = 3  # the best one counts, as other load disturbs
 IDLE_MIN: Final = 0.9
-"""Of the time that boards on their own cores could have had; with less, others have taken part of the machine."""
+"""Smallest fraction of the available CPU time on a machine without other load."""
 THREADS: Final = (1, 2, 4)
 
 
 def off(board: Board) -> None:
-    """Just switched on."""
+    """Board after power-on."""
     board.run(0.1)
 
 
 def holding(board: Board) -> None:
-    """Both axes hold their position."""
+    """Both axes hold their positions."""
     enable(board)
     board.run(0.2)
 
@@ -67,7 +67,7 @@ def turning(board: Board) -> None:
 
 
 def loaded(board: Board) -> None:
-    """Both axes turn with some rated current, so that the phases' currents are seldom near zero."""
+    """Both axes turn under load, so that the phase currents are seldom near zero."""
     turning(board)
     for axis in range(AXES):
         board.set_load(axis, LOAD if axis == 0 else -LOAD)
@@ -78,7 +78,7 @@ STATES: Final[tuple[Callable[[Board], None], ...]] = (off, holding, turning, loa
 
 
 def factors(level: Level) -> dict[str, float]:
-    """Simulated over used time by state, the best of all rounds."""
+    """Simulated time over CPU time by state, the best of all rounds."""
     with contextlib.ExitStack() as stack:
         boards = {state.__name__: stack.enter_context(Board(seed=1, level=level)) for state in STATES}
         for state in STATES:
@@ -93,34 +93,26 @@ def factors(level: Level) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class Together:
-    """Boards that run at once.
+class ParallelRun:
+    """Result of boards that run in parallel."""
 
-    Attributes
-    ----------
-    factor : float
-        Simulated time of all of them over the time on the wall.
-    had : float
-        Part of the time on the cores that they could have had; 1 on an idle machine.
-    """
-
-    factor: float
-    had: float
+    factor: float  # simulated time of all boards over wall-clock time [1]
+    had: float  # used fraction of the available CPU time [1]; 1 on an idle machine
 
 
-def together(level: Level, threads: int) -> Together:
-    """Turning boards, one per thread, by the clock on the wall; the best of some attempts."""
+def run_in_parallel(level: Level, threads: int) -> ParallelRun:
+    """Turning boards, one per thread, by wall-clock time; the best of several attempts."""
     boards = [Board(seed=1 + k, level=level) for k in range(threads)]
     for board in boards:
         turning(board)
-    found = max((_at_once(level, boards) for _ in range(ATTEMPTS)), key=lambda attempt: attempt.factor)
+    found = max((_run_once(level, boards) for _ in range(ATTEMPTS)), key=lambda attempt: attempt.factor)
     for board in boards:
         board.close()
     return found
 
 
-def _at_once(level: Level, boards: Sequence[Board]) -> Together:
-    """One run of boards that turn already; threads are made before the clock starts."""
+def _run_once(level: Level, boards: Sequence[Board]) -> ParallelRun:
+    """One run of turning boards; the threads are created before the time measurement starts."""
     begins, ends, used = [], [], []
     line = threading.Barrier(len(boards))
 
@@ -139,21 +131,21 @@ def _at_once(level: Level, boards: Sequence[Board]) -> Together:
         worker.join()
     wall = max(ends) - min(begins)
     cores = min(len(boards), os.cpu_count() or 1)
-    return Together(len(boards) * SIMULATED[level] / wall, min(sum(used) / (cores * wall), 1.0))
+    return ParallelRun(len(boards) * SIMULATED[level] / wall, min(sum(used) / (cores * wall), 1.0))
 
 
 def compiler(library: bytes) -> str:
-    """What has compiled a library, as compilers leave it there; clang's may hold parts of gcc, too."""
+    """Compiler of a library, from its identification string; clang first, as its libraries may contain parts of gcc."""
     found = re.search(rb"(clang) version ([\d.]+)", library) or re.search(rb"(GCC): \([^)]*\) ([\d.]+)", library)
     return " ".join(part.decode().lower() for part in found.groups()) if found else "a compiler that does not say"
 
 
 def measure(peer: bool, counted: bool) -> dict[str, Any]:
-    """Everything, level by level."""
+    """All figures, by level."""
     result: dict[str, Any] = {"cores": os.cpu_count(), "compiler": compiler(Path(_registers.__file__).read_bytes())}
     for level in get_args(Level):
         one = factors(level)
-        many = {str(threads): asdict(together(level, threads)) for threads in THREADS}
+        many = {str(threads): asdict(run_in_parallel(level, threads)) for threads in THREADS}
         result[level] = {"one board": one, "boards": many, "aim": AIMS[level]}
         if counted:
             result[level]["instructions"] = shares(level)
@@ -166,10 +158,10 @@ def measure(peer: bool, counted: bool) -> dict[str, Any]:
 
 
 def growth(boards: dict[str, dict[str, float]]) -> list[str]:
-    """What more threads bring, and whether they had the machine for themselves."""
+    """Gain by more threads, and a warning about other load."""
     single = boards["1"]["factor"]
     many = ", ".join(f"{n}: {each['factor']:.1f} (x {each['factor'] / single:.1f})" for n, each in boards.items())
-    lines = [f"turning boards, one per thread, all together, by the clock on the wall: {many}"]
+    lines = [f"turning boards, one per thread, in parallel, by wall-clock time: {many}"]
     if min(each["had"] for each in boards.values()) < IDLE_MIN:
         had = ", ".join(f"{n}: {each['had']:.0%}" for n, each in boards.items())
         lines.append(f"others work on this machine, so this says little; of their time the boards had {had}")
@@ -185,7 +177,7 @@ def _shares(counts: dict[str, float] | str) -> str:
 
 
 def _times(figures: dict[str, Any], measured: dict[str, Any], part: str) -> str:
-    """Factors of a simulator, and how many times as fast the boards are that model as much."""
+    """Factors of a simulator, and relative speed of the boards of comparable detail."""
     words = []
     for level, kind in (("registers", "switching"), ("ideal", "averaged")):
         theirs = measured[kind][part]
@@ -208,7 +200,7 @@ def _peers(figures: dict[str, Any]) -> list[str]:
 
 
 def table(figures: dict[str, Any]) -> str:
-    """For people."""
+    """Figures as text."""
     lines = [f"real-time factors, {figures['cores']} cores, boards compiled by {figures['compiler']}"]
     for level in get_args(Level):
         entry = figures[level]

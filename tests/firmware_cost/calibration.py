@@ -1,9 +1,8 @@
-"""The price list of the virtual core against counted instructions, and the weights of the files that come of it.
+"""Calibration of the price list of the virtual core by counted instructions: one weight per file.
 
-The cost program runs once more, on the host, with the charges that the virtual core has (`servo_twin._core_time`), and
-adds them up per file; the inputs are the same, bit for bit. The weights are a least-squares fit of the mean
-instructions of each interrupt and loop, drawn a little towards one common factor, so that a file that no run singles
-out gets a sensible weight.
+The cost program runs on the host with the charges of the virtual core (`servo_twin._core_time`), which are summed per
+file; the inputs are bit-identical. The weights are a least-squares fit of the mean instructions of each interrupt and
+loop, regularised towards one common weight, so that a file that no run determines has a plausible weight.
 """
 
 from __future__ import annotations
@@ -33,8 +32,8 @@ from firmware_cost.instructions import (
     parse,
 )
 
-_PULL: Final = 0.1
-"""Of a weight towards the common one, against a relative error of a row."""
+_REGULARISATION: Final = 0.1
+"""Regularisation of a weight towards the common one, relative to the relative error of a row."""
 _WEIGHT_MIN: Final = 0.1
 _HOST: Final = ("gcc", "-std=gnu99", "-O1", "-w")
 _WRAPPED: Final = ("axis_fast", "axis_slow")
@@ -50,37 +49,27 @@ _HEAD: Final = """\
 
 @dataclass(frozen=True)
 class Charging:
-    """The cost program for the host, with charges in place of counted instructions.
+    """Cost program for the host, with charges instead of counted instructions."""
 
-    Attributes
-    ----------
-    files : tuple of str
-        Of the firmware, such as ``control/pi``.
-    prices : tuple of (str, float)
-        File and price of every charge; equal ones share an entry.
-    interrupts, loops : HostProgram
-        The two programs that count.
-    """
-
-    files: tuple[str, ...]
-    prices: tuple[tuple[str, float], ...]
-    interrupts: HostProgram
-    loops: HostProgram
+    files: tuple[str, ...]  # files of the firmware, such as ``control/pi``
+    prices: tuple[tuple[str, float], ...]  # file and price of every charge [instructions]; equal charges share an entry
+    interrupts: HostProgram  # program that counts the interrupts
+    loops: HostProgram  # program that counts the loops
 
     @classmethod
     def build(cls, sources: Sources, folder: Path) -> Charging:
-        """Compile the program, which gets the units of each charge with its image.
+        """Compile the program, whose image contains the units of each charge.
 
         Parameters
         ----------
         sources : Sources
         folder : Path
-            For what is compiled.
+            Folder of the build.
 
         Raises
         ------
         TargetError
-            If the compiler refuses.
+            If it does not compile.
         """
         folder.mkdir(parents=True)
         prices: dict[tuple[str, float], int] = {}
@@ -105,7 +94,7 @@ class Charging:
         Parameters
         ----------
         units : sequence of int
-            Of each of the `prices`.
+            Units of each of the `prices` [1/16 instruction].
         """
         phases = 1 << PHASES.index(OBSERVED_PHASE) if setup == Setup.WITHOUT_ENCODERS else EVERY_PHASE
         data = image(setup=setup, phases=phases) + np.array(units, "<u4").tobytes()
@@ -135,17 +124,10 @@ def _link(sources: Sources, folder: Path, objects: Sequence[Path], prices: int, 
 
 @dataclass(frozen=True)
 class Charges:
-    """What the price list says, without weights.
+    """Charges of the price list without weights."""
 
-    Attributes
-    ----------
-    files : tuple of str
-    mean : mapping
-        By setup, phase and kind: instructions per file, shape (files,).
-    """
-
-    files: tuple[str, ...]
-    mean: Mapping[Label, NDArray[np.float64]]
+    files: tuple[str, ...]  # files of the firmware
+    mean: Mapping[Label, NDArray[np.float64]]  # instructions per file by setup, phase and kind, shape (files,)
 
 
 def charges(charging: Charging) -> Charges:
@@ -160,35 +142,37 @@ def charges(charging: Charging) -> Charges:
 
 
 def fit(charge: Charges, counts: Mapping[Setup, Counts]) -> dict[str, float]:
-    """Weight of each file, and the common one of all others under `COMMON`.
+    """Weight of each file, and the common weight of all other files under `COMMON`.
 
     Parameters
     ----------
     charge : Charges
     counts : mapping
-        Counted instructions, by setup; what is missing there does not take part.
+        Counted instructions, by setup; setups, phases and kinds that are missing are ignored.
     """
     labels = [label for label in charge.mean if label[1:] in counts.get(label[0], {})]
     counted = np.array([counts[setup][phase, kind].mean for setup, phase, kind in labels])
     relative = np.array([charge.mean[label] for label in labels]) / counted[:, np.newaxis]
     common = 1.0 / float(np.mean(relative.sum(axis=1)))
-    taking_part = relative.max(axis=0) > 0.0
-    free = taking_part.copy()
+    used = relative.max(axis=0) > 0.0
+    free = used.copy()
     weight = np.full(len(charge.files), common)
     while True:
         size = int(free.sum())
-        system = np.vstack([relative[:, free], _PULL * np.eye(size)])
-        rest = 1.0 - relative[:, ~free] @ weight[~free]
-        weight[free] = np.linalg.lstsq(system, np.concatenate([rest, np.full(size, _PULL * common)]), rcond=None)[0]
+        system = np.vstack([relative[:, free], _REGULARISATION * np.eye(size)])
+        remainder = 1.0 - relative[:, ~free] @ weight[~free]
+        weight[free] = np.linalg.lstsq(
+            system, np.concatenate([remainder, np.full(size, _REGULARISATION * common)]), rcond=None
+        )[0]
         low = free & (weight < _WEIGHT_MIN)
         if not low.any():
             break
         weight[low], free = _WEIGHT_MIN, free & ~low
-    known = zip(charge.files, weight, taking_part, strict=True)
-    return {COMMON: round(common, 3), **{name: round(float(value), 3) for name, value, part in known if part}}
+    entries = zip(charge.files, weight, used, strict=True)
+    return {COMMON: round(common, 3), **{name: round(float(value), 3) for name, value, part in entries if part}}
 
 
 def weights_text(weights: Mapping[str, float]) -> str:
-    """The committed file."""
+    """Text of the committed file."""
     entries = "".join(f'"{name}" = {value:.3f}\n' for name, value in weights.items() if name != COMMON)
     return f"{_HEAD}{COMMON} = {weights[COMMON]:.3f} # of files that no run is in\n\n[weights]\n{entries}"

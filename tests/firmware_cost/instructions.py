@@ -1,4 +1,4 @@
-"""Instructions of the interrupts and their loops, counted by the simulated machine's clock."""
+"""Instructions of the interrupts and their loops, counted by the clock of the simulated machine."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from targets.toolchain import TargetError
 from firmware_cost.programs import Programs
 
 COUNTING: Final = ("-icount", "shift=10")
-"""With this the system timer runs 25.6 ticks per instruction (firmware/port/cortex_m3/machine.c)."""
+"""QEMU options: the system timer runs 25.6 ticks per instruction (firmware/port/cortex_m3/machine.c)."""
 
 PHASES: Final = ("hold", "position", "speed", "crawl", "torque", "voltage limit")
-"""Phases of tests/bench/native/cost.c, in its order."""
+"""Phases of tests/bench/native/cost.c, in order."""
 
 EVERY_PHASE: Final = (1 << len(PHASES)) - 1
-WHOLE_PHASES: Final = 0xFF  # longer than the longest, in units of 16 periods
+WHOLE_PHASES: Final = 0xFF  # no limit, in units of 16 periods
 
 _LOOPS: Final = ("axis_fast", "axis_slow")
 _SPIN: Final = 3
 
 
 class Setup(IntEnum):
-    """With what the phases run."""
+    """Configuration of the phases."""
 
     CONFIGURED = 0
     ALL_FEATURES = 1
@@ -35,14 +35,14 @@ class Setup(IntEnum):
 
 
 OBSERVED_PHASE: Final = "speed"
-"""The phase that can run without encoders."""
+"""Phase that can run without encoders."""
 
 
 PERIODS: Final = 8
 """PWM periods of a slow tick."""
 
 Kind = int
-"""What is counted (tests/bench/native/cost.h): M1 is 2 * period, M2 is 2 * period + 1, then the loops."""
+"""Counted interrupt or loop (tests/bench/native/cost.h): M1 is 2 * period, M2 is 2 * period + 1, then the loops."""
 
 FAST: Final[Kind] = 2 * PERIODS
 SLOW: Final[Kind] = FAST + 1
@@ -50,14 +50,14 @@ KINDS: Final[tuple[Kind, ...]] = tuple(range(SLOW + 1))
 
 
 def name_of(kind: Kind) -> str:
-    """As in ``M1, period 3``."""
+    """Name of a kind, such as ``M1, period 3``."""
     loops = {FAST: "fast loop", SLOW: "slow loop"}
     return loops.get(kind) or f"M{kind % 2 + 1}, period {kind // 2}"
 
 
 @dataclass(frozen=True)
 class Count:
-    """Instructions of one interrupt or loop, call and return included."""
+    """Instructions of one interrupt or loop, including call and return."""
 
     number: int
     minimum: int
@@ -70,26 +70,26 @@ class Count:
 
 
 Counts = Mapping[tuple[str, Kind], Count]
-"""By phase and kind."""
+"""Counts by phase and kind."""
 
 
 def image(*, setup: Setup = Setup.CONFIGURED, phases: int = EVERY_PHASE, maximum: int = WHOLE_PHASES) -> bytes:
-    """What cost.c reads at its start.
+    """Input of cost.c.
 
     Parameters
     ----------
     setup : Setup
-        With what the phases run.
+        Configuration of the phases.
     phases : int
-        A bit for each phase that is to run.
+        Mask of the phases to run.
     maximum : int
-        Longest phase, in units of 16 PWM periods.
+        Largest length of a phase, in units of 16 PWM periods.
     """
     return bytes([setup, phases, maximum])
 
 
 def cost_program(programs: Programs, *, loops: bool) -> Path:
-    """The program that moves two axes and counts: the interrupts as they are, or the loops within them."""
+    """Program that moves two axes and counts the instructions of the interrupts, or of the loops in them."""
     names = ["cost", "bench_board", *(["cost_loops"] if loops else [])]
     files = [programs.bench / f"{name}.c" for name in names]
     wrap = [f"-Wl,--wrap={name}" for name in _LOOPS] if loops else []
@@ -103,7 +103,7 @@ def count(programs: Programs, setup: Setup = Setup.CONFIGURED) -> Counts:
     Raises
     ------
     TargetError
-        If an axis has left SPIN or has a fault: then something else has been counted.
+        If an axis is not in SPIN at the end, or has a fault.
     """
     result: dict[tuple[str, Kind], Count] = {}
     for loops in (False, True):
@@ -116,7 +116,7 @@ def count(programs: Programs, setup: Setup = Setup.CONFIGURED) -> Counts:
 
 
 def parse(text: str) -> Counts:
-    """Read what cost.c prints."""
+    """Parse the output of cost.c."""
     result: dict[tuple[str, Kind], Count] = {}
     axes = 0
     for line in text.splitlines():
@@ -130,5 +130,5 @@ def parse(text: str) -> Counts:
         if number:
             result[PHASES[phase], kind] = Count(number, minimum, maximum, total)
     if axes == 0:
-        raise TargetError(f"the run did not come to its end:\n{text[-1000:]}")
+        raise TargetError(f"the run did not terminate normally:\n{text[-1000:]}")
     return result

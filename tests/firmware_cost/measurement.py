@@ -1,4 +1,4 @@
-"""Everything about one state of the firmware."""
+"""All costs of one state of the firmware."""
 
 from __future__ import annotations
 
@@ -17,47 +17,24 @@ from firmware_cost.sizes import Size, Sizes, sizes
 from firmware_cost.stages import Stages, stages
 
 REFERENCE = "-O2"
-"""The optimisation that the aims are for."""
+"""Optimisation to which the aims apply."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """Costs per optimisation, and in more detail for `REFERENCE`.
+    """Costs per optimisation, and in more detail for `REFERENCE`."""
 
-    Attributes
-    ----------
-    compiler : str
-        With its version.
-    counts, sizes : mapping
-        By optimisation.
-    all_features : mapping
-        Counts with everything turned on that the reference design does not have.
-    sensorless : mapping
-        Counts of one phase without encoders.
-    stages : Stages
-    recorder : mapping
-        What a call of a recorder costs, by case.
-    charging : Charging
-        The program with the charges of the virtual core.
-    charge : Charges
-        What it counts without weights.
-    weights : mapping
-        Of the price list of the virtual core, fitted to these counts.
-    charged : mapping
-        Units that the virtual core charges with them, by setup.
-    """
-
-    compiler: str
-    counts: Mapping[str, Counts]
-    sizes: Mapping[str, Sizes]
-    all_features: Counts
-    sensorless: Counts
-    stages: Stages
-    recorder: Mapping[str, Count]
-    charging: Charging
-    charge: Charges
-    weights: Mapping[str, float]
-    charged: Mapping[Setup, Counts]
+    compiler: str  # name and version
+    counts: Mapping[str, Counts]  # instructions, by optimisation
+    sizes: Mapping[str, Sizes]  # bytes, by optimisation
+    all_features: Counts  # instructions with all features that the reference design does not have
+    sensorless: Counts  # instructions of one phase without encoders
+    stages: Stages  # instructions per source file
+    recorder: Mapping[str, Count]  # instructions of a call of a recorder, by case
+    charging: Charging  # program with the charges of the virtual core
+    charge: Charges  # its counts without weights
+    weights: Mapping[str, float]  # weight of each file in the price list of the virtual core, fitted to these counts
+    charged: Mapping[Setup, Counts]  # charges of the virtual core with these weights [1/16 instruction], by setup
 
     @property
     def by_setup(self) -> dict[Setup, Counts]:
@@ -75,14 +52,14 @@ def measure(sources: Sources, folder: Path) -> Measurement:
     Parameters
     ----------
     sources : Sources
-        They must not change meanwhile: pass a copy.
+        Sources that do not change meanwhile: pass a copy.
     folder : Path
-        Empty; for objects and programs.
+        Empty folder for objects and programs.
 
     Raises
     ------
     TargetError
-        If a tool fails, or the axes do not do what is to be measured.
+        If a tool fails, or an axis does not spin.
     """
     programs = {level: Programs.compile(sources, folder / level.strip("-"), level) for level in OPTIMISATIONS}
     counts = {level: count(one) for level, one in programs.items()}
@@ -109,7 +86,7 @@ def measure(sources: Sources, folder: Path) -> Measurement:
 
 
 def plain(measurement: Measurement) -> dict[str, Any]:
-    """The same as dictionaries and numbers."""
+    """The measurement as dictionaries and numbers."""
     return {
         "compiler": measurement.compiler,
         "instructions": {level: _counts(counts) for level, counts in measurement.counts.items()},

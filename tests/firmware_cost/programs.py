@@ -14,35 +14,27 @@ from targets.toolchain import compile_objects, version
 OPTIMISATIONS: Final = ("-Os", "-O2", "-O3")
 COMPILER: Final = "arm-none-eabi-gcc"
 TARGET: Final = CortexM3("-O2")
-"""The machine; its tools serve every optimisation."""
+"""Target whose tools are needed for every optimisation."""
 
-_DEBUG: Final = "-g"  # line tables change no instruction
+_DEBUG: Final = "-g"  # line tables do not change the instructions
 
 
 def compiler() -> str:
-    """Name and version of the compiler, of which every number is a consequence."""
+    """Name and version of the compiler."""
     return f"{COMPILER} {version(COMPILER)}"
 
 
 @dataclass(frozen=True)
 class Programs:
-    """The firmware, compiled with one optimisation.
+    """The firmware, compiled with one optimisation."""
 
-    Attributes
-    ----------
-    sources : Sources
-    folder : Path
-        Where objects and programs are.
-    optimisation : str
-    """
-
-    sources: Sources
-    folder: Path
-    optimisation: str
+    sources: Sources  # C sources
+    folder: Path  # folder of objects and programs
+    optimisation: str  # compiler option
 
     @classmethod
     def compile(cls, sources: Sources, folder: Path, optimisation: str) -> Programs:
-        """Compile every room of the firmware into a folder of its own below `folder`."""
+        """Compile each folder of the firmware into a separate folder below `folder`."""
         options = [*STRICT, *CORTEX_M3, optimisation, _DEBUG, f"-I{sources.firmware}"]
         for room in ROOMS:
             objects = folder / room
@@ -56,10 +48,10 @@ class Programs:
         return self.sources.root / "tests" / "bench" / "native"
 
     def objects(self, rooms: Sequence[str] = ROOMS) -> list[Path]:
-        """Compiled firmware."""
+        """Object files of the firmware."""
         return [path for room in rooms for path in sorted((self.folder / room).glob("*.o"))]
 
     def link(self, name: str, files: Sequence[Path], options: Sequence[str] = ()) -> Path:
-        """Link objects and C files with the machine."""
+        """Link objects and C files with the start-up code."""
         everything = [self.optimisation, _DEBUG, f"-I{self.bench}", *options]
         return build_cortex_m3(self.sources, self.folder / f"{name}.elf", files, everything)

@@ -21,16 +21,16 @@ CASES: Final = (
     f"{FOUR}, a trigger",
     "4 variables of 4 bytes, a trigger",
 )
-"""Cases of tests/bench/native/cost_recorder.c, in its order."""
+"""Cases of tests/bench/native/cost_recorder.c, in order."""
 
 
 def recorder_costs(programs: Programs) -> Mapping[str, Count]:
-    """Instructions of a call of ``recorder_sample()``, without those of calling an empty function.
+    """Instructions of a call of ``recorder_sample()``, minus those of a call of an empty function.
 
     Raises
     ------
     TargetError
-        If the run does not come to its end.
+        If the run does not terminate normally.
     """
     files = [*programs.objects(), programs.sources.native / "text.c", programs.bench / "cost_recorder.c"]
     text = QemuProgram(programs.link("recorder", files), COUNTING).run(b"")
@@ -39,5 +39,5 @@ def recorder_costs(programs: Programs) -> Mapping[str, Count]:
         case, minimum, maximum, total, number = (int(word, 16) for word in line.split())
         found[CASES[case]] = Count(number, minimum, maximum, total)
     if len(found) != len(CASES):
-        raise TargetError(f"the run did not come to its end:\n{text[-1000:]}")
+        raise TargetError(f"the run did not terminate normally:\n{text[-1000:]}")
     return found

@@ -1,4 +1,4 @@
-"""Bytes of the application, from the linker's map: what is linked with and without the server."""
+"""Bytes of the application with and without the server, from the map of the linker."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from targets.toolchain import TargetError, run
 from firmware_cost.programs import COMPILER, Programs
 
 LIBRARY: Final = "library"
-"""What the compiler adds."""
+"""Library code of the compiler."""
 VARIABLES: Final = "variables"
-"""The table of variables, for the server."""
+"""Table of variables of the server."""
 SERVER: Final = "comm"
 
 _ROOMS: Final = (*(room for room in ROOMS if room != SERVER), LIBRARY)
@@ -29,7 +29,7 @@ _STATE: Final = re.compile(r"^\S+ ([0-9a-f]+) \S state_of_server$", re.MULTILINE
 
 @dataclass(frozen=True)
 class Size:
-    """Bytes: instructions, constants, initialised and zeroed memory."""
+    """Bytes of instructions, constants, initialised and zeroed memory."""
 
     text: int = 0
     rodata: int = 0
@@ -42,25 +42,15 @@ class Size:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Both axes, one optimisation. The board below ``hal/hal.h`` is not in it.
+    """Size of the application for both axes with one optimisation, without the board below ``hal/hal.h``."""
 
-    Attributes
-    ----------
-    complete : Size
-        With the FreeMASTER server, its table of variables and its memory.
-    control : Size
-        Without them.
-    rooms : mapping
-        The complete application by folder of the firmware; `VARIABLES` and `LIBRARY` are not folders.
-    """
-
-    complete: Size
-    control: Size
-    rooms: Mapping[str, Size]
+    complete: Size  # with the FreeMASTER server, its table of variables and its memory
+    control: Size  # without them
+    rooms: Mapping[str, Size]  # complete application by folder of the firmware, and `VARIABLES` and `LIBRARY`
 
 
 def sizes(programs: Programs) -> Sizes:
-    """Link the application with and without the server, and look at what the linker has kept."""
+    """Link the application with and without the server, and read the maps of the linker."""
     server, no_server = programs.objects([SERVER]), [_compiled(programs, "no_freemaster")]
     rooms = _placed(programs, "application", server)
     alone = _placed(programs, "alone", no_server)
@@ -81,7 +71,7 @@ def _sum(parts: Iterable[Size]) -> Size:
 
 
 def _compiled(programs: Programs, name: str) -> Path:
-    """An object of one of the C files of the bench."""
+    """Compile a C file of the bench."""
     output = programs.folder / f"{name}.o"
     sources = programs.sources
     include = [f"-I{path}" for path in (sources.firmware, sources.port("cortex_m3"), programs.bench)]
@@ -91,7 +81,7 @@ def _compiled(programs: Programs, name: str) -> Path:
 
 
 def _placed(programs: Programs, name: str, server: list[Path]) -> dict[str, Size]:
-    """Link the application; bytes by folder."""
+    """Link the application; return bytes by folder."""
     rooms = [room for room in ROOMS if room != SERVER]
     bench = [_compiled(programs, "application"), _compiled(programs, "bench_board")]
     programs.link(name, [*programs.objects(rooms), *server, *bench], [f"-Wl,-Map={_map(programs, name)}"])
@@ -110,14 +100,14 @@ def _map(programs: Programs, name: str) -> Path:
 
 
 def _sections(programs: Programs, name: str) -> list[tuple[str, str, str, str]]:
-    """What was placed: kind, rest of the section's name, hexadecimal size, file."""
+    """Placed sections: kind, rest of the name, hexadecimal size, file."""
     text = _map(programs, name).read_text(encoding="utf-8").partition(_MAP)[2]
     found = _PLACED.findall(re.sub(r"^( \.\S+)\n", r"\1", text, flags=re.MULTILINE))
     return [(kind, rest, size, file) for kind, rest, size, file in found]
 
 
 def _group(programs: Programs, file: Path) -> str | None:
-    """The part of the application that an object belongs to; None for the board and the machine."""
+    """Part of the application of an object; None for the board and the start-up code."""
     if ".a(" in file.name:
         return LIBRARY
     if file.name == _TABLE_FILE:
@@ -126,7 +116,7 @@ def _group(programs: Programs, file: Path) -> str | None:
 
 
 def _servo_state(programs: Programs, name: str) -> int:
-    """Memory of one servo_t, which application.c holds."""
+    """Memory of one servo_t, from application.c."""
     for kind, rest, size, _ in _sections(programs, name):
         if (kind, rest) == ("bss", ".servo"):
             return int(size, 16)

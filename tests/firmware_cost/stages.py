@@ -1,7 +1,7 @@
-"""Which part of the firmware the instructions of a loop belong to: each one of a run, looked up in the line table.
+"""Instructions of a loop by source file, from a trace of a run and the line table.
 
-Parts are source files. What a file's inline functions become inside others counts for the file; the arithmetic of
-``math/frac.h`` counts for its callers.
+Inline functions are assigned to the file that defines them, except the arithmetic of ``math/frac.h``, which is assigned
+to its callers.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from firmware_cost.instructions import PHASES, cost_program, image
 from firmware_cost.programs import Programs
 
 PHASE: Final = "position"
-PERIODS: Final = 12  # times 16
+PERIODS: Final = 12  # in units of 16 PWM periods
 SETTLED: Final = {"axis_fast": 128, "axis_slow": 16}
-"""Loops that cost.c leaves out, too."""
+"""Number of first loops that are ignored, as in cost.c."""
 
 _START: Final = "motion_start"
-"""Called when the axes begin to spin."""
+"""Function that is called at the start of SPIN."""
 _LOOPS: Final = ("axis_fast", "axis_slow")
 _ARITHMETIC: Final = ("math/frac", "math/saturate")
 _OUTSIDE: Final = ("app/servo", "native/cost")
-"""Parts from which the loops are called: there a loop has ended."""
+"""Callers of the loops; a loop ends when they continue."""
 
 _EXECUTED: Final = re.compile(rb"\[[0-9a-f]+/([0-9a-f]+)/")
 _INSTRUCTION: Final = re.compile(r"^\s*([0-9a-f]+):\t", re.MULTILINE)
@@ -42,25 +42,25 @@ _VERSION: Final = re.compile(r"version (\d+)\.(\d+)")
 class Stages:
     """Mean instructions per loop and part."""
 
-    fast: Mapping[str, float]
-    slow: Mapping[str, float]
+    fast: Mapping[str, float]  # fast loop [instructions]
+    slow: Mapping[str, float]  # slow loop [instructions]
 
 
 def stages(programs: Programs) -> Stages:
-    """Look at every instruction of the first moments of a position move."""
+    """Evaluate every instruction of the start of a position move."""
     elf = cost_program(programs, loops=False)
     part = _parts(elf)
     start = _address(elf, _START)
     entries = {_address(elf, name): name for name in _LOOPS}
-    seen: dict[str, list[Counter[str]]] = {name: [] for name in _LOOPS}
+    recorded: dict[str, list[Counter[str]]] = {name: [] for name in _LOOPS}
     current: Counter[str] | None = None
     for address in _executed(elf, image(phases=1 << PHASES.index(PHASE), maximum=PERIODS)):
         if address == start:
-            for loops in seen.values():
+            for loops in recorded.values():
                 loops.clear()
         elif address in entries:
             current = Counter()
-            seen[entries[address]].append(current)
+            recorded[entries[address]].append(current)
         if current is None:
             continue
         name = part.get(address, "")
@@ -68,12 +68,12 @@ def stages(programs: Programs) -> Stages:
             current = None
         else:
             current[name] += 1
-    fast, slow = (_mean(seen[name][SETTLED[name] :]) for name in _LOOPS)
+    fast, slow = (_mean(recorded[name][SETTLED[name] :]) for name in _LOOPS)
     return Stages(fast, slow)
 
 
 def _mean(loops: list[Counter[str]]) -> dict[str, float]:
-    """Mean per part, dearest first."""
+    """Mean per part, the largest first."""
     if not loops:
         raise TargetError("no loop has run")
     total: Counter[str] = Counter()
@@ -83,7 +83,7 @@ def _mean(loops: list[Counter[str]]) -> dict[str, float]:
 
 
 def _parts(elf: Path) -> dict[int, str]:
-    """The part that each instruction belongs to, such as ``control/pi``."""
+    """Part of each instruction address, such as ``control/pi``."""
     addresses = _INSTRUCTION.findall(run(["arm-none-eabi-objdump", "-d", elf]))
     command = ["arm-none-eabi-addr2line", "-a", "-i", "-e", str(elf)]
     lines = run(command, data="\n".join(addresses).encode("ascii")).splitlines()
@@ -95,7 +95,7 @@ def _parts(elf: Path) -> dict[int, str]:
 
 
 def _frames(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
-    """Addresses with their files, innermost inline function first."""
+    """Addresses with their files, the innermost inline function first."""
     address, files = None, list[str]()
     for line in lines:
         if line.startswith("0x"):
@@ -109,7 +109,7 @@ def _frames(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
 
 
 def _part_of(location: str) -> str:
-    """``.../firmware/control/pi.h:40`` is a part of ``control/pi``."""
+    """Part of a location: ``control/pi`` for ``.../firmware/control/pi.h:40``."""
     path = Path(location.rsplit(":", 1)[0])
     return f"{path.parent.name}/{path.stem}"
 
@@ -123,7 +123,7 @@ def _address(elf: Path, symbol: str) -> int:
 
 
 def _single_step() -> list[str]:
-    """The simulator logs an address for each block that it translates: make every block one instruction."""
+    """QEMU options for blocks of one instruction, as the trace has one address per block."""
     found = _VERSION.search(run([QEMU[0], "--version"]))
     if found is not None and (int(found[1]), int(found[2])) < (8, 1):
         return ["-singlestep"]
@@ -131,7 +131,7 @@ def _single_step() -> list[str]:
 
 
 def _executed(elf: Path, data: bytes) -> Iterator[int]:
-    """Address of every instruction, in the order of execution."""
+    """Address of every executed instruction, in order."""
     with tempfile.NamedTemporaryFile(suffix=".image") as file, tempfile.TemporaryFile() as output:
         file.write(data)
         file.flush()

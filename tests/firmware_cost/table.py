@@ -1,4 +1,4 @@
-"""The measurement as a Markdown table, which is kept beside the code: what a change costs is a line of its diff."""
+"""The measurement as a committed Markdown table, so that the cost of a change is visible in its diff."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SLOW_AIM: Final = 600
 CONTROL_AIM: Final = 10_000
 RECORDER_AIM: Final = 60
 MOVING: Final = PHASES[:-1]
-"""What a servo does; the last phase is the voltage limit."""
+"""Phases of normal operation, without the voltage limit."""
 
 _HEAD: Final = """\
 # What the firmware costs
@@ -30,7 +30,7 @@ Two axes that move in every mode, on a Cortex-M3; instructions are counted, not 
 writes this table, and a test compares it: what a change costs shows up as a diff here.
 """
 _COMPILER: Final = re.compile(r"^Compiler: (.*)\.$", re.MULTILINE)
-_PARTS_SHOWN: Final = 0.5  # instructions; less is summed up
+_PARTS_SHOWN: Final = 0.5  # [instructions]; smaller parts are only in the sum
 
 
 def table(measurement: Measurement) -> str:
@@ -51,12 +51,12 @@ def table(measurement: Measurement) -> str:
 
 
 def compiler_of(text: str) -> str:
-    """The compiler that a table was made with; empty when it does not say."""
+    """Compiler of a table; empty if it is not named."""
     found = _COMPILER.search(text)
     return found[1] if found else ""
 
 
-def dearest(counts: Counts, kind: Kind, phases: Iterable[str] = MOVING) -> float:
+def largest_mean(counts: Counts, kind: Kind, phases: Iterable[str] = MOVING) -> float:
     """Largest mean among some phases."""
     return max(counts[phase, kind].mean for phase in phases)
 
@@ -72,13 +72,13 @@ def _against_others(measurement: Measurement) -> str:
     mean, maximum = _per_period(counts)
     sensorless = measurement.sensorless[OBSERVED_PHASE, FAST]
     rows = [
-        ("fast loop with encoder, everything included", *_aimed(dearest(counts, FAST), FAST_AIM)),
+        ("fast loop with encoder, everything included", *_with_aim(largest_mean(counts, FAST), FAST_AIM)),
         ("the same at the voltage limit", f"{counts[PHASES[-1], FAST].mean:.0f}", ""),
-        ("fast loop without encoder: observer and PLL", *_aimed(sensorless.mean, SENSORLESS_AIM)),
-        ("slow loop, position mode", *_aimed(counts["position", SLOW].mean, SLOW_AIM)),
-        ("slow loop, speed mode", *_aimed(counts["speed", SLOW].mean, SLOW_AIM)),
-        (f"recorder, {FOUR}", *_aimed(measurement.recorder[FOUR].mean, RECORDER_AIM)),
-        ("control code of two axes, bytes", *_aimed(sizes.control.text, CONTROL_AIM)),
+        ("fast loop without encoder: observer and PLL", *_with_aim(sensorless.mean, SENSORLESS_AIM)),
+        ("slow loop, position mode", *_with_aim(counts["position", SLOW].mean, SLOW_AIM)),
+        ("slow loop, speed mode", *_with_aim(counts["speed", SLOW].mean, SLOW_AIM)),
+        (f"recorder, {FOUR}", *_with_aim(measurement.recorder[FOUR].mean, RECORDER_AIM)),
+        ("control code of two axes, bytes", *_with_aim(sizes.control.text, CONTROL_AIM)),
         ("the same with the FreeMASTER server, bytes", f"{sizes.complete.text}", ""),
         ("both interrupts of a PWM period, mean", f"{mean:.0f}", "DRM: 6250 cycles for the period at 100 MHz"),
         ("both interrupts of a PWM period, max", f"{maximum}", "the same"),
@@ -98,7 +98,7 @@ def _against_others(measurement: Measurement) -> str:
 
 
 def core_errors(measurement: Measurement) -> dict[tuple[Setup, str, Kind], tuple[float, float]]:
-    """By how much the virtual core charges too much, relative: mean, and that of the longest run."""
+    """Relative error of the charges of the virtual core: of the mean, and of the maximum."""
     result: dict[tuple[Setup, str, Kind], tuple[float, float]] = {}
     for setup, counts in measurement.by_setup.items():
         for (phase, kind), count in counts.items():
@@ -130,14 +130,14 @@ def _about(setup: Setup) -> str:
     return "" if setup == Setup.CONFIGURED else f"{setup.name.lower().replace('_', ' ')}, "
 
 
-def _aimed(measured: float, aim: int) -> tuple[str, str]:
-    """A figure and what it ought to be."""
+def _with_aim(measured: float, aim: int) -> tuple[str, str]:
+    """A figure and its aim."""
     verdict = "" if measured <= aim else f", missed by {100.0 * (measured / aim - 1.0):.0f} %"
     return f"{measured:.0f}", f"at most {aim}{verdict}"
 
 
 def _per_period(counts: Counts) -> tuple[float, int]:
-    """Instructions of both interrupts in a PWM period: mean over slow ticks of the dearest phase, and maximum."""
+    """Instructions of both interrupts in a PWM period: largest mean of a phase, and maximum."""
 
     maximum = max(
         counts[phase, 2 * k].maximum + counts[phase, 2 * k + 1].maximum for phase in PHASES for k in range(PERIODS)

@@ -1,4 +1,4 @@
-"""``python -m targets``: record on the host, replay everywhere, print one line per target."""
+"""``python -m targets``: record on the host, replay on all targets, print one line per target."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from targets.toolchain import TargetError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Return 0 if all targets agree with the host, 1 if one does not or is missing where none may be."""
+    """Return 0 if all targets agree with the host, 1 if one differs, or is missing with ``--all``."""
     options = _parser().parse_args(arguments)
     chosen = [target for target in TARGETS if not options.target or target.name in options.target]
-    there = [target for target in chosen if target.available()]
-    missing = [target for target in chosen if target not in there]
+    present = [target for target in chosen if target.available()]
+    missing = [target for target in chosen if target not in present]
     agree = True
     with tempfile.TemporaryDirectory(prefix="targets-") as name:
         folder = Path(name)
@@ -34,11 +34,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 1
         digest = combined([one.digest for one in expected])
         print(f"{'recorded on the host':20} {digest:08X}          {_contents(expected)}", flush=True)
-        for report in check(there, expected, sources, folder):
+        for report in check(present, expected, sources, folder):
             agree = _print(report) and agree
     for target in missing:
         print(f"{target.name:20} skipped            {missing_text(target)}")
-    print(_summary(len(there), len(missing), agree))
+    print(_summary(len(present), len(missing), agree))
     return 0 if agree and not (missing and options.all) else 1
 
 
@@ -48,8 +48,8 @@ def _parser() -> argparse.ArgumentParser:
     scenarios = [scenario.name for scenario in SCENARIOS]
     parser.add_argument("--target", action="append", choices=[t.name for t in TARGETS], metavar="NAME", help=names)
     parser.add_argument("--scenario", action="append", choices=scenarios, metavar="NAME", help=", ".join(scenarios))
-    parser.add_argument("--seed", type=int, default=1, help="of the board's noise and of the arithmetic's numbers")
-    parser.add_argument("--all", action="store_true", help="fail when a target is skipped for want of a tool")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the noise of the board and of the arithmetic")
+    parser.add_argument("--all", action="store_true", help="fail if a target is skipped because of a missing tool")
     return parser
 
 

@@ -1,4 +1,4 @@
-"""What the core did in one call of an entry point, as numbers and in words."""
+"""Outputs of the core in one call of an entry point, as numbers and as text."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _OUTPUTS: Final = (
     ("erase", 1),
     ("program", 3),
 )
-"""Names of ``out_t``, and how many words follow the head."""
+"""Names of ``out_t``, and number of words after the head."""
 
 _AXIS_KINDS: Final = ("edge", "over_current")
 _CALL: Final = re.compile(r"\?([0-9A-F]{8})((?: [0-9A-F]{4})+)")
@@ -38,39 +38,25 @@ _END: Final = re.compile(r"end ([0-9A-F]{8})")
 
 @dataclass(frozen=True)
 class Call:
-    """One call of an entry point.
+    """One call of an entry point."""
 
-    Attributes
-    ----------
-    period : int
-        PWM periods since reset.
-    kind, axis : int
-        Which entry point.
-    left, missing : int
-        Recorded inputs that were not asked for; inputs asked for in vain.
-    out : tuple of int
-        Words out, as in ``exchange.h``.
-    snapshot : tuple of (int, int)
-        Index in the table of variables and value of each scalar, if the call published a snapshot.
-    """
-
-    period: int
-    kind: int
-    axis: int
-    left: int
-    missing: int
-    out: tuple[int, ...]
-    snapshot: tuple[tuple[int, int], ...] = ()
+    period: int  # time of the call after reset [PWM periods]
+    kind: int  # entry point, index of `KINDS`
+    axis: int  # axis of the entry point, 0 or 1
+    left: int  # number of recorded inputs that were not read
+    missing: int  # number of inputs that were read but not recorded
+    out: tuple[int, ...]  # output words, as in ``exchange.h``
+    snapshot: tuple[tuple[int, int], ...] = ()  # index in the table of variables and value of each published scalar
 
     @property
     def place(self) -> str:
-        """Where and when, for people."""
+        """Time and entry point, as text."""
         kind = KINDS[self.kind] if self.kind < len(KINDS) else f"call {self.kind}"
         axis = f" of axis{self.axis + 1}" if kind in _AXIS_KINDS else ""
         return f"period {self.period} ({self.period * PERIOD_NS / 1e6:.2f} ms), {kind}{axis}"
 
     def outputs(self) -> list[str]:
-        """Words out, one text per operation."""
+        """Output words, one text per operation."""
         texts: list[str] = []
         words = list(self.out)
         while words:
@@ -87,7 +73,7 @@ class Call:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a replay program printed: check values, calls of the periods that were asked for, final digest."""
+    """Output of a replay program: final digest, check values, and calls of the requested periods."""
 
     digest: int
     checks: tuple[int, ...]
@@ -99,12 +85,12 @@ def _signed(word: int) -> int:
 
 
 def parse_console(text: str) -> Outcome:
-    """Read what a replay program printed.
+    """Parse the output of a replay program.
 
     Raises
     ------
     ValueError
-        If it did not come to its end.
+        If the program did not terminate normally.
     """
     checks: list[int] = []
     calls: list[Call] = []
@@ -121,11 +107,11 @@ def parse_console(text: str) -> Outcome:
         elif (match := _FIELD.fullmatch(line)) and calls:
             fields.append((int(match[1], 16), int(match[2], 16)))
             calls[-1] = Call(**{**vars(calls[-1]), "snapshot": tuple(fields)})
-    raise ValueError(f"the program did not come to its end; its last words: {text[-200:]!r}")
+    raise ValueError(f"the program did not terminate normally; end of its output: {text[-200:]!r}")
 
 
 def parse_log(words: Sequence[int]) -> Iterator[Call]:
-    """Calls out of the recorder's log (see ``recorder.h``)."""
+    """Calls in the log of the recorder (``recorder.h``)."""
     at = 0
     while at < len(words):
         low, high, kind, axis, size = words[at : at + 5]
@@ -140,7 +126,7 @@ def parse_log(words: Sequence[int]) -> Iterator[Call]:
 
 
 def difference(call: Call, recorded: Call, fields: Mapping[int, str]) -> str | None:
-    """First difference between a call on a target and the recorded one, in words; None if there is none.
+    """First difference between a call on a target and the recorded call, as text; None if there is none.
 
     Parameters
     ----------
@@ -150,7 +136,7 @@ def difference(call: Call, recorded: Call, fields: Mapping[int, str]) -> str | N
     if call == recorded:
         return None
     if call.missing or call.left:
-        asked = f"asked for {call.missing} inputs more" if call.missing else f"left {call.left} inputs"
+        asked = f"read {call.missing} inputs more" if call.missing else f"left {call.left} inputs"
         return f"{call.place}: {asked} than were recorded"
     for here, there in zip(call.outputs(), recorded.outputs(), strict=False):
         if here != there:

@@ -1,9 +1,9 @@
-"""``python -m targets.casts``: remove the casts and constant macros of the core one by one: whose digest changes?
+"""``python -m targets.casts``: mutation test that removes the casts and constant macros of the core one by one.
 
-`int` has 16 bits on the 56800EX as on the AVR, so a missing cast is an error that the host hides. Each removal is built
-for the AVR: the compiler may refuse it or make the same machine code of it, or a replay has to give other numbers. What
-no machine notices is printed, and has to be something that no number can show, such as ``-(int32_t)limit`` of a limit
-that is not negative. Takes some seconds per cast; ``--room control`` looks at one folder.
+`int` has 16 bits on the 56800EX and on the AVR, so a missing cast is an error that the host does not show. Each mutant
+is built for the AVR: it does not compile, it has the same machine code, or a replay must give other numbers. Surviving
+mutants are printed; they must be without effect, such as ``-(int32_t)limit`` of a limit that is not negative. A cast
+takes some seconds; ``--room control`` tests one folder.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from targets.sources import ROOMS, Sources
 from targets.toolchain import JOBS, TargetError
 
 ROUNDS: Final = 60
-"""Of the arithmetic, which comes before the runs."""
+"""Rounds of the arithmetic, which is tested before the runs."""
 
 _TYPE: Final = r"(?:u?int(?:8|16|32|64)_t|frac(?:16|32)_t|gain_t|path_position_t|unsigned|size_t)"
 _CAST: Final = re.compile(rf"(?<!\w)\({_TYPE}\)(?=\s*[\w(~\-!*])")
@@ -40,35 +40,21 @@ _SILENT: Final = re.compile(r'/\*.*?\*/|"[^"\n]*"', re.DOTALL)
 
 @dataclass(frozen=True)
 class Removal:
-    """A cast, or the macro around a constant, that can be taken away.
+    """A cast, or a macro around a constant, that can be removed."""
 
-    Attributes
-    ----------
-    file : str
-        Below the firmware folder.
-    start, end : int
-        Where it stands in the text.
-    rest : str
-        What stays of it.
-    line : int
-        For people.
-    removed, code : str
-        The cast, and the line that it stands in.
-    """
-
-    file: str
-    start: int
-    end: int
-    rest: str
-    line: int
-    removed: str
-    code: str
+    file: str  # path below the firmware folder
+    start: int  # first character in the file
+    end: int  # character behind it
+    rest: str  # replacement
+    line: int  # line number, from 1
+    removed: str  # the cast or macro
+    code: str  # its line
 
     def __str__(self) -> str:
         return f"{self.file}:{self.line} without {self.removed} in: {self.code}"
 
     def apply(self, sources: Sources, folder: Path) -> Sources:
-        """Copy the sources to a folder and remove it there."""
+        """Copy the sources to a folder and remove it in the copy."""
         copy = sources.copy(folder)
         path = copy.firmware / self.file
         text = path.read_text(encoding="utf-8")
@@ -77,7 +63,7 @@ class Removal:
 
 
 def removals(sources: Sources, rooms: Sequence[str] = ROOMS) -> Iterator[Removal]:
-    """Every cast and constant macro of the core, generated files excepted."""
+    """Every cast and constant macro of the core, except in generated files."""
     for room in rooms:
         for path in sorted((sources.firmware / room).glob("*.[ch]")):
             if not path.stem.endswith("_gen"):
@@ -96,22 +82,22 @@ def _removals(file: str, text: str) -> Iterator[Removal]:
 def verdict(
     removal: Removal, sources: Sources, built: AvrProgram, expected: Sequence[Expectation], place: Path
 ) -> str | None:
-    """Name the machine whose digest changes, or None.
+    """Detection of a removal as text, or None.
 
     Parameters
     ----------
     built : AvrProgram
-        The program of the whole sources.
+        Program of the unchanged sources.
     place : Path
-        For what is built; does not exist yet, and is gone afterwards.
+        Temporary folder of the build; must not exist.
     """
     try:
-        return _notice(removal.apply(sources, place / "sources"), built, expected, place)
+        return _detection(removal.apply(sources, place / "sources"), built, expected, place)
     finally:
         shutil.rmtree(place)
 
 
-def _notice(sources: Sources, built: AvrProgram, expected: Sequence[Expectation], place: Path) -> str | None:
+def _detection(sources: Sources, built: AvrProgram, expected: Sequence[Expectation], place: Path) -> str | None:
     try:
         program = Avr().build(sources, place)
     except TargetError:
@@ -122,16 +108,16 @@ def _notice(sources: Sources, built: AvrProgram, expected: Sequence[Expectation]
         try:
             _, text = first_difference(program, one)
         except (TargetError, ValueError):
-            text = "does not come to its end"
+            text = "does not terminate normally"
         if text is not None:
             return f"{one.name}: {text}"
     return None
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Return 0; what survives has to be judged by people."""
+    """Return 0; surviving mutants need a review."""
     parser = argparse.ArgumentParser(prog="targets.casts", description=__doc__)
-    parser.add_argument("--room", action="append", choices=ROOMS, help="folder of the firmware; all unless given")
+    parser.add_argument("--room", action="append", choices=ROOMS, help="folder of the firmware; default: all")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory(prefix="casts-") as name:
         folder = Path(name)
@@ -142,19 +128,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         expected: list[Expectation] = [recorder.arithmetic(rounds=ROUNDS), *runs]
         found = list(removals(sources, options.room or ROOMS))
         print(f"{len(found)} casts and constants", flush=True)
-        judge = partial(_judge, sources, built, expected, folder)
+        test_removal = partial(_test_removal, sources, built, expected, folder)
         with ThreadPoolExecutor(JOBS) as pool:
             results = []
-            for removal, result in zip(found, pool.map(judge, range(len(found)), found), strict=True):
+            for removal, result in zip(found, pool.map(test_removal, range(len(found)), found), strict=True):
                 results.append(result if result is None or ":" not in result else "other numbers")
                 if result is None:
-                    print(f"unnoticed: {removal}", flush=True)
+                    print(f"survived: {removal}", flush=True)
     for result, count in Counter(results).most_common():
-        print(f"{count:4} {result or 'unnoticed'}")
+        print(f"{count:4} {result or 'survived'}")
     return 0
 
 
-def _judge(
+def _test_removal(
     sources: Sources, built: AvrProgram, expected: Sequence[Expectation], folder: Path, index: int, removal: Removal
 ) -> str | None:
     return verdict(removal, sources, built, expected, folder / f"removal{index}")

@@ -1,4 +1,4 @@
-"""Run what the host expects on a target, and find the first difference."""
+"""Replay expectations of the host on a target and find the first difference."""
 
 from __future__ import annotations
 
@@ -21,25 +21,13 @@ Expectation = Recording | Arithmetic
 
 @dataclass(frozen=True)
 class Report:
-    """How a target did.
+    """Result of a target."""
 
-    Attributes
-    ----------
-    digest : int or None
-        Over all expectations; None when one of them did not come to its end.
-    expected : int
-        What it should be.
-    seconds : float
-        Sum of the running times.
-    problems : tuple of str
-        Differences and failures; empty when the target agrees.
-    """
-
-    target: Target
-    digest: int | None
-    expected: int
-    seconds: float
-    problems: tuple[str, ...]
+    target: Target  # the target
+    digest: int | None  # digest over all expectations; None if a replay did not terminate normally
+    expected: int  # digest of the host
+    seconds: float  # sum of the run times [s]
+    problems: tuple[str, ...]  # differences and failures; empty if the target agrees
 
     @property
     def agrees(self) -> bool:
@@ -50,12 +38,12 @@ class Report:
 class _Run:
     expectation: Expectation
     digest: int | None
-    seconds: float
+    seconds: float  # run time [s]
     problem: str | None
 
 
 def combined(digests: Sequence[int]) -> int:
-    """One digest of several."""
+    """Digest of several digests."""
     return zlib.crc32(struct.pack(f"<{len(digests)}I", *digests))
 
 
@@ -74,7 +62,7 @@ def first_difference(program: Program, expected: Expectation) -> tuple[int, str 
     TargetError
         If the program fails.
     ValueError
-        If it does not come to its end.
+        If it does not terminate normally.
     """
     outcome = parse_console(program.run(expected.image))
     if (outcome.digest, outcome.checks) == (expected.digest, expected.checks):
@@ -88,7 +76,7 @@ def first_difference(program: Program, expected: Expectation) -> tuple[int, str 
 
 
 def _name_difference(program: Program, recording: Recording, first: int, last: int) -> str:
-    """Look at every call of the periods within which the first difference lies."""
+    """Compare every call of the periods that contain the first difference."""
     calls = parse_console(program.run(recording.printing(first, last))).calls
     for call, recorded in zip(calls, recording.calls(first, last), strict=False):
         if (text := difference(call, recorded, recording.fields)) is not None:
@@ -99,14 +87,14 @@ def _name_difference(program: Program, recording: Recording, first: int, last: i
 def check(
     targets: Sequence[Target], expected: Sequence[Expectation], sources: Sources, folder: Path
 ) -> Iterator[Report]:
-    """Build and run targets, as many at a time as there are processors; the reports come in the order of the targets.
+    """Build and run targets, one job per processor; yield the reports in the order of the targets.
 
     Parameters
     ----------
     sources : Sources
-        What the targets are built from; the same that the expectations were made from.
+        C sources of the targets and of the expectations.
     folder : Path
-        For what is built.
+        Folder of the builds.
     """
     with ThreadPoolExecutor(JOBS) as pool:
         places = [folder / f"target{i}" for i in range(len(targets))]
@@ -130,7 +118,7 @@ def check(
 
 
 def _build(target: Target, sources: Sources, place: Path) -> Program | str:
-    """Return the program, or why there is none."""
+    """Return the program, or the reason of a failed build."""
     place.mkdir(parents=True)
     try:
         return target.build(sources, place)

@@ -1,4 +1,4 @@
-"""Where the axes have been in recorded runs: states, transitions, faults and limits, out of the snapshots."""
+"""States, transitions, faults and limits of the axes in recorded runs, from the snapshots."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ RUN_TRANSITIONS: Final = frozenset(
     {
         ("CALIB", "READY"),
         ("READY", "ALIGN"),
-        ("READY", "SPIN"),  # behind a holding brake, where the angle is known
+        ("READY", "SPIN"),  # with a holding brake, if the angle is known
         ("ALIGN", "READY"),
         ("ALIGN", "SPIN"),
         ("SPIN", "FREEWHEEL"),
-        ("SPIN", "ALIGN"),  # is a shaft that does not move held fast, or unseen?
+        ("SPIN", "ALIGN"),  # stall test: blocked shaft or dead encoder
         ("FREEWHEEL", "ALIGN"),
         ("FREEWHEEL", "READY"),
         ("READY", "STARTUP"),
@@ -51,7 +51,7 @@ Transition = tuple[str, str]
 
 
 @dataclass(frozen=True)
-class Moment:
+class AxisSample:
     """One axis at the end of a slow tick."""
 
     state: str
@@ -62,37 +62,25 @@ class Moment:
 
 @dataclass
 class History:
-    """What one axis has gone through.
+    """States, transitions, faults and limits of one axis."""
 
-    Attributes
-    ----------
-    states, substates : set of str
-        Where it was; sub-states only while in RUN.
-    transitions, run_transitions : set of (str, str)
-        From state to state, and from sub-state to sub-state except to CALIB.
-    faults, limits : set of str
-        What was raised and reported.
-    faulted_from : set of str
-        States and sub-states that a fault has ended.
-    """
+    states: set[str] = field(default_factory=set)  # states of the main state machine
+    substates: set[str] = field(default_factory=set)  # sub-states of RUN
+    transitions: set[Transition] = field(default_factory=set)  # (from, to) of the main state machine
+    run_transitions: set[Transition] = field(default_factory=set)  # (from, to) of the sub-states, except to CALIB
+    faults: set[str] = field(default_factory=set)  # reported faults
+    limits: set[str] = field(default_factory=set)  # reported limits
+    faulted_from: set[str] = field(default_factory=set)  # states and sub-states that were ended by a fault
 
-    states: set[str] = field(default_factory=set)
-    substates: set[str] = field(default_factory=set)
-    transitions: set[Transition] = field(default_factory=set)
-    run_transitions: set[Transition] = field(default_factory=set)
-    faults: set[str] = field(default_factory=set)
-    limits: set[str] = field(default_factory=set)
-    faulted_from: set[str] = field(default_factory=set)
-
-    def add(self, moments: Sequence[Moment]) -> None:
-        """Take in one run, which begins with a reset."""
-        for moment in moments:
-            self.states.add(moment.state)
-            if moment.state == "RUN":
-                self.substates.add(moment.substate)
-            self.faults |= moment.faults
-            self.limits |= moment.limits
-        for before, after in itertools.pairwise(moments):
+    def add(self, samples: Sequence[AxisSample]) -> None:
+        """Add one run, which starts with a reset."""
+        for sample in samples:
+            self.states.add(sample.state)
+            if sample.state == "RUN":
+                self.substates.add(sample.substate)
+            self.faults |= sample.faults
+            self.limits |= sample.limits
+        for before, after in itertools.pairwise(samples):
             if before.state != after.state:
                 self.transitions.add((before.state, after.state))
             if before.substate != after.substate and after.substate != "CALIB":
@@ -102,24 +90,24 @@ class History:
 
 
 def histories(recordings: Iterable[Recording], catalogue: Catalogue) -> dict[int, History]:
-    """What each axis (1, 2) has gone through in all of the runs."""
+    """History of each axis (1, 2) over all runs."""
     found = {axis: History() for axis in AXES}
     for recording in recordings:
         views = [dict(call.snapshot) for call in recording.calls() if call.snapshot]
         for axis in AXES:
-            found[axis].add(list(_moments(recording, catalogue, axis, views)))
+            found[axis].add(list(_axis_samples(recording, catalogue, axis, views)))
     return found
 
 
-def _moments(
+def _axis_samples(
     recording: Recording, catalogue: Catalogue, axis: int, views: Iterable[dict[int, int]]
-) -> Iterator[Moment]:
+) -> Iterator[AxisSample]:
     index = {name: i for i, name in recording.fields.items()}
     state, substate, faults, limits = (
         index[f"axis{axis}.{name}"] for name in ("state", "substate", "faults", "limits")
     )
     for view in views:
-        yield Moment(
+        yield AxisSample(
             state=catalogue.label("state_t", view[state]),
             substate=catalogue.label("substate_t", view[substate]),
             faults=frozenset(flag.name for flag in catalogue.active("faults", view[faults])),

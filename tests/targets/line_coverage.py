@@ -1,4 +1,4 @@
-"""Which lines of the core the replays never reach (gcov)."""
+"""Lines of the core that no replay executes (gcov)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _COUNTED: Final = Host("gcov", "gcc", ("-O0", "--coverage"), "counts lines", ("g
 
 @dataclass(frozen=True)
 class MissedLine:
-    """A line of the core that was compiled and never run."""
+    """A line of the core that was compiled but not executed."""
 
     file: str
     function: str
@@ -34,7 +34,7 @@ def missed_lines(sources: Sources, images: Iterable[bytes], folder: Path) -> lis
     Parameters
     ----------
     folder : Path
-        For what is built; empty.
+        Empty folder for the build.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The targets: compilers with their options, and the machines that run what they make."""
+"""The targets: compilers with options, and the machines that run the programs."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from targets.toolchain import compile_objects, has_library, has_program, run
 
 AVR_MCU: Final = "atmega2560"
 AVR_OPTIONS: Final = (f"-mmcu={AVR_MCU}", "-fwrapv", "-mrelax")
-"""A sum that is too large for 16 bits wraps, as on the 56800EX, where the compiler would be free to widen it and hide a
-missing cast."""
+"""A sum that exceeds 16 bits wraps, as on the 56800EX; else the compiler may widen it and hide a missing cast."""
 
 AVR_RAM_END: Final = 0xEFFF
-"""Last address of the memory that the simulator gives it."""
+"""Last RAM address of the simulator."""
 
 TIMEOUT: Final = 300.0
-"""How long a simulator may take for one recording [s]; the slowest needs seven seconds."""
+"""Time-out of a simulator for one recording [s]; the slowest one needs 7 s."""
 
 CORTEX_M3: Final = ("-mcpu=cortex-m3", "-mthumb", "-ffreestanding", "-ffunction-sections", "-fdata-sections")
 """Options of every program for the Cortex-M3."""
@@ -32,14 +31,14 @@ QEMU: Final = (
 QEMU_IMAGE_ADDRESS: Final = 0x21000000
 
 ARITHMETIC_NAME: Final = b"SRVA"
-"""Beginning of an image that asks for the arithmetic; all others are recordings (``trace.h``)."""
+"""First bytes of an image of the arithmetic; all other images are recordings (``trace.h``)."""
 
 
 class Program(Protocol):
     """A built program."""
 
     def run(self, image: bytes) -> str:
-        """Start the program with an image; returns what it printed.
+        """Run the program with an image and return its output.
 
         Raises
         ------
@@ -56,15 +55,15 @@ class Target(Protocol):
 
     @property
     def about(self) -> str:
-        """What this target is there for."""
+        """Purpose of this target."""
 
     @property
     def packages(self) -> tuple[str, ...]:
-        """Debian packages that it needs."""
+        """Required Debian packages."""
 
     @property
     def weight(self) -> float:
-        """How long it takes, compared with the host."""
+        """Run time relative to the host."""
 
     def available(self) -> bool: ...
 
@@ -74,7 +73,7 @@ class Target(Protocol):
         Raises
         ------
         TargetError
-            If the compiler refuses.
+            If it does not compile.
         """
 
 
@@ -83,7 +82,7 @@ class Target(Protocol):
 
 @dataclass(frozen=True)
 class HostProgram:
-    """An executable of the host; the image goes in through its standard input."""
+    """Executable of the host; the image is its standard input."""
 
     path: Path
 
@@ -93,21 +92,15 @@ class HostProgram:
 
 @dataclass(frozen=True)
 class Host:
-    """A compiler for the machine that runs the tests.
+    """A compiler for the machine that runs the tests."""
 
-    Attributes
-    ----------
-    libraries : tuple of str
-        Files of the compiler without which the options do not work.
-    """
-
-    name: str
-    compiler: str
-    options: tuple[str, ...]
-    about: str
-    packages: tuple[str, ...]
-    libraries: tuple[str, ...] = ()
-    weight: float = 1.0
+    name: str  # name of the target
+    compiler: str  # command
+    options: tuple[str, ...]  # compiler options
+    about: str  # purpose of the target
+    packages: tuple[str, ...]  # required Debian packages
+    libraries: tuple[str, ...] = ()  # files of the compiler that the options need
+    weight: float = 1.0  # run time relative to the host
 
     def available(self) -> bool:
         return has_program(self.compiler) and all(has_library(self.compiler, name) for name in self.libraries)
@@ -134,7 +127,7 @@ def cortex_m3_compiler(sources: Sources, options: Sequence[str]) -> list[str]:
 
 
 def build_cortex_m3(sources: Sources, output: Path, files: Sequence[Path], options: Sequence[str]) -> Path:
-    """Compile and link a program for the Cortex-M3: `files`, which may be objects, and the machine."""
+    """Compile and link a program for the Cortex-M3 from sources or objects `files` and the start-up code."""
     port = sources.port("cortex_m3")
     link = ["-nostdlib", "-T", str(port / "mps2.ld"), "-Wl,--gc-sections", "-o", str(output)]
     everything = [*files, port / "machine.c", port / "startup.c"]
@@ -144,7 +137,7 @@ def build_cortex_m3(sources: Sources, output: Path, files: Sequence[Path], optio
 
 @dataclass(frozen=True)
 class QemuProgram:
-    """A program for the Cortex-M3; the image lies in memory."""
+    """Program for the Cortex-M3; the image is loaded into memory."""
 
     path: Path
     options: tuple[str, ...] = ()
@@ -164,7 +157,7 @@ class CortexM3:
     optimisation: str
     about: str = "Cortex-M3, bare metal, QEMU mps2-an385"
     packages: tuple[str, ...] = ("gcc-arm-none-eabi", "libnewlib-arm-none-eabi", "qemu-system-arm")
-    weight: float = 4.0
+    weight: float = 4.0  # run time relative to the host
 
     @property
     def name(self) -> str:
@@ -185,7 +178,7 @@ class CortexM3:
 
 @dataclass(frozen=True)
 class AvrProgram:
-    """A program for the AVR, and the simulator that runs it (firmware/port/avr/simulator.c)."""
+    """Program for the AVR with its simulator (firmware/port/avr/simulator.c)."""
 
     elf: Path
     simulator: Path
@@ -197,7 +190,7 @@ class AvrProgram:
             text = run([self.simulator, self.elf, file.name], timeout=TIMEOUT)
         return "".join(
             line for line in text.splitlines(keepends=True) if not line.startswith("Loaded ")
-        )  # simavr's own
+        )  # message of simavr
 
 
 @dataclass(frozen=True)
@@ -207,7 +200,7 @@ class Avr:
     optimisation: str = "-Os"
     about: str = "16-bit int, ATmega2560, simavr"
     packages: tuple[str, ...] = ("gcc-avr", "avr-libc", "libsimavr-dev")
-    weight: float = 100.0
+    weight: float = 100.0  # run time relative to the host
 
     @property
     def name(self) -> str:
@@ -231,7 +224,7 @@ class Avr:
 
 
 def missing_text(target: Target) -> str:
-    """What to do about a target that is not available."""
+    """Message with the command that installs the tools of a target."""
     return f"a tool is missing: sudo apt-get install {' '.join(target.packages)}"
 
 
@@ -239,7 +232,7 @@ _NO_RECOVERY: Final = ("-fno-sanitize-recover=all", "-fno-omit-frame-pointer", "
 
 TARGETS: Final[tuple[Target, ...]] = (
     Host("gcc -O0", "gcc", ("-O0",), "the code as written", ("gcc", "libc6-dev")),
-    Host("gcc -O3", "gcc", ("-O3",), "everything a compiler may assume", ("gcc", "libc6-dev")),
+    Host("gcc -O3", "gcc", ("-O3",), "all optimisations", ("gcc", "libc6-dev")),
     Host("clang -O2", "clang", ("-O2",), "another compiler", ("clang",)),
     Host(
         "gcc sanitizers",

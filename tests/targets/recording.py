@@ -1,4 +1,4 @@
-"""Run a scenario on the virtual board and keep what crosses ``hal/hal.h``."""
+"""Run a scenario on the virtual board and record all calls of ``hal/hal.h``."""
 
 from __future__ import annotations
 
@@ -27,92 +27,56 @@ ARITHMETIC_ROUNDS: Final = 150
 
 _FUNCTION: Final = re.compile(r"^\w+(?: \*)? (\w+)\(", re.MULTILINE)
 _NOT_AN_ENTRY: Final = ("servo_read", "servo_write", "servo_restore", "servo_host_init")
-"""Functions of ``servo.h`` that no port calls."""
+"""Functions of ``servo.h`` that are not called by a port."""
 
 _HEADER: Final = struct.Struct("<4sIII")
 _ARITHMETIC: Final = struct.Struct("<4sII")
 _CRC_FLIP: Final = 0xFFFFFFFF
-"""zlib returns the complement of what the targets fold."""
+"""zlib returns the complement of the CRC of the targets."""
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """Something that a board is made to go through.
+    """Sequence of commands and disturbances for a board."""
 
-    Attributes
-    ----------
-    name : str
-        For people; more about it says the documentation of `play`.
-    plant : PlantConfig
-        What is really there.
-    play : callable
-        Does it to a board that has just been switched on.
-    """
-
-    name: str
-    plant: PlantConfig
-    play: Callable[[Rig], None]
+    name: str  # short name; the docstring of `play` describes it
+    plant: PlantConfig  # plant data
+    play: Callable[[Rig], None]  # runs it on a board after power-on
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A recorded run, and what the core did in it.
+    """Recorded run with the outputs of the core."""
 
-    Attributes
-    ----------
-    image : bytes
-        What a replay program is fed with.
-    digest, checks : int, tuple of int
-        Check values of all that the core did.
-    periods : int
-        PWM periods.
-    log : memoryview
-        Every call in the recorder's own words; see `calls`.
-    fields : dict
-        Names of the entries in the table of variables.
-    written : tuple of (str, tuple of int)
-        Variables that the host wrote, and the raw numbers.
-    """
-
-    name: str
-    image: bytes
-    digest: int
-    checks: tuple[int, ...]
-    periods: int
-    log: memoryview
-    fields: dict[int, str]
-    written: tuple[tuple[str, tuple[int, ...]], ...]
+    name: str  # name of the scenario
+    image: bytes  # input of a replay program
+    digest: int  # check value of all outputs
+    checks: tuple[int, ...]  # intermediate check values, one per `CHECK_PERIODS`
+    periods: int  # length of the run [PWM periods]
+    log: memoryview  # all calls, encoded by the recorder; see `calls`
+    fields: dict[int, str]  # names of the entries in the table of variables, by index
+    written: tuple[tuple[str, tuple[int, ...]], ...]  # variables that the host wrote, and the raw numbers
 
     def calls(self, first: int = 0, last: int | None = None) -> list[Call]:
-        """Calls of the periods `first` to `last`, which is included."""
+        """Calls of the periods `first` to `last`, inclusive."""
         end = self.periods if last is None else last
         return [call for call in parse_log(self.log) if first <= call.period <= end]
 
     def printing(self, first: int, last: int) -> bytes:
-        """Return the image with the wish to have each call of some periods printed."""
+        """Return the image with the request to print each call of the periods `first` to `last`."""
         name, every, _, _ = _HEADER.unpack_from(self.image)
         return _HEADER.pack(name, every, first, last) + self.image[_HEADER.size :]
 
 
 @dataclass(frozen=True)
 class Arithmetic:
-    """Functions of the core on numbers that no run brings about (``arithmetic.h``), and what comes out.
+    """Results of functions of the core for random arguments (``arithmetic.h``)."""
 
-    Attributes
-    ----------
-    image : bytes
-        What a replay program is fed with.
-    digest, checks : int, tuple of int
-        Check value of everything, and of each group.
-    groups : tuple of str
-        Names of the groups of functions.
-    """
-
-    name: str
-    image: bytes
-    digest: int
-    checks: tuple[int, ...]
-    groups: tuple[str, ...]
+    name: str  # for messages
+    image: bytes  # input of a replay program
+    digest: int  # check value of all results
+    checks: tuple[int, ...]  # check value of each group
+    groups: tuple[str, ...]  # names of the groups of functions
 
 
 class Recorder:
@@ -121,9 +85,9 @@ class Recorder:
     Parameters
     ----------
     sources : Sources
-        What is compiled.
+        C sources.
     folder : Path
-        Where the library is put.
+        Folder of the library.
     """
 
     def __init__(self, sources: Sources, folder: Path) -> None:
@@ -154,7 +118,7 @@ class Recorder:
         TargetError
             If something cannot be recorded.
         targets.rig.RigError
-            If the board does not do what the scenario waits for.
+            If the board does not reach a state that the scenario requires.
         """
         ffi, lib = self._ffi, self._lib
         lib.record_begin(check_periods)
@@ -176,7 +140,7 @@ class Recorder:
             )
 
     def arithmetic(self, seed: int = 1, rounds: int = ARITHMETIC_ROUNDS) -> Arithmetic:
-        """Let the host do the arithmetic."""
+        """Compute the arithmetic on the host."""
         groups = range(self._lib.arithmetic_groups())
         checks = tuple(int(self._lib.arithmetic_digest(group, seed, rounds)) for group in groups)
         return Arithmetic(
@@ -189,9 +153,9 @@ class Recorder:
 
 
 def wrapped_functions(sources: Sources) -> list[str]:
-    """Functions that the recorder has to stand between: all of ``hal.h``, and the entry points.
+    """Functions that the recorder wraps: all of ``hal.h``, and the entry points.
 
-    A new one without a counterpart in ``recorder.c`` fails to link.
+    A new function without a counterpart in ``recorder.c`` fails to link.
     """
     names = _FUNCTION.findall((sources.firmware / "hal" / "hal.h").read_text(encoding="utf-8"))
     entries = _FUNCTION.findall((sources.firmware / "app" / "servo.h").read_text(encoding="utf-8"))

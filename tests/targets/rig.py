@@ -1,4 +1,4 @@
-"""A virtual board on the bench: what a host may do over the serial line, and what may happen to the plant."""
+"""Test rig: a virtual board with a host on its serial line and disturbances of its plant."""
 
 from __future__ import annotations
 
@@ -18,39 +18,30 @@ BAUD: Final = 1_000_000.0
 
 _IDLE: Final = (1 << 64) - 1
 _STEP: Final = 0.0025
-"""Time between two looks at a condition [s]."""
+"""Period of the test of a condition [s]."""
 
 _HEARTBEAT: Final = 0.2
-"""Longest time in which a host that waits says nothing [s]; the firmware stops for one that has fallen silent."""
+"""Period of keep-alives while the host waits [s], below the host time-out of the firmware."""
 
 
 class RigError(AssertionError):
-    """The board did not do what a scenario waits for."""
+    """The board did not reach the state that a scenario requires."""
 
 
 class Rig:
-    """A board that has just been switched on.
+    """A board after power-on.
 
-    Commands go over the serial line, because that is part of what is recorded. `get` looks at variables past it, which
-    changes nothing.
+    Commands use the serial line, which is part of the recording. `get` reads the memory directly, without an effect on
+    the recording.
 
     Parameters
     ----------
     ffi, lib : cffi library
         The virtual board (``board.h``) with the recorder (``recorder.h``).
     plant : PlantConfig
-        What is really there.
+        Plant data.
     seed : int
-        Of every random number of the board.
-
-    Attributes
-    ----------
-    catalogue : Catalogue
-        Of the board's variables.
-    entries : sequence of str
-        Names of the entries in the table of variables.
-    written : list of (str, tuple of int)
-        Variables that were written, and the raw numbers.
+        Seed of all random numbers of the board.
     """
 
     def __init__(self, ffi: Any, lib: Any, plant: PlantConfig, seed: int) -> None:
@@ -61,9 +52,10 @@ class Rig:
         config.baud, config.seed = BAUD, seed
         self._board = lib.board_new(config)
         self._memory = BoardMemory(ffi, lib, self._board)
+        # names of the entries in the table of variables
         self.entries: Sequence[str] = [entry.name for entry in self._memory.table]
-        self._spoken_ns = 0
-        self.written: list[tuple[str, tuple[int, ...]]] = []
+        self._sent_ns = 0
+        self.written: list[tuple[str, tuple[int, ...]]] = []  # variables and their raw numbers, in order
 
     def __enter__(self) -> Rig:
         return self
@@ -76,7 +68,7 @@ class Rig:
     # ---- time -----------------------------------------------------------------------------------------------------
 
     def run(self, seconds: float) -> None:
-        """Let simulated time pass [s]."""
+        """Advance simulated time [s]."""
         self._lib.board_advance(self._board, self._now_ns() + round(seconds * 1e9))
 
     def until(self, what: str, condition: Callable[[], bool], within: float = 3.0, silent: bool = False) -> None:
@@ -85,9 +77,9 @@ class Rig:
         Parameters
         ----------
         within : float
-            Time-out [s of simulated time].
+            Time-out in simulated time [s].
         silent : bool
-            Say nothing meanwhile.
+            True: send no keep-alives.
 
         Raises
         ------
@@ -97,10 +89,10 @@ class Rig:
         for _ in range(round(within / _STEP)):
             if condition():
                 return
-            if not silent and self._now_ns() - self._spoken_ns > _HEARTBEAT * 1e9:
+            if not silent and self._now_ns() - self._sent_ns > _HEARTBEAT * 1e9:
                 self.command("KEEP_ALIVE")
             self.run(_STEP)
-        axes = "; ".join(f"axis{k + 1} {place} {self.faults(k)}" for k, place in enumerate(self.places()))
+        axes = "; ".join(f"axis{k + 1} {state} {self.faults(k)}" for k, state in enumerate(self.states()))
         raise RigError(f"not within {within:g} s: {what}; {axes}")
 
     def _now_ns(self) -> int:
@@ -109,12 +101,12 @@ class Rig:
     # ---- the serial line --------------------------------------------------------------------------------------------
 
     def send(self, data: bytes) -> None:
-        """Put bytes on the line and wait until the answer, if there is one, has passed."""
+        """Send bytes and wait for the end of the answer, if any."""
         if self._lib.board_serial_in(self._board, data, len(data)) != len(data):
             raise RigError("the serial line does not take more bytes")
         while (next_ns := int(self._lib.board_serial_next_ns(self._board))) != _IDLE:
             self._lib.board_advance(self._board, next_ns)
-        self._spoken_ns = self._now_ns()
+        self._sent_ns = self._now_ns()
 
     def request(self, request: Request) -> None:
         """Send one FreeMASTER request."""
@@ -126,7 +118,7 @@ class Rig:
         self.request(commands.get_command_status())
 
     def set(self, name: str, *values: float) -> None:
-        """Write a variable in SI units: one value per element, or one for all."""
+        """Write a variable in SI units: one value per element, or one for all elements."""
         variable = self.catalogue[name]
         self.set_raw(name, *map(variable.to_raw, values * variable.count if len(values) == 1 else values))
 
@@ -136,25 +128,25 @@ class Rig:
         self.written.append((name, raw))
 
     def points(self, *points: TimedPoint) -> None:
-        """Write timed points; the board may refuse them."""
+        """Write timed points; the answer is not checked."""
         words = encode_points(self.catalogue, points)
         self.words(*words)
 
     def words(self, *words: int) -> None:
-        """Write the first words of timed points, whole ones or not."""
+        """Write words of timed points, complete points or not."""
         data = b"".join(word.to_bytes(4, "little", signed=True) for word in words)
         self.request(commands.write_memory(self.address("cmd.points"), data))
         self.written.append(("cmd.points", words))
 
     def points_together(self, *writes: Sequence[TimedPoint]) -> None:
-        """Write timed points with nothing between the requests."""
+        """Send several writes of timed points without a pause."""
         frames = b""
         for points in writes:
             data = b"".join(word.to_bytes(4, "little", signed=True) for word in encode_points(self.catalogue, points))
             frames += commands.write_memory(self.address("cmd.points"), data).frame
         self.send(frames)
 
-    # ---- looking ----------------------------------------------------------------------------------------------------
+    # ---- reading ----------------------------------------------------------------------------------------------------
 
     def address(self, name: str) -> int:
         return self._memory.variables[name].address
@@ -172,11 +164,11 @@ class Rig:
         variable = self.catalogue[name]
         return variable.decode_raw(self._memory.read(self.address(name), variable.size))
 
-    def places(self) -> list[str]:
-        """Where both axes are: the sub-state in RUN, else the state."""
-        return [self._place(f"axis{k}") for k in (1, 2)]
+    def states(self) -> list[str]:
+        """State of both axes: the sub-state in RUN, else the state."""
+        return [self._state(f"axis{k}") for k in (1, 2)]
 
-    def _place(self, axis: str) -> str:
+    def _state(self, axis: str) -> str:
         state = self.catalogue.label("state_t", round(self.get(f"{axis}.state")))
         substate = self.catalogue.label("substate_t", round(self.get(f"{axis}.substate")))
         return substate if state == "RUN" else state
@@ -196,11 +188,11 @@ class Rig:
         self._lib.board_set_supply(self._board, volts)
 
     def lock(self, axis: int, locked: bool = True) -> None:
-        """Hold a shaft fast, or let it go."""
+        """Lock or release a shaft."""
         self._lib.board_set_shaft(self._board, axis, int(locked))
 
     def obstruct(self, axis: int, below: float, above: float) -> None:
-        """End stops so far from where a shaft is [rad]."""
+        """Set end stops at distances from the present position of a shaft [rad]."""
         self._lib.board_obstruct_shaft(self._board, axis, below, above)
 
     def plug(self, axis: int, connected: bool) -> None:
@@ -216,11 +208,11 @@ class Rig:
         self._lib.board_set_motor(self._board, axis, int(connected))
 
     def inject(self, fault: NativeFault) -> None:
-        """Break something."""
+        """Inject a fault."""
         self._lib.board_inject_fault(self._board, self._raw(fault))
 
     def clear_fault(self, fault: NativeFault) -> None:
-        """Make it whole again."""
+        """Remove an injected fault."""
         self._lib.board_clear_fault(self._board, self._raw(fault))
 
     def _raw(self, fault: NativeFault) -> Any:
@@ -228,13 +220,13 @@ class Rig:
         return self._ffi.new("board_fault_t *", (getattr(self._lib, kind), *where))
 
     def disturb(self, *axes: int, one_in: int, seed: int = 1) -> None:
-        """Replace one in so many analogue inputs and edges of some axes (0, 1) by random ones."""
+        """Replace one in `one_in` analogue inputs and edges of some axes (0, 1) by random values."""
         self._lib.record_disturb(sum(1 << axis for axis in axes), one_in, seed)
 
-    def calm(self) -> None:
+    def end_disturbance(self) -> None:
         """End the disturbance."""
         self._lib.record_disturb(0, 0, 0)
 
     def lose_index(self, lost: bool) -> None:
-        """Let the index counters of both encoders stand still, or go on."""
+        """Stop or release the index counters of both encoders."""
         self._lib.record_lose_index(lost)

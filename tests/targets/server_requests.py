@@ -1,4 +1,4 @@
-"""FreeMASTER requests to a board at rest, right and wrong: every command, and every refusal of each."""
+"""FreeMASTER requests to a board at rest: every command, valid, and invalid for each refusal."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ VARIABLES: Final = 0x1000
 STRINGS: Final = 0x00100000
 TABLE: Final = 0x00200000
 SAMPLES: Final = 0x00400000
-"""Where variables, their names, their table and the samples of recorders begin (``comm/tsa.h``)."""
+"""Base addresses of variables, names, table and samples of the recorders (``comm/tsa.h``)."""
 
 _ENTRY_SIZE: Final = 16
 _CHUNK: Final = 240
-"""Bytes of the table in one answer: whole entries."""
+"""Bytes of the table in one answer, a multiple of an entry."""
 
 _READ_FROM_BASE: Final = 0x22
 _SETREC: Final = 0x24
 _GETREC: Final = 0x25
 _GETPIPE: Final = 0x2F
 _UNENDING: Final = b"\x80"
-"""The beginning of a number that goes on behind the end of the request."""
+"""First byte of a number that is longer than the request."""
 
 
 def frames(rig: Rig) -> Iterator[bytes]:
-    """Bytes to send; each waits for the answer to the one before."""
+    """Requests as bytes; each is sent after the answer to the previous one."""
     yield from _configuration()
     yield from _table(rig)
     yield from _memory(rig)
@@ -84,7 +84,7 @@ def _memory(rig: Rig) -> Iterator[bytes]:
 
 
 def _pipe() -> Iterator[bytes]:
-    """The log, and pipes that are not there; without passwords there is no login."""
+    """The log, and pipes that do not exist."""
     for number in range(6):
         yield log_request(number)
     yield log_request(5)  # again
@@ -97,7 +97,7 @@ def _pipe() -> Iterator[bytes]:
 
 
 def log_request(number: int) -> bytes:
-    """Request of the log; those with even and odd numbers take turns. Acknowledges all that the pipe had."""
+    """Request of the log with the toggle bit of its number; acknowledges all received bytes."""
     return encode_request(Command.PIPE, bytes((1 | (number & 1) << 7, 0xFF)))
 
 
@@ -181,7 +181,7 @@ def _recorder(rig: Rig) -> Iterator[bytes]:
         yield encode_request(_GETREC, bytes([recorder, 0x83]))
         for offset in (0, 240):
             yield commands.read_memory(SAMPLES + offset, 240).frame
-    # A memory that is full soon; the level fires at once, and points follow it.
+    # A memory that is full after a short time; the level triggers at once, and points follow.
     yield setting(
         0, operation(1, b"\x02\x06\x02\x00"), variable(0, "tick", b"\x51\x00"), variable(1, "u_dc_now"), start
     )
@@ -190,7 +190,7 @@ def _recorder(rig: Rig) -> Iterator[bytes]:
     yield commands.read_memory(SAMPLES, 48).frame
     yield setting(0, operation(1, b"\x01\x06\x02\x00"), start)
     yield setting(0, variable(0, "tick", b"\x04\x00"), start)
-    # Every size and alignment, with thresholds of both kinds; nothing of it is reached before the memory is full.
+    # Every size and alignment, with thresholds of both kinds; no trigger before the memory is full.
     tick, wide = encode_uleb(rig.address("tick")), encode_uleb(rig.address("cmd.position"))
     part = encode_uleb(rig.address("tick") + 1)
     for trigger in (b"\x12" + encode_sleb(-1), b"\x92" + wide, b"\x21" + encode_uleb(7), b"\xa1" + wide):
@@ -235,13 +235,13 @@ def _commands() -> Iterator[bytes]:
     yield encode_request(Command.SENDAPPCMD, b"\xff")
     yield encode_request(Command.SENDAPPCMD, b"\x03" + bytes(200))
     yield commands.send_command(3).frame
-    yield commands.send_command(1).frame  # while one is pending
+    yield commands.send_command(1).frame  # while a command is pending
     yield commands.get_command_data(8).frame
 
 
 def _line() -> Iterator[bytes]:
     source = random.Random(7)
-    yield b"+\x21\x05" + bytes(5) + b"\x00"  # wrong sum
+    yield b"+\x21\x05" + bytes(5) + b"\x00"  # wrong checksum
     yield b"+\x21+\x21\x02\x10"  # unfinished, twice
     yield b"+\x23\xfe" + source.randbytes(300).replace(b"+", b"-")  # too long
     yield bytes(1) * 64

@@ -1,4 +1,4 @@
-"""One state of the C sources, from which every program of a run is built."""
+"""C sources of all programs of a run."""
 
 from __future__ import annotations
 
@@ -14,32 +14,26 @@ ROOMS: Final = ("math", "control", "sensing", "diagnosis", "drive", "app", "comm
 """Folders of the firmware that make up the core."""
 
 STRICT: Final = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror")
-"""Options of every compiler: nowhere in the core does a number change its type unseen."""
+"""Options of every compiler: implicit conversions are errors."""
 
 SAMPLES: Final = "-DSERVO_SAMPLES=384"
-"""Bytes that recorders have on every target: no more than the smallest one has room for."""
+"""Sample memory of the recorders on every target [bytes], limited by the smallest target."""
 
 _FOLDERS: Final = ("firmware", "servo_twin/native", "tests/targets/native", "tests/bench/native")
 _REPLAY: Final = ("replay_main", "replay", "replay_hal", "arithmetic", "digest", "trace_reader", "text")
 _IDEAL_BOARD: Final = ("board", "board_ideal", "flash", "ideal_chip", "uart")
-"""Of the virtual board's two levels the one that stands on hal.h itself."""
+"""Files of the virtual board at level `ideal`."""
 _RECORDER: Final = ("recorder", "arithmetic", "digest")
 
 
 @dataclass(frozen=True)
 class Sources:
-    """C sources below one root.
+    """C sources below one root."""
 
-    Attributes
-    ----------
-    root : Path
-        The checkout, or a copy of its C sources.
-    """
-
-    root: Path = ROOT
+    root: Path = ROOT  # the checkout, or a copy of its C sources
 
     def copy(self, folder: Path) -> Sources:
-        """Freeze the C sources in `folder`: later edits of either have no effect on the other."""
+        """Copy the C sources to `folder`."""
         for name in _FOLDERS:
             source = self.root / name
             if source.is_dir():

@@ -1,4 +1,4 @@
-"""Run compilers and simulators, and say what a machine lacks."""
+"""Run compilers and simulators, and find missing tools."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Final
 
 JOBS: Final = os.cpu_count() or 1
-"""How much is built or run at a time."""
+"""Number of parallel builds or runs."""
 
 
 class TargetError(RuntimeError):
-    """A target could not be built, or its program did not end as it should."""
+    """A target could not be built, or its program failed."""
 
 
 def run(
@@ -26,25 +26,25 @@ def run(
     merged: bool = False,
     folder: Path | None = None,
 ) -> str:
-    """Run a command and return what it printed.
+    """Run a command and return its output.
 
     Parameters
     ----------
     command : sequence
         Program and arguments.
     data : bytes
-        What the program finds at its standard input.
+        Standard input of the program.
     timeout : float
         Time-out [s].
     merged : bool
-        Return what went to the standard error as well.
+        Return the standard error as well.
     folder : Path, optional
-        Where it runs.
+        Working directory.
 
     Raises
     ------
     TargetError
-        If it fails, or takes too long.
+        If it fails, or exceeds the time-out.
     """
     words = [str(word) for word in command]
     try:
@@ -64,23 +64,23 @@ def run(
 
 
 def compile_objects(command: Sequence[str], files: Sequence[Path], folder: Path, root: Path) -> list[Path]:
-    """Compile C files into a folder, as many at a time as there are processors.
+    """Compile C files into a folder, one job per processor.
 
     Parameters
     ----------
     command : sequence
         Compiler and options.
     files : sequence of Path
-        Below `root`.
+        Files below `root`.
     folder : Path
-        For the objects.
+        Folder of the objects.
     root : Path
-        Of the sources. Paths below it are passed relative to it: then ccache knows a file in every copy of the sources.
+        Root of the sources. Paths are passed relative to it, so that ccache finds a file in every copy of the sources.
 
     Raises
     ------
     TargetError
-        If the compiler refuses one.
+        If a file does not compile.
     """
 
     # The list of headers (-MD) spares ccache a run of the preprocessor (CCACHE_DEPEND in the Makefile).
@@ -100,12 +100,12 @@ def has_program(name: str) -> bool:
 
 
 def has_library(compiler: str, name: str, *options: str) -> bool:
-    """True if the compiler is there and finds a file of its own, such as ``libasan.so``."""
+    """True if the compiler is installed with a library file such as ``libasan.so``."""
     if not has_program(compiler):
         return False
     return Path(run([compiler, *options, f"-print-file-name={name}"]).strip()).is_absolute()
 
 
 def version(program: str) -> str:
-    """Version that a compiler names itself."""
+    """Version of a compiler."""
     return run([program, "-dumpfullversion"]).strip()

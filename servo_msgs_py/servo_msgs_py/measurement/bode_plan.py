@@ -50,7 +50,7 @@ class Loop:
         name = axis_name(axis)
         first, *others = (recording.columns[f"{name}.{column}"] for column in self.columns)
         signal = scale * recording.columns[f"{name}.test_signal"]
-        if self.slow:  # the set-point includes the signal; the loop output is their difference, negated
+        if self.slow:  # set-point = test signal - output of the open loop
             return signal, first, signal - first
         return signal, others[0] + signal - first, first
 
@@ -77,8 +77,8 @@ class BodeRequest:
     f_max: float | None = None  # upper end [Hz]; None: ten times the predicted crossover
     speed: float | None = None
     """Constant speed during the measurement [rad/s]; 0: at standstill; None: a part of the speed limit, reduced if
-    `way_max` or the soft limits require it."""
-    way_max: float = math.inf  # largest rotation of the shaft in each direction [rad]
+    `travel_max` or the soft limits require it."""
+    travel_max: float = math.inf  # largest rotation of the shaft in each direction [rad]
     repeats: int = 4  # recordings per band
 
 
@@ -92,9 +92,9 @@ class Settings:
     f_min: float  # lower end of the band [Hz]
     f_max: float  # upper end of the band [Hz]
     speed: float  # constant speed during the measurement [rad/s]
-    way_max: float  # largest rotation of the shaft in each direction [rad]
+    travel_max: float  # largest rotation of the shaft in each direction [rad]
     repeats: int  # recordings per band
-    swing: float = 0.0  # predicted speed amplitude by the test signal [rad/s]
+    speed_amplitude: float = 0.0  # predicted speed amplitude by the test signal [rad/s]
     deceleration: float = math.inf  # of the shaft after the measurement [rad/s^2]
 
     @property
@@ -108,13 +108,13 @@ class Settings:
 
     def travel_per_recording(self, band: Band) -> float:
         """Largest rotation of the shaft during one recording, until its stop begins [rad]."""
-        return abs(self.speed) * band.turning_seconds + self.swing / (2.0 * math.pi * band.f_min)
+        return abs(self.speed) * band.rotation_seconds + self.speed_amplitude / (2.0 * math.pi * band.f_min)
 
     def travel(self, bands: Sequence[Band]) -> float:
         """Largest rotation of the shaft in any recording, including the stop [rad]."""
         if not self.loop.slow:
             return math.pi  # the rotor aligns with the current vector
-        stop = (abs(self.speed) + self.swing) ** 2 / (2.0 * self.deceleration)
+        stop = (abs(self.speed) + self.speed_amplitude) ** 2 / (2.0 * self.deceleration)
         return max(map(self.travel_per_recording, bands)) + stop
 
 
@@ -139,7 +139,7 @@ class Band:
         return SWEEP_PART * self.seconds
 
     @property
-    def turning_seconds(self) -> float:
+    def rotation_seconds(self) -> float:
         """Duration of the rotation during the recording [s]."""
         return SETTLE + _LINE + self.seconds
 
@@ -182,24 +182,32 @@ def complete_settings(access: BoardAccess, request: BodeRequest) -> tuple[Settin
     f_min = crossover / _BELOW if request.f_min is None else request.f_min
     f_max = crossover * _ABOVE if request.f_max is None else request.f_max
     f_max = min(f_max, _NYQUIST_PART * prediction.nyquist)
-    way_max = min(request.way_max, _free_travel(access, axis))
+    travel_max = min(request.travel_max, _free_travel(access, axis))
     speed = 0.0 if request.speed is None else request.speed
     deceleration = access.read("param.acceleration_limit")[axis]
     settings = Settings(
-        axis, loop, request.amplitude or 0.0, f_min, f_max, speed, way_max, request.repeats, deceleration=deceleration
+        axis,
+        loop,
+        request.amplitude or 0.0,
+        f_min,
+        f_max,
+        speed,
+        travel_max,
+        request.repeats,
+        deceleration=deceleration,
     )
     capacity = access.capacity([f"{axis_name(axis)}.{column}" for column in settings.columns])
     bands = bands_of(f_min, f_max, capacity, loop.slow)
     if request.speed is None and loop.slow:
         speed_default = _SPEED_PART[loop.name] * access.read("param.speed_limit")[axis]
         speed = min(
-            speed_default, _speed_within(0.8 * way_max, max(band.turning_seconds for band in bands), deceleration)
+            speed_default, _speed_within(0.8 * travel_max, max(band.rotation_seconds for band in bands), deceleration)
         )
         settings, prediction = replace(settings, speed=speed), replace(prediction, speed=speed)
     if request.amplitude is None:
         settings = replace(settings, amplitude=_default_amplitude(access, settings, prediction))
     if loop.slow:
-        settings = replace(settings, swing=settings.amplitude * prediction.excursion(f_min, f_max)[0])
+        settings = replace(settings, speed_amplitude=settings.amplitude * prediction.excursion(f_min, f_max)[0])
     return settings, prediction, bands
 
 
@@ -213,12 +221,12 @@ def _default_amplitude(access: BoardAccess, settings: Settings, prediction: Pred
     return min(speed_max / speed_gain, _SLOW_PART * current / current_gain)
 
 
-def _speed_within(way: float, seconds: float, deceleration: float) -> float:
-    """Constant speed at which the rotation in a time, including the stop, equals `way` [rad/s]."""
-    if math.isinf(way):
+def _speed_within(travel: float, seconds: float, deceleration: float) -> float:
+    """Constant speed at which the rotation in a time, including the stop, equals `travel` [rad/s]."""
+    if math.isinf(travel):
         return math.inf
     speed_of_time = deceleration * seconds
-    return math.sqrt(speed_of_time**2 + 2.0 * deceleration * way) - speed_of_time
+    return math.sqrt(speed_of_time**2 + 2.0 * deceleration * travel) - speed_of_time
 
 
 def _free_travel(access: BoardAccess, axis: int) -> float:
@@ -238,7 +246,7 @@ def refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Ban
         raise MeasurementError(
             f"{name} runs without its encoder (param.feedback); only loops with an encoder can be measured"
         )
-    longest = max(band.turning_seconds for band in bands)
+    longest = max(band.rotation_seconds for band in bands)
     if longest > _TIME_MAX:
         raise MeasurementError(
             f"with a lowest frequency of {settings.f_min:.3g} Hz a recording would take {longest:.3g} s, more than "
@@ -248,7 +256,7 @@ def refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Ban
     current_limit = access.read("param.i_q_limit")[settings.axis]
     if not settings.amplitude > 0.0:
         raise MeasurementError(f"the amplitude {settings.amplitude:g} {loop.unit} must be above 0")
-    fastest = abs(settings.speed) + settings.swing
+    fastest = abs(settings.speed) + settings.speed_amplitude
     if fastest > speed_limit:
         raise MeasurementError(
             f"{fastest:.4g} rad/s with the test signal exceed the limit of {name}, "
@@ -266,11 +274,12 @@ def refuse_settings(access: BoardAccess, settings: Settings, bands: Sequence[Ban
         refuse_test_signal(access, settings.signal(band, settings.amplitude))
     if not loop.slow:
         _refuse_brake(access, settings.axis)
-    way = settings.travel(bands)
-    if way > settings.way_max:
+    travel = settings.travel(bands)
+    if travel > settings.travel_max:
         raise MeasurementError(
-            f"{name} would rotate by up to {way:.3g} rad in each direction, allowed are {settings.way_max:.3g} rad; "
-            "use a lower speed, a smaller amplitude, a higher lowest frequency, or a wider range"
+            f"{name} would rotate by up to {travel:.3g} rad in each direction, allowed are "
+            f"{settings.travel_max:.3g} rad; use a lower speed, a smaller amplitude, a higher lowest "
+            "frequency, or a wider range"
         )
 
 
@@ -287,13 +296,13 @@ def _refuse_brake(access: BoardAccess, axis: int) -> None:
 def motion_text(settings: Settings, bands: Sequence[Band]) -> str:
     """Description of the motion."""
     name, loop = axis_name(settings.axis), settings.loop
-    way = settings.travel(bands)
+    travel = settings.travel(bands)
     how = f" in alternating directions at {abs(settings.speed):.4g} rad/s" if settings.speed else ""
     if not loop.slow:
         how = " into alignment with a current vector"
     return (
-        f"{name} rotates{how}, up to {way:.3g} rad in each direction, with a test signal of {settings.amplitude:.3g} "
-        f"{loop.unit} from {settings.f_min:.3g} to {settings.f_max:.3g} Hz; Ctrl-C stops it"
+        f"{name} rotates{how}, up to {travel:.3g} rad in each direction, with a test signal of "
+        f"{settings.amplitude:.3g} {loop.unit} from {settings.f_min:.3g} to {settings.f_max:.3g} Hz; Ctrl-C stops it"
     )
 
 
@@ -305,7 +314,13 @@ def notes(settings: Settings, prediction: Prediction) -> list[str]:
         return ["measured at standstill: friction and infrequent encoder edges affect the result; use --speed"]
     board = prediction.it.board
     resolution = abs(settings.speed) / (board("timer_clock") * board.tick)
-    if settings.loop.name == "speed" and not prediction.observed and settings.swing < _RESOLUTIONS * resolution:
-        steps = f"speed amplitude {settings.swing:.3g} rad/s, resolution of the M/T method {resolution:.2g} rad/s"
+    if (
+        settings.loop.name == "speed"
+        and not prediction.observed
+        and settings.speed_amplitude < _RESOLUTIONS * resolution
+    ):
+        steps = (
+            f"speed amplitude {settings.speed_amplitude:.3g} rad/s, resolution of the M/T method {resolution:.2g} rad/s"
+        )
         return [f"{steps}: the error of the gain may be some percent; use a larger amplitude or a lower speed"]
     return []

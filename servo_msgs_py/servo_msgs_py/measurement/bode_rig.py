@@ -112,7 +112,7 @@ class BodeRig(AxisUnderTest):
                 self.command("cmd.speed", speed)
                 self._settle()
             elif speed:
-                self._run_at_speed(speed, band.turning_seconds)
+                self._run_at_speed(speed, band.rotation_seconds)
                 self._settle()
             begun = self._position_and_time()
             self.renew()
@@ -180,9 +180,9 @@ class BodeRig(AxisUnderTest):
         tick = int(self.access.read("tick")[0])
         path = ((_LEAD_TIME, 0.0, 0.0), (ramp, 0.5 * ramp * speed, speed), (seconds, seconds * speed, speed))
         points = []
-        for duration, way, velocity in (*path, (ramp, 0.5 * ramp * speed, 0.0)):
+        for duration, travel, velocity in (*path, (ramp, 0.5 * ramp * speed, 0.0)):
             tick += round(duration * 1e9 / PERIOD_NS)
-            place += way
+            place += travel
             points.append(TimedPoint(self.axis, tick % (1 << 32), place, velocity))
         self.mode("TRAJECTORY")
         self.access.wait(POLL_TIME)

@@ -77,9 +77,9 @@ class MotorRig(AxisUnderTest):
         if self._protection_features:
             self._over_speed = found.value("param.over_speed")
             speed = min(speed, self._over_speed / SPEED_RATIO)
-        position, range_ = self.value("position"), 2.0 * math.pi * self.limits.turns
-        self._low = max(position - range_, catalogue["param.position_min"].minimum)
-        self._high = min(position + range_, catalogue["param.position_max"].maximum)
+        position, travel = self.value("position"), 2.0 * math.pi * self.limits.turns
+        self._low = max(position - travel, catalogue["param.position_min"].minimum)
+        self._high = min(position + travel, catalogue["param.position_max"].maximum)
         if features & flags["POSITION_LIMITS"]:
             self._low = max(self._low, found.value("param.position_min"))
             self._high = min(self._high, found.value("param.position_max"))

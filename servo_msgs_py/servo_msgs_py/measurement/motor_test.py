@@ -144,7 +144,7 @@ class MotorTest:
                 rig.enable_monitors_except(monitors, *MODEL_BASED_FAULTS)
                 self._standstill()
                 self._rotate()
-                # without dead-time compensation, small currents can violate the monitors of phases and converters;
+                # without dead-time compensation, monitors of phases and converters can treat small currents as zero;
                 # all phases and converters have been tested by now
                 rig.enable_monitors_except(monitors, "PHASE_LOST", "CURRENT_SENSE")
                 self._spin()
@@ -269,8 +269,8 @@ class MotorTest:
         rig.wait(0.1)
         names = ("position", "test_angle", "u_d", "u_q", "i_d", "i_q")
         rig.write("param.acceleration_limit", TURN_RAMP / NOMINAL["pole_pairs"])
-        for way in (1.0, -1.0):
-            self._record_rotating("turn_slow", names, 450, 4, way * TURN_SLOW)
+        for direction in (1.0, -1.0):
+            self._record_rotating("turn_slow", names, 450, 4, direction * TURN_SLOW)
         r = self._values["r_s"].value + rig.limits.r_on
         self._values.update(rotation_of(self.log, r))
         pairs = self._values["pole_pairs"].value
@@ -278,7 +278,9 @@ class MotorTest:
         for electrical in TURN_FAST:
             if electrical**2 / TURN_RAMP + electrical * (TURN_SETTLE + 500 * TICK + LATENCY) > travel_max:
                 continue
-            recordings = [self._record_rotating("turn_fast", names, 250, 2, way * electrical) for way in (1.0, -1.0)]
+            recordings = [
+                self._record_rotating("turn_fast", names, 250, 2, direction * electrical) for direction in (1.0, -1.0)
+            ]
             if all(shaft_follows(one, rig.name, pairs) for one in recordings):
                 break
         self._values.update(flux_of(self.log, self._values["l_d"].value, self._values["pole_pairs"].value))
@@ -324,13 +326,13 @@ class MotorTest:
     def _pulses(self, motor: Mapping[str, float]) -> tuple[float, float]:
         """Inertia and Coulomb friction from torque in both directions."""
         rig = self._rig
-        part, way_max = PULSE, 0.25 * rig.limits.turns * 2.0 * math.pi
+        part, travel_max = PULSE, 0.25 * rig.limits.turns * 2.0 * math.pi
         target = 0.25 * self._speed_max()
         for _ in range(3):
             start, begin = rig.value("position"), rig.access.read("tick")[0]
             rig.command("cmd.i_q", part * rig.limits.current)
             seconds = reached = moved = 0.0
-            while seconds < PULSE_MAX and moved < way_max and (reached < target or moved < MOVED):
+            while seconds < PULSE_MAX and moved < travel_max and (reached < target or moved < MOVED):
                 rig.wait(0.002)
                 reached = abs(rig.value("speed"))
                 seconds = ((rig.access.read("tick")[0] - begin) % 2**32) * PERIOD_NS * 1e-9
@@ -349,11 +351,11 @@ class MotorTest:
         every = max(math.ceil(4.5 * seconds / TICK / rig.capacity(_SPIN)), 1)
         samples = max(int(2.2 * seconds / TICK / every), 12)
         recordings = []
-        for way in (-1.0, 1.0):
+        for direction in (-1.0, 1.0):
 
-            def pulse(way: float = way) -> None:
+            def pulse(direction: float = direction) -> None:
                 rig.start_signal("D")
-                for part_of_time, torque in ((1.0, way), (0.7, -way)):
+                for part_of_time, torque in ((1.0, direction), (0.7, -direction)):
                     rig.command("cmd.i_q", torque * current)
                     rig.wait(part_of_time * seconds)
                 rig.command("cmd.i_q", 0.0)
@@ -409,7 +411,7 @@ class MotorTest:
         )
         before = 0.0
         for part in SPEEDS:
-            speeds = [way * part * maximum for way in (1.0, -1.0)]
+            speeds = [direction * part * maximum for direction in (1.0, -1.0)]
             for speed in speeds:
                 seconds = abs(speed - before) / acceleration + SETTLE
                 every = math.ceil(seconds / TICK / rig.capacity(_SPIN))

@@ -1,4 +1,4 @@
-"""The peers in a virtual environment of their own, which the bench makes when it is wanted and `make clean` removes."""
+"""Runs the peers in a separate virtual environment, which the bench creates and `make clean` removes."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from typing import Any, Final
 FOLDER: Final = Path(__file__).resolve().parents[3] / "out" / "bench" / "motulator"
 SCRIPT: Final = Path(__file__).with_name("motulator_drive.py")
 TIMEOUT_S: Final = 600.0
-WANTED: Final = ("motulator==0.18.*", "motulator-export==0.11.*")  # whose interfaces the script knows
+REQUIREMENTS: Final = ("motulator==0.18.*", "motulator-export==0.11.*")  # versions that the script supports
 PYTHON_VARIABLE: Final = "PEER_PYTHON"
-"""Environment variable that names the interpreter; the peers want Python 3.12 or later, this project does not."""
+"""Environment variable with the interpreter of the peers, which need Python 3.12 or later."""
 
 
 def _pythons() -> Iterator[str]:
-    """Interpreters that are new enough: the one that is named, on the path, of pyenv."""
+    """Suitable interpreters: of `PYTHON_VARIABLE`, on the path, of pyenv."""
     pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")).glob("versions/3.1[2-9]*/bin/python")
     for name in (os.environ.get(PYTHON_VARIABLE, ""), sys.executable, "python3.13", "python3.12", *map(str, pyenv)):
         path = shutil.which(name)
-        asked = "import sys; sys.exit(sys.version_info < (3, 12))"
-        if path is not None and subprocess.run([path, "-c", asked], capture_output=True).returncode == 0:
+        version_test = "import sys; sys.exit(sys.version_info < (3, 12))"
+        if path is not None and subprocess.run([path, "-c", version_test], capture_output=True).returncode == 0:
             yield path
 
 
@@ -35,7 +35,7 @@ def _run(*command: str) -> str:
     Raises
     ------
     OSError
-        If it fails or takes too long, with its last word.
+        If it fails or exceeds the time-out, with the last line of its errors.
     """
     try:
         result = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S)
@@ -47,7 +47,7 @@ def _run(*command: str) -> str:
 
 
 def peers() -> dict[str, Any] | str:
-    """Real-time factors of one drive by simulator and by model of the inverter, or why there are none."""
+    """Real-time factors of one drive by simulator and inverter model, or the reason of a failure."""
     python = str(FOLDER / "bin" / "python")
     try:
         if not Path(python).exists():
@@ -58,7 +58,7 @@ def peers() -> dict[str, Any] | str:
         try:
             _run(python, "-c", "import motulator_export")
         except OSError:
-            _run(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *WANTED)
+            _run(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *REQUIREMENTS)
         figures: dict[str, Any] = json.loads(_run(python, str(SCRIPT)))
     except (OSError, ValueError) as error:
         return f"not compared with motulator: {error} (its Python: {PYTHON_VARIABLE}=python3.12)"

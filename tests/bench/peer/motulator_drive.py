@@ -1,8 +1,7 @@
-"""One drive like axis 1 of the board in motulator and in motulator-export, by their public interfaces.
+"""One drive like axis 1 of the board in motulator and motulator-export, by their public interfaces.
 
-Prints real-time factors as JSON: of motulator, of motulator-export, and of the compiled part of the latter alone,
-without what Python does before and after it. Runs in an environment of its own, which has the two and nothing of this
-project.
+Prints real-time factors as JSON: of motulator, of motulator-export, and of the compiled part of the latter without
+Python. Runs in a separate environment with both packages and without this project.
 """
 
 import json
@@ -22,7 +21,7 @@ SIMULATED_S = {"motulator": 0.1, "motulator-export": 2.0}
 
 
 def drive(pwm: bool) -> tuple[Any, Any]:
-    """A motor on its converter, which knows edges of a PWM or only means, and what controls its speed."""
+    """Motor with converter (PWM edges or averaged), and speed control."""
     machine = model.SynchronousMachinePars(n_p=2, R_s=0.55, L_d=0.403e-3, L_q=0.512e-3, psi_f=0.0154)
     inertia = 8e-6
     plant = model.Drive(
@@ -39,8 +38,8 @@ def drive(pwm: bool) -> tuple[Any, Any]:
     return plant, controller
 
 
-def turn(simulation: Any, seconds: float) -> float:
-    """Time that a simulation takes [s]; it has to bring the shaft to its speed."""
+def run(simulation: Any, seconds: float) -> float:
+    """CPU time of a simulation [s]; the shaft must reach its speed."""
     begin = time.thread_time()
     results = simulation.simulate(t_stop=seconds)
     used = time.thread_time() - begin
@@ -50,7 +49,7 @@ def turn(simulation: Any, seconds: float) -> float:
     return used
 
 
-class Clocked:
+class TimedSystem:
     """A system of motulator-export whose compiled part is timed."""
 
     def __init__(self, system: Any) -> None:
@@ -58,7 +57,7 @@ class Clocked:
         self.used_s = 0.0
 
     def __getattr__(self, name: str) -> Any:
-        """Everything else as it is."""
+        """All other attributes of the system."""
         return getattr(self._system, name)
 
     def run(self, until: float, points: int) -> int:
@@ -71,24 +70,24 @@ class Clocked:
 
 def in_python(pwm: bool, seconds: float) -> dict[str, float]:
     """Real-time factor of motulator."""
-    return {"all": seconds / turn(model.Simulation(*drive(pwm), show_progress=False), seconds)}
+    return {"all": seconds / run(model.Simulation(*drive(pwm), show_progress=False), seconds)}
 
 
 def compiled(pwm: bool, seconds: float) -> dict[str, float]:
     """Real-time factors of motulator-export, all of it and its compiled part."""
     plant, controller = drive(pwm)
-    turn(native.Simulation(plant, controller, show_progress=False), SAMPLE_S * 10000)  # compiles the library
+    run(native.Simulation(plant, controller, show_progress=False), SAMPLE_S * 10000)  # compiles the library
     plant, controller = drive(pwm)
     simulation = native.Simulation(plant, controller, show_progress=False)
     make: Callable[..., Any] = simulation._system_type
-    made: list[Clocked] = []
+    made: list[TimedSystem] = []
 
-    def clocked(*arguments: Any) -> Clocked:
-        made.append(Clocked(make(*arguments)))
+    def timed_system(*arguments: Any) -> TimedSystem:
+        made.append(TimedSystem(make(*arguments)))
         return made[-1]
 
-    simulation._system_type = clocked
-    whole = turn(simulation, seconds)
+    simulation._system_type = timed_system
+    whole = run(simulation, seconds)
     return {"all": seconds / whole, "compiled": seconds / made[0].used_s}
 
 

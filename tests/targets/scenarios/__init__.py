@@ -1,7 +1,6 @@
-"""What boards go through while they are recorded: together every state, mode, fault and limit of the firmware.
+"""Recorded scenarios: together they cover every state, mode, fault and limit of the firmware.
 
-Each begins with a board that has just been switched on, and is short: a simulator of a small machine needs three
-seconds for each second of it.
+Each starts with a board after power-on and is short: the simulator of a microcontroller needs 3 s per simulated second.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from targets.scenarios.parts import plant, ready
 
 
 def server(rig: Rig) -> None:
-    """Every FreeMASTER request, right and wrong, to a board at rest."""
+    """Every FreeMASTER request, valid and invalid, to a board at rest."""
     ready(rig)
     for frame in server_requests.frames(rig):
         rig.send(frame)
@@ -38,7 +37,7 @@ SCENARIOS: Final = (
     Scenario("backlash", plant(), faults.backlash),
     Scenario("slipped-discs", plant(friction=0.04), faults.slipped_discs),
     Scenario("silent-encoder", plant(), faults.silent_encoder),
-    Scenario("quiet-losses", plant(), faults.quiet_losses),
+    Scenario("plant_config-losses", plant(), faults.quiet_losses),
     Scenario("lost-index", plant(), faults.lost_index),
     Scenario("over-current", plant(i_break=4.5), faults.over_current),
     Scenario("wrong-offset", plant(i_offset=(0.0, 2.0, 0.0)), faults.wrong_offset),

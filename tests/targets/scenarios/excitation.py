@@ -1,4 +1,4 @@
-"""A current vector along an imposed angle, and signals on every set-point."""
+"""Current vector at an imposed angle, and test signals on every set-point."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def _signal(rig: Rig, first: str, second: str, step: float, growth: float, calls
 def _to_test(rig: Rig) -> None:
     rig.set_raw("cmd.mode", TEST, TEST)
     rig.set("cmd.enable", 1)
-    rig.until("TEST", lambda: rig.places() == ["TEST", "TEST"])
+    rig.until("TEST", lambda: rig.states() == ["TEST", "TEST"])
 
 
 def imposed(rig: Rig) -> None:
-    """The vector turns, meets limits of speed, current and position, and expires; it ends slowly and fast."""
+    """A rotating vector: limits of speed, current and position, an expired set-point, stops at low and high speed."""
     ready(rig)
     _to_test(rig)
     rig.set("cmd.i_q", 1.0, 4.0)
@@ -58,7 +58,7 @@ def imposed(rig: Rig) -> None:
 
 
 def signals(rig: Rig) -> None:
-    """On currents, torque and speed of axes that spin; one is ended, one asked for where there is none."""
+    """Test signals on currents, torque and speed in SPIN; one is aborted, one is requested at an axis that is off."""
     ready(rig)
     _signal(rig, "I_Q", "SPEED", 0.01, 0.0, 100)
     spin(rig)

@@ -1,4 +1,4 @@
-"""What breaks, and what a host or a bus does to a board."""
+"""Faults of motors, sensors, power stage and core, and failures of host and supply."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from servo_twin.fault_injection import (
 )
 
 from targets.rig import Rig
-from targets.scenarios.parts import ALL_FAULTS, BLIND, POSITION, SPEED, TORQUE, features, ready, spin
+from targets.scenarios.parts import ALL_FAULTS, FAULTS_WITHOUT_MONITORS, POSITION, SPEED, TORQUE, features, ready, spin
 
 
 def random_inputs(rig: Rig) -> None:
-    """Analogue inputs and edges that make no sense, a load that runs away, and in the end a host that falls silent."""
+    """Random analogue inputs and edges, a load that drives the shaft (RUNAWAY), then a silent host."""
     spin(rig)
     rig.set_raw("param.host_timeout", 0)  # refused
-    rig.set("param.faults_enabled", BLIND)
+    rig.set("param.faults_enabled", FAULTS_WITHOUT_MONITORS)
     rig.set("cmd.mode", POSITION)
     rig.set("cmd.position", -50.0)
     rig.disturb(0, 1, one_in=4)
@@ -32,43 +32,43 @@ def random_inputs(rig: Rig) -> None:
     rig.set("cmd.speed", -100.0)
     rig.set("cmd.i_q", 2.0)
     rig.run(0.02)
-    rig.calm()
+    rig.end_disturbance()
     rig.set("cmd.i_q", 0.0)
     rig.load(1, -0.2)
     rig.until("the load runs away", lambda: "RUNAWAY" in rig.faults(1))
     rig.load(1, 0.0)
     rig.set("param.host_timeout", 0.05)
-    rig.until("the host is missed", lambda: "HOST_SILENT" in rig.faults(0), silent=True)
-    rig.until("outputs off at the ramp's end", lambda: rig.places()[0] == "FAULT", silent=True)
+    rig.until("host time-out", lambda: "HOST_SILENT" in rig.faults(0), silent=True)
+    rig.until("outputs off at the ramp's end", lambda: rig.states()[0] == "FAULT", silent=True)
 
 
 def bus_faults(rig: Rig) -> None:
-    """Under-voltage on the way, the way back, and over-voltage at rest."""
+    """Under-voltage in operation, recovery, and over-voltage at rest."""
     spin(rig)
-    rig.load(0, 0.08)  # holding against it empties the capacitor
+    rig.load(0, 0.08)  # the holding current discharges the capacitor
     rig.supply(12.0)
     rig.until("under-voltage", lambda: "UNDER_VOLTAGE" in rig.faults(0))
     rig.load(0, 0.0)
     rig.supply(24.0)
     rig.run(0.01)
     rig.command("CLEAR_FAULTS")
-    rig.until("both axes cleared", lambda: rig.places() == ["STOP", "STOP"])
+    rig.until("both axes cleared", lambda: rig.states() == ["STOP", "STOP"])
     rig.supply(36.0)
     rig.until("over-voltage in STOP", lambda: "OVER_VOLTAGE" in rig.faults(1))
     rig.run(0.002)
 
 
 def bad_supply(rig: Rig) -> None:
-    """Too much from the beginning."""
+    """Over-voltage at power-on."""
     rig.supply(36.0)
-    rig.until("over-voltage in INIT", lambda: rig.places() == ["FAULT", "FAULT"])
+    rig.until("over-voltage in INIT", lambda: rig.states() == ["FAULT", "FAULT"])
     rig.set("cmd.clear_faults", 1)  # too early
     rig.set("cmd.enable", 1)
     rig.run(0.002)
 
 
 def searches(rig: Rig) -> None:
-    """A motor cable that is off, a shaft held fast and an encoder that says nothing are told apart."""
+    """Rotor search with an open motor cable, with a blocked shaft and with a dead encoder: different faults."""
     ready(rig)
     rig.motor(0, False)
     rig.plug(1, False)
@@ -77,48 +77,48 @@ def searches(rig: Rig) -> None:
     rig.motor(0, True)
     rig.lock(0)
     rig.set("cmd.clear_faults", 1, 0)
-    rig.until("axis 1 cleared", lambda: rig.places()[0] == "STOP")
+    rig.until("axis 1 cleared", lambda: rig.states()[0] == "STOP")
     rig.set("cmd.enable", 1)
-    rig.until("search given up", lambda: rig.faults(0) == ["ROTOR_SEARCH"])
-    rig.until("encoder missed", lambda: rig.faults(1) == ["ENCODER_LOST"])
+    rig.until("search failed", lambda: rig.faults(0) == ["ROTOR_SEARCH"])
+    rig.until("encoder lost", lambda: rig.faults(1) == ["ENCODER_LOST"])
     rig.lock(0, locked=False)
     rig.plug(1, True)
     rig.set("cmd.clear_faults", 1)
-    rig.until("both axes cleared", lambda: rig.places() == ["STOP", "STOP"])
+    rig.until("both axes cleared", lambda: rig.states() == ["STOP", "STOP"])
 
 
 def reversed_lines(rig: Rig) -> None:
-    """An encoder that counts backwards; a short while the software stands still."""
+    """A reversed encoder; a short circuit during a stall of the core."""
     ready(rig)
     rig.reverse(0)
     rig.set("cmd.enable", 1)
     rig.until("encoder reversed", lambda: rig.faults(0) == ["ENCODER_REVERSED"])
-    rig.until("SPIN on axis 2", lambda: rig.places()[1] == "SPIN")
+    rig.until("SPIN on axis 2", lambda: rig.states()[1] == "SPIN")
     rig.inject(ShortedPhase(1, "a"))
-    rig.run(0.0002)  # the over-current comes first, its cause is counted in the next slow tick
+    rig.run(0.0002)  # the over-current is first; its cause is evaluated in the next slow tick
     rig.inject(StalledCore(0.001))
-    rig.until("both noticed", lambda: rig.faults(1) == ["OVER_CURRENT", "LATE_LOOP"])
+    rig.until("both faults", lambda: rig.faults(1) == ["OVER_CURRENT", "LATE_LOOP"])
 
 
 def caught(rig: Rig) -> None:
-    """A shaft that is held when it has to follow the vector."""
+    """A shaft that is blocked while it must follow the vector of the rotor search."""
     ready(rig)
     rig.set("cmd.enable", 1, 0)
     rig.run(0.27)
     rig.lock(0)
     for _ in range(6):
         rig.run(0.15)
-        rig.set("cmd.mode", POSITION)  # a host that says nothing for half a second is a fault
+        rig.set("cmd.mode", POSITION)  # keeps the host time-out of 0.5 s from expiring
 
 
 def stalled(rig: Rig) -> None:
-    """Shafts held fast while they shall turn; one is let go when the vector begins to ask whether it is."""
+    """Blocked shafts with a speed set-point; one is released at the start of the stall test."""
     spin(rig)
     rig.lock(0)
     rig.lock(1)
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", 60.0)
-    rig.until("asked", lambda: rig.places()[1] == "ALIGN")
+    rig.until("stall test", lambda: rig.states()[1] == "ALIGN")
     rig.lock(1, locked=False)
     rig.until("stalled", lambda: all("STALLED" in rig.faults(k) for k in (0, 1)))
     rig.set("cmd.enable", 1)
@@ -126,7 +126,7 @@ def stalled(rig: Rig) -> None:
 
 
 def backlash(rig: Rig) -> None:
-    """Against an end stop with little room behind: the vector that turns moves the shaft, but not for long."""
+    """Shafts at end stops with backlash: the rotating vector of the stall test moves them only a little."""
     spin(rig)
     rig.obstruct(0, 0.005, 0.005)
     rig.obstruct(1, math.inf, 0.005)
@@ -136,8 +136,8 @@ def backlash(rig: Rig) -> None:
 
 
 def slipped_discs(rig: Rig) -> None:
-    """Encoders that are off by 60 degrees under a load that is too much then, and by a quarter turn; then by half a
-    turn."""
+    """Encoders slipped by 60 degrees under a load that becomes too large, and by 90 degrees; then by 180 degrees
+    (electrical)."""
     spin(rig)
     rig.load(0, 0.06)
     rig.run(0.02)
@@ -145,21 +145,21 @@ def slipped_discs(rig: Rig) -> None:
     rig.inject(SlippedEncoder(1, -500))
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", 60.0)
-    rig.until("told", lambda: all("ANGLE_MISMATCH" in rig.faults(k) for k in (0, 1)))
+    rig.until("fault", lambda: all("ANGLE_MISMATCH" in rig.faults(k) for k in (0, 1)))
     rig.load(0, 0.0)
     rig.run(0.05)
     rig.set("cmd.clear_faults", 1)
     rig.run(0.01)
     rig.set("cmd.enable", 1)
-    rig.until("SPIN on both axes", lambda: rig.places() == ["SPIN", "SPIN"])
+    rig.until("SPIN on both axes", lambda: rig.states() == ["SPIN", "SPIN"])
     rig.inject(SlippedEncoder(0, 1000))
     rig.set("cmd.speed", 60.0)
-    rig.until("seen", lambda: "ANGLE_MISMATCH" in rig.faults(0))
+    rig.until("fault", lambda: "ANGLE_MISMATCH" in rig.faults(0))
 
 
 def silent_encoder(rig: Rig) -> None:
-    """Shafts that coast without current: one loses its encoder, the other one is stopped at once. It stalls without an
-    encoder, and is let go when the vector begins to turn."""
+    """Coasting shafts without current: one loses its encoder, the other one is stopped abruptly. It then
+    stalls without an encoder and is released at the start of the stall test."""
     spin(rig)
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", 50.0)
@@ -169,18 +169,18 @@ def silent_encoder(rig: Rig) -> None:
     rig.run(0.002)
     rig.plug(0, False)
     rig.lock(1)
-    rig.until("missed", lambda: "ENCODER_LOST" in rig.faults(0))
+    rig.until("encoder lost", lambda: "ENCODER_LOST" in rig.faults(0))
     rig.run(0.05)
     rig.plug(1, False)
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", 60.0)
-    rig.until("asked", lambda: rig.places()[1] == "ALIGN")
+    rig.until("stall test", lambda: rig.states()[1] == "ALIGN")
     rig.lock(1, locked=False)
-    rig.until("told", lambda: "ENCODER_LOST" in rig.faults(1))
+    rig.until("fault", lambda: "ENCODER_LOST" in rig.faults(1))
 
 
 def quiet_losses(rig: Rig) -> None:
-    """A slow shaft whose encoder has one line left; a motor cable off at a small current at rest, and in motion."""
+    """An encoder with one stuck line at low speed; an open motor cable at a small current, at rest and in motion."""
     spin(rig)
     rig.set("cmd.mode", SPEED, TORQUE)
     rig.set("cmd.speed", 20.0, 0.0)
@@ -190,23 +190,23 @@ def quiet_losses(rig: Rig) -> None:
     rig.set("cmd.mode", TORQUE)
     rig.set("cmd.i_q", 0.0, 0.1)
     rig.inject(StuckLine(0, "A"))
-    rig.until("toggles", lambda: rig.faults(0) == ["ENCODER_LOST"])
-    rig.until("small current missed", lambda: rig.faults(1) == ["PHASE_LOST"])
+    rig.until("single-channel count", lambda: rig.faults(0) == ["ENCODER_LOST"])
+    rig.until("phase lost at a small current", lambda: rig.faults(1) == ["PHASE_LOST"])
     rig.clear_fault(StuckLine(0, "A"))
     rig.lock(1, locked=False)
     rig.motor(1, True)
     rig.set("cmd.clear_faults", 1)
-    rig.until("axis 2 cleared", lambda: rig.places()[1] == "STOP")
+    rig.until("axis 2 cleared", lambda: rig.states()[1] == "STOP")
     rig.set("cmd.enable", 0, 1)
-    rig.until("SPIN on axis 2", lambda: rig.places()[1] == "SPIN")
+    rig.until("SPIN on axis 2", lambda: rig.states()[1] == "SPIN")
     rig.set("cmd.i_q", 0.0, 1.0)
     rig.run(0.03)
     rig.motor(1, False)
-    rig.until("current missed in motion", lambda: rig.faults(1) == ["PHASE_LOST"])
+    rig.until("phase lost in motion", lambda: rig.faults(1) == ["PHASE_LOST"])
 
 
 def lost_index(rig: Rig) -> None:
-    """Quick stop and again, with and without the features of the reference design; then the index is gone."""
+    """Quick stop and restart, with and without the features of the reference design; then loss of the index."""
     spin(rig)
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", 60.0, -60.0)
@@ -219,16 +219,16 @@ def lost_index(rig: Rig) -> None:
     rig.set("cmd.speed", 150.0, -150.0)
     rig.run(0.04)
     rig.lose_index(True)
-    rig.until("index missed", lambda: all("ENCODER" in rig.faults(k) for k in (0, 1)))
+    rig.until("index lost", lambda: all("ENCODER" in rig.faults(k) for k in (0, 1)))
     rig.lose_index(False)
-    rig.lock(0)  # they would coast for long
+    rig.lock(0)  # shortens the coasting
     rig.lock(1)
     rig.set("cmd.clear_faults", 1)
-    rig.until("both axes cleared", lambda: rig.places() == ["STOP", "STOP"])
+    rig.until("both axes cleared", lambda: rig.states() == ["STOP", "STOP"])
 
 
 def over_current(rig: Rig) -> None:
-    """With wrong current feedback the current overshoots and the hardware opens the switches; as with a cut cable."""
+    """Over-current trips of the hardware, by wrong current feedback and by a cut cable."""
     spin(rig)
     rig.set("cmd.mode", TORQUE)
     rig.set("cmd.quick_stop", 1)
@@ -241,10 +241,10 @@ def over_current(rig: Rig) -> None:
     rig.run(0.0015)
     rig.inject(ShortedPhase(0, "c"))
     rig.until("over-current and its cause", lambda: rig.faults(0) == ["OVER_CURRENT", "PHASE_LOST"])
-    rig.set("param.faults_enabled", BLIND)
+    rig.set("param.faults_enabled", FAULTS_WITHOUT_MONITORS)
     rig.disturb(1, one_in=2)
     rig.until("over-current", lambda: "OVER_CURRENT" in rig.faults(1))
-    rig.calm()
+    rig.end_disturbance()
     rig.clear_fault(OpenPhase(0, "b"))
     rig.clear_fault(ShortedPhase(0, "c"))
     rig.run(0.002)
@@ -253,7 +253,7 @@ def over_current(rig: Rig) -> None:
 
 
 def wrong_offset(rig: Rig) -> None:
-    """An amplifier that is far off stops the start."""
+    """An amplifier with a large offset prevents the start."""
     ready(rig)
     rig.set("cmd.enable", 1)
     rig.until("offset refused", lambda: rig.faults(1) == ["CURRENT_OFFSET"])
@@ -262,7 +262,7 @@ def wrong_offset(rig: Rig) -> None:
 
 
 def broken_phases(rig: Rig) -> None:
-    """Phases lost while they turn and while they hold a load; a converter that repeats itself, or says too much."""
+    """A phase lost in motion; converters with a constant code, alone and after the lost phase."""
     spin(rig)
     rig.set("param.monitor", 8.0, 13.0)
     rig.set("cmd.mode", SPEED)
@@ -271,7 +271,7 @@ def broken_phases(rig: Rig) -> None:
     rig.inject(OpenPhase(0, "a"))
     rig.until("phase lost", lambda: rig.faults(0) == ["PHASE_LOST"])
     rig.set("param.monitor", 1.0, 0.0)
-    rig.inject(CurrentNoise(0, 0.02))  # without noise every code repeats itself
+    rig.inject(CurrentNoise(0, 0.02))  # without noise every code is constant
     rig.inject(StuckConverter(0, "c", 2100))
     rig.inject(StuckConverter(1, "b", 2150))
     rig.until("converter", lambda: "CURRENT_SENSE" in rig.faults(1))
@@ -284,22 +284,22 @@ def broken_phases(rig: Rig) -> None:
     rig.lock(0)
     rig.lock(1)
     rig.set("cmd.clear_faults", 1)
-    rig.until("both axes cleared", lambda: rig.places() == ["STOP", "STOP"])
+    rig.until("both axes cleared", lambda: rig.states() == ["STOP", "STOP"])
 
 
 def broken_encoders(rig: Rig) -> None:
-    """A line dead, both lines dead, and a core that stands still: for a moment, then until the watchdog resets it."""
+    """One and two dead encoder lines, over-temperature, and a stalled core: briefly, then until the watchdog reset."""
     spin(rig)
     rig.set("param.faults_enabled", ALL_FAULTS)
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", 100.0, -100.0)
     rig.run(0.06)
     rig.set("cmd.mode", SPEED, TORQUE)
-    rig.set("cmd.i_q", 0.0)  # where no current flows, the watch has to ask for some
+    rig.set("cmd.i_q", 0.0)  # without current the monitor has to apply a test current
     rig.run(0.01)
     rig.inject(StuckLine(0, "A"))
     rig.plug(1, False)
-    rig.until("lines missed", lambda: all("ENCODER_LOST" in rig.faults(k) for k in (0, 1)))
+    rig.until("encoders lost", lambda: all("ENCODER_LOST" in rig.faults(k) for k in (0, 1)))
     rig.inject(HotPowerStage(0, 120.0))
     rig.until("heat", lambda: "OVER_TEMPERATURE" in rig.faults(0))
     rig.set("cmd.clear_faults", 1)

@@ -1,4 +1,4 @@
-"""Positions that are set, found and not found."""
+"""Setting of positions, and homing with and without success."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from targets.scenarios.parts import POSITION, SPEED, features, ready, spin
 from targets.scenarios.tuning import Blocks
 
 _METHOD: Final = Catalogue.load().enums["home_method_t"]
-_QUICKLY: Final = {"home.speed": 4.0, "home.turns_max": 0.05, "home.back_off": 0.5}
-"""Of the configuration: a homing is long for a recording."""
+_FASTER: Final = {"home.speed": 4.0, "home.turns_max": 0.05, "home.back_off": 0.5}
+"""Factors of configuration members that shorten a homing."""
 
 
-def _quickly(rig: Rig) -> None:
+def _shorten_homing(rig: Rig) -> None:
     blocks = Blocks(rig)
     for axis in (0, 1):
         block = read_block(blocks, axis)
-        send_block(blocks, axis, block | {path: round(block[path] * factor) for path, factor in _QUICKLY.items()})
+        send_block(blocks, axis, block | {path: round(block[path] * factor) for path, factor in _FASTER.items()})
     take_blocks(blocks, [0, 1], blocks.wait)
 
 
-def _ask(rig: Rig, first: str, second: str = "NONE") -> None:
+def _home(rig: Rig, first: str, second: str = "NONE") -> None:
     rig.set_raw("cmd.home", _METHOD[first], _METHOD[second])
 
 
@@ -36,23 +36,23 @@ def _end(rig: Rig, axis: int = 0) -> None:
 
 
 def positions(rig: Rig) -> None:
-    """Set at rest and held, refused otherwise, confined until then; commands that end a homing."""
+    """Positions set at rest and refused in motion; limited motion before; commands that abort a homing."""
     ready(rig)
     rig.set("cmd.home_position", 1.0, -2.0)
-    _ask(rig, "ASSUME", "HERE")
+    _home(rig, "ASSUME", "HERE")
     rig.run(0.002)
-    _ask(rig, "STOP_POSITIVE", "ASSUME")  # neither holds, one is known
+    _home(rig, "STOP_POSITIVE", "ASSUME")  # axis 1: not controlled; axis 2: position already known
     rig.run(0.002)
-    rig.set_raw("param.feedback", 0, 1)  # forgets
+    rig.set_raw("param.feedback", 0, 1)  # invalidates the position
     rig.run(0.002)
-    _ask(rig, "NONE", "HERE")
+    _home(rig, "NONE", "HERE")
     rig.run(0.002)
     rig.set_raw("param.feedback", 0, 0)
     rig.set_raw("param.features", features(), features("HOMING"))
     spin(rig)
-    rig.set("cmd.position", 1.2, 100.0)  # out of reach
+    rig.set("cmd.position", 1.2, 100.0)  # beyond the permitted distance
     rig.run(0.005)
-    _ask(rig, "HERE")  # moves
+    _home(rig, "HERE")  # refused: in motion
     rig.set_raw("cmd.mode", POSITION, SPEED)
     rig.set("cmd.speed", 0.0, 200.0)
     rig.run(0.06)
@@ -60,54 +60,54 @@ def positions(rig: Rig) -> None:
     rig.run(0.03)
     rig.set("cmd.speed", 0.0)
     rig.run(0.02)
-    _ask(rig, "STOP_POSITIVE")
+    _home(rig, "STOP_POSITIVE")
     rig.run(0.02)
-    _ask(rig, "NONE")
+    _home(rig, "NONE")
     rig.run(0.05)
-    _ask(rig, "STOP_NEGATIVE")
+    _home(rig, "STOP_NEGATIVE")
     rig.run(0.01)
     rig.set("cmd.position", 1.0, 0.0)
     rig.run(0.15)
-    _ask(rig, "STOP_NEGATIVE")
+    _home(rig, "STOP_NEGATIVE")
     rig.run(0.01)
     rig.set("cmd.enable", 0)
     rig.run(0.01)
 
 
 def homing(rig: Rig) -> None:
-    """To a stop that is found at other places, and all that may be wrong with one."""
+    """Homing to a stop at changing positions, without a stop, and between two stops."""
     ready(rig)
-    _quickly(rig)
+    _shorten_homing(rig)
     spin(rig)
     step = 2.0 * math.pi / 4000
-    (place,) = rig.raw("axis1.position")
+    (start,) = rig.raw("axis1.position")
     rig.obstruct(0, 10 * step, math.inf)
     rig.obstruct(1, math.inf, math.inf)
-    _ask(rig, "STOP_NEGATIVE", "STOP_POSITIVE")  # axis 2 has none
-    for later in (0, 5, -4):
-        rig.until("a contact", lambda: rig.raw("axis1.position")[0] < place and rig.get("axis1.i_q") < -0.6, 3.0)
-        rig.until("the way back", lambda: rig.get("axis1.speed") > 5.0, 3.0)
+    _home(rig, "STOP_NEGATIVE", "STOP_POSITIVE")  # axis 2 has no stop
+    for shift in (0, 5, -4):
+        rig.until("a contact", lambda: rig.raw("axis1.position")[0] < start and rig.get("axis1.i_q") < -0.6, 3.0)
+        rig.until("the back-off", lambda: rig.get("axis1.speed") > 5.0, 3.0)
         rig.run(0.004)
-        rig.obstruct(0, (rig.raw("axis1.position")[0] - place + 10 - later) * step, math.inf)
+        rig.obstruct(0, (rig.raw("axis1.position")[0] - start + 10 - shift) * step, math.inf)
     _end(rig)
     _end(rig, 1)
-    rig.obstruct(0, 0.005, 0.005)  # both ways
-    _ask(rig, "STOP_NEGATIVE")
+    rig.obstruct(0, 0.005, 0.005)  # stops in both directions
+    _home(rig, "STOP_NEGATIVE")
     _end(rig)
 
 
 def blocked(rig: Rig) -> None:
-    """Stops before a switch, and at places that are too far apart."""
+    """A stop before the switch, and contacts that are too far apart."""
     ready(rig)
-    _quickly(rig)
+    _shorten_homing(rig)
     spin(rig)
     rig.obstruct(0, math.inf, 0.01)
     rig.obstruct(1, 0.01, math.inf)
-    _ask(rig, "SWITCH_POSITIVE", "STOP_NEGATIVE")
+    _home(rig, "SWITCH_POSITIVE", "STOP_NEGATIVE")
     _end(rig)
     for _ in range(3):
         rig.until("a contact", lambda: rig.get("axis2.i_q") < -0.6, 3.0)
-        rig.until("the way back", lambda: rig.get("axis2.speed") > 5.0, 3.0)
+        rig.until("the back-off", lambda: rig.get("axis2.speed") > 5.0, 3.0)
         rig.run(0.004)
         rig.obstruct(1, 0.03, math.inf)
     _end(rig, 1)

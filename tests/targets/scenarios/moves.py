@@ -1,11 +1,11 @@
-"""What an axis is for: every mode, feature and limit, and all ways in and out."""
+"""Motions in every mode, with every feature and limit, and the starts and stops."""
 
 from __future__ import annotations
 
 from servo_msgs_py.timed_points import TimedPoint
 
 from targets.rig import Rig, RigError
-from targets.scenarios.parts import FAR, POSITION, SPEED, TORQUE, TRAJECTORY, ends, features, ready, spin, stop
+from targets.scenarios.parts import FAR, POSITION, SPEED, TORQUE, TRAJECTORY, features, raw_range, ready, spin, stop
 
 
 def start_to_stop(rig: Rig) -> None:
@@ -25,13 +25,13 @@ def start_to_stop(rig: Rig) -> None:
 
 
 def reenabled(rig: Rig) -> None:
-    """Off and on again in every sub-state that has a way back."""
+    """Disable and enable again in every sub-state that permits it."""
     ready(rig)
     rig.set("cmd.enable", 1)
-    rig.until("CALIB on both axes", lambda: rig.places() == ["CALIB", "CALIB"])
+    rig.until("CALIB on both axes", lambda: rig.states() == ["CALIB", "CALIB"])
     stop(rig)
     rig.set("cmd.enable", 1)
-    rig.until("ALIGN on both axes", lambda: rig.places() == ["ALIGN", "ALIGN"])
+    rig.until("ALIGN on both axes", lambda: rig.states() == ["ALIGN", "ALIGN"])
     stop(rig)
     spin(rig)
     rig.set("cmd.mode", SPEED)
@@ -44,26 +44,26 @@ def reenabled(rig: Rig) -> None:
     rig.set("cmd.speed", -40.0, 60.0)
     rig.run(0.03)
     rig.set("cmd.enable", 0)
-    rig.until("FREEWHEEL", lambda: rig.places()[0] == "FREEWHEEL")
+    rig.until("FREEWHEEL", lambda: rig.states()[0] == "FREEWHEEL")
     rig.set("cmd.enable", 1)
-    rig.until("ALIGN from FREEWHEEL", lambda: rig.places()[0] == "ALIGN")
+    rig.until("ALIGN from FREEWHEEL", lambda: rig.states()[0] == "ALIGN")
     stop(rig)
 
 
 def once_more(rig: Rig) -> None:
-    """A second alignment, which leaves the turns as they are; the other axis is off."""
+    """A second alignment, which keeps the position; the other axis is off."""
     ready(rig)
     for _ in range(2):
         rig.set("cmd.enable", 1, 0)
-        rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+        rig.until("SPIN on axis 1", lambda: rig.states()[0] == "SPIN")
         rig.set("cmd.enable", 0)
-        rig.until("STOP", lambda: rig.places()[0] == "STOP")
+        rig.until("STOP", lambda: rig.states()[0] == "STOP")
 
 
 def extremes(rig: Rig) -> None:
-    """Top speed both ways, set-points and limits at the ends of their ranges, limits that change on the way."""
+    """Top speed in both directions, set-points and limits at the ends of their ranges, limits changed in motion."""
     spin(rig)
-    speed, current, current_limit = ends("cmd.speed"), ends("cmd.i_q"), ends("param.i_q_limit")
+    speed, current, current_limit = raw_range("cmd.speed"), raw_range("cmd.i_q"), raw_range("param.i_q_limit")
     rig.set("param.acceleration_limit", 50_000.0)
     rig.set("param.speed_limit", 419.0)
     rig.set("cmd.mode", SPEED)
@@ -78,14 +78,14 @@ def extremes(rig: Rig) -> None:
     rig.set_raw("param.i_q_limit", *current_limit)
     rig.set("param.speed_limit", 50.0)
     rig.run(0.02)
-    rig.set_raw("cmd.position", 0, 2**31 - 1)  # refused: out of reach
+    rig.set_raw("cmd.position", 0, 2**31 - 1)  # refused: beyond the permitted distance
     rig.set_raw("cmd.position", 0, FAR)
     rig.set_raw("param.i_q_limit", current_limit[1], 1000)
     rig.run(0.02)
 
 
 def forward(rig: Rig) -> None:
-    """Friction, speed and acceleration fed forward, together and alone; a shaft left behind, and a shaft too fast."""
+    """Feed-forward of friction, speed and acceleration, combined and alone; following error and over-speed."""
     spin(rig)
     rig.set("param.features", features("FRICTION", "SPEED_FORWARD", "ACCELERATION_FORWARD"), features("FRICTION"))
     rig.set("cmd.position", 2.0, -2.0)
@@ -101,22 +101,22 @@ def forward(rig: Rig) -> None:
     rig.lock(0)
     rig.set("cmd.position", 10.0)
     rig.set("cmd.speed", 0.0, 200.0)
-    rig.until("left behind", lambda: "FOLLOWING_ERROR" in rig.faults(0))
-    rig.until("too fast", lambda: "OVER_SPEED" in rig.faults(1))
-    rig.set_raw("param.following_error", *ends("param.following_error"))
-    rig.set_raw("param.over_speed", *ends("param.over_speed"))
+    rig.until("following error", lambda: "FOLLOWING_ERROR" in rig.faults(0))
+    rig.until("over-speed", lambda: "OVER_SPEED" in rig.faults(1))
+    rig.set_raw("param.following_error", *raw_range("param.following_error"))
+    rig.set_raw("param.over_speed", *raw_range("param.over_speed"))
     rig.run(0.001)
 
 
 def expired(rig: Rig) -> None:
-    """Set-points that are not written again, with an encoder and without; a limit that widens without a set-point."""
+    """Expired set-points with and without an encoder; a limit that is raised without a new set-point."""
     ready(rig)
     rig.set_raw("param.feedback", 0, 1)
     rig.set("cmd.enable", 1)
-    rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+    rig.until("SPIN on axis 1", lambda: rig.states()[0] == "SPIN")
     rig.set("param.command_timeout", 0.01)
     rig.set("cmd.mode", SPEED)
-    rig.set("cmd.speed", 50.0, 5.0)  # too slow for the observer: it waits
+    rig.set("cmd.speed", 50.0, 5.0)  # below the minimum speed of the observer: the axis waits
     rig.run(0.005)
     rig.set("param.speed_limit", 10.0)
     rig.run(0.002)
@@ -129,12 +129,12 @@ def expired(rig: Rig) -> None:
     rig.set("cmd.speed", 50.0, 0.0)
     rig.run(0.008)
     rig.set("cmd.mode", POSITION)
-    rig.set("cmd.position", 50.0)  # far enough ahead to go on
+    rig.set("cmd.position", 50.0)  # far enough to remain in motion
     rig.run(0.002)
 
 
 def soft_limits(rig: Rig) -> None:
-    """Both soft limits, reached in each mode, and limits at the ends of their ranges."""
+    """Both soft limits in each mode, and limits at the ends of their ranges."""
     spin(rig)
     rig.set("param.features", features("POSITION_LIMITS"))
     rig.set("param.position_min", -0.5)
@@ -145,12 +145,12 @@ def soft_limits(rig: Rig) -> None:
     rig.set("cmd.speed", -100.0, 0.0)
     rig.set("cmd.i_q", 0.0, 0.5)
     rig.run(0.05)
-    rig.set("param.position_min", 0.3)  # behind the one, before the other shaft
+    rig.set("param.position_min", 0.3)  # one shaft is beyond it, the other one inside
     rig.set("cmd.mode", POSITION)
     rig.set("cmd.position", -1.0, 1.0)
     rig.run(0.03)
-    rig.set_raw("param.position_min", *ends("param.position_min"))
-    rig.set_raw("param.position_max", *reversed(ends("param.position_max")))
+    rig.set_raw("param.position_min", *raw_range("param.position_min"))
+    rig.set_raw("param.position_max", *reversed(raw_range("param.position_max")))
     rig.set("cmd.position", 0.2)
     rig.run(0.02)
     rig.set("cmd.mode", SPEED)
@@ -164,9 +164,9 @@ def soft_limits(rig: Rig) -> None:
 
 
 def trajectory(rig: Rig) -> None:
-    """Timed points: followed, replaced, refused for each reason, reached at rest, and wanting in motion."""
+    """Timed points: followed, replaced, refused for each reason, reached at rest, and missing in motion."""
     spin(rig)
-    rig.points(TimedPoint(0, 8, 0.0, 0.0))  # refused: the mode is another one
+    rig.points(TimedPoint(0, 8, 0.0, 0.0))  # refused: wrong mode
     rig.set("cmd.mode", TRAJECTORY)
     rig.set("param.features", features("POSITION_LIMITS"), features("STARVED", "FRICTION", "FOLLOWING_ERROR"))
     rig.set("param.position_min", -2.0)
@@ -175,9 +175,9 @@ def trajectory(rig: Rig) -> None:
     here = [rig.get(f"axis{k}.position_ref") for k in (1, 2)]
 
     def point(
-        axis: int, later: int, way: float, speed: float = 0.0, current: float = 0.0, replaces: bool = False
+        axis: int, later: int, distance: float, speed: float = 0.0, current: float = 0.0, replaces: bool = False
     ) -> TimedPoint:
-        return TimedPoint(axis, round(rig.get("tick")) + later, here[axis] + way, speed, current, replaces)
+        return TimedPoint(axis, round(rig.get("tick")) + later, here[axis] + distance, speed, current, replaces)
 
     def refused(*points: TimedPoint) -> None:
         before = rig.get("points_refused")
@@ -190,34 +190,34 @@ def trajectory(rig: Rig) -> None:
     rig.run(0.01)
     refused(point(1, 8, 0.0))  # in the past
     refused(point(0, 600, 0.2), point(0, 600, 0.2))  # not later
-    refused(point(0, 800, 0.2), point(0, 808, 0.2))  # too soon after
-    refused(point(0, 2_000_000, 0.2))  # too late after
+    refused(point(0, 800, 0.2), point(0, 808, 0.2))  # too close to the point before
+    refused(point(0, 2_000_000, 0.2))  # too long after the point before
     refused(point(0, 800, 500_000.0))  # too far
-    refused(point(0, 800, 30.0))  # too fast between
+    refused(point(0, 800, 30.0))  # too fast between the points
     refused(point(0, 800, 0.2, 400.0))  # too fast
     refused(point(0, 1600, 0.2, 100.0), point(0, 1632, 0.2))  # too much acceleration
     refused(point(0, 3200, 3.0))  # beyond the soft limits
-    refused(point(0, 600, 0.2), point(0, 700, 0.2, replaces=True))  # replaces, but is not the first
+    refused(point(0, 600, 0.2), point(0, 700, 0.2, replaces=True))  # replaces, but is not the first point
     rig.points(point(0, 640, 0.1, replaces=True), point(0, 800, 0.1))
     rig.points(*(point(0, 900 + 100 * k, 0.1) for k in range(8)))
-    refused(*(point(0, 2000 + 100 * k, 0.1) for k in range(8)))  # no room
+    refused(*(point(0, 2000 + 100 * k, 0.1) for k in range(8)))  # queue full
     rig.words(0, 0)
     rig.words(0, 0, 0, -(2**31))
     one = point(0, 2000, 0.1, replaces=True)
-    for _ in range(4):  # so soon after each other that some wait for their slow tick
+    for _ in range(4):  # some are received before the slow tick of the previous one
         rig.points_together([one], [one])
-    rig.until("HOST_SILENT for want of a point", lambda: rig.faults(1) == ["HOST_SILENT"])
+    rig.until("HOST_SILENT by an underrun of points", lambda: rig.faults(1) == ["HOST_SILENT"])
     rig.points(point(0, 640, 0.1, replaces=True))
     rig.run(0.05)
     rig.points(point(0, 480, 0.3, 10.0))
-    rig.run(0.05)  # axis 1 has no such feature: it stops and holds
+    rig.run(0.05)  # axis 1 without the feature stops and holds
     rig.set("cmd.mode", POSITION, TRAJECTORY)
     rig.set("cmd.clear_faults", 1)
     stop(rig)
 
 
 def weakened(rig: Rig) -> None:
-    """Speeds that the bus has no voltage for, with field weakening: load, a sag until nothing is left, switched off."""
+    """Field weakening above the base speed: load, a sag of the bus to the limit, and switching it off."""
     spin(rig)
     rig.set("param.features", features("FIELD_WEAKENING"))
     rig.set("param.acceleration_limit", 30_000.0)

@@ -1,4 +1,4 @@
-"""What the scenarios share: quiet motors, features and faults by name, an axis that is ready, spins or has stopped."""
+"""Shared parts of the scenarios: motors with low noise, features and faults by name, start and stop of both axes."""
 
 from __future__ import annotations
 
@@ -22,55 +22,55 @@ RAMP: Final = 2
 HOLD: Final = 3
 
 FAR: Final = 2**30 - 2**20
-"""A position, in counts, almost as far away as the board lets an axis be sent."""
+"""A position close to the largest permitted distance [counts]."""
 
 _FEATURES: Final = {flag.name: flag.mask for flag in Catalogue.load().flags["features"]}
 _REFERENCE_DESIGN: Final = sum(
     _FEATURES[name] for name in ("ANTI_WINDUP", "ENHANCED_MT", "BUS_COMPENSATION", "DEAD_TIME")
 )
 ALL_FAULTS: Final = sum(flag.mask for flag in Catalogue.load().flags["faults"])
-BLIND: Final = sum(
+FAULTS_WITHOUT_MONITORS: Final = sum(
     flag.mask
     for flag in Catalogue.load().flags["faults"]
     if flag.name not in ("CURRENT_SENSE", "PHASE_LOST", "ENCODER_LOST", "ANGLE_MISMATCH")
 )
-"""Faults of an axis that shall bear senseless inputs."""
-_QUICK: Final = (0.0, math.pi / 4)
-"""Rotor angles that are found soon [rad]."""
+"""Enabled faults of an axis with random inputs."""
+_SHORT_SEARCH: Final = (0.0, math.pi / 4)
+"""Rotor angles with a short rotor search [rad]."""
 
 
-def plant(theta: tuple[float, float] = _QUICK, capacitance: float = 4.7e-3, **axis: Any) -> PlantConfig:
-    """Motors of the packaged description, with quieter sensors, which make short recordings."""
-    quiet = PlantConfig.load().with_bus(u_noise=0.005, capacitance=capacitance)
+def plant(theta: tuple[float, float] = _SHORT_SEARCH, capacitance: float = 4.7e-3, **axis: Any) -> PlantConfig:
+    """Packaged plant with less sensor noise, for short recordings."""
+    plant_config = PlantConfig.load().with_bus(u_noise=0.005, capacitance=capacitance)
     for index in range(2):
-        quiet = quiet.with_axis(index, **{"i_noise": 0.002, "theta_start": theta[index], **axis})
-    return quiet
+        plant_config = plant_config.with_axis(index, **{"i_noise": 0.002, "theta_start": theta[index], **axis})
+    return plant_config
 
 
-def ends(name: str) -> tuple[int, int]:
-    """Lowest and highest raw number that may be written."""
+def raw_range(name: str) -> tuple[int, int]:
+    """Smallest and largest permitted raw number."""
     return Catalogue.load()[name].raw_range
 
 
 def features(*names: str) -> int:
-    """Features of the reference design and those named."""
+    """Mask of the features of the reference design and of the given ones."""
     return _REFERENCE_DESIGN + sum(_FEATURES[name] for name in names)
 
 
 def ready(rig: Rig) -> None:
-    """Wait for the end of the start; set-points stand until the next one."""
+    """Wait for STOP after reset; set-points do not expire."""
     rig.set("param.command_timeout", 0.0)
-    rig.until("STOP after reset", lambda: rig.places() == ["STOP", "STOP"])
+    rig.until("STOP after reset", lambda: rig.states() == ["STOP", "STOP"])
 
 
 def spin(rig: Rig) -> None:
-    """Switch both axes on and wait until they hold their position."""
+    """Enable both axes and wait until they hold their positions."""
     ready(rig)
     rig.set("cmd.enable", 1)
-    rig.until("SPIN on both axes", lambda: rig.places() == ["SPIN", "SPIN"])
+    rig.until("SPIN on both axes", lambda: rig.states() == ["SPIN", "SPIN"])
 
 
 def stop(rig: Rig) -> None:
-    """Switch both axes off and wait until they rest."""
+    """Disable both axes and wait for STOP."""
     rig.set("cmd.enable", 0)
-    rig.until("STOP", lambda: rig.places() == ["STOP", "STOP"])
+    rig.until("STOP", lambda: rig.states() == ["STOP", "STOP"])

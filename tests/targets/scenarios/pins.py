@@ -18,8 +18,8 @@ _TICKS = 8
 
 
 def wired() -> PlantConfig:
-    """Limit switches a turn to both sides, home switches in between, quick brakes."""
-    both = plant((math.pi / 4, 0.5 * math.pi))  # the second opposite to the first vector
+    """Plant with limit switches on both sides, home switches in between, and fast brakes."""
+    both = plant((math.pi / 4, 0.5 * math.pi))  # axis 2: opposite to the first vector
     for axis, entry in enumerate(both.axes):
         pins = replace(
             entry.pins, home_from=1.0, home_to=3.0, limit_min=-5.0, limit_max=7.0, brake_torque=0.1,
@@ -42,40 +42,40 @@ def _fit(rig: Rig) -> None:
 
 
 def pins(rig: Rig) -> None:
-    """A search under load, a switch reached in motion, stops that end in the brake, an enable input that opens."""
+    """A search under load, a limit switch in motion, stops with the holding brake, an open enable input."""
     ready(rig)
     _fit(rig)
-    rig.set("cmd.mode", TEST)  # refused: there is a brake
+    rig.set("cmd.mode", TEST)  # refused with a holding brake
     rig.set("cmd.enable", 1)
     rig.run(0.002)
-    rig.until("STOP again", lambda: rig.places() == ["STOP", "STOP"])
+    rig.until("STOP again", lambda: rig.states() == ["STOP", "STOP"])
     rig.set("cmd.mode", POSITION)
     rig.inject(CutWire(1, "enable"))
     rig.run(0.002)
     rig.load(0, 0.02)
-    rig.set("cmd.enable", 1)  # axis 2 refuses
-    rig.until("axis 1 in SPIN", lambda: rig.places() == ["SPIN", "STOP"])
+    rig.set("cmd.enable", 1)  # refused by axis 2
+    rig.until("axis 1 in SPIN", lambda: rig.states() == ["SPIN", "STOP"])
     rig.clear_fault(CutWire(1, "enable"))
     rig.set("cmd.mode", SPEED, POSITION)
-    rig.set("cmd.speed", 100.0, 0.0)  # its brake may still be closed
+    rig.set("cmd.speed", 100.0, 0.0)  # the brake may still be closed
     rig.run(0.01)
     rig.set("cmd.speed", 100.0, 0.0)
     rig.until("the limit switch", lambda: "LIMIT_SWITCH" in rig.faults(0))
-    rig.until("its stop", lambda: rig.places()[0] == "FAULT")
+    rig.until("its stop", lambda: rig.states()[0] == "FAULT")
     rig.set("cmd.clear_faults", 1)
-    rig.until("axis 1 in STOP", lambda: rig.places()[0] == "STOP")
+    rig.until("axis 1 in STOP", lambda: rig.states()[0] == "STOP")
     rig.run(0.09)
     rig.set("cmd.enable", 1)
-    rig.until("axis 1 in SPIN again", lambda: rig.places()[0] == "SPIN")
-    rig.set("cmd.speed", -30.0, 0.0)  # its brake is still closed
-    rig.until("both in SPIN", lambda: rig.places() == ["SPIN", "SPIN"])
+    rig.until("axis 1 in SPIN again", lambda: rig.states()[0] == "SPIN")
+    rig.set("cmd.speed", -30.0, 0.0)  # the brake is still closed
+    rig.until("both in SPIN", lambda: rig.states() == ["SPIN", "SPIN"])
     rig.run(0.01)
     rig.set("cmd.speed", -30.0, 0.0)
     rig.run(0.02)
     rig.set("param.on_disable", HOLD)
     rig.set("cmd.enable", 0, 0)
     rig.run(0.02)
-    rig.set("cmd.enable", 0, 1)  # axis 2 is wanted again
+    rig.set("cmd.enable", 0, 1)  # axis 2 is enabled again
     rig.run(0.02)
     rig.inject(CutWire(1, "enable"))
     rig.until("enable input", lambda: "ENABLE_INPUT" in rig.faults(1))
@@ -85,20 +85,20 @@ def pins(rig: Rig) -> None:
 
 
 def lost(rig: Rig) -> None:
-    """Searches that fail: a dead encoder, one the wrong way round, a load that is too large, no cable."""
+    """Failed rotor searches: dead encoder, reversed encoder, load too large, open motor cable."""
     ready(rig)
     _fit(rig)
     rig.plug(0, False)
     rig.reverse(1)
     rig.set("cmd.enable", 1)
-    rig.until("both failed", lambda: rig.places() == ["FAULT", "FAULT"])
+    rig.until("both failed", lambda: rig.states() == ["FAULT", "FAULT"])
     rig.plug(0, True)
     rig.reverse(1)
     rig.load(0, 0.1)
     rig.motor(1, False)
     rig.set("cmd.clear_faults", 1)
-    rig.until("both cleared", lambda: rig.places() == ["STOP", "STOP"])
+    rig.until("both cleared", lambda: rig.states() == ["STOP", "STOP"])
     rig.run(0.09)
     rig.set("cmd.enable", 1)
-    rig.until("dropped, and without current", lambda: rig.places() == ["FAULT", "FAULT"])
+    rig.until("dropped, and without current", lambda: rig.states() == ["FAULT", "FAULT"])
     rig.run(0.01)

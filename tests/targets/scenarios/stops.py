@@ -1,4 +1,4 @@
-"""How an axis comes to rest: every category of stop, and what the DC bus takes back."""
+"""Every stop category, and braking energy on the DC bus."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from targets.scenarios.parts import COAST, HOLD, POSITION, RAMP, SHORT, SPEED, T
 
 
 def braking(rig: Rig) -> None:
-    """Braking current folded back on a small capacitor, in every mode."""
+    """Limited braking current with a small bus capacitor, in every mode."""
     spin(rig)
     rig.set("param.acceleration_limit", 50_000.0)
     rig.set("param.features", features("FOLLOWING_ERROR"))
@@ -22,20 +22,20 @@ def braking(rig: Rig) -> None:
 
 
 def resistor(rig: Rig) -> None:
-    """A supply that is too high, and a resistor until its budget is spent."""
+    """Over-voltage of the supply with the braking resistor, until its energy budget is used up."""
     ready(rig)
-    rig.set_raw("param.brake", 2)  # is no switch
+    rig.set_raw("param.brake", 2)  # refused: not a switch
     rig.run(0.002)
     rig.set_raw("param.brake", 1)
     rig.supply(35.4)
-    rig.until("the resistor's budget is spent", lambda: "OVER_VOLTAGE" in rig.faults(0))
+    rig.until("the energy budget of the resistor is used up", lambda: "OVER_VOLTAGE" in rig.faults(0))
 
 
 def shorted(rig: Rig) -> None:
-    """Shorted windings, wanted again meanwhile, until the shaft rests."""
+    """Stop by shorted windings, with an enable during the stop."""
     ready(rig)
     rig.set("cmd.enable", 1, 0)
-    rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+    rig.until("SPIN on axis 1", lambda: rig.states()[0] == "SPIN")
     rig.set_raw("param.on_disable", SHORT, 4)  # refused
     rig.set_raw("param.on_disable", SHORT, RAMP)
     rig.set("cmd.mode", SPEED)
@@ -44,32 +44,32 @@ def shorted(rig: Rig) -> None:
     rig.set("cmd.enable", 0)
     rig.run(0.002)
     rig.set("cmd.enable", 1, 0)
-    rig.until("ALIGN after a short", lambda: rig.places()[0] == "ALIGN")
+    rig.until("ALIGN after a short", lambda: rig.states()[0] == "ALIGN")
 
 
 def overloaded(rig: Rig) -> None:
-    """A quick stop by shorted windings that carry more than they may."""
+    """A quick stop by shorted windings with too much current."""
     ready(rig)
     rig.set("cmd.enable", 1, 0)
-    rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+    rig.until("SPIN on axis 1", lambda: rig.states()[0] == "SPIN")
     rig.set_raw("param.on_quick_stop", SHORT, HOLD)
     rig.set("cmd.mode", SPEED)
     rig.set("cmd.speed", -100.0)
     rig.run(0.03)
     rig.set("cmd.enable", 0)
     rig.run(0.001)
-    rig.set("cmd.quick_stop", 1)  # is harsher
+    rig.set("cmd.quick_stop", 1)  # stronger stop category
     rig.run(0.001)
-    rig.disturb(0, one_in=1)  # codes that make no sense
+    rig.disturb(0, one_in=1)  # random codes
     rig.run(0.002)
-    rig.calm()
+    rig.end_disturbance()
 
 
 def held(rig: Rig) -> None:
-    """A position held without a drive; a quick stop that withdraws it."""
+    """Position hold after disable; a quick stop that ends it."""
     ready(rig)
     rig.set("cmd.enable", 1, 0)
-    rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+    rig.until("SPIN on axis 1", lambda: rig.states()[0] == "SPIN")
     rig.set_raw("param.on_disable", HOLD, RAMP)
     rig.set_raw("param.on_quick_stop", RAMP, RAMP)
     rig.set("cmd.mode", SPEED)
@@ -85,14 +85,14 @@ def held(rig: Rig) -> None:
 
 
 def too_fast_for_a_short(rig: Rig) -> None:
-    """The windings would carry too much: the axis coasts. Before that, a look at every monitor output."""
+    """Coasting, as the current of shorted windings would be too large; before it, every monitor output."""
     ready(rig)
     for quantity in range(1, 19):
         rig.set_raw("param.monitor", quantity, quantity)
         rig.run(0.001)
     rig.set_raw("param.monitor", 0, 0)
     rig.set("cmd.enable", 1, 0)
-    rig.until("SPIN on axis 1", lambda: rig.places()[0] == "SPIN")
+    rig.until("SPIN on axis 1", lambda: rig.states()[0] == "SPIN")
     rig.set_raw("param.on_quick_stop", COAST, COAST)
     rig.set_raw("param.on_disable", SHORT, SHORT)
     rig.set("cmd.mode", SPEED)

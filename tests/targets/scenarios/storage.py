@@ -1,4 +1,4 @@
-"""What the data flash keeps: saves, a set that comes back after a reset, requests that are refused."""
+"""Data flash: saves, sets restored after a reset, refused requests."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ def _finish(rig: Rig) -> None:
 
 
 def _reset(rig: Rig) -> None:
-    """By the watchdog, which lets the data flash be."""
+    """Reset by the watchdog, which does not change the data flash."""
     rig.inject(StalledCore(0.2))
     rig.run(0.06)
     rig.until("watchdog", lambda: "WATCHDOG" in rig.faults(0))
 
 
 def storage(rig: Rig) -> None:
-    """A save, one that a parameter ends, a reset with what is left; a reset with the newest set; no set at all."""
+    """A save, a save aborted by a parameter and a reset; a reset with the newest set; erased sets."""
     ready(rig)
     rig.set("param.speed_limit", 90.0, 80.0)
     rig.set_raw("storage.request", SAVE, 1)
@@ -37,7 +37,7 @@ def storage(rig: Rig) -> None:
         rig.set("param.i_q_limit", 0.5 * token)
         rig.set_raw("storage.request", SAVE, token)
         _finish(rig)
-    rig.set_raw("storage.request", FACTORY, 4)  # its token has been used
+    rig.set_raw("storage.request", FACTORY, 4)  # refused: the token was used before
     rig.set_raw("storage.request", SAVE, 5)
     rig.set_raw("storage.request", FACTORY, 6)  # busy
     rig.set("cmd.clear_faults", 1)
@@ -45,12 +45,12 @@ def storage(rig: Rig) -> None:
     rig.set("param.i_q_limit", 1.0)
     _reset(rig)  # the newest set
     rig.set("cmd.clear_faults", 1)
-    rig.until("cleared", lambda: rig.places() == ["STOP", "STOP"])
+    rig.until("cleared", lambda: rig.states() == ["STOP", "STOP"])
     rig.set_raw("storage.request", SAVE, 7)
     rig.set("cmd.enable", 1)
     _finish(rig)
     rig.set_raw("storage.request", SAVE, 8)  # in motion
     rig.set("cmd.enable", 0)
-    rig.until("off", lambda: rig.places() == ["STOP", "STOP"])
+    rig.until("off", lambda: rig.states() == ["STOP", "STOP"])
     rig.set_raw("storage.request", FACTORY, 9)
     _finish(rig)

@@ -1,4 +1,4 @@
-"""Other configurations: at rest, in motion, and what the board refuses."""
+"""Changes of the configuration at rest and in motion, and refused changes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TABLE: Final = AxisConfigTable.load()
 
 
 class Blocks:
-    """The board as `BlockMemory` wants it: writes go over the line, reads past it."""
+    """`BlockMemory` of a rig: writes use the serial line, reads do not."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
@@ -31,7 +31,7 @@ class Blocks:
         return self.read_words("config.refusal") == [0]
 
     def together(self, *writes: tuple[str, Sequence[int]]) -> None:
-        """Writes with nothing between the requests."""
+        """Send several writes without a pause."""
         frames = b""
         for name, words in writes:
             pack = self._rig.catalogue[name].raw_type.pack
@@ -47,7 +47,7 @@ class Blocks:
 
 
 def _take(blocks: Blocks, changed: dict[int, dict[str, float]]) -> None:
-    """Let axes take their blocks with some members times a factor."""
+    """Send the blocks of axes with some members multiplied by factors, and take them."""
     for axis, factors in changed.items():
         block = read_block(blocks, axis)
         send_block(blocks, axis, block | {path: round(block[path] * factor) for path, factor in factors.items()})
@@ -86,8 +86,8 @@ def tuning(rig: Rig) -> None:
 
 
 def hot_winding(rig: Rig) -> None:
-    """A winding whose nominal capacity falls: derating, the rated current alone, a fault, and out of it."""
-    blocks, step = Blocks(rig), 0.034  # of the thermal model [s]
+    """A falling nominal heat capacity of a winding: derating, limit at the rated current, fault, and recovery."""
+    blocks, step = Blocks(rig), 0.034  # step of the thermal model [s]
     rig.set("param.features", features("WINDING_MODEL"), features())
     spin(rig)
     _take(blocks, {0: {"winding_model.derating": 0.9}})
@@ -111,7 +111,7 @@ def hot_winding(rig: Rig) -> None:
     _take(blocks, {0: {"winding_model.maximum": 1.4, "winding_model.fault": 1.4}})
     rig.run(step)
     rig.set("cmd.clear_faults", 1, 0)
-    rig.until("cleared", lambda: rig.places()[0] == "STOP")
+    rig.until("cleared", lambda: rig.states()[0] == "STOP")
 
 
 def _refusals(blocks: Blocks, block: dict[str, int]) -> None:
@@ -127,9 +127,9 @@ def _refusals(blocks: Blocks, block: dict[str, int]) -> None:
     for axes in (0, 4, 2):
         blocks.write_words("config.take", [axes])
     for busy in (("config.take", [2]), ("config.window", [1, 0, 1, words[0]]), ("config.header", header)):
-        for later in (0.0, 1.2e-4, 2.4e-4, 3.6e-4):  # one of them is early in its slow tick
+        for later in (0.0, 1.2e-4, 2.4e-4, 3.6e-4):  # one of them is early in a slow tick
             send_block(blocks, 1, block)
             blocks.pause(later)
-            # What comes while an answer is due is lost: the one in the middle.
+            # A request that arrives before the answer to the previous one is lost: the second one.
             blocks.together(("config.take", [2]), ("config.take", [2]), busy)
             blocks.wait()

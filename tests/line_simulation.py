@@ -1,4 +1,4 @@
-"""A virtual board and the clients on its serial line, all of it in simulated time. For tests."""
+"""Test fixture: a virtual board and clients on its serial line, in simulated time."""
 
 from __future__ import annotations
 
@@ -19,42 +19,34 @@ from servo_twin.level import Level
 
 BAUDS: Final = (19_200, 115_200, 1_000_000)
 STEP_NS: Final = 2_000_000
-"""Between two entries of the log of both shafts."""
+"""Period of the log of both shafts [ns]."""
 
-Actor = Callable[[], object]
-"""What a client does once; called again and again."""
+ClientAction = Callable[[], object]
+"""One action of a client, called periodically."""
 
 
 @dataclass
 class Log:
-    """Truth of both shafts, one entry per 2 ms."""
+    """True motion of both shafts, one entry per 2 ms."""
 
-    time: list[float] = field(default_factory=list)
-    theta: list[tuple[float, ...]] = field(default_factory=list)
-    omega: list[tuple[float, ...]] = field(default_factory=list)
+    time: list[float] = field(default_factory=list)  # simulated time [s]
+    theta: list[tuple[float, ...]] = field(default_factory=list)  # angles, shape (entries, axes) [rad]
+    omega: list[tuple[float, ...]] = field(default_factory=list)  # speeds, shape (entries, axes) [rad/s]
 
 
 class SimulatedLine:
-    """Transport of a FreeMASTER client whose waiting is what makes simulated time pass.
-
-    Attributes
-    ----------
-    plugged : bool
-        Bytes get through in both directions.
-    log : Log
-        What the shafts have done.
-    """
+    """Transport of a FreeMASTER client that advances simulated time while it waits."""
 
     def __init__(self, board: Board) -> None:
         self.board = board
-        self.plugged = True
+        self.plugged = True  # bytes pass in both directions
         self.log = Log()
 
     def clock(self) -> int:
         return self.board.time_ns
 
     def advance(self, until_ns: int) -> None:
-        """Let time pass and keep what the shafts do."""
+        """Advance simulated time and log the shafts."""
         while self.board.time_ns < until_ns:
             self.board.advance(min(until_ns, (self.board.time_ns // STEP_NS + 1) * STEP_NS))
             truths = [self.board.truth(axis) for axis in range(AXES)]
@@ -89,13 +81,13 @@ class Host:
         self.client.mtu = 254
 
     def write(self, name: str, *values: float, first: int = 0) -> None:
-        """Write neighbouring elements of a variable, SI."""
+        """Write consecutive elements of a variable, in SI units."""
         variable = self._line.board.catalogue[name]
         data = b"".join(variable.raw_type.pack(variable.to_raw(value)) for value in values)
         self.client.write_memory(self._line.board.address(name) + first * variable.element_size, data)
 
     def write_raw(self, name: str, *raw: int, first: int = 0) -> None:
-        """Write neighbouring elements of a variable, firmware integers."""
+        """Write consecutive elements of a variable, as raw integers."""
         variable = self._line.board.catalogue[name]
         data = b"".join(variable.raw_type.pack(value) for value in raw)
         self.client.write_memory(self._line.board.address(name) + first * variable.element_size, data)
@@ -107,42 +99,42 @@ class Host:
     def keep_alive(self) -> None:
         self.command("KEEP_ALIVE")
 
-    def look(self) -> None:
-        """Read the telemetry, as a client does that only watches."""
+    def read_snapshot(self) -> None:
+        """Read the snapshot, as a client that only reads."""
         self.client.read_memory(self._line.board.address("snapshot"), 40)
 
 
-class World:
-    """A board with both axes, and what its clients do.
+class LineSimulation:
+    """A board with both axes and its clients in simulated time.
 
     Parameters
     ----------
     level : {"ideal", "registers"}
-        Of the board.
+        Level of the board.
     baud : int
-        Line speed.
+        Line speed [bit/s].
     reader : bool
-        Whether a second client reads all the time.
+        True: a second client reads continuously.
     """
 
     def __init__(self, level: Level, baud: int, *, reader: bool = False, seed: int = 7) -> None:
         self._level: Level = level
         self._baud, self._seed = float(baud), seed
-        self.board = self._new()
+        self.board = self._new_board()
         self.line = SimulatedLine(self.board)
         self.host = Host(self.line, baud)
-        self._readers: list[Actor] = [Host(self.line, baud).look] if reader else []
+        self._readers: list[ClientAction] = [Host(self.line, baud).read_snapshot] if reader else []
 
-    def _new(self) -> Board:
+    def _new_board(self) -> Board:
         return Board(level=self._level, baud=self._baud, seed=self._seed)
 
     def close(self) -> None:
         self.board.close()
 
     def restart(self) -> None:
-        """Switch the board off and on; the log of the shafts begins anew."""
+        """Switch the board off and on, with an empty log of the shafts."""
         self.board.close()
-        self.board = self.line.board = self._new()
+        self.board = self.line.board = self._new_board()
         self.line.log = Log()
 
     # ---- time
@@ -151,22 +143,22 @@ class World:
         """Simulated time [s]."""
         return self.board.time_ns * 1e-9
 
-    def run(self, seconds: float, *actors: Actor, period: float = 0.05) -> None:
-        """Let time pass while clients act, one after the other, once per period or as fast as the line carries it."""
+    def run(self, seconds: float, *actions: ClientAction, period: float = 0.05) -> None:
+        """Run for a time [s]; do all actions in turn once per period, or as fast as the line permits."""
         end = self.board.time_ns + round(seconds * 1e9)
         while self.board.time_ns < end:
             due = self.board.time_ns + round(period * 1e9)
-            for actor in (*actors, *self._readers):
+            for action in (*actions, *self._readers):
                 with contextlib.suppress(AnswerTimeoutError, DamagedAnswerError):
-                    actor()
+                    action()
             self.line.advance(min(due, end))
 
-    def until(self, condition: Callable[[], bool], within: float, *actors: Actor) -> None:
-        """Let time pass until a condition holds; fails when it does not in time."""
+    def until(self, condition: Callable[[], bool], within: float, *actions: ClientAction) -> None:
+        """Run until a condition holds; fail after `within` [s]."""
         end = self.now + within
         while not condition():
             assert self.now < end, f"not within {within} s: {self.states()}"
-            self.run(0.05, *actors)
+            self.run(0.05, *actions)
 
     # ---- the board
     def states(self) -> list[str]:
@@ -189,42 +181,42 @@ class World:
         return [flag.name for flag in self.board.catalogue.active("limits", word)]
 
     def enable(self) -> None:
-        """Switch both axes on over the line and wait until they hold."""
+        """Enable both axes over the line and wait until they hold their positions."""
         self.until(lambda: self.states() == ["STOP"] * AXES, 1.0)
         self.host.write("cmd.enable", 1, 1)
         self.until(lambda: self.states() == ["SPIN"] * AXES, 6.0, self.host.keep_alive)
         self.run(0.1, self.host.keep_alive)
 
-    def turn(self, speed: float, mode: str = "SPEED", within: float = 1.0) -> Actor:
-        """Bring both shafts to a speed by set-points that go on; returns what keeps it up."""
+    def reach_speed(self, speed: float, mode: str = "SPEED", within: float = 1.0) -> ClientAction:
+        """Run both shafts up to a speed [rad/s]; return the action that renews the set-point."""
         modes = self.board.catalogue.enums["control_mode_t"]
         self.host.write("cmd.mode", *[modes[mode]] * AXES)
-        renew = self.renew(speed)
-        self.until(lambda: all(abs(w - speed) < 0.1 * abs(speed) for w in self.line.log.omega[-1]), within, renew)
-        return renew
+        write_speed = self.speed_writer(speed)
+        self.until(lambda: all(abs(w - speed) < 0.1 * abs(speed) for w in self.line.log.omega[-1]), within, write_speed)
+        return write_speed
 
-    def renew(self, speed: float) -> Actor:
-        """What a commander does who asks both shafts for a speed [rad/s]."""
+    def speed_writer(self, speed: float) -> ClientAction:
+        """Action that writes a speed set-point of both shafts [rad/s]."""
         return lambda: self.host.write("cmd.speed", *[speed] * AXES)
 
     # ---- the shafts
     def since(self, start: float, values: Sequence[tuple[float, ...]]) -> tuple[NDArray[np.float64], ...]:
-        """Times since `start` and the values of both axes from there on, shape (entries, axes)."""
+        """Times after `start` [s] and the values of both axes, shape (entries, axes)."""
         first = bisect.bisect_left(self.line.log.time, start)
         return np.asarray(self.line.log.time[first:]) - start, np.asarray(values[first:])
 
-    def fastest(self, start: float, end: float = np.inf) -> float:
+    def speed_max(self, start: float, end: float = np.inf) -> float:
         """Largest speed of either shaft between two times [rad/s]."""
         time, omega = self.since(start, self.line.log.omega)
         return float(np.abs(omega[time <= end - start]).max())
 
     def travel(self, start: float) -> float:
-        """How far either shaft has gone since a time, at most [rad]."""
+        """Largest distance of either shaft from its position at `start` [rad]."""
         _, theta = self.since(start, self.line.log.theta)
         return float(np.abs(theta - theta[0]).max())
 
-    def rests_from(self, start: float, speed: float = 2.0) -> float:
-        """Time after `start` from which on both shafts are slower than `speed` [s]; infinite if one is not."""
+    def stop_time(self, start: float, speed: float = 2.0) -> float:
+        """Time after `start` when both shafts remain slower than `speed` [s]; infinite if one does not."""
         time, omega = self.since(start, self.line.log.omega)
         fast = np.nonzero(np.abs(omega).max(axis=1) > speed)[0]
         if fast.size == 0:

@@ -1,4 +1,4 @@
-"""Arbiter, dispatcher and follower of the bridge on a virtual board, in simulated time. For tests and benches."""
+"""Test fixture: arbiter, dispatcher and follower of the bridge on a virtual board, in simulated time."""
 
 from __future__ import annotations
 
@@ -33,48 +33,41 @@ CATALOGUE: Final = Catalogue.load()
 JOINTS: Final = tuple(joint_names(DEFAULT_JOINTS))
 COUNT: Final = CATALOGUE["axis1.position"].lsb
 SAMPLE_NS: Final = 10_000_000
-"""Between two samples of the telemetry."""
-ELSEWHERE: Final = 1000.0
-"""Clock of the sender of a stream when that of the board is at 0 [s]."""
+"""Sample period of the telemetry [ns]."""
+SENDER_TIME_OFFSET: Final = 1000.0
+"""Time of the sender of a stream at board time 0 [s]."""
 WRITE_NS: Final = 2_000_000
-"""From a write to its answer."""
+"""Time from a write to its answer [ns]."""
 
 
-class PathWorld:
-    """One board, and what brings it paths.
+class PathSimulation:
+    """A board and the parts of the bridge that send paths to it.
 
     Parameters
     ----------
     board : Board
-        Just switched on.
+        Board after reset.
     delay_max : float, optional
-        Of the streamer [s].
+        Largest bridging delay of the streamer [s].
     joints : sequence of Joint
-        In the order of the axes, with the names of `JOINTS`.
-
-    Attributes
-    ----------
-    muted : bool
-        Let no write through: the bridge is dead.
-    write_delay : float
-        From the bridge to the board [s].
+        Joints in the order of the axes, with the names of `JOINTS`.
     """
 
     def __init__(self, board: Board, delay_max: float | None = None, joints: Sequence[Joint] = DEFAULT_JOINTS) -> None:
         self.board = board
-        self.troubles: list[str] = []
-        self.ends: list[float] = []
+        self.errors: list[str] = []
+        self.end_times: list[float] = []
         self.refusals: list[TrajectoryError] = []
-        self.muted = False
-        self.write_delay = 0.0
-        self._on_the_line: list[tuple[float, CommandWrite]] = []
+        self.writes_lost = False  # no write reaches the board, as after a crash of the bridge
+        self.write_delay = 0.0  # from the bridge to the board [s]
+        self._writes_in_transit: list[tuple[float, CommandWrite]] = []
         self.log: list[NDArray[np.void]] = []
         self.arbiter = Arbiter(CATALOGUE, joints)
         self.follower = Follower(CATALOGUE, joints, self._check, clock=lambda: 0.0)
         self.arbiter.queue.follow(self.follower)
         self.streamer = Streamer(joints, self.follower, stream_lead(115_200), delay_max)
-        self._acknowledge: list[tuple[CommandWrite, str | None]] = []
-        self.dispatcher = Dispatcher(self._send, self.arbiter.queue, self.troubles.append)
+        self._unacknowledged: list[tuple[CommandWrite, str | None]] = []
+        self.dispatcher = Dispatcher(self._send, self.arbiter.queue, self.errors.append)
         enable(board)
         constants = [numbers(board.read(f"{axis_name(axis)}.torque_constant"))[0] for axis in range(AXES)]
         self.arbiter.set_torque_constants(constants)
@@ -94,14 +87,14 @@ class PathWorld:
         require(path, [self.limits[JOINTS.index(joint)] for joint in path.joints])
 
     def _send(self, write: CommandWrite) -> None:
-        if not self.muted:
-            self._on_the_line.append((self.now + self.write_delay, write))
+        if not self.writes_lost:
+            self._writes_in_transit.append((self.now + self.write_delay, write))
             self._deliver()
 
     def _deliver(self) -> None:
-        """Hand the board what has come through the line."""
-        while self._on_the_line and self._on_the_line[0][0] <= self.now:
-            self._write(self._on_the_line.pop(0)[1])
+        """Pass the writes whose delay has elapsed to the board."""
+        while self._writes_in_transit and self._writes_in_transit[0][0] <= self.now:
+            self._write(self._writes_in_transit.pop(0)[1])
 
     def _write(self, write: CommandWrite) -> None:
         variable = CATALOGUE[write.variable]
@@ -113,16 +106,16 @@ class PathWorld:
             self.board.write_memory(self.board.address(write.variable) + begin, data[begin:end])
         except BoardError as refusal:
             error = f"{refusal}: {CATALOGUE.label('point_refusal_t', self.board.read_raw('point_refusal')[0])}"
-        self._acknowledge.append((write, error))
+        self._unacknowledged.append((write, error))
 
     def follow(self, plan: Plan, joints: Sequence[str] = JOINTS, start: float = 0.0) -> None:
-        """Ask for a path."""
+        """Request a path."""
         self.arbiter.admit("test", [JOINTS.index(joint) for joint in joints])
-        self.follower.request(joints, plan, self.ends.append, self.refusals.append, start)
+        self.follower.request(joints, plan, self.end_times.append, self.refusals.append, start)
         self.dispatcher.pump()
 
-    def stream(self, points: Mapping[int, JointSetPoint], stamp: float) -> None:
-        """A message of streamed set-points arrives."""
+    def receive(self, points: Mapping[int, JointSetPoint], stamp: float) -> None:
+        """Receive one message of a stream of set-points."""
         self.arbiter.admit("test", points)
         self.streamer.take(points, stamp, self.now, self.limits)
         self.streamer.advance(self.now)
@@ -137,18 +130,18 @@ class PathWorld:
         jitter: float = 0.0,
         loss: float = 0.0,
     ) -> float:
-        """Send a stream that begins now; returns when [s].
+        """Send a stream of set-points that starts now; return its start time [s].
 
         Parameters
         ----------
         seconds : float
-            Length [s].
+            Duration [s].
         points : callable
-            Set-points by axis, at a time since the beginning [s].
+            Set-points by axis, at a time after the start [s].
         period, jitter : float
-            Of the messages; largest random delay of one of them [s].
+            Period of the messages, and largest random delay of a message [s].
         loss : float
-            Share of messages that are lost.
+            Fraction of the messages that is lost.
         """
         random = np.random.default_rng(7)
         begin = self.now
@@ -158,7 +151,7 @@ class PathWorld:
         for arrival, stamp in sorted(zip(arrivals[kept], sent[kept], strict=True)):
             while begin + arrival > self.now + 1e-3:
                 self.run(min(begin + arrival - self.now, SAMPLE_NS * 1e-9))
-            self.stream(points(float(stamp)), ELSEWHERE + begin + stamp)
+            self.receive(points(float(stamp)), SENDER_TIME_OFFSET + begin + stamp)
         return begin
 
     @property
@@ -167,7 +160,7 @@ class PathWorld:
         return self.board.time_ns * 1e-9
 
     def run(self, seconds: float) -> None:
-        """Run the board with samples."""
+        """Run the board with telemetry."""
         end = self.board.time_ns + round(seconds * 1e9)
         while self.board.time_ns < end:
             sample = min(self.board.time_ns + SAMPLE_NS, end)
@@ -176,13 +169,13 @@ class PathWorld:
                 if len(rows):
                     self.log.append(rows)
                 self._deliver()
-                written, self._acknowledge = self._acknowledge, []
+                written, self._unacknowledged = self._unacknowledged, []
                 for write, error in written:
                     self.dispatcher.acknowledged(write, error)
             self._sample(self.log[-1][-1])
 
     def run_until(self, condition: Callable[[], bool], seconds: float) -> None:
-        """Run until a condition holds; fails after so many seconds."""
+        """Run until a condition holds; fail after `seconds`."""
         end = self.now + seconds
         while not condition():
             assert self.now < end, f"not within {seconds} s"
@@ -206,10 +199,10 @@ class PathWorld:
             self.streamer.arrived(periods_ahead(applied.raw, applied.tick) * PERIOD)
 
     def table(self) -> NDArray[np.void]:
-        """Everything that was recorded."""
+        """All recorded rows."""
         return np.concatenate(self.log)
 
     def time(self) -> NDArray[np.float64]:
-        """Board time of its rows [s]."""
+        """Board time of the recorded rows [s]."""
         result: NDArray[np.float64] = self.table()["tick"] * (PERIOD_NS * 1e-9)
         return result
