@@ -24,10 +24,9 @@ typedef struct {
     int32_t acceleration;    /* step change per slow tick at full-scale i_q; 0: no feed-forward */
     /* gain of the load-acceleration estimate: change per tick / (phase error x sqrt(back-EMF)), of full scales */
     int32_t load_gain;
-    /* gains from the amplitude error of the back-EMF (23 fraction bits) to `integral` and to `load`, steps per slow
-     * tick; 0: amplitude not used */
-    gain_t amplitude_gain;
-    gain_t amplitude_load_gain;
+    /* amplitude error: observed minus expected back-EMF, 23 fraction bits */
+    gain_t amplitude_gain; /* gain from the amplitude error to `integral`, steps per slow tick */
+    gain_t amplitude_load_gain; /* gain from that error to `load`, steps per slow tick; 0: amplitude not used */
     /* change of `bias` per slow tick (back-EMF, 23 fraction bits) / (integral - mean step of the angle), in steps */
     gain_t offset_gain;
 } pll_config_t;
