@@ -382,46 +382,46 @@ def main(argv: list[str] | None = None) -> int:
             flash=flash.image if flash else None,
         )
     except (PlantError, ValueError) as error:
-        return _complain(str(error), 2)
+        return _print_error(str(error), 2)
     except OSError as error:
-        return _complain(f"{error.filename or options.plant}: {error.strerror}", 2)
+        return _print_error(f"{error.filename or options.plant}: {error.strerror}", 2)
     try:
         with board, _stop_signals() as stopped, Terminal(options.link) as line:
             where = f"{options.link} -> {line.device}" if options.link else line.device
             what = f"{options.baud:g} baud, seed {options.seed}, level {board.level}"
             print(f"virtual_board: {where}, {what}; Ctrl-C stops it", flush=True)
             pacer = Pacer(time.monotonic_ns(), speed=options.speed)
-            keep = _keeper(board, flash)
-            serve(board, line, pacer, stopped, on_slip=slip_reporter(board.level), on_step=keep)
+            update_flash = _flash_updater(board, flash)
+            serve(board, line, pacer, stopped, on_slip=slip_reporter(board.level), on_step=update_flash)
             print(
                 f"virtual_board: stopped after {board.time_ns * 1e-9:.3f} s; {_slips(pacer)}; "
                 f"bytes lost: {board.stats().serial_overruns} to the board, {line.lost} to the client"
             )
     except LinkError as error:
-        return _complain(str(error), 2)
+        return _print_error(str(error), 2)
     except OSError as error:
-        return _complain(str(error), 1)
+        return _print_error(str(error), 1)
     return 0
 
 
-def _keeper(board: Board, flash: FlashFile | None) -> Callable[[], None]:
+def _flash_updater(board: Board, flash: FlashFile | None) -> Callable[[], None]:
     """Function that updates the flash file after the start or end of a flash command."""
     if flash is None:
         return lambda: None
     before = board.flash_state()
     flash.update(board)
 
-    def keep() -> None:
+    def update() -> None:
         nonlocal before
         now = board.flash_state()
         if now != before:
             before = now
             flash.update(board)
 
-    return keep
+    return update
 
 
-def _complain(message: str, status: int) -> int:
+def _print_error(message: str, status: int) -> int:
     print(f"virtual_board: {message}", file=sys.stderr)
     return status
 

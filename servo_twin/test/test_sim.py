@@ -35,7 +35,7 @@ def test_a_move_of_five_turns_arrives_without_overshoot(capsys: pytest.CaptureFi
         assert counts[7] <= 2  # of ten moves three would be above with a probability of 1 %
 
 
-def test_the_same_seed_gives_the_same_figures_and_another_one_others(capsys: pytest.CaptureFixture[str]) -> None:
+def test_output_depends_only_on_the_seed(capsys: pytest.CaptureFixture[str]) -> None:
     texts = []
     for seed in ("5", "5", "6"):
         assert main(["move", "--seed", seed, "--axis", "1", "--turns", "0.5", "--json"]) == 0

@@ -64,7 +64,7 @@ class TestExactness:
                 for name, value in pair.twin.items():
                     assert value == pair.real[name], (pair.tick, name)
 
-    def test_every_sample_makes_a_pair_at_its_own_tick(self, rig: TwinRig) -> None:
+    def test_every_sample_gives_a_pair_at_its_tick(self, rig: TwinRig) -> None:
         pairs = rig.run(0.3)
         assert [pair.tick for pair in pairs] == [rig.every * k for k in range(1, len(pairs) + 1)]
         assert len(pairs) == 50
