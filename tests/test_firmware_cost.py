@@ -161,7 +161,7 @@ def test_instruction_counts_vary_in_every_phase(measurement: Measurement) -> Non
 def test_a_run_that_ends_in_a_fault_is_refused() -> None:
     with pytest.raises(TargetError, match="does not spin"):
         parse("0000 0004 00000001 00000010 00000010 00000010\naxis 0001 0003 0020 00000000 00000000\n")
-    with pytest.raises(TargetError, match="did not come to its end"):
+    with pytest.raises(TargetError, match="did not terminate normally"):
         parse("0000 0004 00000001 00000010 00000010 00000010\n")
 
 

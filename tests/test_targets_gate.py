@@ -22,6 +22,7 @@ Needs = Callable[[Target], None]
 HOST = Host("host", "gcc", ("-O0",), "for these tests", ("gcc",))
 
 CASTS = [
+    ("math/frac.h", "frac16_t f16_add(", "(int32_t)"),
     ("math/frac.h", "frac16_t f16_mul(", "(int32_t)"),
     ("control/current_loop.c", "-2 * (int32_t)omega_e", "(int32_t)"),
     ("control/svm.h", "#define SVM_ONE_BY_SQRT3_Q15", "INT32_C(18919)"),

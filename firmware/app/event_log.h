@@ -1,7 +1,7 @@
 /* event_log.h - log of events as lines of text with their tick, for the console of a client.
  *
- * The background loop compares successive snapshots, without a part in the interrupts. Changes between two comparisons
- * are merged. Events are buffered until a client reads them; on overflow the oldest are discarded.
+ * The background loop compares successive snapshots, without a part in the interrupts. Only the net change between
+ * two comparisons is logged. Events are buffered until a client reads them; on overflow the oldest are discarded.
  */
 #ifndef SERVO_APP_EVENT_LOG_H
 #define SERVO_APP_EVENT_LOG_H
@@ -17,7 +17,7 @@
 
 typedef struct {
     uint32_t tick; /* PWM periods since reset */
-    uint8_t kind; /* event_kind_t (log.c) */
+    uint8_t kind; /* event_kind_t (event_log.c) */
     uint8_t axis; /* axis, or copy in the data flash */
     uint16_t value; /* new state, fault or offset */
 } event_log_event_t;
@@ -49,7 +49,7 @@ void event_log_compare(event_log_t *log, const volatile snapshot_t *snapshot);
 /* Log a refused write at this offset of servo_t. */
 void event_log_refused(event_log_t *log, uint16_t offset);
 
-/* Log a damaged copy in the data flash; `state`: stored_copy_t. */
+/* Log a copy in the data flash that cannot be used; `state`: stored_copy_t. */
 void event_log_copy(event_log_t *log, uint16_t copy, uint16_t state);
 
 /* Write lines to the console of the client, as many as fit. */

@@ -13,7 +13,8 @@ typedef struct {
 } points_board_t;
 
 /* Check points of POINT_WORDS words of four bytes; POINT_REFUSAL_NONE: accepted. Each segment must be within the
- * limits of the axis between its ends, too; the first segment begins at the present set-point. */
+ * limits of the axis between its ends, too; the first segment begins at the preceding queued point, otherwise at the
+ * present set-point. */
 point_refusal_t points_check(const points_board_t *board, const uint8_t *data, uint16_t size);
 
 /* Queue the first `count` points of the block. Returns the axes with new points, one bit each. */

@@ -36,7 +36,7 @@ void servo_init(servo_t *servo, hal_t *hal)
     servo->estimate = (estimate_block_t){0};
     servo->command = (command_block_t){0};
     servo->config = (config_request_t){0};
-    servo->brake_config = servo_config.brake;
+    servo->bus_braking_config = servo_config.bus_braking;
     const bool by_watchdog = hal_reset_by_watchdog(hal);
     event_log_init(&servo->event_log, by_watchdog);
     config_blocks_init(&servo->config_blocks, &servo->config_status);
@@ -138,13 +138,14 @@ static void supervise_bus(servo_t *servo)
 {
     bus_braking_t *brake = &servo->bus_braking;
     const bool was_on = brake->on;
-    bus_braking_step(brake, &servo->brake_config, servo->settings.brake_fitted, servo->axis[MOTOR_1].u_dc);
+    bus_braking_step(brake, &servo->bus_braking_config, servo->settings.brake_fitted, servo->axis[MOTOR_1].u_dc);
     if (brake->on != was_on) {
         hal_brake(servo->hal, brake->on);
     }
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         axis_t *axis = &servo->axis[i];
-        axis->diagnosis.bus.u_dc_max = brake->available ? servo->brake_config.u_dc_max_braking : axis->config->u_dc_max;
+        axis->diagnosis.bus.u_dc_max =
+            brake->available ? servo->bus_braking_config.u_dc_max_braking : axis->config->u_dc_max;
         axis->regen_derating = brake->regen_derating;
         axis->bus_limits = (uint16_t)(axis->home.refused_limit | ((brake->on || brake->exhausted) ? LIMIT_BRAKE : 0U) |
                                       (field_weakening_active(&axis->weakening) ? LIMIT_FIELD_WEAKENING : 0U));

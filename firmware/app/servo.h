@@ -47,7 +47,7 @@ typedef struct servo {
     storage_t storage;
     board_settings_t settings;
     bus_braking_t bus_braking;
-    bus_braking_config_t brake_config; /* copy in RAM: interrupts must not read constants in the data flash */
+    bus_braking_config_t bus_braking_config; /* copy in RAM: interrupts must not read constants in the data flash */
     uint32_t tick; /* PWM periods since reset */
     bool m2_awaited; /* M1 has run, M2 has not */
     uint16_t lateness; /* count of late loops, with decay */

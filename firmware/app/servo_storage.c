@@ -27,7 +27,7 @@ static void default_parameters(servo_t *servo)
     parameter_block_t *parameter = &servo->parameter;
     parameter->host_timeout = servo_config.host_timeout;
     parameter->command_timeout = servo_config.command_timeout;
-    parameter->brake = servo_config.brake.fitted ? 1U : 0U;
+    parameter->brake = servo_config.bus_braking.fitted ? 1U : 0U;
     for (uint16_t i = 0; i < HAL_AXES; i++) {
         const axis_config_t *config = config_blocks_block(&servo->config_blocks, i);
         parameter->speed_limit[i] = config->speed_limit;

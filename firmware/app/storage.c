@@ -155,7 +155,7 @@ static void start(storage_t *storage, const storage_status_t *status, const stor
         return;
     }
     const uint16_t index = (uint16_t)(storage->step - STORED_SECTORS);
-    if (index == STORED_SEAL) {
+    if (index == STORED_CHECKSUM) {
         storage->word = crc32_end(storage->crc);
     } else {
         storage->word = stored_word(&board->values, status->sequence + 1U, index);

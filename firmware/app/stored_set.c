@@ -132,7 +132,7 @@ stored_copy_t stored_check(hal_t *hal, uint16_t copy, const stored_values_t *val
         read_word(hal, copy, MEMBERS) != AXIS_LAYOUT) {
         return STORED_COPY_OTHER_LAYOUT;
     }
-    for (uint16_t i = STORED_HEAD; i < STORED_SEAL; i++) {
+    for (uint16_t i = STORED_HEAD; i < STORED_CHECKSUM; i++) {
         if (!accepts(values, i, read_word(hal, copy, i))) {
             return STORED_COPY_OUT_OF_RANGE;
         }
@@ -142,7 +142,7 @@ stored_copy_t stored_check(hal_t *hal, uint16_t copy, const stored_values_t *val
 
 void stored_load(hal_t *hal, uint16_t copy, const stored_values_t *values)
 {
-    for (uint16_t i = STORED_HEAD; i < STORED_SEAL; i++) {
+    for (uint16_t i = STORED_HEAD; i < STORED_CHECKSUM; i++) {
         set_value(values, i, read_word(hal, copy, i));
     }
 }

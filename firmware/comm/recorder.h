@@ -46,8 +46,8 @@ typedef struct {
 typedef struct {
     const uint8_t *source; /* NULL: not set */
     const uint8_t *limit; /* variable used as threshold; NULL: constant threshold */
-    uint32_t threshold; /* constant threshold, low 4 bytes, XOR `bias` */
-    uint32_t threshold_upper; /* constant threshold, upper 4 bytes of an 8-byte variable, XOR `bias` */
+    uint32_t threshold; /* constant threshold, low 4 bytes; up to 4 bytes and signed: plus `bias`, at least 0 */
+    uint32_t threshold_upper; /* constant threshold, upper 4 bytes of a signed 8-byte variable, XOR `bias` */
     uint32_t bias; /* XOR mask that maps signed numbers to unsigned numbers in the same order */
     uint8_t size; /* size of the variable, bytes */
     uint8_t cell; /* common cell size of source and limit, bytes */

@@ -92,7 +92,7 @@ typedef struct {
 
 typedef struct {
     axis_config_t axis[HAL_AXES];
-    bus_braking_config_t brake;
+    bus_braking_config_t bus_braking;
     uint16_t host_timeout; /* default of param.host_timeout, slow ticks */
     uint16_t command_timeout; /* default of param.command_timeout, slow ticks */
     uint8_t password[ACCESS_LEVELS]

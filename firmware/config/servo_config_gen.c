@@ -311,7 +311,7 @@ const servo_config_t servo_config = {
             .observed_speed = {69811641, 1579102, 8388608},
         },
     },
-    .brake = {
+    .bus_braking = {
         .fitted = 0,
         .on = 25276,
         .off = 24373,

@@ -4,7 +4,7 @@
  *   L di/dt = v - R i - e,  de_alpha/dt = -omega e_beta,  de_beta/dt = omega e_alpha
  *
  * in the frame of DRM E13 and E14: e_alpha = -omega psi_m sin(theta), e_beta = omega psi_m cos(theta); L is the mean of
- * L_d and L_q. The slide uses the Euler method. Here the discretisation is exact: the current decays with exp(-R T /
+ * L_d and L_q. The slide uses the Euler method. Here decay and rotation are exact: the current decays with exp(-R T /
  * L), the back-EMF is rotated by omega T. e is the mean over one sampling period, so its angle is that of the middle of
  * the period.
  *

@@ -22,10 +22,13 @@ typedef struct {
     int32_t step_per_speed;  /* step at full-scale speed */
     int32_t counts_per_turn; /* encoder counts per electrical turn, 16 fraction bits */
     int32_t acceleration;    /* step change per slow tick at full-scale i_q; 0: no feed-forward */
-    int32_t load_gain; /* gain of the load-acceleration estimate: change per tick / (phase error x sqrt(back-EMF)) */
-    gain_t amplitude_gain; /* gain from the amplitude error of the back-EMF (23 fraction bits) to the step, per tick */
-    gain_t amplitude_load_gain; /* gain from the amplitude error to the load acceleration; 0: amplitude not used */
-    gain_t offset_gain; /* gain of the amplitude-offset estimate: offset / difference of amplitude and phase */
+    /* gain of the load-acceleration estimate: change per tick / (phase error x sqrt(back-EMF)), of full scales */
+    int32_t load_gain;
+    /* amplitude error: observed minus expected back-EMF, 23 fraction bits */
+    gain_t amplitude_gain; /* gain from the amplitude error to `integral`, steps per slow tick */
+    gain_t amplitude_load_gain; /* gain from that error to `load`, steps per slow tick; 0: amplitude not used */
+    /* change of `bias` per slow tick (back-EMF, 23 fraction bits) / (integral - mean step of the angle), in steps */
+    gain_t offset_gain;
 } pll_config_t;
 
 typedef struct {

@@ -17,9 +17,12 @@ void angle_monitor_start(angle_monitor_t *monitor)
     monitor->conducting_phases = 0;
 }
 
-static frac16_t filtered(frac16_t beyond, int32_t x) { return sat16(beyond + asr32(x - beyond, FILTER_SHIFT)); }
+static frac16_t filtered(frac16_t unexplained_voltage, int32_t x)
+{
+    return sat16(unexplained_voltage + asr32(x - unexplained_voltage, FILTER_SHIFT));
+}
 
-/* Unexplained voltage (`beyond`): u = R i +- omega L i (+ omega psi in q) + unexplained. */
+/* u = R i +- omega L i (+ omega psi in q) + unexplained_voltage. */
 static void filter(angle_monitor_t *m, gain_t resistance, const current_loop_config_t *loop, const observation_t *o)
 {
     const int32_t omega = o->omega_e;

@@ -2,7 +2,7 @@
  *
  * Expected: u = R i + j omega L i + j omega psi_m at the encoder angle. A residual above the tolerances of resistance,
  * inductance and dead time means that the back-EMF has another direction. Works in motion only and needs no observer;
- * FEATURE_ANGLE_CHECK (drive/angle_check.h) detects smaller slips at lower current.
+ * FEATURE_ANGLE_CHECK (drive/angle_check.h) responds sooner and at lower current.
  */
 #ifndef SERVO_DIAGNOSIS_ANGLE_MONITOR_H
 #define SERVO_DIAGNOSIS_ANGLE_MONITOR_H

@@ -32,7 +32,8 @@ typedef struct {
     /* unexplained voltage at a constant count */
     frac16_t last_i_q_ref; /* i_q* of the previous slow tick, Q1.15 of full-scale current */
     dq_t unexplained_voltage; /* voltage minus the resistive drop, filtered, Q1.15 of full-scale voltage */
-    uint16_t unexplained_ticks; /* slow ticks with unexplained voltage (READY: with current), minus those without */
+    /* slow ticks with unexplained voltage, minus those without (READY: consecutive slow ticks with current) */
+    uint16_t unexplained_ticks;
     uint16_t ticks_without_current; /* slow ticks among `unexplained_ticks` without current */
     uint16_t windup_ticks; /* consecutive slow ticks with a voltage so high that the current cannot follow */
     dq_t reference_voltage; /* unexplained voltage, or integrator outputs in a probe, at the start of the observation */
@@ -55,8 +56,8 @@ typedef struct {
 /* Initialise with the shaft at rest at `position` [counts]. */
 void encoder_monitor_start(encoder_monitor_t *monitor, int32_t position);
 
-/* One slow tick in every state except FAULT; sets `observation->ticks_without_movement`. `kp`: gain of the q current
- * controller. */
+/* One slow tick of an axis with an encoder, in every state except FAULT; sets `observation->ticks_without_movement`.
+ * `kp`: gain of the q current controller. */
 void encoder_monitor_step(encoder_monitor_t *monitor, const winding_config_t *config, gain_t kp,
                           observation_t *observation, evidence_t *evidence);
 

@@ -23,7 +23,7 @@ PROGRAM_TABLE fault_rule_t fault_rules[FINDINGS] = {
     [FINDING_OFFSET_OUT_OF_RANGE] = {FAULT_CURRENT_OFFSET, 0, 0}, /* CALIB: offset of a current amplifier far from mid-scale */
     [FINDING_SEARCH_NO_MOVEMENT] = {FAULT_ROTOR_SEARCH, 0, 0}, /* rotor search: no movement at full current, or timeout */
     [FINDING_COUNT_CONTRADICTS_INDEX] = {FAULT_ENCODER, 0, 0}, /* encoder count wrapped without an index pulse */
-    [FINDING_HOST_SILENT] = {FAULT_HOST_SILENT, 0, 0}, /* no command within param.host_timeout */
+    [FINDING_HOST_SILENT] = {FAULT_HOST_SILENT, 0, 0}, /* no command within param.host_timeout, or, with the feature STARVED, no trajectory point in time */
     [FINDING_SHAFT_BLOCKED] = {FAULT_STALLED, 0, 0}, /* no movement at full current; the test vector found no free rotor */
     [FINDING_RUNAWAY] = {FAULT_RUNAWAY, CURRENT_SENSE | PHASE | ANGLE, 0}, /* speed rises against full current, or exceeds the limit */
     [FINDING_SINGLE_CHANNEL_TOGGLE] = {FAULT_ENCODER_LOST, 0, 0}, /* count alternates by one, faster than a shaft at rest can dither */
@@ -45,7 +45,7 @@ PROGRAM_TABLE fault_rule_t fault_rules[FINDINGS] = {
     [FINDING_PHASE_NO_CURRENT] = {FAULT_PHASE_LOST, CURRENT_SENSE, 0}, /* no current in one phase while the others conduct */
     [FINDING_CURRENT_NOT_FOLLOWING] = {FAULT_PHASE_LOST, CURRENT_SENSE, 0}, /* voltage or test current requested, but no current flows */
     [FINDING_SEARCH_LOW_CURRENT] = {FAULT_PHASE_LOST, CURRENT_SENSE, FAULT_ROTOR_SEARCH}, /* rotor search: less than a quarter of the requested current flows */
-    [FINDING_SEARCH_NO_CURRENT] = {FAULT_PHASE_LOST, 0, FAULT_ROTOR_SEARCH}, /* rotor search ended without movement, no current flows */
+    [FINDING_SEARCH_END_NO_CURRENT] = {FAULT_PHASE_LOST, 0, FAULT_ROTOR_SEARCH}, /* rotor search ended without movement, no current flows */
     [FINDING_START_UP_NO_CURRENT] = {FAULT_PHASE_LOST, 0, FAULT_START_UP}, /* sensorless start-up failed, no current flows */
     [FINDING_CURRENT_SENSE_FAILED] = {FAULT_CURRENT_SENSE, 0, 0}, /* ADC code off its offset without current, or constant while the others are noisy */
     [FINDING_LOOPS_LATE] = {FAULT_LATE_LOOP, 0, 0}, /* more than two control loops late or omitted within 32 ms */
@@ -58,7 +58,7 @@ PROGRAM_TABLE fault_rule_t fault_rules[FINDINGS] = {
 /* Causes that explain other findings, in order of priority. */
 PROGRAM_TABLE fault_cause_t fault_causes[FAULT_CAUSES] = {
     {CURRENT_SENSE, FAULT_CURRENT_SENSE}, /* two samples of a converter off its offset, or six equal codes while the others are noisy */
-    {PHASE, FAULT_PHASE_LOST}, /* one phase without current for two ticks or in three directions, or eight ticks of voltage without current */
+    {PHASE, FAULT_PHASE_LOST}, /* one phase without current for two ticks or in three octants, or eight ticks of voltage without current */
     {ENCODER, FAULT_ENCODER_LOST}, /* the count stopped abruptly and READY has shorted the windings */
     {ANGLE, FAULT_ANGLE_MISMATCH}, /* the voltage error exceeds the expected back-EMF */
 };

@@ -11,7 +11,7 @@
 #define LOW_CURRENT_MAX 14U        /* of FORGET_TICKS: too little current to determine octants */
 #define OCTANTS_MIN 6U        /* of 8: an intact phase has no current in at most 4, around its zero crossings */
 #define SAMPLES_MIN 32U /* samples without current: small, noisy currents reach 6 octants by chance */
-#define SAMPLE 0x100U /* increment of the sample count, which is stored above the direction bits */
+#define SAMPLE 0x100U /* increment of the sample count, which is stored above the octant bits */
 #define SUSPECT_OCTANTS 3U /* an intact phase: at most two in a row */
 
 #define STANDSTILL_TICKS 4U /* without counts for so long, the shaft is too slow for a back-EMF that matters here */
@@ -44,13 +44,13 @@ static phases_t sizes(dq_t vector, const sin_cos_t *at)
     return result;
 }
 
-static uint16_t octants_of(uint16_t sectors)
+static uint16_t octant_count(uint16_t octants)
 {
-    uint16_t bits = 0;
-    for (uint16_t word = (uint16_t)(sectors & (SAMPLE - 1U)); word != 0U; word = (uint16_t)(word & (word - 1U))) {
-        bits++;
+    uint16_t count = 0;
+    for (uint16_t word = (uint16_t)(octants & (SAMPLE - 1U)); word != 0U; word = (uint16_t)(word & (word - 1U))) {
+        count++;
     }
-    return bits;
+    return count;
 }
 
 /* Record the rotor octants in which a phase has no current. Any current in the phase clears the record. */
@@ -60,7 +60,7 @@ static void note_octant(phase_monitor_t *m, uint16_t x, uint16_t bit)
     if (m->octants[x] < SAMPLES_MIN * SAMPLE) {
         m->octants[x] = (uint16_t)(m->octants[x] + SAMPLE);
     } else {
-        m->lost = m->lost || octants_of(m->octants[x]) >= OCTANTS_MIN;
+        m->lost = m->lost || octant_count(m->octants[x]) >= OCTANTS_MIN;
     }
 }
 
@@ -185,7 +185,7 @@ void phase_monitor_step(phase_monitor_t *m, const winding_config_t *config, obse
 void phase_monitor_suspect(const phase_monitor_t *m, evidence_t *evidence)
 {
     for (uint16_t x = 0; x < OBSERVED_PHASES; x++) {
-        if (m->no_current_ticks[x] >= SUSPECT_TICKS || octants_of(m->octants[x]) >= SUSPECT_OCTANTS) {
+        if (m->no_current_ticks[x] >= SUSPECT_TICKS || octant_count(m->octants[x]) >= SUSPECT_OCTANTS) {
             evidence->phases_without_current = (uint16_t)(evidence->phases_without_current | (UINT16_C(1) << x));
         }
     }

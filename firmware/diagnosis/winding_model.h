@@ -47,7 +47,8 @@ static inline bool winding_model_add(winding_model_t *model, dq_t current)
 /* Heat balance of the added ticks; updates `hot`, which stays false if not `supervised`. */
 void winding_model_step(winding_model_t *model, const winding_model_config_t *config, bool supervised);
 
-/* Permitted length of the current vector at the present temperature, at most `max`; FRAC16_MAX below `derating`. */
+/* Permitted length of the current vector at the present temperature, at most `max`. FRAC16_MAX: not reduced, at or
+ * below `derating` or if `max` is not above the rated current. */
 frac16_t winding_model_limit(const winding_model_t *model, const winding_model_config_t *config, frac16_t max);
 
 /* Temperature as published, Q1.15 of 256 deg C. */

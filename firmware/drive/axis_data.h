@@ -50,8 +50,8 @@ typedef struct {
 
 /* Remaining slow ticks, of EVENT_TICKS, for which an event stays visible to a recorder. */
 typedef struct {
-    uint16_t command; /* slow ticks left: a command was latched; counts from the tick in which it takes effect */
-    uint16_t mode; /* slow ticks left: a command with a new mode was latched */
+    uint16_t command; /* remaining slow ticks since a command took effect */
+    uint16_t mode; /* remaining slow ticks since a command with a new mode took effect */
 } axis_events_t;
 
 /* True if a set-point of the present mode was written in this tick. */
@@ -119,7 +119,7 @@ typedef struct {
     frac32_t speed_test_signal; /* test signal added to `speed_ref`, Q1.31 of full-scale speed */
     bool saturated; /* the output of the speed controller is at its limit */
     bool current_reduced; /* bus, field weakening or winding reduce the current limit below the requested current */
-    frac32_t limit_hold_current; /* torque mode: integrator against a load that drives the shaft past a speed limit */
+    frac32_t limit_hold_current; /* torque mode: integrator against a load that drives past a speed or soft limit */
     frac32_t entry_speed; /* speed at the start of this motion, Q1.31 of full-scale speed */
     uint16_t stop_ticks; /* slow ticks since the end of the ramp of MOTION_STOP */
 } motion_state_t;
@@ -137,7 +137,7 @@ typedef struct axis {
     axis_events_t events;
     axis_limits_t limits; /* limits in force */
     axis_limits_t written_limits; /* last written limits: in force with the next command */
-    bool limits_fresh; /* written since the last slow tick: lower limits take effect with the next one */
+    bool limits_fresh; /* written since the last slow tick: tighter limits take effect with the next one */
     path_limits_t path_limits; /* from `limits` */
     current_max_t current_max; /* from `limits` and the winding model */
     int32_t following_error_max; /* larger following error: fault; counts */

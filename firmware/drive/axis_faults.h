@@ -23,7 +23,7 @@ static inline void axis_observe(axis_t *axis)
  * stop if the configuration has a stop category for all of these faults (stop.h). */
 void axis_raise(axis_t *axis, finding_set_t findings);
 
-/* axis_raise for findings that are relevant only while the axis is enabled (host silence, underrun). */
+/* axis_raise for findings that are relevant only while the axis is enabled (host silence). */
 void axis_stop_with(axis_t *axis, finding_set_t findings);
 
 #endif

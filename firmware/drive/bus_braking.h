@@ -17,8 +17,8 @@ typedef struct {
     gain_t heating; /* heat per slow tick / u^2, heat in parts of the energy budget */
     frac32_t cooling; /* heat lost per slow tick, Q1.31 of the energy budget */
     frac16_t start, full; /* range of the derating of the braking current, Q1.15 of full-scale bus voltage */
-    /* Over-voltage threshold while the resistor is available: the highest voltage that the ADC can measure, close to
-     * the rating of the capacitors. Q1.15 of full-scale bus voltage. */
+    /* Over-voltage threshold while the resistor is available, close to the rating of the capacitors: 98 % of the ADC
+     * range, above which the measurement counts as saturated. Q1.15 of full-scale bus voltage. */
     frac16_t u_dc_max_braking;
 } bus_braking_config_t;
 

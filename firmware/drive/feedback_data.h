@@ -42,7 +42,7 @@ typedef struct {
 
 /* Position of a sensorless axis, in equivalent encoder counts. */
 typedef struct {
-    int32_t counts; /* position since reset of the source, counts */
+    int32_t counts; /* position, counts; continues from the position at the reset of the source */
     uint16_t rest; /* fraction of a count, 16 fraction bits */
     uint32_t angle; /* electrical angle of the last slow tick, 2^32 is one turn */
 } observer_feedback_t;

@@ -10,7 +10,7 @@
 /* Legs of a homing: approaches have odd numbers, the back-off after each of them the next even number. The first
  * approach is fast and only gives the approximate position for the others. */
 #define LEG_NONE 0U
-#define LEG_ASKED 1U      /* begins in the next step */
+#define LEG_REQUESTED 1U  /* begins in the next step */
 #define LEG_LIMITS 2U     /* the limits of the homing take effect in the next step */
 #define LEG_CLEAR 4U      /* back off from a switch that is already active */
 #define LEG_FIRST 5U
@@ -22,8 +22,8 @@
 #define TOUCH_COUNTS 4    /* contact: the distance that the set speed would have covered while the shaft stood .. */
 #define TOUCH_TICKS 8U    /* .. for at least this number of slow ticks: then the full current is applied */
 #define STAND_TICKS 100U  /* slow ticks of standstill at full current that count as a contact */
-#define LEFT_TICKS 64U    /* slow ticks per unit of home_t.timeout */
-#define LEFT_MIN 64U      /* 2 s: for acceleration, contact and reversal */
+#define TIMEOUT_UNIT 64U  /* slow ticks per unit of home_t.timeout */
+#define TIMEOUT_MIN 64U   /* 2 s: for acceleration, contact and reversal */
 
 /* Faults that invalidate the encoder count. */
 #define COUNT_LOST (FAULT_ENCODER | FAULT_ENCODER_LOST | FAULT_ENCODER_REVERSED | FAULT_ANGLE_MISMATCH)
@@ -85,7 +85,7 @@ void homing_confine(axis_t *axis, axis_limits_t *limits)
 static void end(axis_t *axis, home_result_t result)
 {
     home_t *home = &axis->home;
-    const bool moved = home->leg > LEG_ASKED;
+    const bool moved = home->leg > LEG_REQUESTED;
     home->result = (uint16_t)result;
     home->leg = LEG_NONE;
     if (moved && result != HOME_RESULT_DONE) {
@@ -137,7 +137,7 @@ void homing_request(axis_t *axis, uint16_t method, int32_t value)
         home->method = method;
         home->value = value;
         home->result = HOME_RESULT_RUNNING;
-        home->leg = LEG_ASKED;
+        home->leg = LEG_REQUESTED;
     }
 }
 
@@ -164,8 +164,8 @@ static uint32_t way_max(const axis_t *axis)
 static uint16_t time_for(const axis_t *axis, frac32_t speed)
 {
     const path_position_t step = path_step_of(axis->config, speed);
-    const uint32_t per_unit = (uint32_t)asr64(step * (path_position_t)LEFT_TICKS, PATH_BITS);
-    const uint32_t units = 2U * way_max(axis) / ((per_unit != 0U) ? per_unit : 1U) + LEFT_MIN;
+    const uint32_t per_unit = (uint32_t)asr64(step * (path_position_t)TIMEOUT_UNIT, PATH_BITS);
+    const uint32_t units = 2U * way_max(axis) / ((per_unit != 0U) ? per_unit : 1U) + TIMEOUT_MIN;
     return (units < UINT16_MAX) ? (uint16_t)units : UINT16_MAX;
 }
 
@@ -278,7 +278,7 @@ static bool out_of_time(axis_t *axis)
 {
     home_t *home = &axis->home;
     home->timeout =
-        (uint16_t)(home->timeout - (((*axis->latch.clock / AXIS_SLOW_PERIODS) % LEFT_TICKS == 0U) ? 1U : 0U));
+        (uint16_t)(home->timeout - (((*axis->latch.clock / AXIS_SLOW_PERIODS) % TIMEOUT_UNIT == 0U) ? 1U : 0U));
     return home->timeout == 0U;
 }
 
@@ -352,7 +352,7 @@ static void proceed(axis_t *axis)
 void homing_step(axis_t *axis)
 {
     const home_t *home = &axis->home;
-    if (home->leg == LEG_ASKED) {
+    if (home->leg == LEG_REQUESTED) {
         take_request(axis);
     } else if (home->leg != LEG_NONE) {
         proceed(axis);

@@ -13,8 +13,8 @@ void homing_init(axis_t *axis);
 /* cmd.home was written: take the request with the next homing_step. */
 void homing_request(axis_t *axis, uint16_t method, int32_t value);
 
-/* Remove a position set-point beyond home.reach from the FRESH_ bits of an axis that is not homed. Other motion
- * commands end a homing. */
+/* End a homing if a motion command was written. Remove a position set-point beyond home.reach from the FRESH_ bits of
+ * an axis that is not homed. */
 uint16_t homing_filter(axis_t *axis, uint16_t fresh, int32_t position);
 
 /* Modify the limits. During homing: reduced current, no soft limits; not homed: home.reach around the position at

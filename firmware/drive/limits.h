@@ -1,10 +1,10 @@
-/* limits.h - time at which written limits take effect, and their effect on the path filter. */
+/* limits.h - applies written limits, and computes current and path limits from them. */
 #ifndef SERVO_DRIVE_LIMITS_H
 #define SERVO_DRIVE_LIMITS_H
 
 #include "drive/axis_data.h"
 
-/* Apply the limits written in this tick. Lower limits apply immediately; higher limits, and any new acceleration,
+/* Apply the limits written in this tick. Tighter limits apply immediately; wider limits, and any new acceleration,
  * with the next set-point, mode change or stop: a parameter never causes motion, and a motion in progress keeps its
  * acceleration. */
 void limits_tighten(axis_t *axis);

@@ -517,7 +517,7 @@ static void follow_gain(axis_t *axis)
 }
 
 /* Speed set-point plus test signal; the limits apply to the sum. */
-static frac32_t excited_speed(axis_t *axis)
+static frac32_t speed_with_test_signal(axis_t *axis)
 {
     const frac32_t speed = f32_add(axis->motion.speed_ref, axis->motion.speed_test_signal);
     return confined_speed(axis, limited_speed(axis, speed));
@@ -550,7 +550,7 @@ void motion_step(axis_t *axis)
         }
     }
     if (m->speed_test_signal != 0) {
-        m->speed_ref = excited_speed(axis);
+        m->speed_ref = speed_with_test_signal(axis);
     }
     axis->current_ref.q = speed_control(axis);
 }

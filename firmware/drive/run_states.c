@@ -259,7 +259,7 @@ static finding_t search_failure(const axis_t *axis)
 {
     const int32_t current_min = axis->config->winding.current_min;
     const bool requested = axis->current_ref.d > 2 * current_min;
-    return (requested && f16_abs(axis->current_loop.current.d) < current_min) ? FINDING_SEARCH_NO_CURRENT
+    return (requested && f16_abs(axis->current_loop.current.d) < current_min) ? FINDING_SEARCH_END_NO_CURRENT
                                                                               : FINDING_SEARCH_NO_MOVEMENT;
 }
 
@@ -278,7 +278,7 @@ static finding_t search_end(const axis_t *axis, finding_t failure)
     switch (axis->search.phase) {
     case ROTOR_SEARCH_NO_COUNT:
         return FINDING_SEARCH_WITHOUT_COUNT;
-    case ROTOR_SEARCH_NO_CURRENT:
+    case ROTOR_SEARCH_LOW_CURRENT:
         return FINDING_SEARCH_LOW_CURRENT;
     case ROTOR_SEARCH_REVERSED:
         return FINDING_SEARCH_REVERSED;
@@ -332,7 +332,8 @@ static void align_slow(axis_t *axis)
 
 /* ---- SPIN: field-oriented control ---------------------------------------------------------------------------------- */
 
-/* Sensorless: at the lower speed limit of the observer the current fades out, then the outputs go off. */
+/* Sensorless: at the lower speed limit of the observer the current is reduced to 0, then the outputs are switched
+ * off. */
 static void fade_out(axis_t *axis)
 {
     axis->switching_off = axis->switching_off || motion_too_slow(axis);
@@ -366,7 +367,7 @@ static void judge_observer(axis_t *axis)
         return;
     }
     const bool lost = estimate->reliability.failures > axis->config->reliability.hysteresis;
-    const bool stands = sensorless_estimate_standstill_ticks(axis) > axis->config->emf_check.ticks_stand;
+    const bool stands = sensorless_estimate_count_standstill(axis) > axis->config->emf_check.ticks_stand;
     if (emf_check_confirmed(&estimate->check, estimate->deviates, axis->config->emf_check.ticks_spin) || lost ||
         stands) {
         axis_raise(axis, FOUND(FINDING_OBSERVER_LOST));

@@ -81,7 +81,7 @@ void sensorless_estimate_judge(axis_t *axis)
                          speed_reliability_holds(&estimate->reliability, config);
 }
 
-uint16_t sensorless_estimate_standstill_ticks(axis_t *axis)
+uint16_t sensorless_estimate_count_standstill(axis_t *axis)
 {
     sensorless_estimate_t *estimate = &axis->estimate;
     const frac32_t ahead = estimate->started_reverse ? -estimate->speed : estimate->speed;

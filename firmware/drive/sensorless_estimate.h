@@ -26,9 +26,9 @@ void sensorless_estimate_clear_checks(axis_t *axis);
 /* Expected back-EMF at a mechanical speed, Q1.15 of full-scale voltage. */
 frac16_t sensorless_estimate_emf_at(const axis_t *axis, frac32_t speed);
 
-/* Number of consecutive slow ticks with a speed below half of the minimum observable speed or with the wrong sign. A
- * reversal includes a standstill, so it counts as standstill. This also detects a blocked rotor that oscillates,
- * whose PLL would otherwise keep running. */
-uint16_t sensorless_estimate_standstill_ticks(axis_t *axis);
+/* One slow tick: count and return the consecutive slow ticks with a speed below half of the minimum observable speed or
+ * with the wrong sign. A reversal includes a standstill, so it counts as standstill. This also detects a blocked rotor
+ * that oscillates, whose PLL would otherwise keep running. */
+uint16_t sensorless_estimate_count_standstill(axis_t *axis);
 
 #endif

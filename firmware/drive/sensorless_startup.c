@@ -268,8 +268,8 @@ startup_result_t startup_judge(axis_t *axis)
 
 finding_t startup_failure(const axis_t *axis)
 {
-    const bool starved = axis->current_loop.current.d < axis->config->startup.first_current / 4;
-    return starved ? FINDING_START_UP_NO_CURRENT : FINDING_START_UP_SLOW;
+    const bool no_current = axis->current_loop.current.d < axis->config->startup.first_current / 4;
+    return no_current ? FINDING_START_UP_NO_CURRENT : FINDING_START_UP_SLOW;
 }
 
 /* ---- hand-over ------------------------------------------------------------------------------------------------------ */

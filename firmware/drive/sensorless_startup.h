@@ -22,7 +22,7 @@ typedef enum {
 /* Begin; `backwards`: negative speed set-point. */
 void startup_begin(axis_t *axis, bool backwards);
 
-/* One PWM period: current control in the frame of the phase, and observer. */
+/* One PWM period: current control in the frame of the present start-up phase (startup_phase_t), and observer. */
 void startup_fast(axis_t *axis);
 
 /* One slow tick, after sensorless_estimate_step. */

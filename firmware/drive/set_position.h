@@ -4,7 +4,7 @@
 
 #include "drive/axis_data.h"
 
-/* True at rest with outputs off, or in position hold without a trajectory. */
+/* True at rest outside SPIN and ALIGN, or in position hold without a trajectory. */
 bool set_position_permitted(const axis_t *axis);
 
 /* Add `counts` to all position variables. */

@@ -1,5 +1,5 @@
-/* speed_control.h - speed and torque control: i_q* within the limits of motor, bus and speed (DRM 2.5). All
- * functions set i_d* in `axis->current_ref`. */
+/* speed_control.h - speed and torque control: i_q* within the limits of motor, bus and speed (DRM 2.5). The
+ * three control functions set i_d* in `axis->current_ref`. */
 #ifndef SERVO_DRIVE_SPEED_CONTROL_H
 #define SERVO_DRIVE_SPEED_CONTROL_H
 

@@ -15,7 +15,7 @@ typedef struct {
     frac32_t short_speed;
     frac16_t short_current; /* largest current in a short, Q1.15 of full-scale current */
     uint16_t ticks_max; /* time-out of a stop, after which the outputs are switched off, slow ticks */
-    uint16_t hold_ticks; /* duration of position hold after a disable, slow ticks */
+    uint16_t hold_ticks; /* duration of position hold after a disable or a fault, slow ticks */
 } stop_config_t;
 
 typedef struct {

@@ -106,8 +106,8 @@ static inline frac32_t f32_gain(frac32_t x, gain_t gain)
 /* Gain x Q1.15 fraction in a 32-bit word, rounded down; the result is limited to [-2, 2). */
 static inline int32_t i32_gain(int32_t x, gain_t gain)
 {
-    const int32_t product =
-        (int32_t)asr64((int64_t)x * gain + INT32_C(256), GAIN_BITS); /* rounded at the 15th bit below */
+    /* +2^-16 of the last bit: rounding of the product at 15 more fraction bits, then rounded down */
+    const int32_t product = (int32_t)asr64((int64_t)x * gain + INT32_C(256), GAIN_BITS);
     if (product > INT32_C(0xFFFF)) {
         return INT32_C(0xFFFF);
     }

@@ -16,7 +16,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -34,36 +34,45 @@ INTERRUPT_WORDS: Final = 64  # `interrupt alignsp saveall`: about 45 words of re
 LIBRARY_WORDS: Final = 32  # assumed frame of a function of the run-time library
 CODE_ALLOWANCE: Final = 1.25  # words on the chip per halfword of Thumb-2, with `-opt speed`
 
-SOURCES: Final = r"(encoder|observer)_source_"
-POINTERS: Final[Mapping[str, str]] = {
+POINTERS: Final[Mapping[str, tuple[str, ...]]] = {
     # axis_t.source: feedback from the encoder or the observer
-    "fast": SOURCES + "fast",
-    "slow": SOURCES + "slow",
-    "edge": SOURCES + "edge",
-    "reset": SOURCES + "reset",
-    "align": SOURCES + "align",
-    "resync": SOURCES + "resync",
+    **{
+        name: (f"encoder_source_{name}", f"observer_source_{name}")
+        for name in ("fast", "slow", "edge", "reset", "resync")
+    },
+    "align": ("encoder_source_align",),
     # states, transitions and substates
-    "run_table": r"(calib|ready|align|spin|freewheel|startup|test)_(fast|slow|slow_state|estimate|check)"
-    r"|spin_(observed|excited)_fast|test_mode_(excited_)?fast|track_offsets|idle|off",
-    "state": r"state_(fault|init|stop|run)|off",
-    "to_fault": r"(init|stop|run)_(fault|stop|init)|off",
-    "state_machine.c:fault": "state_fault",
-    "state_machine.c:run": "state_run",
-    "state_machine.c:fault_init": "fault_init",
-    "state_machine.c:init_stop": "init_stop|stop_init",
-    "state_machine.c:stop_run": "stop_run",
-    "state_machine.c:run_stop": "run_stop",
+    "run_table": (
+        *("calib_fast", "calib_slow"),
+        *("ready_fast", "ready_slow"),
+        *("align_fast", "align_slow"),
+        *("spin_fast", "spin_slow", "spin_observed_fast", "spin_estimate", "spin_check", "spin_test_signal_fast"),
+        *("freewheel_fast", "freewheel_slow"),
+        *("startup_fast", "startup_slow_state", "startup_estimate", "startup_check"),
+        *("test_mode_fast", "test_slow", "test_estimate", "test_check", "test_mode_signal_fast"),
+        *("track_offsets", "idle"),
+    ),
+    "state": ("state_fault", "state_init", "state_stop", "state_run"),
+    "to_fault": ("off",),
+    "state_machine.c:fault": ("state_fault",),
+    "state_machine.c:run": ("state_run",),
+    "state_machine.c:fault_init": ("fault_init",),
+    "state_machine.c:init_stop": ("init_stop",),
+    "state_machine.c:stop_run": ("stop_run",),
+    "state_machine.c:run_stop": ("run_stop",),
     # the server and its application
-    "lock": "lock",
-    "accepts": "accepts",
-    "written": "written",
-    "nonce": "nonce",
-    "level_to_write": "level_to_write",
-    "app_command.c:run": "app_command",
-    "freemaster.c:run": r"(read|write)_memory|read_memory_from_base|(read|set)_scope|send_app_command"
-    r"|(set|get)_recorder|get_(tsa_info|string_length|configuration|app_command_status|app_command_data)"
-    r"|challenge_client|check_password|exchange_pipe|get_pipe",
+    "lock": ("lock",),
+    "accepts": ("accepts",),
+    "written": ("written",),
+    "nonce": ("nonce",),
+    "level_to_write": ("level_to_write",),
+    "app_command.c:run": ("app_command",),
+    "freemaster.c:run": (
+        *("read_memory", "write_memory", "read_memory_from_base", "read_scope", "set_scope", "send_app_command"),
+        *("set_recorder", "get_recorder", "get_tsa_info", "get_string_length", "get_configuration"),
+        *("get_app_command_status", "get_app_command_data", "challenge_client", "check_password"),
+        *("exchange_pipe", "get_pipe"),
+    ),
 }
 """Possible target functions of a pointer, by its name in the source, or by file and name."""
 
@@ -92,18 +101,18 @@ class Program:
     constants: Mapping[str, int]
     """Bytes of read-only data by file; except for `table_files` and `program_table_files` they are in RAM."""
 
-    def find(self, pattern: str) -> set[str]:
-        """Functions with a matching name.
+    def find(self, names: Collection[str]) -> set[str]:
+        """Functions with these names.
 
         Raises
         ------
         BudgetError
-            If there is none.
+            If there is none with one of the names.
         """
-        found = {key for key, one in self.functions.items() if re.fullmatch(pattern, one.name)}
-        if not found:
-            raise BudgetError(f"no function matches {pattern}")
-        return found
+        found = {key: one.name for key, one in self.functions.items() if one.name in names}
+        if missing := set(names) - set(found.values()):
+            raise BudgetError(f"no function {', '.join(sorted(missing))}")
+        return set(found)
 
     def reach(self, roots: Iterable[str]) -> set[str]:
         """These functions and all functions called from them, without the run-time library."""

@@ -11,7 +11,7 @@
 
 typedef struct {
     frac16_t floor;      /* tolerance for dead time and switches at any speed, Q1.15 of full-scale voltage */
-    frac16_t floor_spin; /* `floor` after the filter, Q1.15 of full-scale voltage */
+    frac16_t floor_spin; /* `floor` for the filtered deviation, Q1.15 of full-scale voltage */
     gain_t resistance;   /* tolerated error of the resistance: voltage / current, of full scales */
     uint16_t part;       /* tolerated deviation / expected back-EMF, 15 fraction bits */
     uint16_t ticks_spin; /* permitted slow ticks of filtered deviation of a sensorless axis */

@@ -148,15 +148,15 @@ void rotor_hold_step(rotor_search_t *search, const rotor_search_config_t *config
         search->phase = ROTOR_SEARCH_NO_MOVEMENT;
         return;
     }
-    if (search->no_current_periods >= ROTOR_SEARCH_NO_CURRENT_MAX) {
-        search->phase = ROTOR_SEARCH_NO_CURRENT;
+    if (search->low_current_periods >= ROTOR_SEARCH_LOW_CURRENT_MAX) {
+        search->phase = ROTOR_SEARCH_LOW_CURRENT;
         return;
     }
     if (search->stage == (uint16_t)STAGE_AWAY) {
         away(search, config, position);
         return;
     }
-    const uint16_t calm = balance(search, config, position);
+    const uint16_t ticks_at_origin = balance(search, config, position);
     switch ((rotor_hold_stage_t)search->stage) {
     case STAGE_RISE:
         rise(search, config, limit);
@@ -164,12 +164,12 @@ void rotor_hold_step(rotor_search_t *search, const rotor_search_config_t *config
     case STAGE_CATCH:
         if (!search->brake_released) {
             search->timer = 0;
-        } else if (calm >= config->hold_ticks) {
+        } else if (ticks_at_origin >= config->hold_ticks) {
             next(search, STAGE_AWAY);
         }
         break;
     case STAGE_BACK:
-        if (calm >= config->rest_ticks) {
+        if (ticks_at_origin >= config->rest_ticks) {
             search->lead_angle = search->vector;
             next(search, STAGE_WEAKEN);
         }

@@ -4,8 +4,8 @@
  * before the brake opens. Then the vector is rotated so that the shaft keeps its position: it converges to the lead
  * angle phi_1 over the rotor at which the torque of the current, I sin(phi_1), equals the load torque. With half of the
  * current the lead angle is phi_2; the vector has rotated by D = phi_2 - phi_1, and sin(phi_1 + D) = 2 sin(phi_1) gives
- * the rotor angle. A small rotation in between checks that the shaft follows: it is neither blocked nor is the encoder
- * reversed. Largest load: half of the largest torque.
+ * the rotor angle. A small rotation in between checks that the shaft follows. This excludes a blocked shaft and a
+ * reversed encoder. Largest load: half of the largest torque.
  */
 #ifndef SERVO_SENSING_ROTOR_HOLD_H
 #define SERVO_SENSING_ROTOR_HOLD_H

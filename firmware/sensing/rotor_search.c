@@ -3,21 +3,22 @@
 #define HALF_TURN UINT16_C(32768)
 #define QUARTER_TURN UINT16_C(16384)
 #define GROWTH_MAX UINT16_C(4)
-#define HELD_OVER_HOLD UINT16_C(4)  /* limits the pull if an edge dithers */
-#define CALM_OVER_REST UINT16_C(10) /* limits the wait likewise; an encoder with a dead channel dithers too */
+#define LIMIT_OVER_HOLD UINT16_C(4)       /* limits the pull if an edge dithers */
+#define STANDSTILL_OVER_REST UINT16_C(10) /* limits the wait likewise; an encoder with a dead channel dithers too */
 
 /* The first count appears after at most one count of movement, the twitch is detected after two or more. With a torque
- * that is constant or grows from zero the time between them is more than a quarter of the time of movement. The brake
- * takes at most four times that interval: longer braking would drive back a shaft without friction. */
-#define BRAKE_OVER_MOVING UINT16_C(4)
+ * that is constant or grows from zero the time between them is more than a quarter of the time of movement. The
+ * deceleration takes at most four times that interval: a longer one would drive back a shaft without friction. */
+#define DECELERATE_OVER_MOVING UINT16_C(4)
 
 /* A vector beside theta_M moves the shaft by this factor more: at an end stop this leaves room for the twitch back. */
 #define SIDE_OVER_MOVE UINT16_C(2)
 
 /* The search ends as reversed when the shaft has run away from the assumed position this often (once may be a
- * disturbance), and as held when it has not followed this often (twice may be a start too close to an end stop). */
-#define ESCAPES_MAX UINT16_C(2)
-#define REFUSALS_MAX UINT16_C(3)
+ * disturbance), and as no movement when it has not followed this often (twice may be a start too close to an end
+ * stop). */
+#define RUNAWAYS_MAX UINT16_C(2)
+#define VERIFY_FAILURES_MAX UINT16_C(3)
 
 /* Movement of the shaft since the start of this pull, as an electrical angle (wraps). */
 static frac16_t shift_of(const rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
@@ -44,7 +45,7 @@ static frac16_t aim(const rotor_search_t *search) { return beside(search, search
 
 /* The torque is the current times the sine of the angle between rotor and vector; the bounds give the smallest possible
  * sine. Faster growth of the current compensates for it in part: full compensation would leave too few slow ticks for
- * the brake. */
+ * the deceleration. */
 static frac32_t growth(const rotor_search_t *search, const rotor_search_config_t *config)
 {
     int64_t step = config->current_step;
@@ -71,7 +72,7 @@ static void pull(rotor_search_t *search, int32_t position)
     search->ticks_at_limit = 0;
     search->moving = 0;
     search->direction = 0;
-    search->no_current_periods = 0;
+    search->low_current_periods = 0;
     search->searches++;
 }
 
@@ -112,9 +113,9 @@ static void verify(rotor_search_t *search, int32_t position)
 /* The assumed position is wrong and there is no other candidate: try from the side, or give up. */
 static void reject_position(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    if (search->runaways >= ESCAPES_MAX) {
+    if (search->runaways >= RUNAWAYS_MAX) {
         finish(search, ROTOR_SEARCH_REVERSED);
-    } else if (search->verify_failures >= REFUSALS_MAX) {
+    } else if (search->verify_failures >= VERIFY_FAILURES_MAX) {
         finish(search, ROTOR_SEARCH_NO_MOVEMENT);
     } else {
         search->reach = HALF_TURN;
@@ -149,7 +150,7 @@ static void decelerate(rotor_search_t *search, const rotor_search_config_t *conf
     search->phase = ROTOR_SEARCH_DECELERATE;
     search->last_position = position;
     search->timer = 0;
-    search->brake_current = -search->current;
+    search->reversed_current = -search->current;
     search->reversal_step = (frac32_t)(reversal / steps + ((reversal % steps != 0U) ? 1U : 0U));
     search->current -= search->reversal_step;
 }
@@ -174,7 +175,7 @@ static void pull_step(rotor_search_t *search, const rotor_search_config_t *confi
     }
     search->ticks_at_limit++;
     if (search->timer >= config->hold_ticks ||
-        search->ticks_at_limit >= (uint32_t)HELD_OVER_HOLD * config->hold_ticks) {
+        search->ticks_at_limit >= (uint32_t)LIMIT_OVER_HOLD * config->hold_ticks) {
         handle_no_movement(search, config, position);
     }
 }
@@ -187,18 +188,18 @@ static void decelerate_step(rotor_search_t *search, const rotor_search_config_t 
     search->vector = f16_add_wrap(aim(search), shift_of(search, config, position));
     search->last_position = position;
     search->timer++;
-    bool spent = false;
-    if (search->current > search->brake_current) {
+    bool complete = false;
+    if (search->current > search->reversed_current) {
         const frac32_t next = search->current - search->reversal_step;
-        search->current = (next > search->brake_current) ? next : search->brake_current;
+        search->current = (next > search->reversed_current) ? next : search->reversed_current;
     } else if (search->ticks_at_limit > 0U) {
         search->ticks_at_limit--;
     } else {
-        search->brake_current = f32_add(search->brake_current, growth(search, config));
-        spent = search->brake_current >= 0;
-        search->current = spent ? 0 : search->brake_current;
+        search->reversed_current = f32_add(search->reversed_current, growth(search, config));
+        complete = search->reversed_current >= 0;
+        search->current = complete ? 0 : search->reversed_current;
     }
-    if (back || spent || search->timer >= (uint32_t)BRAKE_OVER_MOVING * search->moving) {
+    if (back || complete || search->timer >= (uint32_t)DECELERATE_OVER_MOVING * search->moving) {
         rest(search, config, position);
     }
 }
@@ -237,7 +238,7 @@ static void rest_step(rotor_search_t *search, const rotor_search_config_t *confi
     /* A shaft without friction would coast on: it is accepted while it moves. */
     const bool coasts = search->verified && distance(search->origin, position) > 2U * config->move_counts;
     const bool rests = search->timer >= config->rest_ticks ||
-                       search->ticks_without_movement >= (uint32_t)CALM_OVER_REST * config->rest_ticks;
+                       search->ticks_without_movement >= (uint32_t)STANDSTILL_OVER_REST * config->rest_ticks;
     if (!rests && !coasts) {
         return;
     }
@@ -324,14 +325,14 @@ void rotor_search_add(rotor_search_t *search, const rotor_search_config_t *confi
     /* Detects an open motor cable: less than a quarter of the current flows, in either sign. A strong motor's rotor
      * that swings with a dead encoder disturbs the current too, but does not suppress it. */
     const bool much = search->current >= f32_from_f16(config->current_limit) / 4;
-    const bool starved = much && f32_abs(f32_from_f16(current)) < search->current / 4;
-    search->no_current_periods = starved ? (uint16_t)(search->no_current_periods + 1U) : 0U;
+    const bool low_current = much && f32_abs(f32_from_f16(current)) < search->current / 4;
+    search->low_current_periods = low_current ? (uint16_t)(search->low_current_periods + 1U) : 0U;
 }
 
 void rotor_search_step(rotor_search_t *search, const rotor_search_config_t *config, int32_t position)
 {
-    if (search->no_current_periods >= ROTOR_SEARCH_NO_CURRENT_MAX) {
-        finish(search, ROTOR_SEARCH_NO_CURRENT);
+    if (search->low_current_periods >= ROTOR_SEARCH_LOW_CURRENT_MAX) {
+        finish(search, ROTOR_SEARCH_LOW_CURRENT);
         return;
     }
     switch (search->phase) {

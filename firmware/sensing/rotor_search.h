@@ -7,8 +7,9 @@
  * reverse order with negative current, which stops the shaft after about the same distance, independent of the inertia;
  * friction shortens it.
  *
- * VERIFY: at full current the vector is rotated to both sides until the shaft follows. This eliminates friction and
- * detects an end stop, which twitches do not, and a reversed encoder, with which the shaft runs away from the vector.
+ * VERIFY: at full current the vector is rotated to one side until the shaft follows, and back; if the shaft does not
+ * follow, to the other side. The mean of both directions eliminates friction. The rotation also detects an end stop,
+ * which twitches do not, and a reversed encoder, with which the shaft runs away from the vector.
  *
  * TURN: if nothing moves at full current, the voltage during a wide rotation distinguishes a blocked shaft from a dead
  * encoder (rotor_follow.h).
@@ -32,7 +33,7 @@ typedef struct {
     rotor_follow_config_t follow;
 } rotor_search_config_t;
 
-#define ROTOR_SEARCH_NO_CURRENT_MAX UINT16_C(64) /* PWM periods: 4 ms */
+#define ROTOR_SEARCH_LOW_CURRENT_MAX UINT16_C(64) /* PWM periods: 4 ms */
 
 typedef enum {
     ROTOR_SEARCH_PULL, /* growing current at theta_M */
@@ -44,7 +45,7 @@ typedef enum {
     ROTOR_SEARCH_NO_MOVEMENT, /* failed: the rotor does not move, or not far enough */
     ROTOR_SEARCH_NO_COUNT, /* failed: the rotor moves, the encoder does not count */
     ROTOR_SEARCH_REVERSED, /* failed: the encoder counts in the wrong direction */
-    ROTOR_SEARCH_NO_CURRENT, /* failed: no current flows */
+    ROTOR_SEARCH_LOW_CURRENT, /* failed: less than a quarter of the requested current flows */
     ROTOR_SEARCH_HOLD, /* search with a holding brake: rotor_hold.h */
 } rotor_search_phase_t;
 
@@ -52,23 +53,25 @@ typedef struct {
     rotor_search_phase_t phase;
     frac16_t theta_m; /* middle of the interval at the start of this pull, Q1.15 of pi */
     uint16_t reach; /* theta_H - theta_M = theta_M - theta_L, 2^16 is one turn */
-    int16_t side; /* quarter turns between theta_M and the vector: -1, 0, 1 */
+    int16_t side; /* offset of the vector from theta_M, quarter turns: -1, 0, 1 */
     frac16_t vector; /* angle of the current vector, Q1.15 of pi */
     frac32_t current; /* Ip along the vector, negative in DECELERATE; Q1.31 of full-scale current */
-    frac32_t brake_current; /* DECELERATE: Ip after the reversal, Q1.31 of full-scale current */
+    frac32_t reversed_current; /* DECELERATE: Ip after the reversal, Q1.31 of full-scale current */
     frac32_t reversal_step; /* DECELERATE: change of Ip per slow tick in the reversal, Q1.31 of full-scale current */
     bool current_decaying; /* REST: the current is still controlled, to zero */
     int32_t origin; /* position at the start of this pull or rotation, counts */
     int32_t last_position; /* position of the previous slow tick, counts */
     int32_t reference_position; /* REST: a movement leaves it by more than one count; VERIFY: start of the rotation */
-    uint32_t ticks_without_movement; /* slow ticks since the count left `reference_position` */
+    uint32_t ticks_without_movement; /* slow ticks since `reference_position` was set */
     uint32_t ticks_at_limit; /* slow ticks at the largest Ip */
     uint16_t timer; /* slow ticks without another count */
     uint16_t moving; /* slow ticks since the first count of this pull */
     uint16_t searches; /* number of pulls */
     int16_t direction; /* direction of the last twitch, or of the rotation in VERIFY: -1, 1; 0: no movement */
     bool follows; /* VERIFY: the shaft has followed this rotation */
-    frac16_t lead_angle; /* VERIFY: lead over the assumed rotor angle when the shaft followed, Q1.15 of pi */
+    /* VERIFY: lead of the vector over the assumed rotor angle when the shaft followed. HOLD: rotation of the vector in
+     * the check, then the angle of the vector at full current. Q1.15 of pi. */
+    frac16_t lead_angle;
     bool verified; /* VERIFY: the shaft has returned; found as soon as it rests */
     uint16_t runaways; /* times that the shaft ran away from the assumed position */
     uint16_t verify_failures; /* times that the shaft did not follow in VERIFY, or moved only in TURN */
@@ -76,7 +79,7 @@ typedef struct {
     uint16_t damping; /* HOLD: rotation of the vector / rotation of the rotor per slow tick */
     uint16_t stage; /* HOLD: rotor_hold_stage_t */
     bool brake_released; /* HOLD: the holding brake is open */
-    uint16_t no_current_periods; /* consecutive PWM periods with less than a quarter of the requested current */
+    uint16_t low_current_periods; /* consecutive PWM periods with less than a quarter of the requested current */
     rotor_follow_t follow;
 } rotor_search_t;
 

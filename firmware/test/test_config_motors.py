@@ -125,7 +125,7 @@ def test_constants_of_any_motor_fit_their_types(core: Core, motor: dict[str, flo
     config = core.ffi.new("servo_config_t *")
     for place, it in zip(config.axis, axes, strict=True):
         fill(place, it.constants)
-    fill(config.brake, brake_constants(configuration))
+    fill(config.bus_braking, brake_constants(configuration))
     for name, ticks in time_outs(configuration.board).items():
         setattr(config, name, ticks)
     it = axes[0]

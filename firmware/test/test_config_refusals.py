@@ -113,6 +113,7 @@ NAMES: list[tuple[str, dict[str, object], str]] = [
     ("number instead of an axis", {"axis1": 5}, "axis1 = 5: not a table"),
     ("list instead of defaults", {"defaults": [1]}, "defaults = [1]: not a table"),
     ("text instead of the board", {"board": "mine"}, "board = 'mine': not a table"),
+    ("one point", {"board__temperature__table": [[0.0, 0]]}, "and strictly monotonic codes 0 .. 4096"),
 ]
 
 

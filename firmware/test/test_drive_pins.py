@@ -306,7 +306,7 @@ class TestHoldingBrake:
         search, limit = bench.axis(0).search, bench.axis(0).config.rotor_search.current_limit << 16
         bench.motor_plugged[0] = False
         while not bench.hal.axis[0].holding_released:
-            search.no_current_periods = 0  # no current flows on this board
+            search.low_current_periods = 0  # no current flows on this board
             bench.slow()
             assert search.current == limit or not bench.hal.axis[0].holding_released
 

@@ -17,7 +17,8 @@ STACK_MARGIN = 1.5  # frames of the chip's own compiler are not known
 LIBRARY_ROOM = 512  # words of the run-time library, which runs from RAM, too
 OTHERS = {"test", "port/avr", "port/cortex_m3"}  # folders that are not flashed
 FAST_ROOTS = (
-    r"drive_current|recorder_take|drive_observed|(encoder|observer)_source_fast|adc_take_(first|second)|port_receive"
+    *("drive_current", "drive_observed", "encoder_source_fast", "observer_source_fast"),
+    *("recorder_take", "adc_take_first", "adc_take_second", "port_receive"),
 )
 """What every period executes, on the way from the sample to the duties; and the receiver, which must not be late."""
 
@@ -104,7 +105,7 @@ class TestFirmware:
     def test_every_pointer_of_the_table_is_in_use(self, loaded: Program, program: Program) -> None:
         used = {call for one in loaded.functions.values() for call in one.calls if call.startswith("*")}
         assert used == {f"*{name}" for name in POINTERS}
-        assert all(program.find(pattern) for pattern in POINTERS.values())
+        assert all(program.find(names) for names in POINTERS.values())
 
 
 class TestTool:
@@ -130,7 +131,7 @@ class TestTool:
             load(alone, "void call(void (*surprise)(void)) { surprise(); surprise(); }\n")
 
     def test_a_pointer_may_hold_all_that_the_table_says(self, alone: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(chip_budget, "POINTERS", {"hook": "one|two"})
+        monkeypatch.setattr(chip_budget, "POINTERS", {"hook": ("one", "two")})
         program = load(
             alone,
             "void use(volatile char *);\n"
@@ -140,6 +141,13 @@ class TestTool:
         )
         assert program.functions["call"].calls == {"one", "two"}
         assert program.depth("call") > 300
+
+    def test_a_name_in_the_table_without_a_function_is_an_error(
+        self, alone: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(chip_budget, "POINTERS", {"hook": ("one", "renamed")})
+        with pytest.raises(BudgetError, match="no function renamed"):
+            load(alone, "void one(void) {}\nvoid call(void (**hook)(void)) { hook[1](); hook[0](); }\n")
 
     def test_levels_come_from_the_sources(self, program: Program, budget: Budget) -> None:
         handlers = [handler for found in chip_budget.levels().values() for handler in found]

@@ -34,9 +34,7 @@ class AxisStatus:
     spinning: bool  # accepts set-points: RUN/SPIN; without an encoder a set-point starts the axis in RUN/READY
     faulted: bool = False  # state FAULT
     position: int = 0  # of the shaft [counts], extended beyond the 32 bits of the board
-    position_ref: int | None = (
-        None  # position set-point, extended [counts]; None without ``position_ref`` in the telemetry
-    )
+    position_ref: int | None = None  # position set-point, extended [counts]; None: not in the telemetry
 
 
 class Arbiter:

@@ -449,8 +449,11 @@ def _parser() -> argparse.ArgumentParser:
     for verb, text in (
         ("enable", "enable both axes (rotor search, then position hold)"),
         ("disable", "stop with a ramp, then switch the outputs off"),
-        (topics.QUICK_STOP, "stop with the largest deceleration and hold; call enable to continue"),
-        (topics.CLEAR_FAULTS, "clear the faults whose cause is removed"),
+        (
+            topics.QUICK_STOP,
+            "stop as param.on_quick_stop says, by default at the acceleration limit, and hold; enable to continue",
+        ),
+        (topics.CLEAR_FAULTS, "clear the faults whose cause is gone"),
         ("state", "print state, positions, speeds, faults with remedy, active limits"),
     ):
         verbs.add_parser(verb, help=text)

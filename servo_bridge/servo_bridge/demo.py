@@ -92,8 +92,8 @@ class Demo:
             )
         if client.geared:
             raise DemoError(
-                f"{', '.join(client.geared)} has a gear ratio, a direction or an offset; the demonstration needs bare "
-                "shafts by several turns; use the default gear_ratio, direction and offset"
+                f"{', '.join(client.geared)} has a gear ratio, a direction or an offset; the demonstration turns "
+                "the motor shafts by several revolutions; use the default gear_ratio, direction and offset"
             )
         self.twin = require_twin or client.wait_for(lambda: client.twin_present, 1.0)
         self._info(

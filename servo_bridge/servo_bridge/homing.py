@@ -49,8 +49,8 @@ _REASONS: Final = {
     "KNOWN": "the position is already known",
     "NOT_FOUND": "no stop or switch found within home.turns_max of the configuration",
     "TIMEOUT": "timeout: no stop or switch found",
-    "BLOCKED": "the shaft is blocked before the switch",
-    "STUCK": "the shaft does not leave the stop or the switch",
+    "BLOCKED": "the shaft is blocked before it has reached the switch",
+    "STUCK": "the shaft does not move away from the stop or the switch",
     "SPREAD": "the spread of the positions found exceeds home.spread of the configuration",
 }
 

@@ -139,7 +139,7 @@ class MotionServices:
         return True
 
     def quick_stop(self, reason: str = "stopped by the service quick_stop") -> Future[Outcome]:
-        """Stop with the largest deceleration and hold; set-points are refused for `reason` until ``enable``."""
+        """Stop as ``param.on_quick_stop`` says; set-points are refused for `reason` until ``enable``."""
         return self._stop(
             "cmd.quick_stop",
             1,
@@ -148,7 +148,7 @@ class MotionServices:
         )
 
     def clear_faults(self) -> Future[Outcome]:
-        """Clear the faults whose cause is removed; the axes stay disabled."""
+        """Clear the faults whose cause is gone; the axes stay disabled."""
         snapshot = self._snapshot
         if snapshot is None:
             return _answered(False, self._not_connected())
@@ -202,7 +202,7 @@ class MotionServices:
         )
 
     def _not_connected(self) -> str:
-        return f"not connected: {self._reason}; the board switches its outputs off after param.host_timeout"
+        return f"not connected: {self._reason}; after param.host_timeout the board stops the axes (HOST_SILENT)"
 
 
 def _both(variable: str, value: int) -> CommandWrite:

@@ -17,9 +17,7 @@ class MoveFigures:
     commanded: float  # set-point at the end [rad]
     reached: float  # mean position at the end [rad]
     error: float  # `reached` minus `commanded` [rad]
-    settling_time: (
-        float | None
-    )  # from the effect of the set-point until the position stays in the tolerance [s]; None: never
+    settling_time: float | None  # from the effect of the set-point until the position settles [s]; None: never
     overshoot: float  # largest overshoot in the direction of the move [rad]; not negative
     tracking_rms: float | None  # position minus shaped set-point over the move [rad]; None: no shaped set-point
     tracking_max: float | None  # largest magnitude of that difference [rad]; None: no shaped set-point

@@ -557,9 +557,7 @@ class Supervisor:
         self._tuning.close()
         switched_off = self._link.close(_SWITCH_OFF)
         if connected and not switched_off:
-            self._warn(
-                "the board did not confirm the disable command; it switches the outputs off after param.host_timeout"
-            )
+            self._warn("the board did not confirm the disable command; after param.host_timeout it stops the axes")
         self._snapshot = None
         self._arbiter.link_lost(reason)
         self._dispatcher.close(reason)

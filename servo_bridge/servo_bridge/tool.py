@@ -85,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
         type=_password,
         default=argparse.SUPPRESS,
         metavar="TEXT",
-        help=f"password, for boards that require one (default: ${PASSWORD_VARIABLE}, or input at the terminal)",
+        help=f"password, for boards that require one (default: ${PASSWORD_VARIABLE}, else asked at the terminal)",
     )
     parser = argparse.ArgumentParser(
         prog="servo-tool",

@@ -205,6 +205,6 @@ def test_ros2_control_gets_the_joints_of_the_bridge(launch: Start, tmp_path: Pat
 
 def test_bridge_without_autostart_waits_for_transitions(launch: Start, tmp_path: Path) -> None:
     one = launch("bridge.launch.py", f"port:={tmp_path}/board", "twin:=false", "autostart:=false")
-    one.until(r"unconfigured; go on with: ros2 lifecycle set /servo/servo_bridge configure")
+    one.until(r"unconfigured; to continue: ros2 lifecycle set /servo/servo_bridge configure")
     assert one.interrupt() == 0, one.log()
     assert "connecting to" not in one.log()

@@ -1,6 +1,5 @@
 """Names of topics and services; their quality of service is in `servo_msgs_py.runtime.qos`.
 
-All names are relative: the board's node lives in the namespace ``/servo``, the twin offers the same names in
 All names are relative: the node of the board is in the namespace ``/servo``; the twin has the same names in ``/twin``.
 """
 

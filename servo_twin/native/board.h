@@ -53,7 +53,7 @@ typedef struct {
     double dead_time; /* dead time of the averaged plant [s] */
     double v_drop; /* forward drop of switch and diode [V] */
     double r_on; /* on resistance [ohm] */
-    /* switching plant only */
+    /* the next five: switching plant only */
     double dead_time_min; /* shortest dead time of the switches; with less, the leg is shorted for the difference [s] */
     double i_settle; /* time constant of the current amplifiers [s] */
     double encoder_jitter; /* standard deviation of an edge [counts] */

@@ -156,7 +156,7 @@ class AxisPlant:
 
     dead_time_min: NotNegative
     """Shortest permitted dead time of the switches: with less, the leg shorts the bus for the difference, which trips
-    the comparator [s]. This and all following values have an effect at level ``registers`` only."""
+    the comparator [s]. This value and the four that follow have an effect at level ``registers`` only."""
     i_settle: Fixed[NotNegative]  # time constant of the current amplifiers [s]
     encoder_jitter: Fixed[NotNegative]  # standard deviation of an edge of the encoder [counts]
     encoder_duty_error: Fixed[DutyError]  # duty cycle of an encoder line, minus 1/2

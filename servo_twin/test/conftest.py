@@ -1,4 +1,4 @@
-"""Fixtures of the virtual board: its C parts, each compiled separately."""
+"""Fixtures of the virtual board: its C parts, each compiled separately; reproducible random examples."""
 
 from __future__ import annotations
 
@@ -8,9 +8,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 # A background shell may ignore SIGINT, and child processes inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+settings.register_profile("fixed", derandomize=True, deadline=None)
+settings.load_profile("fixed")
 
 # The helper modules of this folder, and one of the firmware's, can be imported under every import mode of pytest.
 TEST = Path(__file__).resolve().parent

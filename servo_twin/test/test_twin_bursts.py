@@ -185,7 +185,10 @@ def test_samples_before_a_resynchronisation_are_not_available(rig: TwinRig) -> N
     table[:, 0] += 16_000.0
     rig.twin.burst("", burst_columns, table)
     rig.twin.recorder(FAST)
-    assert answer(rig).note == "the twin lags: the recorder was set up again first"
+    assert (
+        answer(rig).note
+        == "the twin lags: the recorder was set up again before the twin reached the end of the previous burst"
+    )
     rig.twin.burst("", burst_columns, table)
     rig.twin.resync("asked again")
     assert answer(rig).note == "the twin does not follow the board: asked again"

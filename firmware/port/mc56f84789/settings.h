@@ -1,7 +1,8 @@
 /* settings.h - every register value of the servo, derived from physical quantities.
  *
  * Change a quantity in the first part; the values in the second follow. What the hardware cannot do does not compile:
- * the name of the failing check states the reason. All of it are integer constant expressions, also where int has 16 bits.
+ * the name of the failing check states the reason. All values are integer constant expressions, also where int has 16
+ * bits.
  */
 #ifndef PORT_SETTINGS_H
 #define PORT_SETTINGS_H

@@ -15,7 +15,7 @@ from servo_bridge.trajectory.polynomials import derivative, enclosure, extrema, 
 from servo_bridge.trajectory.waypoints import Array
 
 _ROUNDING = 1.0e-9
-"""Relative tolerance of a limit, for rounding of motions planned to the limit: of the larger of limit and 1."""
+"""Tolerance of a limit for rounding, relative to the larger of the limit and 1."""
 
 _UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2", "torque": "N m"}
 _REMEDIES = {

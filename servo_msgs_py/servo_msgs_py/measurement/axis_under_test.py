@@ -214,7 +214,7 @@ class AxisUnderTest:
         )
 
     def hold(self) -> None:
-        """Stop with maximum deceleration and hold the position."""
+        """Stop at the acceleration limit and hold the position."""
         self.mode("POSITION")
         self.until(
             lambda: abs(self.value("speed")) < HELD_SPEED and abs(self.value("speed_ref")) < HELD_SPEED,

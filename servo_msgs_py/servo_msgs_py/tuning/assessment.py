@@ -29,7 +29,7 @@ _TICKS_MAX: Final = 12_000
 class Loop:
     """One loop."""
 
-    name: str  # for people
+    name: str  # displayed name
     in_force: bool  # whether it is enabled after reset
     wanted: float  # designed bandwidth [Hz]
     margins: Margins  # of the open loop
@@ -42,7 +42,7 @@ class DesignRule:
     """DRM E43..E45, and the corresponding values of the tuned speed loop."""
 
     t_n_rotor: float  # E43 with the inertia of the rotor alone [s]
-    t_n_shaft: float  # E43 with the inertia of all that turns [s]
+    t_n_shaft: float  # E43 with the inertia of the whole shaft [s]
     k_p: float  # E45 with `t_n_shaft` [rpm/rad]
     k_v_rule: float  # the same as `k_p` [1/s]
     t_n_tuned: float  # time constant of a first-order lag with the crossover of the tuned speed loop [s]
@@ -77,7 +77,7 @@ class Inertia:
     observed: bool  # with the speed observer instead of the M/T method
     stable: bool  # whether speed and position loop are stable
     margins: Margins  # of the speed loop
-    overshoot: float | None  # of a bare position step; None when unstable
+    overshoot: float | None  # of a position step without shaping; None when unstable
 
 
 @dataclass(frozen=True)

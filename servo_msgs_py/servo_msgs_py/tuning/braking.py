@@ -64,7 +64,7 @@ def pin_constants(to: Converter) -> dict[str, Field]:
 
 
 def brake_constants(configuration: Configuration) -> Mapping[str, int]:
-    """Fields of ``brake_config_t``.
+    """Fields of ``bus_braking_config_t``.
 
     Raises
     ------

@@ -56,12 +56,12 @@ def _board(board: Board, scales: Scales, catalogue: Catalogue) -> None:
     for key in ("host_timeout", "command_timeout"):
         timeout = catalogue[f"param.{key}"]
         if not timeout.minimum <= board(key) <= timeout.maximum:
-            reason = f"outside the contract's {timeout.minimum:g} .. {timeout.maximum:g} s (param.{key})"
+            reason = f"outside the range {timeout.minimum:g} .. {timeout.maximum:g} s of param.{key}"
             raise board.refused(key, reason, "write a value within this range")
 
 
 def _contract(axis: Axis, catalogue: Catalogue) -> None:
-    """Check that the defaults lie within the ranges of the contract."""
+    """Check that the defaults lie within the ranges of the table of variables."""
     names = {"current": "i_q_limit", "speed": "speed_limit", "acceleration": "acceleration_limit"}
     names |= {"position": "position_max", "following_error": "following_error", "over_speed": "over_speed"}
     for key, name in names.items():
@@ -69,7 +69,7 @@ def _contract(axis: Axis, catalogue: Catalogue) -> None:
         if not variable.minimum <= value <= variable.maximum:
             span = f"{variable.minimum:g} .. {variable.maximum:g} {variable.unit}"
             raise axis.refused(
-                f"limits.{key}", f"outside the contract's {span} (param.{name})", "write a value within this range"
+                f"limits.{key}", f"outside the range {span} of param.{name}", "write a value within this range"
             )
 
 
@@ -77,7 +77,9 @@ def _axis(axis: Axis) -> None:
     """Check encoder, limits, friction and inertia."""
     if axis.counts != COUNTS_PER_TURN:
         remedy = f"write {COUNTS_PER_TURN // 4}"
-        raise axis.refused("encoder.lines", f"the contract counts {COUNTS_PER_TURN} per turn, 4 per line", remedy)
+        raise axis.refused(
+            "encoder.lines", f"the firmware is built for {COUNTS_PER_TURN} counts per turn, 4 per line", remedy
+        )
     if axis("control.anti_windup") >= 1.0:
         raise axis.refused("control.anti_windup", "Kc of DRM E35 lies between 0 and 1", "write 0.5")
     if axis("limits.over_speed") <= axis("limits.speed"):
@@ -160,11 +162,11 @@ def _bus(configuration: Configuration) -> None:
             raise board.refused(higher, reason, f"write voltages in the order nominal, {', '.join(order)}")
     if not board.brake:
         return
-    burnt = board("brake.on_voltage") ** 2 / board("brake.resistance")
+    dissipated = board("brake.on_voltage") ** 2 / board("brake.resistance")
     returned = sum(_returned(axis, board) for axis in configuration.axes)
-    if burnt < returned:
+    if dissipated < returned:
         reason = (
-            f"at {board('brake.on_voltage'):g} V it dissipates {burnt:.3g} W, less than the {returned:.3g} W that"
+            f"at {board('brake.on_voltage'):g} V it dissipates {dissipated:.3g} W, less than the {returned:.3g} W that"
             " all braking axes return"
         )
         remedy = f"write {board('brake.on_voltage') ** 2 / returned:.3g} ohm or less"
@@ -173,8 +175,10 @@ def _bus(configuration: Configuration) -> None:
     if board("brake.energy") < kinetic:
         reason = f"all axes together return up to {kinetic:.3g} J when they brake from their speed limits"
         raise board.refused("brake.energy", reason, "write more, or fit another resistor")
-    if board("brake.power") >= burnt:
-        reason = f"at {board('brake.on_voltage'):g} V it dissipates {burnt:.3g} W, not more than the continuous rating"
+    if board("brake.power") >= dissipated:
+        reason = (
+            f"at {board('brake.on_voltage'):g} V it dissipates {dissipated:.3g} W, not more than the continuous rating"
+        )
         raise board.refused("brake.power", reason, "write its continuous rating")
 
 

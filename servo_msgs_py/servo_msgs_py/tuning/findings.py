@@ -190,7 +190,7 @@ def _back_emf(it: Tuned, found: SensorlessFigures) -> Iterator[str]:
         hidden = (
             f"below {found.blind_speed:.3g} rad/s the drop of limits.current in a warm winding exceeds the back-EMF"
         )
-        yield f"{_entry(it, 'motor.r_s')}: sensorless, {hidden} during braking; lower that limit, or use the encoder"
+        yield f"{_entry(it, 'motor.r_s')}: sensorless, {hidden} in braking; lower limits.current, or use the encoder"
     part = found.unexplained_speed / limit
     if it.axis("observer.pll_size") * part > PLL_SIZE_MAX:
         text = f"dead time and switch drops give a speed error of {found.unexplained_speed:.3g} rad/s"

@@ -218,7 +218,7 @@ AXIS_GROUPS: Final[Mapping[str, Mapping[str, Entry]]] = {
     },
     "stop": {
         "time_max": Entry("s", "maximum duration of a stop; then the outputs go off"),
-        "hold_time": Entry("s", "duration of position hold after a disable"),
+        "hold_time": Entry("s", "duration of position hold after a disable or a fault"),
         "short_current": Entry("A", "permitted steady-state current in shorted windings"),
         "copper_use": Entry(
             "", "fraction of the current limit for i_d while braking current is reduced", zero=True, maximum=1.0

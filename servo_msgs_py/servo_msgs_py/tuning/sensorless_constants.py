@@ -106,11 +106,13 @@ def _pll(to: Converter, design: Sensorless) -> dict[str, Field]:
     acceleration = pll.acceleration * s.i * p * board.tick * board.period / (2.0 * math.pi)
     e_min = 0.5 * p * axis("motor.psi_m") * design.start_up.minimum_speed / s.u_s
     per_emf = _step_per_emf(axis, board, s)
-    follow, follow_load = pll.size_gains(board.tick)
+    amplitude_gain, amplitude_load_gain = pll.size_gains(board.tick)
     slower = "lower observer.pll_size"
     return {
-        "pll.amplitude_gain": GAIN.raw(axis.entry("observer.pll_size") + ": speed", follow * per_emf, slower),
-        "pll.amplitude_load_gain": GAIN.raw(axis.entry("observer.pll_size") + ": load", follow_load * per_emf, slower),
+        "pll.amplitude_gain": GAIN.raw(axis.entry("observer.pll_size") + ": speed", amplitude_gain * per_emf, slower),
+        "pll.amplitude_load_gain": GAIN.raw(
+            axis.entry("observer.pll_size") + ": load", amplitude_load_gain * per_emf, slower
+        ),
         "pll.offset_gain": to.of(
             GAIN, "back-EMF per step of the PLL", board.tick / AMPLITUDE_OFFSET_TIME / per_emf, _MOTOR
         ),

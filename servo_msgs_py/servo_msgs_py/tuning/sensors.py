@@ -101,8 +101,8 @@ class PllSpeed:
     damping: float  # damping ratio at the speed of the shaft
     acceleration: float  # expected per q current [rad/s^2/A]
     load: float  # gain of the load acceleration estimate, over omega_n^3
-    follow: float  # correction of the speed per slow tick, per speed error of the back-EMF amplitude
-    follow_load: float  # correction of the load, in the same manner
+    amplitude_gain: float  # correction of the speed per slow tick / speed error of the back-EMF amplitude
+    amplitude_load_gain: float  # correction of the load acceleration per slow tick, times the tick / that error
     states: int = 5
 
     def step(self, x: Matrix, moved: Matrix, reference: Matrix, tick: float) -> tuple[Matrix, Sequence[Matrix]]:
@@ -113,8 +113,8 @@ class PllSpeed:
         kp, ki = 2.0 * self.damping * self.omega_n, self.omega_n**2
         f, g = held(np.array([[-kp, -1.0], [ki, 0.0]]), np.array([[1.0], [0.0]]), tick)
         more = size - bias - speed
-        unknown = unknown + self.load * self.omega_n**3 * tick * behind + self.follow_load / tick * more
-        predicted = speed + tick * (self.acceleration * reference + unknown) + self.follow * more
+        unknown = unknown + self.load * self.omega_n**3 * tick * behind + self.amplitude_load_gain / tick * more
+        predicted = speed + tick * (self.acceleration * reference + unknown) + self.amplitude_gain * more
         after, speed = f @ np.vstack([behind, predicted]) + g @ (moved[None, :] / tick)
         size = moved / tick
         bias = bias + tick / AMPLITUDE_OFFSET_TIME * (speed - (size - (after - behind) / tick))

@@ -40,7 +40,7 @@ const servo_config_t servo_config = {{
     {{
 {body}
     }},
-    .brake = {{
+    .bus_braking = {{
 {bus}
     }},
 {rest}

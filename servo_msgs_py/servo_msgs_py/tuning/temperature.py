@@ -79,7 +79,7 @@ def _number(key: str, value: object) -> float:
 def _points(value: object) -> Sequence[tuple[float, float]]:
     where = "board.temperature.table"
     wrong = ConfigError(
-        f"{where}: write [[celsius, code], ...] with rising temperatures and strictly monotonic codes 0 .. {{_CODES}}"
+        f"{where}: write [[celsius, code], ...] with rising temperatures and strictly monotonic codes 0 .. {_CODES}"
     )
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) < _POINT:
         raise wrong

@@ -35,7 +35,7 @@ typedef struct {
     plant_pins_t pins;
     shaft_t shaft;
     double t_magnet; /* [deg C] */
-    double magnet_share; /* decay of the difference to the winding temperature per step of the temperatures [1] */
+    double magnet_share; /* decay of the difference to the winding temperature per step of the temperatures, 0..1 [1] */
 } plant_drive_t;
 
 typedef struct {

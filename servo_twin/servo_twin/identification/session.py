@@ -163,9 +163,9 @@ def _undetermined(estimates: MotorEstimates, log: MeasurementLog) -> list[str]:
         if not math.isfinite(estimate.value) or (estimate.value <= 0.0 and name != "friction"):
             found.append(f"{name}: {estimate.value:.3g} {UNITS[name]} is implausible: not determined by the data")
         elif estimate.part > part > 0.0:
-            half, high = estimate.interval
+            low, high = estimate.interval
             found.append(
-                f"{name}: the interval {half:.3g} .. {high:.3g} {UNITS[name]} is too wide; use more current or speed"
+                f"{name}: the interval {low:.3g} .. {high:.3g} {UNITS[name]} is too wide; use more current or speed"
             )
     return found
 

@@ -101,7 +101,10 @@ class BurstSampler:
     def set_up(self, setup: RecorderSetup) -> None:
         """Store the set-up of the next recording; `begin` starts the sampling."""
         if self._burst is not None:
-            self._refuse(self._burst, "the twin lags: the recorder was set up again first")
+            self._refuse(
+                self._burst,
+                "the twin lags: the recorder was set up again before the twin reached the end of the previous burst",
+            )
         self._stop()
         self._setup, self._end = setup, None
         self._drop_reason = ""
@@ -197,7 +200,7 @@ class BurstSampler:
         if _TICK not in columns or not len(table):
             raise ValueError("recording without ticks")
         if self._burst is not None:
-            self._refuse(self._burst, "the twin lags: a new recording arrived first")
+            self._refuse(self._burst, "the twin lags: a new burst arrived before the twin had sampled the previous one")
         self._burst = _Burst(label, columns, table, table[:, columns.index(_TICK)].astype(np.int64))
         if self._replica is None:
             self._refuse(self._burst)

@@ -92,7 +92,7 @@ class HealthMonitor:
     def __init__(self, thresholds: Thresholds) -> None:
         self.thresholds = thresholds
         self.healthy = False  # real board and twin agree
-        self.reason = "no comparison yet"  # reason for not healthy; empty: healthy
+        self.reason = "no comparison yet"  # why the twin is not healthy; empty: healthy
         self._small_since: int | None = None
         self._large = 0.0  # time of a large residual, decreasing with `_DECAY` while it is small [s]
         self._tick: int | None = None
@@ -100,7 +100,7 @@ class HealthMonitor:
 
     @property
     def differs(self) -> bool:
-        """True if the cause of not healthy is a difference."""
+        """True if the twin is not healthy because of a difference."""
         return not self.healthy and self._differs
 
     def interrupt(self, reason: str) -> None:

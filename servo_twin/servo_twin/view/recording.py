@@ -160,7 +160,7 @@ class Recording:
     def _static(self, entity: str, component: Any) -> None:
         self._stream.log(entity, component, static=True)
 
-    # ---- what comes
+    # ---- data
     def scalars(self, entity: str, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
         """Write points of a curve: times [s] and values [SI], each (points,); NaN: gap."""
         rr = self._rr

@@ -1,4 +1,4 @@
-"""Web page of the rerun viewer, served on the loopback interface by the ``rerun`` command as a child process."""
+"""Web page of the rerun viewer, served on the loopback interface only, by the ``rerun`` command as a child process."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ void servo_edge_isr(servo_t *servo, uint16_t axis)
     (void)hal_capture_take(servo->hal, axis, &servo->capture);
 }
 
-void servo_over_current_isr(servo_t *servo, uint16_t axis) { (void)note(servo, CALL_BREAK, axis); }
+void servo_over_current_isr(servo_t *servo, uint16_t axis) { (void)note(servo, CALL_OVER_CURRENT, axis); }
 
 void servo_background(servo_t *servo)
 {

@@ -6,7 +6,7 @@
 
 #define FAKE_CALLS 4096
 
-enum { CALL_M1, CALL_M2, CALL_EDGE, CALL_BREAK, CALL_BACKGROUND };
+enum { CALL_M1, CALL_M2, CALL_EDGE, CALL_OVER_CURRENT, CALL_BACKGROUND };
 
 typedef struct {
     uint64_t time_ns;

@@ -1,0 +1,8 @@
+"""Reproducible random examples, without a time limit that a busy machine exceeds."""
+
+from __future__ import annotations
+
+from hypothesis import settings
+
+settings.register_profile("fixed", derandomize=True, deadline=None)
+settings.load_profile("fixed")
