@@ -34,7 +34,11 @@ def test_missing_resistor_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(braking, "stop", lambda plant, seed, speed, resistor: genuine(plant, seed, speed, 0.0))
     monkeypatch.setattr(braking, "use_budget", lambda plant, seed, resistor: braking.Budget(0.0, math.nan, None))
     names = wrong(PlantConfig.load())
-    assert {"resistor: highest bus voltage", "budget: burnt until off", "budget: rest until used again"} <= names
+    assert {
+        "resistor: highest bus voltage",
+        "budget: energy until the resistor is switched off",
+        "budget: recovery time",
+    } <= names
 
 
 def test_the_short_current_follows_the_formula() -> None:

@@ -145,9 +145,9 @@ def test_permitted_faults_of_a_slip() -> None:
         early, late = slip("stop", rng), slip("high speed", again)
         assert early.text == late.text
         assert early.expected_faults(seen) == (NOTHING,)
-        large += late.detectable_at_rest
+        large += late.move_if_undetected
         assert late.expected_faults(seen) == (
-            ("ANGLE_MISMATCH",) if late.detectable_at_rest else (NOTHING, "ANGLE_MISMATCH")
+            ("ANGLE_MISMATCH",) if late.move_if_undetected else (NOTHING, "ANGLE_MISMATCH")
         )
     assert 20 < large < 45  # of 30 to 180 degrees, what is beyond 90
     for state in ("rotor search", "coasting"):  # it may be looked for again
@@ -158,7 +158,7 @@ def test_permitted_faults_of_a_slip() -> None:
 def test_slip_is_reported_with_its_fault(state: str) -> None:
     rng = random.Random(f"slip {state}")
     fault = slip(state, rng)
-    while not fault.detectable_at_rest:
+    while not fault.move_if_undetected:
         fault = slip(state, rng)
     result = run_trial(Trial(1, 0, Motor.of("axis1", PLANT), STATES[state], fault, PLANT))
     assert not result.failed, str(result)

@@ -42,4 +42,4 @@ def test_wrong_mean_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(low_speed, "hold_speed", hold_speed)
     monkeypatch.setattr(low_speed, "SPEEDS", (5.0,))
     rows = {row.name: row.agrees for row in low_speed.run(PlantConfig.load(), seed=1).rows}
-    assert not rows["axis1 5 rpm, way lost with enhanced"]
+    assert not rows["axis1 5 rpm, position error with enhanced M/T"]

@@ -21,9 +21,9 @@ def test_disabled_limits_violate_the_bounds(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(rig, "features", lambda board, axis, **switches: None)
     names = wrong()
     for mode in ("position", "speed", "torque"):
-        for what in ("beyond with", "stops before", "names itself"):
+        for what in ("overtravel with the feature", "distance to the limit at standstill", "limit flag set"):
             assert f"axis1, position, {mode} mode: {what}" in names
-    assert "axis1, position, a load leans on it: beyond with" in names
+    assert "axis1, position, a load leans on it: overtravel with the feature" in names
     assert "axis1, limit set behind the shaft, target farther out: moves" in names
 
 

@@ -28,7 +28,7 @@ def test_disabled_supervision_violates_the_bounds(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(rig, "features", features)
     names = wrong()
     for cause in CAUSES:
-        for figure in ("outputs off after", "the fault's name is right", "time with over without"):
+        for figure in ("outputs off after", "expected fault reported", "time with over without"):
             assert f"axis1, {cause}: {figure}" in names
 
 

@@ -196,14 +196,14 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield from _rows_bus(Judge("no resistor: ", NOT_SHOWN), plant, speed, without, OVER_VOLTAGE)
     judge = Judge("resistor: ", NOT_SHOWN)
     yield from _rows_bus(judge, plant, speed, with_one, _with_resistor(plant, speed, resistor))
-    yield judge("burnt in it", with_one.dissipated[-1], "J", 0.0, kinetic(plant, speed))
+    yield judge("energy dissipated in the resistor", with_one.dissipated[-1], "J", 0.0, kinetic(plant, speed))
     judge = Judge("budget: ", NOT_SHOWN)
     permitted = (BUDGET + POWER * budget.seconds) * (
         RESISTOR / resistor
     )  # the firmware calculates with the nominal one
     recovery_time = (1.0 - RECOVERED) * BUDGET / POWER
-    yield judge("burnt until off", budget.dissipated, "J", 0.95 * permitted, 1.05 * permitted)
-    yield judge("rest until used again", budget.recovery_time, "s", 0.95 * recovery_time, 1.05 * recovery_time)
+    yield judge("energy until the resistor is switched off", budget.dissipated, "J", 0.95 * permitted, 1.05 * permitted)
+    yield judge("recovery time", budget.recovery_time, "s", 0.95 * recovery_time, 1.05 * recovery_time)
     curves: list[Curve] = []
     for name, it in (("no resistor", without), ("resistor", with_one)):
         time = TICK * np.arange(1, it.u_dc.size + 1, dtype=np.float64)

@@ -61,10 +61,13 @@ class InjectedFaultCase:
     kind: str  # key of `INJECTED_FAULTS`, or `NO_FAULT`
     text: str  # description with the parameters
     inject: Callable[[Board], None]  # injects the fault into a board
-    expected_faults: Callable[
-        [BusRange], tuple[str, ...]
-    ]  # expected fault names for a course of the bus voltage; `NOTHING`: none
-    detectable_at_rest: bool = True  # must be detected, context the latest when the axis is commanded to move
+    expected_faults: Callable[[BusRange], tuple[str, ...]]
+    """Expected fault names for a course of the bus voltage; `NOTHING`: none."""
+    move_if_undetected: bool = True
+    """Commands the axis to move if the fault has not been detected by then; it must be detected at the latest then.
+
+    If False, the axis is not commanded to move; `expected_faults` states whether the fault may stay undetected.
+    """
     stops_core: bool = False  # the core stops and does not count the PWM periods
 
 
@@ -83,7 +86,7 @@ def _injected(kind: str, fault: InjectedFault, *expected_faults: str) -> Injecte
         str(fault),
         lambda board: board.inject(fault),
         lambda seen: expected_faults,
-        detectable_at_rest=NOTHING not in expected_faults,
+        move_if_undetected=NOTHING not in expected_faults,
     )
 
 
@@ -165,14 +168,14 @@ def _dip(rng: random.Random, context: Context) -> InjectedFaultCase:
     seconds = rng.choice((math.inf, 10.0 ** rng.uniform(-3.0, 0.0)))
     dip = SupplyDip(rng.choice((0.0, rng.uniform(0.0, 23.0), rng.uniform(16.5, 23.0))), seconds)
     return InjectedFaultCase(
-        "supply dip", str(dip), lambda board: board.inject(dip), _by_voltage, detectable_at_rest=False
+        "supply dip", str(dip), lambda board: board.inject(dip), _by_voltage, move_if_undetected=False
     )
 
 
 def _surge(rng: random.Random, context: Context) -> InjectedFaultCase:
     surge = SupplyDip(rng.uniform(25.0, 36.0), rng.choice((math.inf, 10.0 ** rng.uniform(-3.0, 0.0))))
     return InjectedFaultCase(
-        "supply surge", str(surge), lambda board: board.inject(surge), _by_voltage, detectable_at_rest=False
+        "supply surge", str(surge), lambda board: board.inject(surge), _by_voltage, move_if_undetected=False
     )
 
 
@@ -189,7 +192,7 @@ def _stall(rng: random.Random, context: Context) -> InjectedFaultCase:
         str(fault),
         lambda board: board.inject(fault),
         lambda seen: expected_faults,
-        detectable_at_rest=False,
+        move_if_undetected=False,
         stops_core=True,
     )
 
@@ -238,7 +241,7 @@ def _worn(rng: random.Random, context: Context) -> InjectedFaultCase:
         )
         board.inject(worn)
 
-    return InjectedFaultCase("worn shaft", str(worn), inject, lambda seen: (NOTHING,), detectable_at_rest=False)
+    return InjectedFaultCase("worn shaft", str(worn), inject, lambda seen: (NOTHING,), move_if_undetected=False)
 
 
 def _disc(rng: random.Random, context: Context) -> InjectedFaultCase:
@@ -284,4 +287,4 @@ def no_fault(where: Context) -> InjectedFaultCase:
         board.inject(CurrentNoise(where.axis, 3.0 * axis.i_noise))
         board.inject(BusNoise(3.0 * bus.u_noise))
 
-    return InjectedFaultCase(NO_FAULT, "noise", inject, lambda seen: (NOTHING,), detectable_at_rest=False)
+    return InjectedFaultCase(NO_FAULT, "noise", inject, lambda seen: (NOTHING,), move_if_undetected=False)

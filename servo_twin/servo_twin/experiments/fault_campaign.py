@@ -204,7 +204,7 @@ def _inject(trial: Trial, bench: Bench, monitor: _Monitor, sign: float) -> Resul
     seconds = None
     if found:
         seconds = max(fault_time(board, bench.axis, lost_count=fault.stops_core) - cause, 0) * 1e-9
-    elif fault.detectable_at_rest:
+    elif fault.move_if_undetected:
         monitor.forget()
         bench.provoke(sign)
         found = monitor.fault_within(PROVOKED_TIME)

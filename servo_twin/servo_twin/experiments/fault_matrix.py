@@ -297,7 +297,7 @@ def _rows(judge: Judge, fault_case: FaultCase, own: Sequence[Case]) -> Iterator[
     for name, right in (
         (" or ".join(fault_case.faults) or "no fault", [c.name_correct for c in own]),
         ("no motion after", [c.gained <= c.gain_max for c in own]),
-        ("axis 2 as it should", [c.other for c in own]),
+        ("axis 2 as expected", [c.other for c in own]),
     ):
         yield judge(name, sum(right) / len(right), "of all", 1.0, 1.0)
     shown = [c for c in own if c.periods is not None]
@@ -307,7 +307,9 @@ def _rows(judge: Judge, fault_case: FaultCase, own: Sequence[Case]) -> Iterator[
     if fault_case.apart is not None and shown:
         latest, within = max(c.periods for c in shown if c.periods is not None), round(WAIT * 1e9 / PERIOD_NS)
         apart = fault_case.apart * latest + SLOW_PERIODS
-        yield judge("latest by itself", latest, "PWM periods", 0.0, within, apart=apart)
+        yield judge(
+            "longest time to detection without a motion command", latest, "PWM periods", 0.0, within, apart=apart
+        )
 
 
 def _text(it: Case) -> str:

@@ -49,7 +49,7 @@ ARRIVED: Final = 2.0  # [counts]
 SETTLING_INCREASE_MAX: Final = 0.01
 """Permitted increase of the settling time: a time constant of the path filter [s]."""
 
-REFERENCE_LAG: Final = "E44: a plain gain trails"
+REFERENCE_LAG: Final = "E44: proportional position control: lag v / Kv"
 REFERENCE_OVERSHOOT: Final = "2.7.3: position must not overshoot"
 
 

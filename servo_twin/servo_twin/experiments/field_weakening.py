@@ -121,7 +121,7 @@ def _supply(volts: float) -> Callable[[Board], object]:
 
 def _speed(judge: Judge, recording: Recording, target: float) -> Row:
     """Mean speed, compared with the theoretical one [rad/s]."""
-    says, target = f"{BEYOND}; {target / RPM:.0f} rpm on paper", target / RPM
+    says, target = f"{BEYOND}; {target / RPM:.0f} rpm in theory", target / RPM
     speed = float(recording.omega.mean()) / RPM
     return judge(
         "speed", speed, "rpm", (1.0 - SPEED_TOLERANCE) * target, (1.0 + SPEED_TOLERANCE) * target, reference=says
@@ -129,12 +129,12 @@ def _speed(judge: Judge, recording: Recording, target: float) -> Row:
 
 
 def _free(judge: Judge, recording: Recording, maximum: float | None = None) -> Row:
-    return judge("voltage kept free", free_voltage(recording).mean(), "V", MARGIN - MARGIN_TOLERANCE, maximum)
+    return judge("voltage reserve", free_voltage(recording).mean(), "V", MARGIN - MARGIN_TOLERANCE, maximum)
 
 
 def _deviation_rows(judge: Judge, recording: Recording) -> Iterator[Row]:
-    yield judge("wandering speed", recording.omega.std() / RPM, "rpm", 0.0, SPEED_DEVIATION_MAX / RPM)
-    yield judge("wandering i_d", recording.i_d.std(), "A", 0.0, I_D_DEVIATION_MAX)
+    yield judge("standard deviation of the speed", recording.omega.std() / RPM, "rpm", 0.0, SPEED_DEVIATION_MAX / RPM)
+    yield judge("standard deviation of i_d", recording.i_d.std(), "A", 0.0, I_D_DEVIATION_MAX)
 
 
 # ---- torque over speed -----------------------------------------------------------------------------------------------
@@ -157,16 +157,16 @@ def _load_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
         if weak:
             yield _free(judge, recording, MARGIN + MARGIN_TOLERANCE)
             yield from _deviation_rows(judge, recording)
-    on_paper = theoretical_speed(axis, volts, STEP, weak=True) - theoretical_speed(axis, volts, STEP, weak=False)
+    theory = theoretical_speed(axis, volts, STEP, weak=True) - theoretical_speed(axis, volts, STEP, weak=False)
     gained = (speeds[True][1] - speeds[False][1]) / RPM
-    yield Judge(f"{1e3 * STEP:g} mN m: ")("speed gained", gained, "rpm", 0.5 * on_paper / RPM)
+    yield Judge(f"{1e3 * STEP:g} mN m: ")("speed gained", gained, "rpm", 0.5 * theory / RPM)
     grid = np.linspace(0.5 * RATED, 1.1 * RATED, 121)
     curves: list[Curve] = []
     for weak, how in ((False, "without"), (True, "with")):
         voltage = MODULATION * volts - (MARGIN if weak else 0.0)
         torques = [largest_torque(axis, CURRENT, w, voltage, -I_D_MAX if weak else 0.0).torque for w in grid]
         rest = np.maximum(np.array(torques) - axis.friction - axis.viscous * grid, 0.0)
-        curves.append(Curve(f"{how}, on paper", grid / RPM, 1e3 * rest))
+        curves.append(Curve(f"{how}, theory", grid / RPM, 1e3 * rest))
         curves.append(Curve(f"{how}, measured", np.array(speeds[weak]) / RPM, 1e3 * np.array(LOADS), "o"))
     yield Panel(f"torque at the shaft, {volts:g} V", "speed [rpm]", "torque [mN m]", curves)
 
@@ -193,7 +193,7 @@ def _step_items(plant: PlantConfig, seed: int) -> Iterator[Item]:
     yield judge(
         "load step: speed lost over that at 2000 rpm", dip / _dip_at(plant, seed, 0.5 * RATED), "", 0.0, DROP_RATIO_MAX
     )
-    yield judge("highest speed, load gone", high / RPM, "rpm", 0.0, (1.0 + OVERSHOOT_MAX) * RATED / RPM)
+    yield judge("highest speed after load removal", high / RPM, "rpm", 0.0, (1.0 + OVERSHOOT_MAX) * RATED / RPM)
     yield judge("at rest again: i_d", np.abs(at_rest.i_d).mean(), "A", 0.0, 0.1)
     yield _panel("run-up, load step, stop", whole)
 
@@ -228,7 +228,7 @@ def _sag_rows(judge: Judge, axis: AxisPlant, recording: Recording, volts: float)
     yield _speed(judge, low, theoretical_speed(axis, volts, SAG_LOAD, weak=True))
     yield _free(judge, low)
     yield from _deviation_rows(judge, low)
-    yield judge("back after its return", time, "s", 0.0, RECOVERY_TIME_MAX)
+    yield judge("recovery time after the supply returns", time, "s", 0.0, RECOVERY_TIME_MAX)
     maximum = (1.0 + 2.0 * REACHED) * RATED / RPM
     yield judge("highest speed then", float(after.omega.max()) / RPM, "rpm", 0.0, maximum)
 
@@ -251,7 +251,7 @@ def _fault_rows(plant: PlantConfig, seed: int) -> Iterator[Row]:
         # The capacitor may still be above the reduced supply.
         charged = float(recording.part(hot - TICK, hot).u_dc.max())
         emf = math.sqrt(3.0) * plant.axes[AXIS].pole_pairs * plant.axes[AXIS].psi_m * RATED
-        yield judge.true("noticed", found.size > 0)
+        yield judge.true("detected", found.size > 0)
         yield judge.none("in RUN in that tick", after.state[0] == recording.state[0])
         yield judge("current from the next tick on", np.hypot(after.i_d, after.i_q)[1:].max(), "A", 0.0, 0.1)
         maximum = min(max(charged, emf) + NOISE, OVER_VOLTAGE)

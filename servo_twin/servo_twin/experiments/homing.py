@@ -327,9 +327,9 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     for axis, (stationary, turning) in enumerate(zip(it.stationary.values(), it.turning.values(), strict=True)):
         judge, direction = Judge(f"{axis_name(axis)}, not homed: "), turning.shaft - it.start[axis]
         named = stationary.limits[-1] & turning.limits[-1] & it.mask
-        yield judge("moves for a far set-point", np.ptp(stationary.shaft), "counts", maximum=2.0)
-        yield judge("turns by a speed", direction.max(), "counts", 0.9 * it.reach, it.reach + 4.0)
-        yield judge.true("names itself", bool(named))
+        yield judge("motion by a refused far set-point", np.ptp(stationary.shaft), "counts", maximum=2.0)
+        yield judge("rotation by a speed set-point", direction.max(), "counts", 0.9 * it.reach, it.reach + 4.0)
+        yield judge.true("limit flag set", bool(named))
         curves.append(Curve(axis_name(axis), turning.time, direction / COUNTS_PER_TURN))
     beyond = "distance from the stop minus friction / stiffness, or from the edge of a switch"
     yield f"{2 * TRIALS} pairs of homings each; position of the reference: {beyond}"

@@ -56,7 +56,10 @@ class Pair:
 
     @property
     def part(self) -> float | None:
-        """Difference relative to the permitted one: infinite if no difference is permitted."""
+        """Difference relative to the permitted one.
+
+        0 for equal figures; infinite for different ones if no difference is permitted; None without a value.
+        """
         difference, maximum = self.difference, self.difference_max
         if difference is None or maximum is None or math.isnan(difference):
             return None
@@ -123,7 +126,7 @@ def table(name: str, every: Sequence[Pair]) -> str:
 
 def overview(every: Sequence[Pair]) -> str:
     """One line per experiment: number of figures that agree, and the largest relative difference."""
-    head = ("experiment", "figures", "agree", "largest difference", "of the permitted", "figure")
+    head = ("experiment", "figures", "agree", "largest difference", "relative to the permitted", "figure")
     lines = [head]
     for name in dict.fromkeys(pair.name.partition(": ")[0] for pair in every):
         own = [pair for pair in every if pair.name.startswith(f"{name}: ")]

@@ -65,7 +65,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             position_error = abs(means[1] - speed) * MEASURED / COUNT
             judge = Judge(f"{what}, ", NOT_SHOWN)
             yield judge("deviation enhanced over plain", ratio, maximum=NOISE_RATIO_MAX, reference=says)
-            yield judge("way lost with enhanced", position_error, "counts", maximum=POSITION_ERROR_MAX)
+            yield judge("position error with enhanced M/T", position_error, "counts", maximum=POSITION_ERROR_MAX)
             yield (
                 f"{what}: deviation {100 * rms[0]:.3g} % plain, {100 * rms[1]:.3g} % enhanced; true mean "
                 f"{means[0] / RPM:.3g} and {means[1] / RPM:.3g} rpm"

@@ -201,7 +201,7 @@ def _sensitivity(
         judge = Judge(f"{axis_name(axis)}, {what}, ", says)
         if r_s != 1.0:
             yield judge("error changes by", largest, "deg", maximum=THEORY_ERROR_MAX)
-        yield judge("change less that on paper", away, "deg", maximum=THEORY_ERROR_MAX)
+        yield judge("difference between measured and theoretical change", away, "deg", maximum=THEORY_ERROR_MAX)
 
 
 def _observable(motor: AxisPlant, point: Point) -> bool:

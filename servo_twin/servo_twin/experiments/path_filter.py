@@ -94,14 +94,14 @@ def figures(recording: Recording, speed: float, distance: int, axis_limit: float
     yield judge(
         f"largest jump of the S curve's {slow_loop}", jump, "of v", maximum=0.1, reference="F24: changes evenly"
     )
-    yield judge("S curve against E38", misfit, "of the way", maximum=0.01, reference="E38, damping 1")
+    yield judge("S curve against E38", misfit, "of the distance", maximum=0.01, reference="E38, damping 1")
     yield judge("overshoot of the S curve", over, "counts", 0.0, 0.0, reference="E38: damping 1")
     yield judge("end of the S curve", abs(path[-1] - distance), "counts", 0.0, 0.0, reference="F23: arrives")
     yield judge.none("steps backwards", backwards, reference="F23: monotonous")
     yield judge(
         "highest speed of the S curve", slope.max() / speed, "of v", 0.95, 1.02, reference="F24: that of the ramp"
     )
-    yield judge("acceleration asked for", required, "of the drive's", maximum=1.0, reference="E38: v omega_n / e")
+    yield judge("required acceleration", required, "of the limit", maximum=1.0, reference="E38: v omega_n / e")
 
 
 def _jump(path: NDArray[np.float64], speed: float) -> float:

@@ -233,7 +233,7 @@ def top_speed(
     demands: list[Demand] | None = None,
     share: float = CURRENT_SHARE,
 ) -> float:
-    """Highest speed from which all axes can be accelerated and braked simultaneously, at most `requested` [rad/s].
+    """Highest speed to which all axes can be accelerated and from which they can be braked simultaneously [rad/s].
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def top_speed(
     axes : iterable of int
         Axes that move simultaneously.
     requested : float
-        Speed for the nominal plant [rad/s].
+        Upper limit: the speed for the nominal plant [rad/s].
     demands : list of Demand, optional
         Requirements of the set-points, by axis; by default a slow acceleration.
     share : float

@@ -124,8 +124,8 @@ JITTER_MAX: Final = math.sqrt(6.0)  # largest jitter of an edge [standard deviat
 def edge_shift(axis: AxisPlant) -> float:
     """Largest deviation of an encoder edge from its nominal position [counts]; 0 on the averaged plant.
 
-    A duty error shifts the rising edge forwards and the falling edge backwards, each by half the error of the period of
-    four counts. Jitter and half of the hysteresis are added.
+    With a positive duty error the rising edge comes early and the falling edge late, each by half the error times the
+    period of four counts. Jitter and half of the hysteresis are added.
     """
     if level() == "ideal":
         return 0.0

@@ -214,8 +214,9 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Both axes: blocked, oscillating, and random operation without a stall."""
     for axis in range(AXES):
         name, shown = axis_name(axis), {}
+        rigid = "rigidly blocked at {:.0f} % of the speed limit"
         cases: list[tuple[str, float, float | None, str, float]] = [
-            *((f"held fast from {100.0 * p:.0f} %", p, None, "a fault by the variance", DETECTION_MAX) for p in SPEEDS),
+            *((rigid.format(100.0 * p), p, None, "a fault by the variance", DETECTION_MAX) for p in SPEEDS),
             *((f"oscillating with {f:g} Hz", SPEEDS[1], f, "not detected", OSCILLATING_MAX) for f in FREQUENCIES),
         ]
         for what, part, frequency, reference, maximum in cases:

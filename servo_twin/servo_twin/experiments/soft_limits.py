@@ -180,7 +180,7 @@ def run_to_current_limit(plant: PlantConfig, seed: int, limit: float | None) -> 
 def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
     """Every limit, without and with, both axes simultaneously."""
     speeds, lowered = move_speeds(plant, seed, together=True)
-    yield "beyond: true shaft past the limit"
+    yield "overtravel: true shaft past the limit"
     yield lowered
     names = [axis_name(axis) for axis in range(AXES)]
     for mode in MODES:
@@ -193,8 +193,8 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         names, load_overtravel(plant, seed, False), load_overtravel(plant, seed, True), strict=True
     ):
         judge = Judge(f"{name}, position, a load leans on it: ")
-        yield judge("beyond without", overtravel, "counts", PASSES_MIN)
-        yield judge("beyond with", limited_overtravel, "counts", maximum=BEYOND_UNHELD_MAX)
+        yield judge("overtravel without the feature", overtravel, "counts", PASSES_MIN)
+        yield judge("overtravel with the feature", limited_overtravel, "counts", maximum=BEYOND_UNHELD_MAX)
     alone, farther, nearer = set_behind(plant, seed)
     for axis, name in enumerate(names):
         judge, back = Judge(f"{name}, limit set behind the shaft"), nearer[axis].shaft
@@ -210,7 +210,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             judge = Judge(f"{name}, speed, {mode.lower()} mode: ")
             yield judge("highest without", without, "rad/s", minimum)
             yield judge("highest with", with_it, "rad/s", maximum=maximum)
-            yield judge("names itself", pair[1].reported, "of the time", 1.0, 1.0)
+            yield judge("limit flag set", pair[1].reported, "of the time", 1.0, 1.0)
     free, limited = (run_to_current_limit(plant, seed, limit) for limit in (None, CURRENT_LIMIT))
     for axis, name in enumerate(names):
         judge, pair = Judge(f"{name}, current, torque mode: "), [free[axis], limited[axis]]
@@ -218,17 +218,17 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
         maximum = CURRENT_MAX * CURRENT_LIMIT + ripple(plant, axis, CURRENT_LIMIT)
         yield judge("largest without", without, "A", 1.5 * CURRENT_LIMIT)
         yield judge("largest with", with_it, "A", maximum=maximum)
-        yield judge("names itself", pair[1].reported, "of the time", 0.9, 1.0)
+        yield judge("limit flag set", pair[1].reported, "of the time", 0.9, 1.0)
 
 
 def _rows_visit(judge: Judge, maximum: float, free: Run, limited: Run) -> Iterator[Row]:
     assert limited.back is not None
     last = limited.out.shaft[-1]
-    yield judge("beyond without", free.beyond, "counts", PASSES_MIN)
-    yield judge("beyond with", limited.beyond, "counts", maximum=maximum, apart=maximum + NEAR_MAX)
-    yield judge("stops before", limited.limit - last, "counts", -maximum, NEAR_MAX)
-    yield judge("names itself", limited.reported, "of the time", 1.0, 1.0)
-    yield judge("comes back", last - limited.back.shaft[-1], "counts", BACK_MIN)
+    yield judge("overtravel without the feature", free.beyond, "counts", PASSES_MIN)
+    yield judge("overtravel with the feature", limited.beyond, "counts", maximum=maximum, apart=maximum + NEAR_MAX)
+    yield judge("distance to the limit at standstill", limited.limit - last, "counts", -maximum, NEAR_MAX)
+    yield judge("limit flag set", limited.reported, "of the time", 1.0, 1.0)
+    yield judge("return motion after reversal", last - limited.back.shaft[-1], "counts", BACK_MIN)
 
 
 def _panel(title: str, free: list[Run], limited: list[Run]) -> Panel:

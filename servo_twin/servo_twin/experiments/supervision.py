@@ -237,7 +237,7 @@ def run(plant: PlantConfig, seed: int) -> Iterator[Item]:
             judge, time = Judge(what), supervised.time
             sooner = math.inf if without.time is None else without.time
             yield judge("outputs off after", time, "s", 0.0, cause.maximum(bench, axis))
-            yield judge.true("the fault's name is right", supervised.fault == masks[cause.fault])
+            yield judge.true("expected fault reported", supervised.fault == masks[cause.fault])
             yield judge("time with over without", None if time is None else time / sooner, maximum=TIME_RATIO_MAX)
             yield f"{what}without {_description(without, masks)}; with {_description(supervised, masks)}"
             ends = {"without": without, "with": supervised}
