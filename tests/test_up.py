@@ -33,7 +33,7 @@ from servo_twin import up
 from servo_twin.processes import wait_until
 
 def wait_from_no_port_on(stack, child, *what):
-    wait_until(lambda: "no port" in child.text(), stack.children, 60.0)
+    wait_until(lambda: "does not exist" in child.text(), stack.children, 60.0)
     return wait(stack, child, *what)
 
 up._CONNECT_TIMEOUT, wait = 0.5, up.Stack.wait
