@@ -58,9 +58,12 @@ class AcceptedGoal:
 
     def wait_until_moving(self) -> AcceptedGoal:
         """Wait until the feedback contains a moving joint."""
-        self._client.user.until(
-            lambda: any(max(map(abs, f.actual.velocities)) > 0.5 for f in self.feedback), TIMEOUT, "no joint moves"
-        )
+
+        def moves() -> bool:
+            assert not self._result.done(), f"the goal ended before a joint moved: {self.result()}"
+            return any(max(map(abs, f.actual.velocities)) > 0.5 for f in self.feedback)
+
+        self._client.user.until(moves, TIMEOUT, "no joint moves")
         return self
 
     def result(self) -> dict[str, Any]:
