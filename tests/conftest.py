@@ -43,7 +43,13 @@ def _unexpected_skips(config: pytest.Config) -> list[str]:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Start files with slow tests first in parallel runs, so that all workers end at about the same time."""
+    """Start files with slow tests first in parallel runs, so that all workers end at about the same time.
+
+    The run in real time of `make test` collects only files that contain the text of the mark.
+    """
+    for path in {item.path for item in items if item.get_closest_marker("realtime") is not None}:
+        if "mark.realtime" not in path.read_text(encoding="utf-8"):
+            raise pytest.UsageError(f"{path}: write pytest.mark.realtime in this file, not elsewhere")
     if hasattr(config, "workerinput"):
         slow = {item.path for item in items if item.get_closest_marker("slow") is not None}
         items.sort(key=lambda item: item.path not in slow)

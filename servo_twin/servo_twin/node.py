@@ -119,7 +119,6 @@ class ServoTwin(Node):
         self._catalogue = Catalogue.load()
         self._plant, calibrated = self._files()
         self._diagnosis = DiagnosisMonitor(self._plant, calibrated)
-        self._adaptations = 0
         self._twin = Twin(self._new_board, TwinSettings(report_timeout=self._values["report_timeout"]), self._catalogue)
         self._monitor = HealthMonitor(
             Thresholds(
@@ -340,7 +339,6 @@ class ServoTwin(Node):
                 return
             self._log.info(f"the twin adopts: {self._findings_text}")
             self._plant = plant
-            self._adaptations += 1
             self._diagnosis.set_plant(plant)
             self._findings_text = ""
         self._twin.take_plant(plant)

@@ -70,7 +70,7 @@ int main(int count, char **words)
     image_t image = read_image(words[2]);
     avr_t *avr = avr_make_mcu_by_name(MCU);
     if (avr == NULL) {
-        (void)fprintf(stderr, "simulator: simavr knows no " MCU "\n");
+        (void)fprintf(stderr, "simulator: simavr does not support " MCU "\n");
         return 2;
     }
     avr->ramend = MACHINE_RAM_END;

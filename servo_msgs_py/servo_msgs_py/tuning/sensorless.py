@@ -1,11 +1,12 @@
 """Sensorless operation in SI units: Luenberger observer of the back-EMF, phase-locked loop (PLL), start-up.
 
 The observer is the one of the ST document in the frame of DRM E11..E15, with L = (L_d + L_q) / 2; vectors are complex:
+
     L di/dt = v - R i - e,  de/dt = j omega e,  e = j omega psi_m exp(j theta)
+
 With the period T, a = exp(-R T / L), b = (1 - a) / R: the estimates of current and back-EMF are corrected by K1 and K2
 times ``error = i_estimated - i`` and extrapolated, ``i = a i + b (v - e)``, ``e = e exp(j omega T)``. K1 and K2 per
 second are those of the differential equations of the ST document.
-per second are those of the slide's differential equations.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Torque error by dead time and switch drops near zero current, and the resulting shaft displacement.
 
 The averaged plant models the error as proportional to the current near zero. On the switching plant a phase current
-stays at zero until the controller has compensated the error; about 60 mA (`DEAD_ZONE_CURRENT`) are lost, more than the
-friction current of 40 mA. Experiments about feed-forward subtract this displacement, because it is an error of the
-inverter.
+stays at zero until the controller has compensated the error; about 60 mA are lost, more than the friction current of
+40 mA. Experiments about feed-forward subtract this displacement, because it is an error of the inverter.
 """
 
 from __future__ import annotations
@@ -17,9 +16,6 @@ from numpy.typing import NDArray
 from servo_twin.experiments.rig import COUNT, TICK, Recording
 from servo_twin.plant import AxisPlant
 
-DEAD_ZONE_CURRENT: Final = 0.06
-"""Width of the dead zone of the current by dead time and drops on the switching plant [A]."""
-
 SPEED_LOOP: Final = 2.0 * math.pi * 75.0
 """Bandwidth of the speed controller [rad/s]."""
 
@@ -28,9 +24,6 @@ INTEGRAL: Final = SPEED_LOOP / 5.0
 
 POSITION_GAIN: Final = 60.0
 """Gain of the position controller [1/s]."""
-
-SETTLING_TIME: Final = 0.2
-"""Settling time of the displacement: twelve time constants of the position controller [s]."""
 
 
 def displacement(recording: Recording, axis: AxisPlant, *, position: bool, heavier: float = 1.0) -> NDArray[np.float64]:
@@ -86,9 +79,3 @@ def displacement_at(recording: Recording, axis: AxisPlant, target: float, within
     """Largest displacement after the set-point is within `within` counts of a target [counts]."""
     near = np.abs(recording.position_ref - target) <= within
     return displacement_counts(recording, axis, float(recording.time[int(np.argmax(near))])) if near.any() else 0.0
-
-
-def displacement_max(axis: AxisPlant) -> int:
-    """Largest displacement of a shaft under position control by `DEAD_ZONE_CURRENT` [counts]."""
-    torques = np.full(round(SETTLING_TIME / TICK), axis.torque_constant * DEAD_ZONE_CURRENT)
-    return round(float(np.abs(response(torques, axis, position=True)).max()))
