@@ -167,6 +167,10 @@ class FollowAction:
             active.paths = {joint: paths[joint] for joint in goal.joints}
             active.path = merged(list(active.paths.values()))
 
+        def postponed() -> None:
+            goal.postponed()
+            active.paths, active.path = {}, None
+
         active = _Active(handle, goal)
         active.plan = self._trajectories.follow(
             _SOURCE,
@@ -174,6 +178,7 @@ class FollowAction:
             begun=begun,
             refused=goal.refused,
             abandoned=goal.abandoned,
+            postponed=postponed,
             takes_over=PREEMPTED,
         )
         return active

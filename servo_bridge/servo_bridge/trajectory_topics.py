@@ -125,6 +125,7 @@ class TrajectoryTopics:
         refused: Callable[[TrajectoryError], None],
         begun: Callable[[float], None] | None = None,
         abandoned: Callable[[str], None] | None = None,
+        postponed: Callable[[], None] = lambda: None,
         takes_over: str | None = None,
     ) -> Plan:
         """Check a trajectory and start to follow it.
@@ -141,6 +142,8 @@ class TrajectoryTopics:
             Called at the begin, with the end of the path [s of board time].
         abandoned : callable, optional
             Called with the reason if it has begun but is not followed to its end.
+        postponed : callable, optional
+            Called if it has begun but the board has refused its first points; `begun` is called again.
         takes_over : str, optional
             Reported for the paths that it replaces; default: a trajectory on this source.
 
@@ -171,6 +174,10 @@ class TrajectoryTopics:
             if begun is not None:
                 begun(end)
 
+        def repeated() -> None:
+            self._info(f"the board refused the first points for {', '.join(joints)}; the trajectory begins later")
+            postponed()
+
         # Errors of the trajectory itself are reported at once, not when the axes are ready.
         running = self._follower.running()
         plan(running, running.start_time)
@@ -182,6 +189,7 @@ class TrajectoryTopics:
             refused=refused,
             start=(stamp_ns - origin_ns) * 1.0e-9 if stamp_ns else 0.0,
             abandoned=abandoned,
+            postponed=repeated,
             takes_over=takes_over or f"a trajectory on {source} took over",
         )
         self._set_points.accept()

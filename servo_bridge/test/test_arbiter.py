@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 import pytest
 from hypothesis import example, given
@@ -451,6 +451,12 @@ class Following:
 
     def next_points(self) -> None:
         return None
+
+    def points_accepted(self, axes: Iterable[int]) -> None:
+        pass
+
+    def postpone(self, axes: Collection[int]) -> bool:
+        return False
 
     def cancel(self, axis: int, reason: str) -> None:
         self.axes.discard(axis)
