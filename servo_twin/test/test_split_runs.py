@@ -82,7 +82,7 @@ RUNS: Final[dict[str, list[Input]]] = {
 def state(board: Board) -> list[Any]:
     """Everything that can be read of a board."""
     values = [board.read_raw(name) for name in board.catalogue.variables]
-    return [board.time_ns, values, [astuple(board.truth(axis)) for axis in range(AXES)], astuple(board.stats())]
+    return [board.time_ns, values, [board.truth(axis) for axis in range(AXES)], astuple(board.stats())]
 
 
 class Recorder:
