@@ -3,7 +3,8 @@
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip
-INSTALL := $(PIP) install --quiet --no-build-isolation --constraint constraints.txt
+# Python compiles a module when it is first imported; all of them would take 15 s here.
+INSTALL := $(PIP) install --quiet --no-compile --no-build-isolation --constraint constraints.txt
 PACKAGES := servo_msgs_py servo_bridge servo_twin
 
 # Serial port or pyserial URL of a real board, and its speed; without PORT there is a virtual board.
@@ -183,7 +184,7 @@ $(VENV)/.created:
 	@python=$$(sh .ci/check-tools) && \
 	echo "[1/4] virtual environment $(VENV) with $$python" && \
 	"$$python" -m venv --clear $(if $(ROS_DISTRO),--system-site-packages) $(VENV)
-	@$(PIP) install --quiet --constraint constraints.txt pip setuptools cffi numpy 'tomli; python_version < "3.11"'
+	@$(PIP) install --quiet --no-compile --constraint constraints.txt pip setuptools cffi numpy 'tomli; python_version < "3.11"'
 	@touch $@
 
 $(VENV)/.packages: $(VENV)/.created Makefile constraints.txt $(METADATA)
@@ -209,5 +210,5 @@ $(VENV)/.native: $(VENV)/.packages $(NATIVE)
 $(VENV)/.dev: $(VENV)/.packages pyproject.toml
 	@echo "[dev] tools for tests and checks"
 	@$(INSTALL) --group dev
-	@$(PIP) install --quiet --no-deps --upgrade --target $(UBUNTU_PYTEST) pytest==7.4.4
+	@$(PIP) install --quiet --no-compile --no-deps --upgrade --target $(UBUNTU_PYTEST) pytest==7.4.4
 	@touch $@

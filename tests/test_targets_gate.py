@@ -143,11 +143,11 @@ def test_sanitizers_detect_an_overflow(
     sanitized = next(target for target in TARGETS if "sanitizers" in target.name)
     needs(sanitized)
     sources = edited(
-        c_sources, tmp_path, "math/frac.h", "return (int32_t)((uint32_t)a - (uint32_t)b);", "return a - b;"
+        c_sources, tmp_path, "sensing/mt_speed.c", "UINT32_C(0) - (uint32_t)speed", "(uint32_t)(-speed)"
     )
     plain, checked = check([HOST, sanitized], [arithmetic], sources, tmp_path / "build")
     assert plain.problems == ()
-    assert "signed integer overflow" in "\n".join(checked.problems)
+    assert "negation of -2147483648 cannot be represented" in "\n".join(checked.problems)
 
 
 def test_truncated_output_is_an_error() -> None:
