@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 
-from servo_msgs_py.catalogue import AXES, Catalogue, axis_name
+from servo_msgs_py.catalogue import AXES, axis_name
 from servo_msgs_py.convert import flag_texts
 from servo_msgs_py.units import SLOW_PERIODS
 
 from servo_bridge.arbiter import Arbiter
+from servo_bridge.board_context import BoardContext
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.telemetry import Snapshot
@@ -29,8 +30,8 @@ class MotionServices:
 
     Parameters
     ----------
-    catalogue : Catalogue
-        Texts of faults.
+    context : BoardContext
+        Texts of faults, and the log.
     joints : sequence of str
         Joint names in the order of the axes.
     arbiter : Arbiter
@@ -39,20 +40,13 @@ class MotionServices:
         Sends the writes.
     """
 
-    def __init__(
-        self,
-        catalogue: Catalogue,
-        joints: Sequence[str],
-        arbiter: Arbiter,
-        dispatcher: Dispatcher,
-        on_event: Callable[[str], None],
-    ) -> None:
-        self._catalogue = catalogue
-        self._input = catalogue.flag("limits", "INPUT").mask
+    def __init__(self, context: BoardContext, joints: Sequence[str], arbiter: Arbiter, dispatcher: Dispatcher) -> None:
+        self._catalogue = context.catalogue
+        self._input = context.catalogue.flag("limits", "INPUT").mask
         self._joints = list(joints)
         self._arbiter = arbiter
         self._dispatcher = dispatcher
-        self._on_event = on_event
+        self._warn = context.warn
         self._snapshot: Snapshot | None = None
         self._reason = "no board since the start"
         self._stops = 0
@@ -63,7 +57,7 @@ class MotionServices:
         """Process the newest sample."""
         if self._snapshot is None and any(axis.spinning for axis in snapshot.axes):
             # The link has sent a quick stop at the first contact.
-            self._on_event("the board was enabled at the connection and has been stopped; call enable to continue")
+            self._warn("the board was enabled at the connection and has been stopped; call enable to continue")
         self._snapshot = snapshot
         self._enabling = [entry for entry in self._enabling if not self._answer_enable(snapshot, *entry)]
         due = [entry for entry in self._rechecks if snapshot.tick >= entry[0]]

@@ -25,6 +25,7 @@ from servo_msgs_py.tuning.errors import ConfigError
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
+from servo_bridge.board_context import BoardContext
 from servo_bridge.deferred_service import DeferredService, Outcome
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.tuning.block_session import BlockSession
@@ -60,40 +61,32 @@ class TuningService:
 
     Parameters
     ----------
+    context : BoardContext
+        The board.
     node : Node
         Owner of service and topic.
     path : str
         File with the configuration.
-    call : Call
-        Calls a function with the board, in the thread of the link.
-    post : callable
-        Runs a function in the thread of the node.
     take : callable
         Starts a write of ``config.take`` like a command, in the thread of the node; the future has the tick of its
         effect.
     taken : callable
         Called in the thread of the node after a change of the blocks.
-    info, warn : callable
-        Receive messages for the log, in the thread of the node.
     """
 
     def __init__(
         self,
+        context: BoardContext,
         node: Node,
         path: str,
-        call: Call,
-        post: Callable[[Callable[[], None]], None],
-        *,
         take: Callable[[CommandWrite], Future[int]],
         taken: Callable[[], None],
-        info: Callable[[str], None],
-        warn: Callable[[str], None],
     ) -> None:
         self.path = path  # a change applies to the next call
-        self._memory = _LinkMemory(call)
-        self._post = post
+        self._context = context
+        self._memory = _LinkMemory(context.call)
+        self._post = context.post
         self._take, self._taken = take, taken
-        self._info, self._warn = info, warn
         self._process = TuningProcess()
         self._busy = False
         self._published: str | None = None  # since the connection
@@ -128,7 +121,7 @@ class TuningService:
     def _answer(self, answer: Future[Outcome], outcome: Outcome) -> None:
         self._busy = False
         success, message = outcome
-        (self._info if success else self._warn)(f"tune: {message.splitlines()[-1]}")
+        (self._context.info if success else self._context.warn)(f"tune: {message.splitlines()[-1]}")
         answer.set_result(outcome)
 
     def _publish(self, text: str) -> None:
@@ -214,7 +207,7 @@ class TuningService:
         except LinkDownError:
             return  # reported elsewhere; read again after the reconnection
         except Exception as error:  # includes internal errors: the thread continues
-            self._post(partial(self._warn, f"the configuration of the board is not known: {_text(error)}"))
+            self._post(partial(self._context.warn, f"the configuration of the board is not known: {_text(error)}"))
             text = ""
         self._post(partial(self._publish, text))
 
