@@ -13,9 +13,8 @@ from servo_msgs_py.units import SLOW_PERIODS, unwrap_u32
 
 from servo_bridge.arbiter import Arbiter
 from servo_bridge.board_context import BoardContext
-from servo_bridge.deferred_service import Outcome
 from servo_bridge.dispatcher import Dispatcher
-from servo_bridge.outcome import error_of
+from servo_bridge.outcome import Outcome, answered, error_of
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.set_points import NotReady
 from servo_bridge.telemetry import Snapshot
@@ -199,29 +198,26 @@ class Homing:
     # ---- services
     def home(self, axis: int, method: str) -> Future[Outcome]:
         """Home an axis or set its position by one of `METHODS`; the future is done at the end."""
-        answer: Future[Outcome] = Future()
         joint = self.joints[axis]
         if not self._connected:
-            answer.set_result((False, "not connected; see state and /diagnostics"))
-            return answer
+            return answered(False, "not connected; see state and /diagnostics")
         if method != "here":
             try:
                 self._arbiter.check_ready(f"home of {joint.name}", [axis])
             except NotReady as error:
-                answer.set_result((False, str(error)))
-                return answer
+                return answered(False, str(error))
         value = round(joint.motor_position(self.positions[axis]) / self._lsb)
         low, high = self._catalogue["cmd.home_position"].raw_range
         if not low <= value <= high:
             position = self.positions[axis]
-            answer.set_result(
-                (False, f"home_positions of {joint.name} is {position:g} rad: outside the range of the board")
+            return answered(
+                False, f"home_positions of {joint.name} is {position:g} rad: outside the range of the board"
             )
-            return answer
         self._axes[axis].memory.until = None  # the new homing replaces the restoring
         for job in [job for job in self._jobs if job.axis == axis]:
             self._jobs.remove(job)
             job.answer.set_result((False, f"{joint.name} is not homed: {_REASONS['ABORTED']}"))
+        answer: Future[Outcome] = Future()
         self._write(axis, value, self._methods[self._of_motor(joint, method)], answer)
         return answer
 

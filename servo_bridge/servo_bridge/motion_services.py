@@ -12,11 +12,9 @@ from servo_msgs_py.units import SLOW_PERIODS
 from servo_bridge.arbiter import Arbiter
 from servo_bridge.board_context import BoardContext
 from servo_bridge.dispatcher import Dispatcher
+from servo_bridge.outcome import Outcome, answered
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.telemetry import Snapshot
-
-Outcome = tuple[bool, str]
-"""Success and message."""
 
 _RECHECK = 4 * SLOW_PERIODS
 """PWM periods after which a fault with a persistent cause is set again."""
@@ -86,13 +84,13 @@ class MotionServices:
                 "cmd.enable", 0, "disabled by the service enable", "stopping, then switching the outputs off; see state"
             )
         if self._arbiter.inactive:
-            return _answered(False, f"{self._arbiter.inactive}; then call enable again")
+            return answered(False, f"{self._arbiter.inactive}; then call enable again")
         snapshot = self._snapshot
         if snapshot is None:
-            return _answered(False, self._not_connected())
+            return answered(False, self._not_connected())
         faults = self._faults(snapshot)
         if faults or any(axis.faulted for axis in snapshot.axes):
-            return _answered(False, f"{faults or 'an axis is in FAULT'}; then call clear_faults and enable again")
+            return answered(False, f"{faults or 'an axis is in FAULT'}; then call clear_faults and enable again")
         stops = self._stops
 
         answer: Future[Outcome] = Future()
@@ -145,7 +143,7 @@ class MotionServices:
         """Clear the faults whose cause is gone; the axes stay disabled."""
         snapshot = self._snapshot
         if snapshot is None:
-            return _answered(False, self._not_connected())
+            return answered(False, self._not_connected())
         answer: Future[Outcome] = Future()
 
         def written(done: Future[int]) -> None:
@@ -164,7 +162,7 @@ class MotionServices:
         self._stops += 1
         self._arbiter.block(reason)
         if self._snapshot is None:
-            return _answered(False, self._not_connected())
+            return answered(False, self._not_connected())
         return self._write(_both(variable, value), lambda: (True, message))
 
     def _write(self, write: CommandWrite, done: Callable[[], Outcome]) -> Future[Outcome]:
@@ -202,10 +200,3 @@ class MotionServices:
 def _both(variable: str, value: int) -> CommandWrite:
     """Write of the same number to all axes."""
     return CommandWrite(variable, 0, (value,) * AXES)
-
-
-def _answered(success: bool, message: str) -> Future[Outcome]:
-    """Future with a result."""
-    future: Future[Outcome] = Future()
-    future.set_result((success, message))
-    return future

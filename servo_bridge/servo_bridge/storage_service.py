@@ -24,7 +24,8 @@ from servo_msgs_py.board_storage import (
 from std_srvs.srv import Trigger
 
 from servo_bridge.board_context import BoardContext
-from servo_bridge.deferred_service import DeferredService, Outcome
+from servo_bridge.deferred_service import DeferredService
+from servo_bridge.outcome import Outcome, answered
 from servo_bridge.tuning.block_session import BlockSession
 from servo_msgs_py import topics
 
@@ -68,11 +69,10 @@ class StorageService:
         self.storage = storage
 
     def _request(self, kind: Kind) -> Future[Outcome]:
-        answer: Future[Outcome] = Future()
         if self._busy:
-            answer.set_result((False, "a request is already in progress; call again after its response"))
-            return answer
+            return answered(False, "a request is already in progress; call again after its response")
         self._busy = True
+        answer: Future[Outcome] = Future()
         until = time.monotonic() + _TIMEOUT
         failed = partial(self._failed, kind, answer)
         self._job(lambda memory: begin_request(memory, kind), partial(self._poll, kind, answer, until), failed)

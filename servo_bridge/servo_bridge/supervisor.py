@@ -36,7 +36,7 @@ from servo_bridge.board_parameters import BoardParameters
 from servo_bridge.bursts.record_service import RecordService
 from servo_bridge.bursts.recording import piece_size
 from servo_bridge.command_context import CommandContext
-from servo_bridge.deferred_service import DeferredService, Outcome
+from servo_bridge.deferred_service import DeferredService
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.fault_records import FaultRecords
 from servo_bridge.follow_action import FollowAction, action_interfaces
@@ -47,7 +47,7 @@ from servo_bridge.inbox import Inbox
 from servo_bridge.joint_commands import JointCommands
 from servo_bridge.keep_alive import KeepAlive
 from servo_bridge.motion_services import MotionServices
-from servo_bridge.outcome import error_of
+from servo_bridge.outcome import Outcome, error_of
 from servo_bridge.parameters import ParameterError, Settings
 from servo_bridge.publications import Publications
 from servo_bridge.set_point_queue import CommandWrite

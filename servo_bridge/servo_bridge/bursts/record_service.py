@@ -20,8 +20,8 @@ from servo_bridge.board_context import BoardContext
 from servo_bridge.bursts.burst import Burst
 from servo_bridge.bursts.recording import POLL, Phase, Recording
 from servo_bridge.bursts.request import TICK, BurstRequest
-from servo_bridge.deferred_service import DeferredService, Outcome
-from servo_bridge.outcome import error_of
+from servo_bridge.deferred_service import DeferredService
+from servo_bridge.outcome import Outcome, answered, error_of
 from servo_msgs_py import topics
 
 
@@ -70,19 +70,18 @@ class RecordService:
         self._end("the link to the board was lost")
 
     def _on_record(self, begin: bool) -> Future[Outcome]:
-        answer: Future[Outcome] = Future()
         if begin and self._recording is not None:
-            answer.set_result((False, f"{self._recording.phase.value}; call record with data: false to end it first"))
-        elif begin:
+            return answered(False, f"{self._recording.phase.value}; call record with data: false to end it first")
+        if begin:
+            answer: Future[Outcome] = Future()
             self._answer = answer
             self._recording = Recording(self.request.with_tick(), self._context.catalogue, self._piece)
             self._step()
-        elif self._recording is None:
-            answer.set_result((False, "no recording in progress; call record with data: true first"))
-        else:
-            self._recording.stop()
-            answer.set_result((True, "the recorder is stopped; its samples are read and published on recording"))
-        return answer
+            return answer
+        if self._recording is None:
+            return answered(False, "no recording in progress; call record with data: true first")
+        self._recording.stop()
+        return answered(True, "the recorder is stopped; its samples are read and published on recording")
 
     def _step(self) -> None:
         self._timer.cancel()

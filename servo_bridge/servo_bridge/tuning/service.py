@@ -26,7 +26,8 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from servo_bridge.board_context import BoardContext
-from servo_bridge.deferred_service import DeferredService, Outcome
+from servo_bridge.deferred_service import DeferredService
+from servo_bridge.outcome import Outcome, answered
 from servo_bridge.set_point_queue import CommandWrite
 from servo_bridge.tuning.block_session import BlockSession
 from servo_bridge.tuning.plan import Plan, read_blocks
@@ -108,14 +109,13 @@ class TuningService:
         self._jobs.put(None)
 
     def _on_tune(self, send: bool) -> Future[Outcome]:
-        answer: Future[Outcome] = Future()
         if not self.path:
-            answer.set_result((False, "the parameter tuning is empty; set it to the path of a TOML file first"))
-        elif self._busy:
-            answer.set_result((False, "a tune request is in progress; call again after its response"))
-        else:
-            self._busy = True
-            self._jobs.put(partial(self._tune, Path(self.path), send, answer))
+            return answered(False, "the parameter tuning is empty; set it to the path of a TOML file first")
+        if self._busy:
+            return answered(False, "a tune request is in progress; call again after its response")
+        self._busy = True
+        answer: Future[Outcome] = Future()
+        self._jobs.put(partial(self._tune, Path(self.path), send, answer))
         return answer
 
     def _answer(self, answer: Future[Outcome], outcome: Outcome) -> None:
