@@ -16,7 +16,7 @@ from servo_msgs_py.value_text import value_text
 
 from servo_bridge.freemaster.client import BoardInfo
 from servo_bridge.telemetry import Snapshot
-from servo_bridge.trajectory.stream import StreamReport
+from servo_bridge.trajectory.streamer import StreamReport
 from servo_bridge.wire.link_state import LinkState, LinkStatus
 from servo_bridge.wire.link_statistics import LinkStatistics
 

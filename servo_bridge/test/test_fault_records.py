@@ -7,6 +7,7 @@ from concurrent.futures import Future
 
 import numpy as np
 import pytest
+from board_context_rig import board_context
 from recorded_fault import NONE, SIZE, recorded
 from servo_bridge.fault_records import SECOND_READ, FaultRecords
 from servo_bridge.freemaster.errors import AnswerTimeoutError
@@ -28,7 +29,7 @@ class RecordsRig:
         self.reads: list[tuple[str, Future[Value]]] = []
         self.changed: list[FaultRecord] = []
         self.posted: list[Callable[[], None]] = []
-        self.records = FaultRecords(CATALOGUE, self._read, self.posted.append, self.changed.append)
+        self.records = FaultRecords(board_context(self._read, self.posted.append), self.changed.append)
 
     def _read(self, name: str) -> Future[Value]:
         future: Future[Value] = Future()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from concurrent.futures import Future
 
 import pytest
+from board_context_rig import board_context
 from servo_bridge.arbiter import Arbiter, AxisStatus
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.homing import METHODS, Homing
@@ -31,17 +32,13 @@ class Rig:
         self.arbiter = Arbiter(CATALOGUE, joints)
         self.dispatcher = Dispatcher(self._send, self.arbiter.queue, self.log.append)
         self.homing = Homing(
-            CATALOGUE,
+            board_context(self._read, log=self.log.append),
             joints,
             [1.5, 0.0],
             restores,
             self.arbiter,
             self.dispatcher,
-            self._read,
-            lambda function: function(),
             moved=self.moved.append,
-            info=self.log.append,
-            warn=self.log.append,
         )
         self.features = [features, features]
         self.states = [0, 0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from board_context_rig import board_context
 from servo_bridge.arbiter import Arbiter, AxisStatus
 from servo_bridge.dispatcher import Dispatcher
 from servo_bridge.motion_services import MotionServices
@@ -25,7 +26,7 @@ class Rig:
         self.arbiter = Arbiter(CATALOGUE, DEFAULT_JOINTS)
         self.dispatcher = Dispatcher(self.sent.append, self.arbiter.queue, lambda _: None)
         self.events: list[str] = []
-        self.services = MotionServices(CATALOGUE, JOINTS, self.arbiter, self.dispatcher, self.events.append)
+        self.services = MotionServices(board_context(log=self.events.append), JOINTS, self.arbiter, self.dispatcher)
         self.values: dict[str, float] = {}
         self.tick = 0
         self.count = 0

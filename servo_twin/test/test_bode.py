@@ -10,6 +10,7 @@ from typing import Any, Final
 import pytest
 from servo_msgs_py.axis_config import AxisConfigTable
 from servo_msgs_py.axis_config_transfer import read_block
+from servo_msgs_py.figure import PictureError
 from servo_msgs_py.measurement.access import MeasurementError, Recording, send_configuration
 from servo_msgs_py.measurement.bode import Bode, measure
 from servo_msgs_py.measurement.bode_plan import LOOPS, BodeRequest
@@ -332,7 +333,7 @@ def test_too_small_signal_gives_a_note_or_no_figures(access: VirtualBoardAccess,
     assert tiny.figures.crossover is None
     assert "not determined" in text(tiny)
     assert as_dict(tiny)["measured"]["crossover"] is None
-    with pytest.raises(MeasurementError, match="not_a_format"):
+    with pytest.raises(PictureError, match="not_a_format"):
         draw(bode, tmp_path / "bode.not_a_format")
 
 
