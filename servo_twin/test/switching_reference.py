@@ -20,7 +20,7 @@ CLOCK = 1e-8
 OPEN, HIGH, LOW = 0, 1, 2
 
 STATES = 6  # of an axis
-BUS = 2 * STATES  # index of the bus' voltage, behind those of both axes
+BUS = 2 * STATES  # index of the bus voltage, after the states of both axes
 
 Edge = tuple[int, int, int, int]
 """Clock, axis, phase, gates."""
@@ -166,7 +166,7 @@ class Machine:
                 self.sign = sign
                 break
             else:
-                raise AssertionError(f"no way to conduct: {self}")
+                raise AssertionError(f"no conduction pattern found: {self}")
         if abs(self.omega) > 1e-9:
             self.moving = 1 if self.omega > 0 else -1
         else:

@@ -1,4 +1,4 @@
-"""12-bit ADC: triggered parallel scans with a pause, through crossbars and AOI, as the reference design runs them."""
+"""12-bit ADC: triggered parallel scans with a pause, through crossbars and AOI, as in the reference design."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def configure(rig: ChipRig, arm: int = 0x1005, **changes: int) -> None:
 
 
 def run_triggered(rig: ChipRig, periods: int = 4, **changes: int) -> int:
-    """Both carriers, the ADC armed just after motor 2's trigger; returns the clock of motor 1's next one."""
+    """Start both carriers and arm the ADC just after motor 2's trigger; return the clock of motor 1's next trigger."""
     rig.write_all(PWM_PINS | pwm_module("A") | pwm_module("B") | {
         k: v for k, v in (TRIGGERS | changes).items() if not k.startswith("ADC")
     })  # fmt: skip
@@ -122,7 +122,7 @@ def test_ready_flags_are_cleared_by_reading(rig: ChipRig) -> None:
 
 
 def test_a_result_read_too_early_is_the_old_one(rig: ChipRig) -> None:
-    """VAL5 closer to VAL4 than three conversions take: the third pair is still that of the last period."""
+    """VAL5 follows VAL4 before three conversions have ended: the third pair still has the result of the last period."""
     rig.codes[6] = lambda clock: clock // PERIOD % 4096
     read: list[tuple[int, int]] = []
 
@@ -153,7 +153,7 @@ class TestPhaseOfTheSamples:
         t0 = run_triggered(rig, ADC_SCTRL=0)
         taken = samples(rig, t0)
         assert [a for _, a in taken[:12]] == [0, 1, 2, 3, 4, 5] * 2
-        assert taken[6][0] - taken[0][0] == align(t0 + HALF + 1) - align(t0)  # motor 2 gets a scan of its own
+        assert taken[6][0] - taken[0][0] == align(t0 + HALF + 1) - align(t0)  # motor 2 has its own scan
 
     def test_pause_at_another_pair(self, rig: ChipRig) -> None:
         t0 = run_triggered(rig, ADC_SCTRL=0x0004)
@@ -169,7 +169,7 @@ class TestPhaseOfTheSamples:
         t0 = run_triggered(rig, **broken)
         taken = samples(rig, t0)
         if broken.get("PWMB0_TCTRL") == 0x20:
-            # VAL5's pulse is ORed into the same line, but it came after the ADC was armed: the motors are swapped
+            # VAL5 triggers the same line, and it is the first trigger after the ADC was armed: the motors are swapped
             assert [a for clock, a in taken if HALF + 300 < clock < PERIOD] == [0, 1, 2]
             return
         assert [a for clock, a in taken if clock < PERIOD - 10] == [0, 1, 2]
@@ -242,10 +242,10 @@ class TestScanEnd:
         rig.step(5000)
         enters, leaves = rig.clocks("enter"), rig.clocks("leave")
         assert len(enters) >= 10
-        assert enters[1:] == leaves[: len(enters) - 1]  # again and again without a gap
+        assert enters[1:] == leaves[: len(enters) - 1]  # repeated without a gap
 
     def test_a_sample_calls_its_handler_once(self, rig: ChipRig) -> None:
-        """SCHLTEN asks after sample 9 until its result has been read."""
+        """SCHLTEN requests the interrupt after sample 9 until its result is read."""
         calls = []
 
         def handler() -> None:
@@ -320,7 +320,7 @@ class TestConditions:
         assert rig.clocks("scan_end") == [begin + 265]
 
     def test_independent_converters_end_their_own_scans(self, rig: ChipRig) -> None:
-        """SIMULT = 0: B obeys its own SYNC and divider, and has its own end of scan."""
+        """SIMULT = 0: converter B has its own SYNC, divider and end of scan."""
         configure(rig, arm=0x5005, ADC_SDIS=0xF0F0, ADC_SCTRL=0)
         rig.write("ADC_CTRL2", 0x2004)  # START1
         begin = align(rig.now)

@@ -11,7 +11,7 @@ TRIG_A1 = 22  # VAL4 of PWMA SM1 at the crossbar
 
 
 def prepare(rig: ChipRig, half: int = 1000, **changes: int) -> int:
-    """Module A as the reference design has it, running; returns the clock of its start."""
+    """Start module A as in the reference design; return the clock of the start."""
     rig.write_all(PWM_PINS)
     rig.write_all(pwm_module("A", half, **changes))
     start_pwm(rig, "A")
@@ -47,7 +47,7 @@ class TestCounter:
             assert [c - start for c in rig.clocks("cycle", a=n)] == [PERIOD, 2 * PERIOD, 3 * PERIOD]
 
     def test_missed_trigger_occurs_in_the_next_cycle(self, rig: ChipRig) -> None:
-        """Switched on after its count, before any other event of the submodule."""
+        """The trigger is enabled after its count, before any other event of the submodule."""
         start = prepare(rig, PWMA1_VAL4=55)
         rig.run(start + HALF + 200)
         rig.write("PWMA1_TCTRL", 0x10)
@@ -55,7 +55,7 @@ class TestCounter:
         assert [clock - start for clock in rig.clocks("trigger", a=TRIG_A1)] == [PERIOD + HALF + 55]
 
     def test_a_follower_without_sync_counts_on(self, rig: ChipRig) -> None:
-        """INIT_SEL = EXT_SYNC and no such signal: the counter goes on past VAL1 and wraps after 65536 counts."""
+        """INIT_SEL = EXT_SYNC without that signal: the counter passes VAL1 and wraps after 65536 counts."""
         start = prepare(rig, PWMA1_CTRL2=0x0304)
         rig.run(start + PERIOD + 10)
         assert rig.read("PWMA1_CNT") == HALF + 10
@@ -74,7 +74,7 @@ class TestCounter:
         assert [c - start for c in rig.clocks("cycle", a=0)] == [2 * PERIOD, 4 * PERIOD]
 
     def test_stands_still_without_a_load(self, rig: ChipRig) -> None:
-        """RUN without LDOK: all values are 0, a cycle of a single clock."""
+        """RUN without LDOK: all values are 0, so a cycle lasts one clock."""
         rig.write_all(PWM_PINS | pwm_module("A"))
         rig.write("PWMA_MCTRL", 0x0700)
         rig.write("PWMA_OUTEN", 0x0770)
@@ -121,7 +121,7 @@ class TestEdges:
         highs = [clock for clock, levels in gates(rig, start) if levels == HIGH]
         lows = [clock for clock, levels in gates(rig, start) if levels == LOW]
         assert (highs, lows) == ([HALF - 1000 + expected], [HALF + 1000 + 100])
-        # without dead time the pins change over in one clock: nothing is open in between
+        # without dead time both pins switch in the same clock: no open state in between
         assert ((HALF - 1000, OPEN) in gates(rig, start)) == (expected > 0)
 
     def test_dead_time_before_the_lower_switch(self, rig: ChipRig) -> None:
@@ -162,7 +162,7 @@ class TestEdges:
     def test_polarity_inverts_the_outputs(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000, PWMA0_OCTRL=0x0600)
         rig.run(start + PERIOD)
-        # what should be open has both switches on
+        # both switches are on where both should be open
         assert [levels for _, levels in gates(rig, start)] == [3, 2, 3, 1]
 
 
@@ -223,7 +223,7 @@ class TestLoading:
 
     @pytest.mark.parametrize("submodule", [0, 1])
     def test_edges_may_be_exchanged(self, rig: ChipRig, submodule: int) -> None:
-        """Pulses anywhere in the period: before VAL0, behind it, in it; back and forth; VAL3 before VAL2."""
+        """Pulses before, across and after VAL0, in both directions of change, and with VAL3 before VAL2."""
         start = prepare(rig, 1000)
         pulses = [(500, 2000), (-2000, -500), (0, 800), (-700, 0), (1500, -1500), (-3000, 2900), (-1000, 1000)]
         for k, (on, off) in enumerate(pulses):
@@ -233,7 +233,7 @@ class TestLoading:
             rig.write("PWMA_MCTRL", 0x0707)
             rig.run(start + (k + 1) * PERIOD + HALF)
             rig.clear()
-            # loaded at the end of the half before, so that the following whole period shows it
+            # loaded at the end of the previous half period, so the following whole period shows it
             rig.write("PWMA_MCTRL", 0x0770)
             rig.run(start + (k + 2) * PERIOD + HALF)
             opened = [(c - start - HALF) % PERIOD for c, m, n, x in rig.gates if (m, n, x) == (0, submodule, OPEN)]
@@ -246,7 +246,7 @@ class TestLoading:
         rig.write("PWMA0_STS", 0x3000)
         set_duty(rig, 500)
         rig.run(start + PERIOD)
-        assert rig.read("PWMA0_STS") & 0x7000 == 0x1000  # RF alone: nothing has been left over
+        assert rig.read("PWMA0_STS") & 0x7000 == 0x1000  # RF alone: no other flag remains
 
     def test_ldok_of_one_submodule(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000)
@@ -362,7 +362,7 @@ class TestForce:
 
 class TestPins:
     def test_pin_function_wrong(self, rig: ChipRig) -> None:
-        """The pin of a gate driver given to another function, or to GPIO: its switch stays off."""
+        """The pin of a gate driver has another function or is GPIO: its switch stays off."""
         start = prepare(rig, 1000)
         rig.write("SIM_GPSEL", 0xA000 | 1 << 10)  # E5 is XB_IN3: no upper switch of phase c
         rig.write("GPIOE_PER", 0x01FD)  # E1 is GPIO: no upper switch of phase a
@@ -403,14 +403,14 @@ class TestFaults:
         rig.run(start + 5 * PERIOD)
         assert gates(rig, start)[-1] == (HALF, OPEN)
         rig.clear()
-        assert rig.read("PWMB_FSTS0") & 0x000F == 0x000F  # of the other module: FLVL is 0, low is a fault there
+        assert rig.read("PWMB_FSTS0") & 0x000F == 0x000F  # other module: FLVL is 0, so a low level is a fault
 
     def test_safe_mode_waits_for_flag_and_pin(self, rig: ChipRig) -> None:
         start = self.trip(rig)
         rig.run(start + PERIOD + 10)
         rig.write("PWMA_FSTS0", 0x00F1)
         rig.run(start + 3 * PERIOD + 10)
-        assert gates(rig, start)[-1] == (HALF, OPEN)  # the pin still says so
+        assert gates(rig, start)[-1] == (HALF, OPEN)  # the pin is still at its fault level
         rig.pin("E8", False)
         assert gates(rig, start)[-1] == (HALF, OPEN)
         rig.run(start + 4 * PERIOD)
@@ -454,7 +454,7 @@ class TestFaults:
         assert gates(rig, start)[-1] == (2 * PERIOD, LOW)
 
     def test_outputs_stay_off_with_the_wrong_fault_level(self, rig: ChipRig) -> None:
-        """FLVL = 0 where high is the fault: the outputs never come on."""
+        """FLVL = 0 although high is the fault level: the outputs are never enabled."""
         start = prepare(rig, 1000, PWMA_FCTRL0=0x00F0)
         rig.run(start + 3 * PERIOD)
         assert rig.gates == []
@@ -498,7 +498,7 @@ class TestFaults:
 
 
 def both(rig: ChipRig, **changes: int) -> int:
-    """Both modules, B led by VAL0 of A through crossbar A."""
+    """Both modules; B is synchronised by VAL0 of A through crossbar A."""
     rig.write_all(PWM_PINS)
     values = pwm_module("A") | pwm_module("B") | {
         "PWMA0_TCTRL": 1, "XBARA_SEL26": 0x1400, "XBARA_SEL27": 0x1414,
@@ -549,7 +549,7 @@ class TestTwoModules:
         assert rig.clocks("cycle", a=4) == []
 
     def test_own_sync_keeps_the_phase_of_the_start(self, rig: ChipRig) -> None:
-        """INIT_SEL of B left at its own VAL1: same frequency, phase by chance."""
+        """INIT_SEL of B selects its own VAL1: same frequency, arbitrary phase."""
         both(rig, PWMB0_CTRL2=0, PWMB1_CTRL2=0x0204, PWMB2_CTRL2=0x0204)
         assert phase(rig) == PERIOD - 777 % PERIOD
 
@@ -567,7 +567,7 @@ def test_compare_flags_are_cleared_by_writing_one(rig: ChipRig) -> None:
     assert rig.read("PWMA0_STS") & 0x3F == 0b111111
 
 
-def test_a_compare_that_is_watched_too_late_comes_with_the_next_cycle(rig: ChipRig) -> None:
+def test_a_compare_enabled_after_its_count_occurs_in_the_next_cycle(rig: ChipRig) -> None:
     start = prepare(rig)
     rig.run(start + 1000)
     rig.write("PWMA1_TCTRL", 0x0010)
@@ -601,7 +601,7 @@ def test_a_compare_event_calls_its_handler_every_period(rig: ChipRig) -> None:
         ("PWMA_OUTEN", 1),
     ],
 )
-def test_what_is_not_modelled_names_register_value_and_time(rig: ChipRig, register: str, value: int) -> None:
+def test_error_of_an_unmodelled_function_names_register_value_and_time(rig: ChipRig, register: str, value: int) -> None:
     letter, name = register.split("_")
     spoken = f"PWMA SM{letter[4]} {name}" if len(letter) == 5 else f"PWMA {name}"
     with pytest.raises(ChipError, match=rf"^{spoken} = {value:04X}h: .* \(at \d+\.\d\d us\)$"):

@@ -1,4 +1,4 @@
-"""Clocks, gates, pins, watchdog, interrupts, serial interface; and that registers have the names of the part."""
+"""Clocks, clock gates, pins, watchdog, interrupts, serial interface, register names of the part."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class TestAccess:
 
 
 class Interrupts:
-    """Levels: 77 PWM fault, 85 M1, 28 an encoder edge; the fields of their priorities."""
+    """Vectors 77 (PWM fault), 85 (M1) and 28 (encoder edge), and their priority fields."""
 
     FIELD: ClassVar[dict[int, tuple[str, int]]] = {
         77: ("INTC_IPR8", 8),
@@ -201,7 +201,7 @@ class TestInterrupts(Interrupts):
 class TestTimeInAHandler(Interrupts):
     """Two clocks for each instruction, 30 for the entry of an interrupt.
 
-    No run may end within a handler of these tests: Python's own stack does not survive that.
+    No run of these tests may end within a handler, because the stack of Python would be destroyed.
     """
 
     INSTRUCTION = 16
@@ -259,7 +259,7 @@ class TestTimeInAHandler(Interrupts):
             rig.step(PERIOD)
 
     def test_an_interrupt_comes_between_two_statements_at_every_instant(self, rig: ChipRig) -> None:
-        """The outer handler never notices, and ends later by as much as the inner one takes."""
+        """The outer handler is not affected, except that it ends later by the duration of the inner one."""
         for delay in range(430, 460):
             seen: list[str] = []
 
@@ -283,7 +283,7 @@ class TestTimeInAHandler(Interrupts):
             enter = rig.clocks("enter", a=77)[0] - start
             assert enter == delay
             assert rig.clocks("leave", a=85) == [start + 460 + 70]
-            assert seen.index("in") == min((delay - 430) // 2, 10), "statements that are through"
+            assert seen.index("in") == min((delay - 430) // 2, 10), "statements executed before the interrupt"
             rig.write("PWMA_MCTRL", 0)
             rig.pin("E8", False)
             rig.write("PWMA_FSTS0", 0x00FF)
@@ -368,7 +368,7 @@ class TestSerial:
         assert serial.read("SCI0_STAT") & 0xC000 == 0xC000  # TDRE, TIDLE
 
     def test_writing_to_a_full_transmitter_is_refused(self, serial: ChipRig) -> None:
-        for k in range(5):  # one on the wire, four wait
+        for k in range(5):  # one in transmission, four waiting
             serial.write("SCI0_DATA", k)
         assert not serial.read("SCI0_STAT") & 0x8000
         assert serial.read("SCI0_CTRL2") >> 13 == 4
@@ -376,7 +376,7 @@ class TestSerial:
             serial.write("SCI0_DATA", 5)
 
     def test_background_runs_again_for_an_event_that_it_causes(self, serial: ChipRig) -> None:
-        """It lets three bytes come and takes one with each run: the reading is what wakes it for the next event."""
+        """The background waits for three bytes and takes one per run; each read causes the next run."""
         taken: list[int] = []
 
         def take_one() -> None:

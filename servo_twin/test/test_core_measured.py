@@ -1,4 +1,4 @@
-"""Widths of the pulses at the scope pins become what an instruction costs."""
+"""Cycles per instruction from the pulse widths measured at the scope pins."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_only_the_one_number_of_the_file_changes() -> None:
 
 
 def test_measured_widths_are_written_to_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Those of the virtual board, a quarter longer; and what it says of itself then is what was measured."""
+    """Widths 25 % above those of the virtual board; with the new number it reports the measured widths."""
     core, measured = tmp_path / "core.toml", tmp_path / "measured.toml"
     shutil.copy(DEFAULT_FILE, core)
     counts = instructions(core, PlantConfig.load(), seed=1)

@@ -1,4 +1,4 @@
-"""F21 and F22: anti-windup makes the difference, and the bounds see it."""
+"""F21 and F22: effect of the anti-windup; missing anti-windup violates the bounds."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_depth_of_the_reference_shaft_is_one_ampere() -> None:
 
 @pytest.mark.parametrize("inertia", [0.4e-5, 2.4e-5])
 def test_anti_windup_agrees_with_another_inertia(inertia: float) -> None:
-    """Frequency and limit go with the inertia that the loop is not tuned for."""
+    """Frequency and limit are scaled with the inertia, for which the loop is not tuned."""
     outcome = anti_windup.run(PlantConfig.load().with_axis(0, inertia=inertia), seed=5)
     assert outcome.agrees, [(row.name, row.measured) for row in outcome.rows if not row.agrees]
 

@@ -1,4 +1,4 @@
-"""A rippling bus: the compensation keeps it out of the current, and its absence is noticed."""
+"""Ripple of the bus voltage: suppressed by the compensation; missing compensation violates the bounds."""
 
 from __future__ import annotations
 

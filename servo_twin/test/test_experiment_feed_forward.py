@@ -1,4 +1,4 @@
-"""Feed-forward helps, and the figures notice when it is not there."""
+"""Feed-forward improves the figures; without it the bounds are violated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Very low speed: the enhanced method helps, and the figures notice when it is off."""
+"""Very low speed: the enhanced method is better; without it the bounds are violated."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from servo_twin.plant import PlantConfig
 
 
 def run(monkeypatch: pytest.MonkeyPatch, swapped: bool) -> dict[str, bool]:
-    """The experiment at 5 rpm; `swapped`: the two methods change their names."""
+    """The experiment at 5 rpm; `swapped`: the names of the two methods are exchanged."""
     genuine = low_speed.hold_speed
 
     def hold_speed(plant: PlantConfig, seed: int, axis: int, speed: float, enhanced: bool) -> Recording:

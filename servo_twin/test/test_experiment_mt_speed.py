@@ -31,7 +31,7 @@ def test_worked_example_gives_exact_fractions() -> None:
 @pytest.mark.usefixtures("level")
 def test_shaft_follows_the_given_speed(plant: PlantConfig) -> None:
     turned = mt_speed.drive(plant, 1, lambda k: 10.0, 0.02, enhanced=True)
-    # the switching plant takes viscous friction as constant within its steps of some 30 us
+    # the switching plant holds the viscous friction constant within its steps of about 30 us
     assert turned.omega == pytest.approx(10.0, rel=1e-4)
 
 
@@ -45,7 +45,7 @@ def test_edges_of_a_steady_shaft(plant: PlantConfig) -> None:
 
 
 def test_plain_method_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
-    """Enhanced M/T switched off: it stagnates."""
+    """With the enhanced M/T method disabled the speed stagnates."""
     genuine = mt_speed.drive
 
     def drive(

@@ -1,4 +1,4 @@
-"""F23 and F24: an S curve is an S curve, and a ramp is not taken for one."""
+"""F23 and F24: the S curve is recognised, a ramp is not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each part of the plant shows in the drive as its equation says, and its figure notices when the part is not there."""
+"""Each effect of the plant agrees with its equation; a missing effect violates its bound."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ UNSEEN = {
 
 @pytest.mark.parametrize("name", UNSEEN)
 def test_missing_effect_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    """The equation still expects it."""
+    """The equation still contains the effect."""
     effect = next(effect for effect in EFFECTS if effect.name == name)
 
     def measure(board: Board, axis: int) -> plant_effects.Comparison:

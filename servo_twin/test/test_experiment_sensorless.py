@@ -1,4 +1,4 @@
-"""The experiments without an encoder: they agree with the drive as it is, and their figures notice when it is not."""
+"""The sensorless experiments: the drive agrees with the bounds; wrong settings violate them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def wrong(outcome: Outcome) -> list[str]:
 
 
 def trace(speed: NDArray[np.float64], **arrays: Any) -> Trace:
-    """A trace of an observed speed; the rest is still."""
+    """A trace with the given observed speed; all other signals are zero."""
     still = {name: np.zeros(speed.size) for name in Trace.__dataclass_fields__}
     time = TICK * np.arange(1, speed.size + 1)
     return Trace(**(still | {"time": time, "speed": speed} | arrays))
@@ -174,7 +174,7 @@ def test_load_step_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_too_large_load_step_is_detected() -> None:
-    """More than the current can hold: the shaft goes back, and the step before is what was borne."""
+    """The second step exceeds the torque of the current limit, so the shaft reverses; the first step is the result."""
     it = sensorless_load_step.largest_step(PLANT, SEED, 0, 0.1, (0.3, 1.2))
     assert it.torque == pytest.approx(0.3 * 4.0 * PLANT.axes[0].torque_constant, rel=1e-3)
     assert it.end
@@ -190,7 +190,9 @@ def test_variance_detects_noise_and_accepts_a_steady_speed() -> None:
     assert told == pytest.approx((sensorless_stall.SIZE + sensorless_stall.HYSTERESIS) * TICK, rel=0.1)
     assert variance_detection_time(trace(np.full(3000, 20.0)), 0.0) is None
     slow = 20.0 + 4.0 * np.sin(2.0 * np.pi * 4.0 * TICK * np.arange(3000))
-    assert variance_detection_time(trace(slow), 0.0) is None, "the blind spot of the reference design"
+    assert variance_detection_time(trace(slow), 0.0) is None, (
+        "not detectable by the variance criterion of the reference design"
+    )
 
 
 def test_stall_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:

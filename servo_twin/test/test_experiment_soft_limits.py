@@ -1,4 +1,4 @@
-"""Soft limits stop the shaft; limits that are not there are noticed."""
+"""Soft limits stop the shaft; missing limits violate the bounds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults of the motion come in time, by their names, and only then; without them that is noticed."""
+"""Motion faults are raised in time, with the right name, without false alarms; otherwise the bounds are violated."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def test_disabled_supervision_violates_the_bounds(monkeypatch: pytest.MonkeyPatc
 
 
 def test_false_alarm_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """So tight a bound that the load steps go beyond it."""
+    """The bound is so tight that the load steps exceed it."""
     monkeypatch.setattr(supervision, "FOLLOWING", 0.05)
     assert supervision.permitted_operation(Bench.of(PlantConfig.load(), 7), forward=False) != 0
 
 
 def test_late_fault_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The bound leaves no room for a fault that comes some milliseconds after it could."""
+    """The bound does not permit a delay of some milliseconds."""
     bench = Bench.of(PlantConfig.load(), 7)
     for axis, event in enumerate(supervision.BLOCKED.responses(bench, True)):
         assert event.time is not None

@@ -1,4 +1,4 @@
-"""The experiment winding: it agrees with the drive as it is, and its figures notice when it is not."""
+"""The experiment winding: the drive agrees with the bounds; missing derating violates them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_other_motors_agree(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_missing_derating_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without the feature nothing holds the current back."""
+    """Without the feature the current is not derated."""
     monkeypatch.setattr(rig, "features", lambda *_, **__: None)
     world, text, nominal, true = configured(PLANT, QUICK)
     found = time_series(world, SEED, text, 2.5)

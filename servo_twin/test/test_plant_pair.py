@@ -1,4 +1,4 @@
-"""Both axes in one step of the plant: what each would do by itself."""
+"""Both axes in one step of the plant, compared with two separate axes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from servo_twin.plant import PlantConfig
 
 
 @pytest.mark.parametrize("speeds", [(80.0, -40.0), (0.0, 60.0), (-3.0, 0.2)])
-def test_a_pair_does_what_two_single_axes_do(plant_c: Native, speeds: tuple[float, float]) -> None:
-    """Turning shafts, one that stands, ones that stop within a step: the same states, the same counts."""
+def test_a_pair_agrees_with_two_single_axes(plant_c: Native, speeds: tuple[float, float]) -> None:
+    """Rotating shafts, a shaft at rest, shafts that stop within a step: equal states and counts."""
     ffi, lib = plant_c
     plant = PlantConfig.load().with_axis(0, theta_start=0.4).with_axis(1, theta_start=-2.0)
     both = ffi.new("plant_t *")
