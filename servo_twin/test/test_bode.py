@@ -26,10 +26,10 @@ from servo_twin.simulation import enable
 CONFIG: Final = Path(__file__).resolve().parents[2] / "firmware" / "config" / "servo.toml"
 
 GAIN: Final = 0.02
-"""Distance of the crossover from its prediction; 0.05 is aimed at."""
+"""Permitted relative deviation of the crossover from its prediction; the aim is 0.05."""
 
 PHASE: Final = 1.5
-"""Of the phase margin [degrees]; 3 is aimed at."""
+"""Permitted deviation of the phase margin [degrees]; the aim is 3."""
 
 
 @pytest.fixture(params=["ideal", "registers"])

@@ -21,7 +21,7 @@ PARTS: Final[Mapping[str, list[str]]] = {
     "ftfl": ["chip/ftfl.c", "flash.c"],
     "pwm": ["chip/pwm.c", "chip/pwm_outputs.c", "chip/pwm_registers.c"],
 }
-"""C files of each peripheral, beside those of the bus."""
+"""C files of each peripheral, in addition to those of the bus."""
 
 EVENTS: Final = {
     "adc": [("SOURCE_ADC", 2, "adc_event")],
@@ -30,7 +30,7 @@ EVENTS: Final = {
     "qtmr": [("SOURCE_TIMER", 2, "qtmr_event")],
     "xbar": [],
 }
-"""First source of events, their number and what handles them, of the peripherals that a test runs."""
+"""First event source, number of event sources and handler of the peripherals that a test runs."""
 
 CDEF: Final = """
 typedef struct {{ bus_t bus; {name}_t peripheral; }} rig_t;

@@ -31,7 +31,7 @@ from switching_rig import Switching
 STEP = 31.25e-6
 CLOCK = 1e-8
 FLYWHEEL = 1.0
-"""Inertia that nothing here slows down [kg m^2]."""
+"""Inertia so large that the speed stays constant [kg m^2]."""
 
 SPEED = 200.0
 OPEN_PHASE, SHORTED = 0, 1

@@ -22,7 +22,7 @@ READY, SPIN, FREEWHEEL, STARTUP = 1, 3, 4, 5
 PAIRS = 2
 LIMIT_SENSORLESS = 128
 UNKNOWN = 0.35 / math.sqrt(2.0)
-"""What dead time and switches leave of the voltage, root mean square [V] (emf_check.floor)."""
+"""Voltage error of dead time and switches, root mean square [V] (emf_check.floor)."""
 
 
 def sensorless(
@@ -169,7 +169,7 @@ def test_a_load_step_does_not_stop_the_shaft(running: Board) -> None:
 
 @pytest.mark.parametrize(("speed", "torque"), [(16.0, 0.05), (-16.0, -0.05), (60.0, 0.1), (100.0, 0.12)])
 def test_heavy_load_step_does_not_stop_the_shaft(speed: float, torque: float) -> None:
-    """An active load, several times the load that stops the shaft before the observer reacts, is applied and removed."""
+    """An active load, several times the load that stops the shaft before the observer reacts, applied and removed."""
     with sensorless((speed, 0.0)) as board:
         until(board, SPIN, 0.5)
         board.run(0.4)

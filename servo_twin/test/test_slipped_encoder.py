@@ -18,10 +18,10 @@ pytestmark = pytest.mark.usefixtures("level")
 
 PLANT = PlantConfig.load()
 STALL = 0.5
-"""Time at full current without movement before the vector turns [s] (timing.stall_max)."""
+"""Time at full current without movement before the stall test [s] (timing.stall_max)."""
 
 PROOF = 0.4
-"""Time of its turns to both sides and back [s] (rotor_search.turn_time)."""
+"""Duration of the rotation of the vector to both sides and back [s] (rotor_search.turn_time)."""
 
 ON_THE_WAY = 0.2  # ramp to full current, and detection of standstill by the M/T method [s]
 

@@ -31,7 +31,7 @@ TAIL = 20 * MS  # recorded at the end of both runs
 GET_TABLE = bytes.fromhex("2B 29 01 00 6C")  # FreeMASTER v4 GETTSAINFO of table 0
 
 Input = tuple[int, Callable[[Board], object]]
-"""A time [ns], and what is done to the board then."""
+"""A time [ns] and the input of the board at that time."""
 
 
 def sends(variable: str, *values: float) -> Callable[[Board], object]:

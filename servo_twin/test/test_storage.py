@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("level")
 CATALOGUE: Final = Catalogue.load()
 WORDS: Final = 4 * 256  # of both copies, at the end of the flash
 COMMANDS: Final = 3 + 5 + sum(v.count for v in parameters(CATALOGUE)) + 2 * len(AxisConfigTable.load())
-"""Of a save: two sectors, every word, the seal."""
+"""Flash commands of a save: two sectors, every word, the seal."""
 
 Values = tuple[tuple[int, ...], ...]
 

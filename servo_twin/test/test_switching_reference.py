@@ -20,10 +20,10 @@ AMPERES = 2e-4
 """Bound on each phase current: a twentieth of a converter's step (4 mA)."""
 
 ANY_AMPERES = 1e-3
-"""The same in linear intervals with random gates, shafts at up to 700 rad/s and currents of some amperes."""
+"""The bound in linear intervals with random gates, shafts at up to 700 rad/s and currents of some amperes."""
 
 ROUGHNESS = 10.0
-"""How many times the other bounds are as wide then: the largest of 600 runs were 2.4e-3 rad/s and 1.2e-4 V."""
+"""Factor of the other bounds in that case: the largest deviations of 600 runs were 2.4e-3 rad/s and 1.2e-4 V."""
 
 
 def plant() -> PlantConfig:

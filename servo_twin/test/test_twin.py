@@ -547,7 +547,7 @@ class TestTrouble:
 
 
 KEEP_ALIVE = [bytes.fromhex("2B 30 01 04 E8"), bytes.fromhex("2B 31 00 EC")]
-"""FreeMASTER: application command 4, the host is there, and what has become of it."""
+"""FreeMASTER: application command 4 (keep-alive), and the request of its result."""
 
 
 def causes(pairs: list[Pair]) -> list[str]:
