@@ -41,7 +41,7 @@ def request(values: Mapping[int, float], mode: Mode = Mode.POSITION, source: str
 
 
 def drain(subject: Arbiter) -> list[CommandWrite]:
-    """Fetch all writes as the dispatcher does, one by one, each accepted."""
+    """Take all writes like the dispatcher: one at a time, each accepted."""
     writes = []
     while (write := subject.queue.next_write()) is not None:
         subject.queue.accepted(write)
@@ -50,7 +50,7 @@ def drain(subject: Arbiter) -> list[CommandWrite]:
     return writes
 
 
-# ---- what goes to the board
+# ---- writes to the board
 def test_first_command_sets_the_mode_and_then_both_axes_in_one_write() -> None:
     subject = arbiter()
     subject.submit(request({0: TURN, 1: -2 * TURN}))
@@ -235,7 +235,7 @@ def test_set_points_are_refused_before_enable_even_in_spin() -> None:
     assert "call the service enable with data: true first" in refused(subject, request({0: 1.0}))
 
 
-def test_the_axis_that_is_not_ready_is_named() -> None:
+def test_refusal_names_the_axis_that_is_not_ready() -> None:
     text = refused(arbiter(SPINNING, AxisStatus("RUN/ALIGN", False)), request({0: 1.0, 1: 1.0}))
     assert "axis2 is in RUN/ALIGN" in text
     assert "wait until armed is true" in text
@@ -261,11 +261,11 @@ def test_refusal_in_fault_names_the_remedy() -> None:
         (Mode.TORQUE, 0.2, "effort of axis1 is 0.2 N m, outside -0.1848 .. 0.1848 N m"),
     ],
 )
-def test_limits_of_the_board(mode: Mode, value: float, text: str) -> None:
+def test_set_points_beyond_the_limits_of_the_board_are_refused(mode: Mode, value: float, text: str) -> None:
     assert text in refused(arbiter(), request({0: value}, mode))
 
 
-def test_limits_of_the_configuration_and_their_edges() -> None:
+def test_configured_limits_are_inclusive() -> None:
     subject = arbiter(limits=JointLimits(-1.0, 2.0, 10.0, 0.01))
     for mode, edges in ((Mode.POSITION, (-1.0, 2.0)), (Mode.SPEED, (-10.0, 10.0)), (Mode.TORQUE, (-0.01, 0.01))):
         for edge in edges:
@@ -273,14 +273,14 @@ def test_limits_of_the_configuration_and_their_edges() -> None:
             assert "outside" in refused(subject, request({0: edge * 1.001}, mode))
 
 
-def test_the_largest_effort_of_the_board_passes() -> None:
+def test_the_largest_effort_of_the_board_is_accepted() -> None:
     subject = arbiter()
     subject.submit(request({0: 4.0 * KT[0], 1: -4.0 * KT[1]}, Mode.TORQUE))
     limit = CATALOGUE["cmd.i_q"].to_raw(4.0)
     assert drain(subject)[1].raw == (limit, -limit)
 
 
-def test_effort_without_a_torque_constant() -> None:
+def test_effort_without_a_torque_constant_is_refused() -> None:
     subject = Arbiter(CATALOGUE, DEFAULT_JOINTS)
     subject.release()
     subject.update_axes([SPINNING, SPINNING])
@@ -374,7 +374,7 @@ def test_armed_if_all_joints_accept_set_points() -> None:
     assert not arbiter(SPINNING, STOPPED).armed
 
 
-def test_masks_and_numbers_per_axis() -> None:
+def test_command_write_has_mask_and_numbers_per_axis() -> None:
     assert (CommandWrite("cmd.mode", 0, (1, 2)).mask, CommandWrite("cmd.mode", 0, (1, 2)).numbers()) == (3, (1, 2))
     assert (CommandWrite("cmd.mode", 1, (2,)).mask, CommandWrite("cmd.mode", 1, (2,)).numbers()) == (2, (0, 2))
 
@@ -402,7 +402,7 @@ def test_alternating_sources_are_a_conflict_but_one_change_is_not() -> None:
     subject.submit(request({0: 1.0}))
     subject.submit(request({1: 1.0}, Mode.SPEED))
     subject.submit(request({0: 1.0}, Mode.SPEED))
-    assert sources.conflict() is None, "another axis, then a take-over"
+    assert sources.conflict() is None, "another axis, then one change of the source"
     clock.now += 0.9
     subject.submit(request({0: 1.0}))
     expected = Conflict("axis1", Source("joint_commands", "position"), Source("joint_commands", "velocity"))
@@ -412,7 +412,7 @@ def test_alternating_sources_are_a_conflict_but_one_change_is_not() -> None:
     subject.submit(request({0: 1.0}, source="commands"))
     clock.now += 1.0
     subject.submit(request({0: 1.0}))
-    assert sources.conflict() is None, "so slowly that they may be meant"
+    assert sources.conflict() is None, "slow changes may be intended"
 
 
 def test_refused_set_point_does_not_count_as_a_source() -> None:

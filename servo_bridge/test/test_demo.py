@@ -193,7 +193,7 @@ def test_axis_that_stops_short_fails_with_all_other_results() -> None:
     assert not any(row.figures.arrived for row in demo.rows if row.axis == "axis2" and row.move != "stop")
 
 
-def test_an_axis_that_leaves_the_path_fails() -> None:
+def test_an_axis_that_leaves_the_path_fails_the_demonstration() -> None:
     client = FakeClient()
     client.path_error = 0.03
     demo = run(client)
@@ -238,7 +238,7 @@ def test_demonstration_waits_for_a_lagging_twin() -> None:
     demo = run(client)
     for row in demo.rows:
         assert row.residual is not None
-        assert row.residual.samples >= 0.25 / SAMPLE  # all of the hold at the end as well
+        assert row.residual.samples >= 0.25 / SAMPLE  # including the complete hold at the end
 
 
 def test_fault_ends_the_demonstration_with_cause_and_remedy() -> None:
@@ -275,7 +275,7 @@ def test_path_table_has_a_line_per_axis() -> None:
     assert path_table([path_row(ticks_apart=1)]).count("NOT FOLLOWED") == 2
 
 
-def test_table_shows_figures_in_handy_units() -> None:
+def test_table_shows_figures_in_suitable_units() -> None:
     lines = table([row(residual=Residual(COUNT, 4 * COUNT, 9)), row(arrived=False)]).splitlines()
     assert lines[3].split()[3:7] == ["axis1", "5.0000", "5.0003", "+1.0"]
     assert lines[3].split()[7:] == ["500", "2.0", "63.7", "127.3", "1.0", "4.0", "ok"]

@@ -22,7 +22,7 @@ def at_rest(path: Path, time: float) -> bool:
     return bool(np.abs(state.velocity).max() < 1e-7 and np.abs(state.acceleration).max() < 1e-5)
 
 
-def test_a_move_in_a_given_time() -> None:
+def test_a_move_takes_the_given_time() -> None:
     path = move(JOINTS, [1.0, 2.0], [4.0, 2.0], 2.0)
     assert (path.start_time, path.end_time) == (0.0, 2.0)
     assert at_rest(path, 0.0)
@@ -41,7 +41,7 @@ def test_a_move_in_a_given_time() -> None:
         Limits(velocity_max=3.0, acceleration_max=5.0, position_max=0.0),
     ],
 )
-def test_a_move_as_fast_as_the_limits_allow(limit: Limits) -> None:
+def test_a_move_is_as_fast_as_the_limits_permit(limit: Limits) -> None:
     path = move(JOINTS, [0.0, 0.0], [3.0, -1.0], limits=[limit, limit])
     free = [replace(limit, position_max=np.inf)] * 2
     assert first_violation(path, free) is None

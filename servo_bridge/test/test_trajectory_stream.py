@@ -128,14 +128,14 @@ def test_losses_are_counted() -> None:
     assert disordered.lost <= 1
 
 
-def test_drift_of_the_clocks() -> None:
+def test_drift_of_the_clocks_is_followed() -> None:
     result = run(seconds=30.0, drift=5e-4)
     assert_smooth(result)
-    # After 25 s the clocks are 12.5 ms apart; the window looks 2.5 s back.
+    # After 25 s the clocks differ by 12.5 ms; the window covers the last 2.5 s.
     assert error_of(result, TRANSIT + LEAD + 0.02 + 12.5e-3, 24.9, 25.1) < 2.0 * OMEGA * 2e-3
 
 
-def test_a_stream_that_pauses_stops_and_goes_on() -> None:
+def test_a_stream_stops_in_a_pause_and_continues_after_it() -> None:
     result = run(pause=(4.0, 6.0))
     assert_smooth(result)
     states = [(report.moving, report.starved) for report in result.reports]
@@ -191,7 +191,7 @@ def test_stream_continues_after_a_clock_step_of_the_sender(step: float) -> None:
     assert stream.report.starved == ()
 
 
-def test_a_velocity_limit() -> None:
+def test_velocity_limit_is_kept() -> None:
     stream = Stream(["axis1"], State.at_rest([0.0]), [LIMIT], [2.0], lead=LEAD)
     speeds: list[float] = []
     for k in range(300):

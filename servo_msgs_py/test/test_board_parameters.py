@@ -11,7 +11,7 @@ CATALOGUE = Catalogue.load()
 DEFAULTS = {v.name: [v.to_raw(max(v.minimum, 0.0))] * v.count for v in parameters(CATALOGUE)}
 
 
-def test_one_element_and_all_of_them() -> None:
+def test_assignments_of_one_element_and_of_all_elements_are_parsed() -> None:
     one = parse("param.features[1] = anti_windup+POSITION_LIMITS", CATALOGUE)
     assert (one.variable.name, one.element, one.raw) == ("param.features", 1, (0x81,))
     assert one.text == "param.features[1]=anti_windup+POSITION_LIMITS"

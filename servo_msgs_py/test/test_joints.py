@@ -33,7 +33,7 @@ def described(*joints: Joint) -> str:
     return describe(joints, CATALOGUE, commands_topic="/servo/joint_commands", states_topic="/servo/joint_states")
 
 
-def test_a_geared_reversed_joint_turns_slower_stronger_and_the_other_way() -> None:
+def test_a_geared_reversed_joint_has_less_speed_more_torque_and_the_opposite_sign() -> None:
     assert LIFT.position(100.0) == pytest.approx(0.3 - 2.0)
     assert LIFT.velocity(100.0) == pytest.approx(-2.0)
     assert LIFT.effort(0.1) == pytest.approx(-5.0)
