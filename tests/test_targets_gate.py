@@ -103,7 +103,7 @@ def test_casts_are_found_in_code_only(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("file", "before", "after", "told"),
+    ("file", "before", "after", "expected"),
     [
         (
             "drive/axis.c",
@@ -127,13 +127,13 @@ def test_casts_are_found_in_code_only(tmp_path: Path) -> None:
     ids=["constant", "output", "input"],
 )
 def test_first_difference_is_named(
-    c_sources: Sources, recordings: list[Recording], tmp_path: Path, file: str, before: str, after: str, told: str
+    c_sources: Sources, recordings: list[Recording], tmp_path: Path, file: str, before: str, after: str, expected: str
 ) -> None:
     """The message has the first different call and the difference."""
     (report,) = check([HOST], [recordings[0]], edited(c_sources, tmp_path, file, before, after), tmp_path / "build")
     assert report.digest != combined([recordings[0].digest])
     (problem,) = report.problems
-    assert re.fullmatch(f"{recordings[0].name}: {told}", problem), problem
+    assert re.fullmatch(f"{recordings[0].name}: {expected}", problem), problem
 
 
 def test_sanitizers_detect_an_overflow(

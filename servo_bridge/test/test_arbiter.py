@@ -112,20 +112,20 @@ def written_position(subject: Arbiter, counts: int) -> int:
     return raw
 
 
-@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("turns_of_the_counter", [2**31, 2**32, 3 * 2**32])
-def test_positions_are_exact_beyond_the_counter_of_the_board(turns_of_the_counter: int, way: int) -> None:
-    shaft = way * turns_of_the_counter
+def test_positions_are_exact_beyond_the_counter_of_the_board(turns_of_the_counter: int, direction: int) -> None:
+    shaft = direction * turns_of_the_counter
     subject = arbiter(at(shaft), at(0))
     for step in (0, 123_457, -123_457):
         assert written_position(subject, shaft + step) == wrapped(shaft + step)
     assert "outside" in refused(subject, request({0: 0.0}))
 
 
-@pytest.mark.parametrize("way", [1, -1])
-def test_a_set_point_may_cross_the_wrap_of_the_counter(way: int) -> None:
-    subject = arbiter(at(way * (2**31 - 10)), at(0))
-    assert written_position(subject, way * (2**31 + 10)) == -way * (2**31 - 10)
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_set_point_may_cross_the_wrap_of_the_counter(direction: int) -> None:
+    subject = arbiter(at(direction * (2**31 - 10)), at(0))
+    assert written_position(subject, direction * (2**31 + 10)) == -direction * (2**31 - 10)
 
 
 @given(st.integers(-(2**42), 2**42), st.integers(-REACH, REACH))
@@ -133,17 +133,17 @@ def test_a_set_point_may_cross_the_wrap_of_the_counter(way: int) -> None:
 @example(-(2**31), -1)
 @example(2**42, REACH)
 @example(-(2**42), -REACH)
-def test_distance_is_independent_of_counter_wraps(shaft: int, way: int) -> None:
-    raw = written_position(arbiter(at(shaft), at(0)), shaft + way)
+def test_distance_is_independent_of_counter_wraps(shaft: int, distance: int) -> None:
+    raw = written_position(arbiter(at(shaft), at(0)), shaft + distance)
     assert -(2**31) <= raw < 2**31
-    assert wrapped(raw - wrapped(shaft)) == way
+    assert wrapped(raw - wrapped(shaft)) == distance
 
 
 @pytest.mark.parametrize("shaft", [0, 2**33, -(2**33)])
-@pytest.mark.parametrize("way", [REACH + 1, -REACH - 1])
-def test_too_distant_set_point_is_refused_with_the_maximum(shaft: int, way: int) -> None:
+@pytest.mark.parametrize("distance", [REACH + 1, -REACH - 1])
+def test_too_distant_set_point_is_refused_with_the_maximum(shaft: int, distance: int) -> None:
     subject = arbiter(at(shaft), at(0))
-    value = (shaft + way) * LSB
+    value = (shaft + distance) * LSB
     text = refused(subject, request({0: value}))
     low, high = (shaft - REACH) * LSB, (shaft + REACH) * LSB
     assert f"position of axis1 is {value:g} rad, outside {low:g} .. {high:g} rad" in text

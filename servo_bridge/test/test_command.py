@@ -50,8 +50,8 @@ def test_parameters_are_set_and_read_back(rig: Rig, command: Command) -> None:
     status, out, _ = command("set", "param.features[1]=none")
     assert (status, out) == (0, "param.features[1] = 0 (none)\n")
     assert rig.parameters()["param.features"] == [24, 0]
-    wanted = rig.bridge.get_parameter("board_parameters").value
-    assert wanted == ["param.features[0]=DEAD_TIME+FRICTION", "param.i_q_limit=1,1.5", "param.features[1]=none"]
+    requested = rig.bridge.get_parameter("board_parameters").value
+    assert requested == ["param.features[0]=DEAD_TIME+FRICTION", "param.i_q_limit=1,1.5", "param.features[1]=none"]
     status, out, _ = command("get")
     assert status == 0
     assert len(out.splitlines()) == len(rig.parameters())

@@ -37,9 +37,9 @@ def report(motors: list[Motor], gear_ratio: float = 1.0, acceleration: float = 1
 
 @pytest.mark.parametrize("gear_ratio", [1.0, 3.0])
 def test_dry_run_prints_the_current_of_the_acceleration(gear_ratio: float) -> None:
-    said = re.search(r"rad/s, (\S+) of \S+ rad/s\^2, with (\S+) of 4 A", report(MOTORS, gear_ratio))
-    assert said is not None
-    acceleration, current = map(float, said.groups())
+    printed = re.search(r"rad/s, (\S+) of \S+ rad/s\^2, with (\S+) of 4 A", report(MOTORS, gear_ratio))
+    assert printed is not None
+    acceleration, current = map(float, printed.groups())
     assert current == pytest.approx(acceleration * gear_ratio * 8.0e-6 / 0.05, rel=0.01)
     assert acceleration == pytest.approx(1000.0, rel=0.2)
 

@@ -135,8 +135,8 @@ class FakeClient:
         return self.tick * 62_500
 
 
-def run(client: FakeClient, said: list[str] | None = None) -> Demo:
-    lines: list[str] = [] if said is None else said
+def run(client: FakeClient, output: list[str] | None = None) -> Demo:
+    lines: list[str] = [] if output is None else output
     demo = Demo(client, 2 * COUNT, 3.0, lines.append)  # type: ignore[arg-type]
     demo.connect(1.0, require_twin=False)
     demo.enable()
@@ -151,8 +151,8 @@ def test_fake_has_the_interface_of_the_client() -> None:
 
 
 def test_every_kind_of_move_is_made_and_measured() -> None:
-    client, said = FakeClient(twin_gap=3 * COUNT), list[str]()
-    demo = run(client, said)
+    client, output = FakeClient(twin_gap=3 * COUNT), list[str]()
+    demo = run(client, output)
     moves = [(row.move, row.axis) for row in demo.rows]
     both = ["simultaneous", "reversal", "stop", "return"]
     assert moves == [("point to point", "axis1"), ("point to point", "axis2")] + [
@@ -175,7 +175,7 @@ def test_every_kind_of_move_is_made_and_measured() -> None:
     assert first.residual.rms == pytest.approx(3 * COUNT)
     stops = [row.figures for row in demo.rows if row.move == "stop"]
     assert 14.9 * TURN < stops[0].reached < 15.2 * TURN
-    assert any("half way: reversing" in line for line in said)
+    assert any("half way: reversing" in line for line in output)
 
 
 def test_targets_are_whole_turns_near_the_shafts() -> None:
@@ -203,11 +203,11 @@ def test_an_axis_that_leaves_the_path_fails_the_demonstration() -> None:
 
 
 def test_a_path_that_the_board_refuses_is_sent_again() -> None:
-    client, said = FakeClient(), list[str]()
+    client, output = FakeClient(), list[str]()
     client.refusals = 2
-    demo = run(client, said)
+    demo = run(client, output)
     assert passed(demo.rows, demo.paths, twin=demo.twin)
-    assert sum("no cmd.points took effect" in line for line in said) == 2
+    assert sum("no cmd.points took effect" in line for line in output) == 2
     client = FakeClient()
     client.refusals = 3
     with pytest.raises(DemoError, match="not accepted in 3 attempts"):
@@ -337,10 +337,10 @@ def test_an_interrupted_demonstration_disables_the_axes(
         with rig.samples(before_sample):
             assert demo_module.main([]) == 130
         assert rig.link.written[-1] == ("cmd.enable", 0, (0, 0))
-    said = capfd.readouterr()
-    assert "disabled: axis1=STOP axis2=STOP" in said.out
-    assert "servo-demo: interrupted" in said.err
-    assert "Traceback" not in said.err
+    output = capfd.readouterr()
+    assert "disabled: axis1=STOP axis2=STOP" in output.out
+    assert "servo-demo: interrupted" in output.err
+    assert "Traceback" not in output.err
 
 
 @pytest.mark.parametrize("arguments", [["--tolerance", "0"], ["--timeout", "-1"], ["--colour"]])

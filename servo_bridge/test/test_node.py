@@ -676,16 +676,16 @@ def test_two_sources_are_reported_and_one_can_have_precedence(rig: Rig) -> None:
 
         for _ in range(5):
             fight()
-        said = (
+        warning = (
             "axis2 is commanded alternately by position on axis2/position (/servo/user) and velocity on "
             "joint_commands ("
         )
-        rig.until(lambda: rig.warnings(said))
-        assert "/teleop" in rig.warnings(said)[0]
+        rig.until(lambda: rig.warnings(warning))
+        assert "/teleop" in rig.warnings(warning)[0]
         fight()
         status = rig.diagnosis("commands")
-        assert (status.level, status.message[: len(said)]) == (b"\x01", said)
-        assert len(rig.warnings(said)) == 1, "throttled"
+        assert (status.level, status.message[: len(warning)]) == (b"\x01", warning)
+        assert len(rig.warnings(warning)) == 1, "throttled"
 
         assert rig.set_parameter("preferred_source", "axis2/position")[0]
 

@@ -80,7 +80,7 @@ def test_joints_have_gears_and_limits_in_their_units() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "said"),
+    ("name", "value", "message"),
     [
         ("gear_ratio", [1.0], "parameter gear_ratio is [1.0]; write 2 numbers, one per joint"),
         ("gear_ratio", [1.0, 0.0], "parameter gear_ratio of axis2 is 0; give motor revolutions"),
@@ -89,10 +89,10 @@ def test_joints_have_gears_and_limits_in_their_units() -> None:
         ("offset", [0.0, 1e7], "parameter offset of axis2 is 1e+07 rad"),
     ],
 )
-def test_wrong_gears_are_reported(name: str, value: Any, said: str) -> None:
+def test_wrong_gears_are_reported(name: str, value: Any, message: str) -> None:
     with pytest.raises(ParameterError) as caught:
         settings_from(DEFAULTS | {name: value}, CATALOGUE)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_the_preferred_source_must_be_a_set_point_topic() -> None:

@@ -42,10 +42,10 @@ def taken(trajectory: Any, running: Path = HOLD, **options: Any) -> Path:
     return from_message(trajectory, running, NOW, ORIGIN, **options)
 
 
-def same(actual: State, wanted: State) -> None:
-    np.testing.assert_allclose(actual.position, wanted.position, atol=1e-9)
-    np.testing.assert_allclose(actual.velocity, wanted.velocity, atol=1e-9)
-    np.testing.assert_allclose(actual.acceleration, wanted.acceleration, atol=1e-7)
+def same(actual: State, expected: State) -> None:
+    np.testing.assert_allclose(actual.position, expected.position, atol=1e-9)
+    np.testing.assert_allclose(actual.velocity, expected.velocity, atol=1e-9)
+    np.testing.assert_allclose(actual.acceleration, expected.acceleration, atol=1e-7)
 
 
 @pytest.mark.parametrize("running", [HOLD, MOVING])

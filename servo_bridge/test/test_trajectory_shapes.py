@@ -75,10 +75,10 @@ def test_a_stop_begins_with_the_state_and_keeps_its_limit(seed: int) -> None:
     p, v, a, e = random.uniform(-3.0, 3.0, (4, 2)) * [[1], [20], [50], [1]]
     path = stop(JOINTS, State(p, v, a, e), [100.0, 200.0], 5.0)
     state = path.state(5.0)
-    for actual, wanted in zip(
+    for actual, expected in zip(
         (state.position, state.velocity, state.acceleration, state.effort), (p, v, a, e), strict=True
     ):
-        np.testing.assert_allclose(actual, wanted)
+        np.testing.assert_allclose(actual, expected)
     assert at_rest(path, path.end_time)
     np.testing.assert_allclose(path.state(path.end_time - 1e-9).position, path.end, atol=1e-9)
     bounds = [Limits(acceleration_max=max(100.0, 1.002 * abs(a[0]))), Limits(acceleration_max=200.0)]
@@ -112,8 +112,8 @@ def test_a_lissajous_figure_with_one_frequency_is_a_circle() -> None:
 def test_frequencies_of_a_lissajous_figure_may_differ() -> None:
     path = lissajous(JOINTS, [0.0, 0.0], [1.0, 2.0], [3.0, 2.0], 4.0, phase=0.0)
     t = np.linspace(0.5, 3.5, 3001)
-    wanted = np.stack((np.sin(6.0 * np.pi * t), 2.0 * np.sin(4.0 * np.pi * t)), axis=-1)
-    np.testing.assert_allclose(path.state(t).position, wanted, atol=1e-7)
+    expected = np.stack((np.sin(6.0 * np.pi * t), 2.0 * np.sin(4.0 * np.pi * t)), axis=-1)
+    np.testing.assert_allclose(path.state(t).position, expected, atol=1e-7)
 
 
 @pytest.mark.parametrize(

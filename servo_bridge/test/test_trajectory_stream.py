@@ -78,8 +78,8 @@ def assert_smooth(result: Result) -> None:
 def error_of(result: Result, delay: float, begin: float = 3.0, end: float = 9.5) -> float:
     """Largest error to the sine with a delay [rad]."""
     inside = (result.times > BEGIN + begin) & (result.times < BEGIN + end)
-    wanted = 2.0 * np.sin(OMEGA * (result.times[inside] - BEGIN - delay))
-    return float(np.abs(result.positions[inside] - wanted).max())
+    expected = 2.0 * np.sin(OMEGA * (result.times[inside] - BEGIN - delay))
+    return float(np.abs(result.positions[inside] - expected).max())
 
 
 def test_an_even_stream_is_reproduced_a_period_later() -> None:

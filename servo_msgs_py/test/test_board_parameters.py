@@ -59,8 +59,8 @@ def test_a_later_assignment_replaces_an_earlier_one() -> None:
 
 def test_reversed_limits_are_refused() -> None:
     assert contradiction(DEFAULTS, CATALOGUE) == ""
-    turned = applied([parse("param.position_min[1]=3", CATALOGUE)], DEFAULTS)
-    text = contradiction(turned, CATALOGUE)
+    reversed_limits = applied([parse("param.position_min[1]=3", CATALOGUE)], DEFAULTS)
+    text = contradiction(reversed_limits, CATALOGUE)
     assert text.startswith("param.position_min[1] 3.00022 rad exceeds param.position_max[1] 0 rad")
     assert contradiction({"param.position_min": [1, 1]}, CATALOGUE) == ""
 

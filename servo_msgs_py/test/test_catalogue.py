@@ -53,9 +53,9 @@ def test_every_variable_is_described_and_finite() -> None:
 def test_variables_that_the_project_uses_exist() -> None:
     per_axis = ["position", "position_ref", "speed", "speed_ref", "i_q", "i_d", "i_q_ref", "u_d", "u_q", "theta_e"]
     per_axis += ["state", "substate", "faults", "limits", "torque_constant"]
-    wanted = {f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in per_axis}
-    wanted |= {"tick", "applied_tick", "applied_count", "u_dc", "catalogue_hash", "snapshot"}
-    assert wanted <= set(CATALOGUE.variables)
+    required = {f"{axis_name(axis)}.{name}" for axis in range(AXES) for name in per_axis}
+    required |= {"tick", "applied_tick", "applied_count", "u_dc", "catalogue_hash", "snapshot"}
+    assert required <= set(CATALOGUE.variables)
 
 
 def test_only_commands_blocks_and_parameters_can_be_written() -> None:

@@ -82,14 +82,14 @@ def test_resistance_is_separated_from_the_inverter_voltage_drop() -> None:
 
 
 @pytest.mark.parametrize("pairs", [1, 2, 7])
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_pole_pairs_and_direction_are_estimated(pairs: int, way: float) -> None:
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_pole_pairs_and_direction_are_estimated(pairs: int, direction: float) -> None:
     theta = np.linspace(0.0, 9.0, 400)
     wrapped = np.angle(np.exp(1j * theta))
-    position = way * theta / pairs
+    position = direction * theta / pairs
     position[50:60] = np.nan
     found = follow_vector(position, wrapped)
-    assert (found.pole_pairs, found.direction) == (pairs, way)
+    assert (found.pole_pairs, found.direction) == (pairs, direction)
 
 
 @pytest.mark.parametrize("position", [np.zeros(400), np.linspace(0.0, 9.0 / 2.4, 400)])

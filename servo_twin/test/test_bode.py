@@ -149,13 +149,13 @@ def test_load_on_an_axis_in_torque_mode_is_held(access: VirtualBoardAccess) -> N
     access.wait(1.0)
     access.board.set_load(0, 0.02)
     access.wait(1.0)
-    said: list[str] = []
-    measure(access, BodeRequest(0, "speed", repeats=2), report=said.append)
+    messages: list[str] = []
+    measure(access, BodeRequest(0, "speed", repeats=2), report=messages.append)
     start = access.board.truth(0).theta_m
     access.wait(0.5)
     assert access.board.truth(0).theta_m == pytest.approx(start, abs=0.05)
     assert mode_of(access, 0) == "POSITION"
-    assert "axis1 holds its position in mode POSITION" in said[-1]
+    assert "axis1 holds its position in mode POSITION" in messages[-1]
 
 
 def test_other_axis_still_stops_when_its_set_points_expire(access: VirtualBoardAccess) -> None:

@@ -333,17 +333,17 @@ class TestForce:
         rig.run(start + PERIOD)
         assert gates(rig, start)[1:4:2] == [(110, HIGH), (HALF - 1000 + 100, LOW)]
 
-    @pytest.mark.parametrize(("mask", "left"), [(0x0010, HIGH), (0x0100, LOW), (0x0110, OPEN)])
-    def test_mask_waits_for_force(self, rig: ChipRig, mask: int, left: int) -> None:
+    @pytest.mark.parametrize(("mask", "gate_state"), [(0x0010, HIGH), (0x0100, LOW), (0x0110, OPEN)])
+    def test_mask_waits_for_force(self, rig: ChipRig, mask: int, gate_state: int) -> None:
         """B or A of submodule 0, or both."""
         start = prepare(rig, 1000)
         rig.run(start + 10)
         rig.write("PWMA_MASK", mask)
         assert gates(rig, start) == []
         rig.write("PWMA0_CTRL2", 0x0040)
-        assert (gates(rig, start) == [(10, OPEN)]) == (left != LOW)
+        assert (gates(rig, start) == [(10, OPEN)]) == (gate_state != LOW)
         rig.run(start + 3 * PERIOD)
-        assert {levels for clock, levels in gates(rig, start) if clock > PERIOD} | {OPEN} == {left, OPEN}
+        assert {levels for clock, levels in gates(rig, start) if clock > PERIOD} | {OPEN} == {gate_state, OPEN}
 
     def test_force_can_begin_the_cycle(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000)

@@ -62,9 +62,9 @@ def test_measured_widths_are_written_to_the_file(tmp_path: Path, capsys: pytest.
     assert "cycles_per_instruction = 2.50" in capsys.readouterr().out
     assert "cycles_per_instruction = 2.50" in core.read_text(encoding="utf-8")
     assert main(["core-speed", "--core", str(core)]) == 0
-    said = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
-    assert {(row[0], row[1]) for row in said} == {(s, h) for s, rows in counts.items() for h in rows}
-    for state, handler, _, width, *_ in said:
+    printed = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
+    assert {(row[0], row[1]) for row in printed} == {(s, h) for s, rows in counts.items() for h in rows}
+    for state, handler, _, width, *_ in printed:
         assert float(width) == pytest.approx(0.025 * counts[state][handler], rel=0.02)
 
 

@@ -48,6 +48,6 @@ def test_wrong_nominal_value_violates_the_bounds(monkeypatch: pytest.MonkeyPatch
     assert len(wrong()) == 6
 
 
-@pytest.mark.parametrize(("times", "left"), [(1.0, 0.0), (2.0, 0.5), (0.5, 1.0), (0.25, 3.0)])
-def test_uncompensated_friction(times: float, left: float) -> None:
-    assert friction.uncompensated(times) == pytest.approx(left)
+@pytest.mark.parametrize(("times", "expected"), [(1.0, 0.0), (2.0, 0.5), (0.5, 1.0), (0.25, 3.0)])
+def test_uncompensated_friction(times: float, expected: float) -> None:
+    assert friction.uncompensated(times) == pytest.approx(expected)

@@ -28,9 +28,9 @@ def test_unconfigured_pins_violate_the_bounds(monkeypatch: pytest.MonkeyPatch) -
     assert not pins.open_enable(plant, 2)[1]
     with pytest.raises(SimulationError, match="switches"):
         pins.overrun(plant, 2)
-    said = pins.cut_wires(plant, 2)
-    assert not said["limit_max, holding"]
-    assert not said["enable, at rest: refused without a fault"]
+    results = pins.cut_wires(plant, 2)
+    assert not results["limit_max, holding"]
+    assert not results["enable, at rest: refused without a fault"]
 
 
 def test_load_drops_with_a_brake_slower_than_nominal(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -115,5 +115,5 @@ def test_faults_are_distinguished_without_dead_time_compensation(plant: PlantCon
                 search_fault.inject(board, axis)
             board.write("cmd.enable", [1, 1])
             board.run(1.2)
-            wanted = board.catalogue.flag("faults", search_fault.fault).mask
-            assert board.read_raw("axis1.faults") == board.read_raw("axis2.faults") == [wanted]
+            expected = board.catalogue.flag("faults", search_fault.fault).mask
+            assert board.read_raw("axis1.faults") == board.read_raw("axis2.faults") == [expected]

@@ -185,9 +185,9 @@ def test_too_large_load_step_is_detected() -> None:
 
 def test_variance_detects_noise_and_accepts_a_steady_speed() -> None:
     noise = np.random.default_rng(1).normal(0.0, 30.0, 3000)
-    told = variance_detection_time(trace(noise), 0.0)
-    assert told is not None
-    assert told == pytest.approx((sensorless_stall.SIZE + sensorless_stall.HYSTERESIS) * TICK, rel=0.1)
+    detected = variance_detection_time(trace(noise), 0.0)
+    assert detected is not None
+    assert detected == pytest.approx((sensorless_stall.SIZE + sensorless_stall.HYSTERESIS) * TICK, rel=0.1)
     assert variance_detection_time(trace(np.full(3000, 20.0)), 0.0) is None
     slow = 20.0 + 4.0 * np.sin(2.0 * np.pi * 4.0 * TICK * np.arange(3000))
     assert variance_detection_time(trace(slow), 0.0) is None, (

@@ -68,9 +68,11 @@ class Averaged:
         """Run and return the phase currents, one row per step."""
         rows = []
         for _ in range(round(seconds / STEP)):
-            left = STEP
-            while left > 1e-15:
-                left -= self.native.lib.averaged_inverter_step(self.inverter, self.motor, self.bus, left, self.charge)
+            remaining = STEP
+            while remaining > 1e-15:
+                remaining -= self.native.lib.averaged_inverter_step(
+                    self.inverter, self.motor, self.bus, remaining, self.charge
+                )
             rows.append(list(self.motor.phase))
         return np.array(rows)
 

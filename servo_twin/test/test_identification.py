@@ -289,15 +289,15 @@ def test_shaft_that_does_not_stop_is_reported_after_a_wait(seconds: float) -> No
 
     with Board(PlantConfig.load().with_axis(0, viscous=1e-4), seed=1, level="ideal") as board:
         _set_protection(board)
-        before, said = _state(board), list[str]()
-        test = MotorTest(Loaded(board), 0, LIMITS, servo_table(), said.append)
+        before, messages = _state(board), list[str]()
+        test = MotorTest(Loaded(board), 0, LIMITS, servo_table(), messages.append)
         with pytest.raises(MeasurementError):
             test.run()
         board.run(0.05)
         after = _state(board)
         different = {name for name, words in before.items() if after[name] != words}
         assert different == (set() if math.isfinite(seconds) else {"config.checksum"})
-        assert any("NOT RESTORED: configuration" in text for text in said) == math.isinf(seconds)
+        assert any("NOT RESTORED: configuration" in text for text in messages) == math.isinf(seconds)
         assert ("Do not enable it" in test.restoring_text) == math.isinf(seconds)
 
 
@@ -392,9 +392,9 @@ def test_truncated_or_foreign_recording_is_reported(
     content = (folder / "measurement.npz").read_bytes()
     (tmp_path / "part.npz").write_bytes(b"# no recording\n" if part is None else content[:part])
     assert main(["identify", "--recording", str(tmp_path / "part.npz"), "--out", str(tmp_path)]) == 1
-    said = capsys.readouterr().err
-    assert "is not a complete measurement" in said
-    assert "pickle" not in said
+    messages = capsys.readouterr().err
+    assert "is not a complete measurement" in messages
+    assert "pickle" not in messages
 
 
 def test_random_motors_are_the_same_for_a_seed() -> None:
@@ -407,9 +407,9 @@ def test_random_motors_are_the_same_for_a_seed() -> None:
 def test_false_success_is_counted() -> None:
     good = Trial(dict.fromkeys(TARGETS, 0.01), dict.fromkeys(TARGETS, True), 20.0, (), "")
     far = Trial({**dict.fromkeys(TARGETS, 0.01), "psi_m": 0.2}, dict.fromkeys(TARGETS, False), 20.0, (), "")
-    told = Trial({**dict.fromkeys(TARGETS, 0.01), "psi_m": 0.2}, dict.fromkeys(TARGETS, False), 20.0, ("psi_m",), "")
-    assert [one.false_success for one in (good, far, told)] == [False, True, False]
-    text = "\n".join(summary([(0, good), (1, far), (2, told)]))
+    warned = Trial({**dict.fromkeys(TARGETS, 0.01), "psi_m": 0.2}, dict.fromkeys(TARGETS, False), 20.0, ("psi_m",), "")
+    assert [one.false_success for one in (good, far, warned)] == [False, True, False]
+    text = "\n".join(summary([(0, good), (1, far), (2, warned)]))
     assert "3 motors: 2 identified, 1 not" in text
     assert "false success: 1 (motors 1)" in text
 

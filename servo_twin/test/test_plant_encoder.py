@@ -167,13 +167,13 @@ class TestCapture:
         duration_ns = 1_000_000
         t_end = duration_ns * 1e-9
         acceleration = (omega_1 - omega_0) / t_end
-        way = sign * (omega_0 + omega_1) / 2 * t_end / EDGE
+        travel = sign * (omega_0 + omega_1) / 2 * t_end / EDGE
         encoder.now_ns = 1_000_000
         plant_c.lib.plant_encoder_arm(encoder.c)
-        encoder.move(encoder.at + way, sign * omega_0, sign * omega_1, duration_ns)
+        encoder.move(encoder.at + travel, sign * omega_0, sign * omega_1, duration_ns)
         boundary = 2 * (math.floor((position + 0.5) / 2) + 1) if sign > 0 else 2 * math.floor((position + 0.5) / 2)
         distance = abs(boundary - position - 0.5) * EDGE
-        if abs(way) * EDGE < distance:
+        if abs(travel) * EDGE < distance:
             assert encoder.take() is None
             return
         root = math.sqrt(max(omega_0**2 + 2 * acceleration * distance, 0.0))

@@ -37,9 +37,11 @@ class Leg:
 
     def run(self, steps: int) -> None:
         for _ in range(steps):
-            left = STEP
-            while left > 1e-15:
-                left -= self.native.lib.averaged_inverter_step(self.inverter, self.motor, self.bus, left, self._charge)
+            remaining = STEP
+            while remaining > 1e-15:
+                remaining -= self.native.lib.averaged_inverter_step(
+                    self.inverter, self.motor, self.bus, remaining, self._charge
+                )
 
     @property
     def charge(self) -> float:

@@ -22,9 +22,9 @@ def make(plant_c: Native, axis: AxisPlant) -> Any:
 
 def step(plant_c: Native, motor: Any, alpha: float, beta: float, duration: float = STEP) -> None:
     """Advance by `duration`; a step ends early where the shaft stops."""
-    left = duration
-    while left > 1e-12:
-        left -= plant_c.lib.plant_motor_step(motor, (alpha, beta), left)
+    remaining = duration
+    while remaining > 1e-12:
+        remaining -= plant_c.lib.plant_motor_step(motor, (alpha, beta), remaining)
 
 
 def field_energy(inductance: float, i_s: float, current: float) -> float:
@@ -158,14 +158,14 @@ class TestFriction:
         axis = ideal_plant(friction=2e-3).axes[0]
         motor = make(plant_c, axis)
         motor.omega = -50.0
-        way = 50.0**2 * axis.inertia / (2 * axis.friction)
+        distance = 50.0**2 * axis.inertia / (2 * axis.friction)
         time = 50.0 * axis.inertia / axis.friction
         for _ in range(math.ceil(time / STEP) + 100):
-            left = STEP
-            while left > 1e-15:
-                left -= plant_c.lib.plant_motor_coast(motor, left)
+            remaining = STEP
+            while remaining > 1e-15:
+                remaining -= plant_c.lib.plant_motor_coast(motor, remaining)
         assert motor.omega == 0.0
-        assert motor.theta == pytest.approx(-way, rel=1e-9)
+        assert motor.theta == pytest.approx(-distance, rel=1e-9)
 
     def test_friction_of_a_powered_motor_at_reversal(self, plant_c: Native) -> None:
         """Current drives against the motion: at zero speed only the friction torque changes its sign."""
@@ -175,9 +175,9 @@ class TestFriction:
         motor.load, motor.omega = torque, 20.0
         before = 20.0 * axis.inertia / (torque + axis.friction)
         after = 20e-3 - before
-        left = 20e-3
-        while left > 1e-12:
-            left -= plant_c.lib.plant_motor_coast(motor, min(left, STEP))
+        remaining = 20e-3
+        while remaining > 1e-12:
+            remaining -= plant_c.lib.plant_motor_coast(motor, min(remaining, STEP))
         assert motor.omega == pytest.approx(-after * (torque - axis.friction) / axis.inertia, rel=1e-6)
 
     def test_too_small_current_does_not_move_the_shaft(self, plant_c: Native) -> None:

@@ -33,9 +33,9 @@ def test_a_pair_agrees_with_two_single_axes(plant_c: Native, speeds: tuple[float
                 lib.averaged_inverter_load(ffi.addressof(both.axis[index].inverter), duties[index], bus)
         lib.plant_step(both, n * both.step_ns)
         for index, motor in enumerate(motors):
-            left = step
-            while left > 1e-15:
-                left -= lib.averaged_inverter_step(inverters[index], motor, bus, left, charge)
+            remaining = step
+            while remaining > 1e-15:
+                remaining -= lib.averaged_inverter_step(inverters[index], motor, bus, remaining, charge)
             paired = both.axis[index].motor
             assert paired.omega == pytest.approx(motor.omega, rel=1e-11, abs=1e-12)
             assert paired.theta == pytest.approx(motor.theta, rel=1e-12, abs=1e-14)

@@ -282,8 +282,8 @@ def test_edges_of_an_eccentric_disc_keep_their_order(level: Level) -> None:
         board.lock_shaft(0)
         board.run(0.01)
         end = board.read_raw("axis1.position")[0], board.truth(0).theta_m
-    way = [theta + 0.19 * math.sin(theta) for _, theta in (start, end)]
-    assert end[0] - start[0] == pytest.approx((way[1] - way[0]) * 4000.0 / (2.0 * math.pi), abs=1.5)
+    seen_angle = [theta + 0.19 * math.sin(theta) for _, theta in (start, end)]
+    assert end[0] - start[0] == pytest.approx((seen_angle[1] - seen_angle[0]) * 4000.0 / (2.0 * math.pi), abs=1.5)
 
 
 # ---- winding, iron, magnet -------------------------------------------------------------------------------------------

@@ -199,8 +199,8 @@ def test_no_ripple_without_load() -> None:
 def test_position_counts_what_the_shaft_turns(running: Board) -> None:
     start, counts = running.truth(0).theta_m, running.read_raw("axis1.position")[0]
     running.run(1.0)
-    turned = (running.truth(0).theta_m - start) / (2.0 * math.pi) * 4000
-    assert running.read_raw("axis1.position")[0] - counts == pytest.approx(turned, abs=30)
+    rotation = (running.truth(0).theta_m - start) / (2.0 * math.pi) * 4000
+    assert running.read_raw("axis1.position")[0] - counts == pytest.approx(rotation, abs=30)
 
 
 def test_reversal_goes_through_a_new_start(running: Board) -> None:

@@ -121,8 +121,8 @@ def test_power_failure_at_any_instant_of_a_save(kept: Kept) -> None:
             begin_request(board.memory, "SAVE")
             board.run(0.1)
             assert board.board.flash_state().dead
-            left = board.board.flash_image()
-        with Kept(left) as board:
+            flash_after = board.board.flash_image()
+        with Kept(flash_after) as board:
             assert board.values() in (before, after), (number, part)
             seen.append(board.values() == after)
             state = read_storage(board.memory)
@@ -145,8 +145,8 @@ def test_power_failure_at_any_instant_of_a_factory_reset(kept: Kept) -> None:
                 board.board.cut_flash(number, part)
                 begin_request(board.memory, "FACTORY")
                 board.run(0.1)
-                left = board.board.flash_image()
-            with Kept(left) as board:
+                flash_after = board.board.flash_image()
+            with Kept(flash_after) as board:
                 assert board.values() in (built_in, newest)
                 if number < 3:
                     assert board.values() == newest
@@ -158,11 +158,11 @@ def test_a_power_failure_at_any_instant_ends_the_flash_command(kept: Kept) -> No
         with Kept() as board:
             begin_request(board.memory, "SAVE")
             board.run(float(random.uniform(0.0, 0.05)))
-            left = board.board.cut_power()
-            assert board.board.flash_image() == left
+            flash_after = board.board.cut_power()
+            assert board.board.flash_image() == flash_after
             board.run(0.1)
-            assert board.board.flash_image() == left, "power is off"
-        with Kept(left) as board:
+            assert board.board.flash_image() == flash_after, "power is off"
+        with Kept(flash_after) as board:
             assert read_storage(board.memory).source == "BUILT_IN"
 
 

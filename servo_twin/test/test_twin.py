@@ -112,9 +112,9 @@ def follow_sines(rig: TwinRig, count: int = 60) -> list[Pair]:
 
     def point(axis: int, k: int) -> TimedPoint:
         t, rate = 0.01 * k, 2.0 * math.pi / 0.6
-        way, speed = 1.0 - math.cos(rate * t), rate * math.sin(rate * t)
+        distance, speed = 1.0 - math.cos(rate * t), rate * math.sin(rate * t)
         sign = 1 - 2 * axis
-        return TimedPoint(axis, begin + 160 * k, start[axis] + sign * way, sign * speed)
+        return TimedPoint(axis, begin + 160 * k, start[axis] + sign * distance, sign * speed)
 
     for k in range(0, count, 2):
         rig.write_points([point(axis, m) for m in range(k, min(k + 2, count)) for axis in range(AXES)])
@@ -466,13 +466,13 @@ class TestReports:
             rig.enable_axes()
             rig.reporting = False
             rig.write("cmd.mode", [0, 0])
-            said = []
+            reported = []
             for _ in range(20):
                 rig.sample()
-                said.append(rig.twin.status)
-            assert "" in said
+                reported.append(rig.twin.status)
+            assert "" in reported
             assert rig.twin.synchronisations == 1
-            assert said[-1].startswith("waiting: ")
+            assert reported[-1].startswith("waiting: ")
 
     def test_table_without_required_columns_is_refused(self, rig: TwinRig) -> None:
         columns = [name for name in COLUMNS if name not in ("applied_count", "axis2.i_q")]
@@ -640,9 +640,9 @@ class TestFaults:
             rig.run(0.02)
         rig.until("FAULT")
         silent = cause("HOST_SILENT")
-        said = causes(rig.pairs)
-        assert said[0] == ""
-        assert said[1] == both(f"stops for a fault ({silent})")
+        reported = causes(rig.pairs)
+        assert reported[0] == ""
+        assert reported[1] == both(f"stops for a fault ({silent})")
         pairs = rig.run(3.0)
         assert causes(pairs) == [both(f"is in FAULT ({silent})")]
         assert rig.twin.synchronisations == 2

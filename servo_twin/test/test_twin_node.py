@@ -310,9 +310,9 @@ def test_a_board_in_fault_makes_the_twin_unhealthy_until_the_fault_is_cleared(
     rig.until(lambda: rig.status("comparison").message == "healthy")
     assert {v.key: v.value for v in rig.status("comparison").values}["synchronisations"] == "2"
     log = capfd.readouterr().err
-    said = [line for line in log.splitlines() if "ANGLE_MISMATCH" in line]
-    assert len(said) == 1, said
-    assert f"not healthy: {named}" in said[0]
+    reported = [line for line in log.splitlines() if "ANGLE_MISMATCH" in line]
+    assert len(reported) == 1, reported
+    assert f"not healthy: {named}" in reported[0]
 
 
 def test_a_fault_older_than_the_twin_is_reported(rig: Rig, capfd: pytest.CaptureFixture[str]) -> None:
@@ -439,15 +439,15 @@ def test_malformed_messages_are_ignored(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize(
-    ("parameters", "said"),
+    ("parameters", "reported"),
     [
         ({"plant": "/nowhere/plant.toml"}, "plant"),
         ({"seed": -1}, "seed"),
         ({"position_tolerance": "small"}, "position_tolerance"),
     ],
 )
-def test_invalid_parameters_are_refused(parameters: dict[str, Any], said: str) -> None:
-    with pytest.raises(ParameterError, match=said):
+def test_invalid_parameters_are_refused(parameters: dict[str, Any], reported: str) -> None:
+    with pytest.raises(ParameterError, match=reported):
         Rig(**parameters)
 
 

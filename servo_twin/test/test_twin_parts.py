@@ -212,13 +212,13 @@ class TestReplica:
         """Only the rising edge counts: a set bit does not stop the axis again after a new set-point."""
         alignment = AxisAlignment(1, CATALOGUE)
         (sample,) = SampleReader(CATALOGUE).rows(COLUMNS, TestSamples.row())
-        said = []
+        reported = []
         for limits in (0, EXPIRED, EXPIRED, 0, EXPIRED):
             replica.raw = {"axis2.limits": limits, "axis1.limits": EXPIRED}
             alignment.observe(replica, sample)
-            said.append(alignment.stopping)
+            reported.append(alignment.stopping)
             alignment.stopping = False
-        assert said == [False, True, False, False, True]
+        assert reported == [False, True, False, False, True]
 
     def test_replica_runs_until_a_condition_holds(self, replica: Replica) -> None:
         assert replica.run_until(lambda: replica.raw.get("axis1.state") == 2, SECOND)
@@ -268,18 +268,18 @@ class TestHealth:
         assert self.update(monitor, 1.4)
 
     @pytest.mark.parametrize(
-        ("difference", "said"),
+        ("difference", "reported"),
         [
             ({"axis2_position": 0.06}, "axis2: position differs by +0.06 rad"),
             ({"axis1_speed": -11.0}, "axis1: velocity differs by -11 rad/s"),
             ({"axis2_i_q": 0.04}, "axis2: effort differs by +0.08 N m"),
         ],
     )
-    def test_every_quantity_can_make_the_twin_unhealthy(self, difference: dict[str, float], said: str) -> None:
+    def test_every_quantity_can_make_the_twin_unhealthy(self, difference: dict[str, float], reported: str) -> None:
         monitor = HealthMonitor(Thresholds(0.05, 10.0, 0.05, hold=0.0, grace=0.0))
         assert self.update(monitor, 0.0)
         assert not self.update(monitor, 0.1, **difference)
-        assert monitor.reason.startswith(said)
+        assert monitor.reason.startswith(reported)
 
     def test_a_geared_joint_is_compared_in_joint_units(self) -> None:
         zero = dict.fromkeys(COMPARED, 0.0)

@@ -170,17 +170,17 @@ def _points(file: Path, entity: str) -> int:
     return 0
 
 
-def _wait_points(file: Path, wanted: dict[str, int]) -> None:
+def _wait_points(file: Path, expected: dict[str, int]) -> None:
     seen: dict[str, int] = {}
 
     def there() -> bool:
-        seen.update({entity: _points(file, entity) for entity in wanted})
-        return seen == wanted
+        seen.update({entity: _points(file, entity) for entity in expected})
+        return seen == expected
 
     try:
         _wait(there, "points")
     except AssertionError:
-        assert seen == wanted
+        assert seen == expected
 
 
 def _texts(file: Path, source: str) -> list[str]:
