@@ -21,7 +21,7 @@ class Payload:
         self.lib = lib
         self._input = ffi.new("uint8_t[]", data or b"\0")
         self._output = ffi.new("uint8_t[]", b"\xee" * (ROOM + 4))
-        self.reader = ffi.new("payload_reader_t *", {"data": self._input, "left": len(data)})
+        self.reader = ffi.new("payload_reader_t *", {"data": self._input, "remaining": len(data)})
         self.writer = ffi.new("payload_writer_t *", {"data": self._output, "room": ROOM})
 
     def written(self) -> bytes:
@@ -45,7 +45,7 @@ def test_fields_are_read_in_order(payload: Payload) -> None:
     assert lib.payload_get_unsigned(reader) == 1000
     assert lib.payload_get_signed(reader) == -2
     assert payload.ffi.buffer(lib.payload_take(reader, 3), 3)[:] == b"abc"
-    assert (reader.left, reader.missing) == (0, False)
+    assert (reader.remaining, reader.missing) == (0, False)
     assert lib.payload_take(reader, 0) != payload.ffi.NULL, "zero bytes are always available"
 
 
@@ -53,7 +53,7 @@ def test_fields_are_read_in_order(payload: Payload) -> None:
 @pytest.mark.parametrize("field", ["payload_get_unsigned", "payload_get_signed"])
 def test_unterminated_number_is_an_error(payload: Payload, field: str) -> None:
     assert getattr(payload.lib, field)(payload.reader) == 0
-    assert (payload.reader.left, payload.reader.missing) == (0, True)
+    assert (payload.reader.remaining, payload.reader.missing) == (0, True)
     assert payload.lib.payload_get_u8(payload.reader) == 0, "nothing is read after a missing field"
 
 

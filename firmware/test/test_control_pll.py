@@ -94,7 +94,7 @@ def accelerate(core: Core, fed_forward: float, seconds: float = 0.08) -> float:
     """Largest angle error when 1 A accelerates the rotor from 200 rad/s and the PLL is fed forward `fed_forward` A."""
     rate = ACCELERATION
     ideal = Ideal(core)
-    ideal.estimator.leave_size_out()
+    ideal.estimator.ignore_amplitude()
     ideal.estimator.start(0.0, 200.0)
 
     def omega(t: float) -> float:
@@ -131,7 +131,7 @@ def test_load_step_changes_the_amplitude_of_the_back_emf(core: Core) -> None:
     def behind(follow: bool) -> float:
         ideal = Ideal(core)
         if not follow:
-            ideal.estimator.leave_size_out()
+            ideal.estimator.ignore_amplitude()
         ideal.estimator.start(0.0, 32.0)
         rate, errors = 1600.0, []
         for _ in range(round(0.01 / T)):

@@ -167,7 +167,7 @@ def test_an_oscillating_rotor_is_detected_by_the_back_emf_but_not_by_the_varianc
     each other, the slide's PLL follows one of them, at a speed that hardly varies, but would need far more of it."""
     rig = Rig(core)
     it = rig.estimator
-    it.leave_size_out()
+    it.ignore_amplitude()
     it.start(0.0, swing)
     reliability = Reliability(core)
     smooth = core.ffi.new("emf_check_t *")

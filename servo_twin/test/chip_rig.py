@@ -321,7 +321,7 @@ class ChipRig:
 
     def clear(self) -> None:
         """Clear the recorded events."""
-        self.chip.core.bus.trace = {"entry": self._trace, "size": 0, "left": 200_000}
+        self.chip.core.bus.trace = {"entry": self._trace, "size": 0, "remaining": 200_000}
         self.gates.clear()
 
     def events(self, *kinds: str) -> list[Event]:

@@ -24,7 +24,8 @@ def test_missing_anti_windup_violates_the_bounds(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(anti_windup, "respond", respond)
     outcome = anti_windup.run(PlantConfig.load(), seed=3)
     wrong = {row.name for row in outcome.rows if not row.agrees}
-    assert wrong >= ({"peak without", "lag without"} if swapped else {"peak with", "lag with"})
+    how = "without" if swapped else "with"
+    assert wrong >= {f"peak {how} anti-windup", f"lag {how} anti-windup"}
 
 
 def test_depth_of_the_reference_shaft_is_one_ampere() -> None:

@@ -44,7 +44,7 @@ def test_missing_feature_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, mi
     found = rows()
     for axis in (1, 2):
         if missing == "SPEED_FORWARD":
-            assert not found[f"axis{axis} 1 turns, following error, speed over none"]
+            assert not found[f"axis{axis} 1 turns, following error, speed / none"]
         else:
             assert not found[f"axis{axis} 1 turns, following error, speed, acceleration"]
 

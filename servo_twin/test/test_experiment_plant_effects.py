@@ -21,8 +21,8 @@ def test_every_figure_is_within_its_bound() -> None:
 UNSEEN = {
     "lost motion of the load": {"backlash": 0.0},
     "ripple of the true speed, once per turn": {"disc_eccentricity": 0.0},
-    "current that answers the cogging": {"cogging_torque": 0.0},
-    "L_q at the saturation's current": {"i_saturation_q": 0.0},
+    "current that compensates the cogging": {"cogging_torque": 0.0},
+    "L_q at the saturation current": {"i_saturation_q": 0.0},
     "R of a warm winding": {"winding_warms": 0.0},
     "psi_m of a warm magnet": {"magnet_coefficient": 0.0},
 }

@@ -74,8 +74,8 @@ def test_moving_shaft_is_not_a_blocked_shaft(monkeypatch: pytest.MonkeyPatch, pl
     few(monkeypatch)
     monkeypatch.setattr(Board, "lock_shaft", lambda self, axis, locked=True: None)
     rows = {row.name: row.agrees for row in rotor_search.run(plant, seed=2).rows}
-    assert not rows["axis1 shaft held: ROTOR_SEARCH"]
-    assert not rows["axis1 shaft held under way: ROTOR_SEARCH"]
+    assert not rows["axis1 shaft blocked: ROTOR_SEARCH"]
+    assert not rows["axis1 shaft blocked during the search: ROTOR_SEARCH"]
     assert rows["axis1 encoder unplugged: ENCODER_LOST"]
 
 

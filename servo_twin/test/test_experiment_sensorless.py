@@ -80,7 +80,7 @@ def test_errors_and_missing_compensation_violate_the_bounds(
     monkeypatch.setattr(observer, "_uncompensated", uncompensated)
     names = wrong(run(observer))
     assert any("largest mean error" in name for name in names)
-    assert any("not made up over made up" in name for name in names)
+    assert any("amplitude without / with compensation" in name for name in names)
 
 
 def test_angle_error_by_calculation() -> None:
@@ -101,7 +101,7 @@ def test_start_up_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(start_up, "STARTS", 6)
     outcome = run(start_up)
     assert wrong(outcome) == []
-    assert outcome.row("random starts, success").measured == 100.0
+    assert outcome.row("successful random starts").measured == 100.0
 
 
 def test_start_up_of_a_blocked_shaft_does_not_agree() -> None:

@@ -28,4 +28,4 @@ def test_too_small_current_violates_the_bounds(monkeypatch: pytest.MonkeyPatch, 
 
 def test_missing_deflection_is_an_error(monkeypatch: pytest.MonkeyPatch, plant: PlantConfig) -> None:
     monkeypatch.setattr(stiffness, "NOMINAL", 1e-6)  # less than the friction holds
-    assert not stiffness.run(plant, seed=8).row("axis1, recovery").agrees
+    assert not stiffness.run(plant, seed=8).row("axis1, recovery time").agrees

@@ -8,7 +8,7 @@ from servo_twin.experiments import rig, supervision
 from servo_twin.experiments.supervision import Bench
 from servo_twin.plant import PlantConfig
 
-CAUSES = ("shaft blocked in a move", "too large a load in a move", "driven by a load", "set-point too fast")
+CAUSES = ("shaft blocked in a move", "too large load in a move", "driven by a load", "set-point too fast")
 
 
 def wrong() -> set[str]:
@@ -28,7 +28,7 @@ def test_disabled_supervision_violates_the_bounds(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(rig, "features", features)
     names = wrong()
     for cause in CAUSES:
-        for figure in ("outputs off after", "expected fault reported", "time with over without"):
+        for figure in ("time until outputs off", "expected fault reported", "time with / without the feature"):
             assert f"axis1, {cause}: {figure}" in names
 
 

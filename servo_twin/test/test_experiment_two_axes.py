@@ -43,7 +43,7 @@ def test_axis_at_rest_has_no_influence(monkeypatch: pytest.MonkeyPatch) -> None:
         return genuine(plant, seed, watched, None, compensated)
 
     monkeypatch.setattr(two_axes, "turn", turn)
-    assert {"axis1, the other reverses: bus swing", "axis2, the other reverses: bus swing"} <= wrong(PlantConfig.load())
+    assert {f"axis{n}, the other reverses: bus voltage variation" for n in (1, 2)} <= wrong(PlantConfig.load())
 
 
 def test_influence_of_the_other_axis_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,4 +56,4 @@ def test_influence_of_the_other_axis_violates_the_bounds(monkeypatch: pytest.Mon
         return dataclasses.replace(even, omega=even.omega * (1.02 if reversals else 1.0)), other
 
     monkeypatch.setattr(two_axes, "turn", turn)
-    assert "axis1 turns, the other reverses: more deviation" in wrong(PlantConfig.load())
+    assert "axis1 rotates, the other reverses: additional deviation" in wrong(PlantConfig.load())

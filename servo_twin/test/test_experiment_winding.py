@@ -29,7 +29,7 @@ def test_missing_derating_violates_the_bounds(monkeypatch: pytest.MonkeyPatch) -
     found = time_series(world, SEED, text, 2.5)
     for it, model, real in zip(found, nominal, true, strict=True):
         wrong = {row.name for row in winding.figures(Judge(), it, model, real) if not row.agrees}
-        assert {"time until derating", "current in the end", "winding in the end"} <= wrong
+        assert {"time until derating", "final current", "final winding temperature"} <= wrong
         assert it.current[-1] == pytest.approx(4.0, abs=0.01)
 
 

@@ -253,11 +253,11 @@ def test_ctrl_c_restores_the_board(at: tuple[int, ...]) -> None:
 
 def test_restoration_continues_after_a_line_failure() -> None:
     class Lost(_Watched):
-        left = 3
+        remaining = 3
 
         def write_words(self, name: str, words: Sequence[int], first: int = 0) -> bool:
-            if self.waits > 100 and name in ("cmd.enable", "param.features", "cmd.speed") and self.left > 0:
-                self.left -= 1
+            if self.waits > 100 and name in ("cmd.enable", "param.features", "cmd.speed") and self.remaining > 0:
+                self.remaining -= 1
                 raise OSError("no answer")
             return super().write_words(name, words, first)
 
@@ -372,7 +372,7 @@ def test_too_small_range_is_refused_before_any_motion(limits: Limits, reason: st
         with pytest.raises(MeasurementError, match=reason):
             MotorTest(access, 0, limits, servo_table()).run()
         assert _state(board) == before
-        assert access.way < 0.01
+        assert access.travel < 0.01
 
 
 def test_saturation_is_reported_as_failure(tmp_path: Path) -> None:
