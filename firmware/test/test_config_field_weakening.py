@@ -19,11 +19,11 @@ from tuning_tool import axis, configuration
 class Motor(NamedTuple):
     """Motor of axis 1."""
 
-    r_s: float = 0.55
-    l_d: float = 0.403e-3
-    l_q: float = 0.512e-3
-    psi_m: float = 0.0154
-    pole_pairs: float = 2.0
+    r_s: float = 0.55  # [ohm]
+    l_d: float = 0.403e-3  # [H]
+    l_q: float = 0.512e-3  # [H]
+    psi_m: float = 0.0154  # flux linkage of the magnets [V s]
+    pole_pairs: float = 2.0  # [1]
 
 
 MOTOR = Motor()

@@ -24,7 +24,7 @@ FRICTION_ANGLE = (
 class Result(NamedTuple):
     phase: int
     error: float  # error of the found angle [electrical degrees]
-    seconds: float
+    seconds: float  # duration of the search [s]
     travel: float  # rad, largest distance from the position held by the brake
     across: float  # A, current found to hold the load
 

@@ -26,7 +26,7 @@ class Result(NamedTuple):
     phase: int
     error: float  # error of the found angle [electrical degrees]
     searches: int
-    seconds: float
+    seconds: float  # duration of the search [s]
     currents: list[float]  # A, one per slow tick
     vectors: list[float]  # degrees, one per vector
     travel: int  # counts between the outermost positions

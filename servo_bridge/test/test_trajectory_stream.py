@@ -28,9 +28,9 @@ OMEGA = math.pi
 
 @dataclass
 class Result:
-    times: Array
-    positions: Array
-    velocities: Array
+    times: Array  # (points,), time of the receiver [s]
+    positions: Array  # (points,), [rad]
+    velocities: Array  # (points,), [rad/s]
     reports: list[StreamReport]
 
     @property

@@ -30,7 +30,7 @@ NUMBERS = range(40)
 class Square:
     """Work without a board."""
 
-    seconds: float = 0.0
+    seconds: float = 0.0  # duration of a trial [s]
 
     def run(self, number: int) -> int:
         time.sleep(self.seconds)
