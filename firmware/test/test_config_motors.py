@@ -63,6 +63,7 @@ def with_motor(motor: Mapping[str, float], axis: str = "axis1") -> dict[str, Any
 def tune(whole: Mapping[str, Any]) -> tuple[Configuration, list[Tuned]]:
     configuration = parse(whole, CATALOGUE)
     assert brake_constants(configuration)
+    assert time_outs(configuration.board)
     return configuration, [tuned(axis, configuration) for axis in configuration.axes]
 
 
