@@ -73,7 +73,7 @@ class TestCounter:
         rig.run(start + 4 * PERIOD)
         assert [c - start for c in rig.clocks("cycle", a=0)] == [2 * PERIOD, 4 * PERIOD]
 
-    def test_stands_still_without_a_load(self, rig: ChipRig) -> None:
+    def test_the_counter_does_not_run_without_a_load(self, rig: ChipRig) -> None:
         """RUN without LDOK: all values are 0, so a cycle lasts one clock."""
         rig.write_all(PWM_PINS | pwm_module("A"))
         rig.write("PWMA_MCTRL", 0x0700)
@@ -89,7 +89,7 @@ class TestCounter:
         rig.run(begun + PERIOD)
         assert [c - begun for c in rig.clocks("cycle", a=0)] == [0, PERIOD]
 
-    def test_submodule_without_clock_stops(self, rig: ChipRig) -> None:
+    def test_a_submodule_without_clock_stops(self, rig: ChipRig) -> None:
         start = prepare(rig)
         rig.run(start + 1000)
         rig.write("SIM_PCE3", 0x00FF & ~(1 << 6))  # PWMA SM1
@@ -134,7 +134,7 @@ class TestEdges:
         rig.run(start + PERIOD)
         assert gates(rig, start) == [(HALF - 30, OPEN), (HALF + 30 + 100, LOW)]
 
-    def test_reset_value_of_the_dead_time(self, rig: ChipRig) -> None:
+    def test_the_dead_time_is_7ffh_after_reset(self, rig: ChipRig) -> None:
         values = {k: v for k, v in pwm_module("A", 2500).items() if "DTCNT" not in k}
         rig.write_all(PWM_PINS | values)
         start_pwm(rig, "A")
@@ -149,7 +149,7 @@ class TestEdges:
         rig.run(start + 4 * PERIOD)
         assert gates(rig, start) == [(0, OPEN), (100, HIGH)]
 
-    def test_equal_edges_are_off(self, rig: ChipRig) -> None:
+    def test_equal_edges_keep_the_output_off(self, rig: ChipRig) -> None:
         start = prepare(rig, 0)
         rig.run(start + 2 * PERIOD)
         assert gates(rig, start) == []
@@ -167,7 +167,7 @@ class TestEdges:
 
 
 class TestLoading:
-    def test_half_cycle_reload(self, rig: ChipRig) -> None:
+    def test_a_half_cycle_reload_acts_within_the_pulse(self, rig: ChipRig) -> None:
         """The pulse in progress keeps its old rising edge and takes the new falling edge."""
         start = prepare(rig, 1000)
         rig.run(start + 10)
@@ -183,7 +183,7 @@ class TestLoading:
             (HALF + 600, LOW),
         ]
 
-    def test_full_cycle_reload(self, rig: ChipRig) -> None:
+    def test_a_full_cycle_reload_acts_in_the_next_cycle(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000, **{f"PWMA{n}_CTRL": 0x0400 for n in range(3)})
         rig.run(start + 10)
         set_duty(rig, 500)
@@ -204,7 +204,7 @@ class TestLoading:
         rig.run(start + PERIOD)
         assert rig.clocks("load", a=2) == [start + HALF, start + PERIOD]
 
-    def test_every_second_opportunity(self, rig: ChipRig) -> None:
+    def test_values_can_be_loaded_at_every_second_opportunity(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000, PWMA0_CTRL=0x1800)
         rig.run(start + 10)
         set_duty(rig, 500)
@@ -248,7 +248,7 @@ class TestLoading:
         rig.run(start + PERIOD)
         assert rig.read("PWMA0_STS") & 0x7000 == 0x1000  # RF alone: no other flag remains
 
-    def test_ldok_of_one_submodule(self, rig: ChipRig) -> None:
+    def test_ldok_can_load_a_single_submodule(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000)
         rig.run(start + 10)
         set_duty(rig, 500, ldok=2)
@@ -274,7 +274,7 @@ class TestLoading:
         rig.run(start + PERIOD)
         assert gates(rig, start)[2] == (HALF + 500, OPEN)
 
-    def test_load_at_once(self, rig: ChipRig) -> None:
+    def test_values_can_be_loaded_immediately(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000, PWMA0_CTRL=0x0804)
         rig.run(start + 10)
         set_duty(rig, 500)
@@ -353,7 +353,7 @@ class TestForce:
         rig.run(start + 10 + PERIOD)
         assert gates(rig, start)[:3] == [(10, OPEN), (110, HIGH), (10 + HALF + 1000, OPEN)]
 
-    def test_outputs_off_at_once(self, rig: ChipRig) -> None:
+    def test_disabled_outputs_open_immediately(self, rig: ChipRig) -> None:
         start = prepare(rig, 1000)
         rig.run(start + HALF)
         rig.write("PWMA_OUTEN", 0)
@@ -361,7 +361,7 @@ class TestForce:
 
 
 class TestPins:
-    def test_pin_function_wrong(self, rig: ChipRig) -> None:
+    def test_a_wrong_pin_function_keeps_the_switch_off(self, rig: ChipRig) -> None:
         """The pin of a gate driver has another function or is GPIO: its switch stays off."""
         start = prepare(rig, 1000)
         rig.write("SIM_GPSEL", 0xA000 | 1 << 10)  # E5 is XB_IN3: no upper switch of phase c
@@ -378,7 +378,7 @@ class TestPins:
         rig.write("GPIOE_DR", 0x0002)
         assert rig.gates[-1][1:] == (0, 0, HIGH)
 
-    def test_select_of_the_other_module(self, rig: ChipRig) -> None:
+    def test_a_wrong_pin_selection_disconnects_a_submodule(self, rig: ChipRig) -> None:
         """E6 and E7 carry PWMB 2 only with code 2."""
         rig.write_all(PWM_PINS | pwm_module("B", PWMB0_CTRL2=0, PWMB1_CTRL2=0x0204, PWMB2_CTRL2=0x0204))
         rig.write("SIM_GPSEL", 0)
@@ -396,7 +396,7 @@ class TestFaults:
         rig.pin("E8", True)
         return start
 
-    def test_outputs_open_without_software(self, rig: ChipRig) -> None:
+    def test_a_fault_opens_the_outputs_without_software(self, rig: ChipRig) -> None:
         start = self.trip(rig)
         assert gates(rig, start)[-1] == (HALF, OPEN)
         assert rig.read("PWMA_FSTS0") & 0x010F == 0x0101
@@ -423,7 +423,7 @@ class TestFaults:
         rig.run(start + 5 * PERIOD)
         assert gates(rig, start)[-1] == (HALF, OPEN)
 
-    def test_half_cycle_resume(self, rig: ChipRig) -> None:
+    def test_outputs_resume_at_the_half_cycle(self, rig: ChipRig) -> None:
         start = self.trip(rig, fsts=0xF00F)
         rig.run(start + PERIOD + 10)
         rig.pin("E8", False)
@@ -431,7 +431,7 @@ class TestFaults:
         rig.run(start + PERIOD + HALF)
         assert gates(rig, start)[-1] == (PERIOD + HALF, HIGH)
 
-    def test_no_resume_without_a_boundary(self, rig: ChipRig) -> None:
+    def test_outputs_never_resume_without_a_boundary(self, rig: ChipRig) -> None:
         """FFULL and FHALF both 0: the outputs stay off for good."""
         start = self.trip(rig)
         rig.pin("E8", False)
@@ -522,7 +522,7 @@ def phase(rig: ChipRig) -> float:
 
 class TestTwoModules:
     @pytest.mark.parametrize("latency", [0, 2, 5])
-    def test_half_a_period_apart(self, registers_c: Native, latency: int) -> None:
+    def test_the_modules_are_half_a_period_apart(self, registers_c: Native, latency: int) -> None:
         rig = ChipRig(registers_c, crossbar_clocks=latency)
         both(rig)
         assert phase(rig) == HALF + 1 + latency
@@ -532,7 +532,7 @@ class TestTwoModules:
         both(rig, PWMA0_VAL0=-1000)
         assert phase(rig) == HALF - 1000 + 1
 
-    def test_followers_by_the_master_sync_of_submodule_0(self, rig: ChipRig) -> None:
+    def test_followers_can_use_the_master_sync_of_submodule_0(self, rig: ChipRig) -> None:
         both(rig, PWMB1_CTRL2=0x0204, PWMB2_CTRL2=0x0204)
         assert rig.clocks("cycle", a=4) == rig.clocks("cycle", a=5) == rig.clocks("cycle", a=6)
 

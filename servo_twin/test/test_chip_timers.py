@@ -79,19 +79,19 @@ class TestPosition:
             seen.append(count(rig))
         assert seen == [3999, 0, 1, -3999, 0, -1]
 
-    def test_compare_value_wrong(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_a_compare_value_equal_to_load_stops_counting_down(self, rig: ChipRig, encoder: Encoder) -> None:
         """COMP2 = 0, equal to LOAD: when counting down the counter is reloaded at every further edge and stays 0."""
         rig.write("TMRA0_COMP2", 0)
         encoder.turn(5)
         encoder.turn(-20)
         assert count(rig) == 0
 
-    def test_comp2_of_the_wrong_sign(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_comp2_of_the_wrong_sign_prevents_the_wrap(self, rig: ChipRig, encoder: Encoder) -> None:
         rig.write("TMRA0_COMP2", 3999)
         encoder.turn(-4500, 10)
         assert count(rig) == -4500  # no wrap downwards
 
-    def test_without_length_it_counts_on(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_without_length_the_counter_does_not_wrap(self, rig: ChipRig, encoder: Encoder) -> None:
         rig.write("TMRA0_CTRL", 0x8085)
         encoder.turn(4100, 10)
         assert count(rig) == 4100
@@ -101,7 +101,7 @@ class TestPosition:
         encoder.turn(7)
         assert count(rig) == -7
 
-    def test_pin_function_wrong(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_a_wrong_pin_function_disconnects_the_encoder(self, rig: ChipRig, encoder: Encoder) -> None:
         """B is not connected to the timer: A alone counts up and down."""
         rig.write("SIM_GPSCL", 1 << 4 | 1 << 8)
         encoder.turn(40)
@@ -120,7 +120,7 @@ class TestPosition:
         ("code", "expected"),
         [(0x4000 | 0x3F00, [0, 1, 0]), (0x8000 | 0x3F00, [1, 0, 1]), (0xFF00, [1, 1, 1]), (0x3F00, [0, 0, 0])],
     )
-    def test_and_or_invert(self, rig: ChipRig, code: int, expected: list[int]) -> None:
+    def test_the_aoi_passes_inverts_and_forces(self, rig: ChipRig, code: int, expected: list[int]) -> None:
         """XB_IN2 on E4 is input A of event 0, which is connected to TA2: passed, inverted, forced to 1 and to 0."""
         rig.write_all({"GPIOE_PER": 0x0010, "SIM_GPSEL": 0x0100, "SIM_IPS0": 0x0400, "XBARB_SEL0": 14})
         rig.write_all({"AOI_BFCRT01_0": code, "XBARA_SEL25": 46 << 8, "TMRA2_CTRL": 0x0100})
@@ -130,7 +130,7 @@ class TestPosition:
             seen.append(rig.read("TMRA2_SCTRL") >> 8 & 1)
         assert seen == expected
 
-    def test_inputs_from_the_crossbar(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_inputs_can_come_from_the_crossbar(self, rig: ChipRig, encoder: Encoder) -> None:
         rig.write("SIM_IPS0", 0x0300)
         encoder.turn(8)
         assert count(rig) == 0  # not connected
@@ -186,7 +186,7 @@ class TestIndex:
         encoder.turn(10, 5)
         assert rig.read("TMRA2_CNTR") == 2
 
-    def test_set_and_never_cleared(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_an_output_that_is_never_cleared_counts_one_revolution(self, rig: ChipRig, encoder: Encoder) -> None:
         """OUTMODE 2 instead of 5: after the first revolution OFLAG stays set, so no further revolution is counted."""
         rig.write("TMRA0_CTRL", 0x80A2)
         encoder.turn(3999 + 2 * 4000, 5)
@@ -213,7 +213,7 @@ class TestIndex:
 
 
 class TestTime:
-    def test_bus_over_128(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_the_time_stamp_counts_the_bus_clock_over_128(self, rig: ChipRig, encoder: Encoder) -> None:
         begin, clock = rig.read("TMRA1_CNTR"), rig.now
         rig.step(1_000_000)
         assert rig.read("TMRA1_CNTR") - begin == rig.now // TICK - clock // TICK
@@ -241,7 +241,7 @@ class TestTime:
         encoder.turn(4)
         assert rig.read("TMRA0_CAPT") == 28
 
-    def test_one_edge_only(self, rig: ChipRig, encoder: Encoder) -> None:
+    def test_the_capture_mode_selects_the_edge(self, rig: ChipRig, encoder: Encoder) -> None:
         for mode, expected in ((0x0040, 2), (0x0080, 4), (0x0000, 0)):
             rig.write("TMRA0_CNTR", 0)
             rig.write("TMRA0_CAPT", 0)
@@ -430,7 +430,7 @@ class TestDeferrableEdges:
             counts.append(rig.read("TMRA0_CNTR"))
         assert counts[0] == counts[1] != 100
 
-    def test_deferred_input_that_becomes_relevant(self, registers_c: Native) -> None:
+    def test_a_deferred_input_that_becomes_relevant_is_captured(self, registers_c: Native) -> None:
         """C4 is switched from a counter to the crossbar, which connects it to a capturing channel."""
         captures = []
         for defers_edges in (False, True):
@@ -466,7 +466,7 @@ class TestDeferrableEdges:
 
 
 @pytest.mark.parametrize("mode", [3, 5, 6])
-def test_count_modes_that_are_not_modelled(rig: ChipRig, mode: int) -> None:
+def test_count_modes_that_are_not_modelled_are_errors(rig: ChipRig, mode: int) -> None:
     with pytest.raises(ChipError, match=r"TMRA1 CTRL = [0-9A-F]{4}h: this count mode is not modelled"):
         rig.write("TMRA1_CTRL", mode << 13 | 0x1E80)
 
