@@ -145,7 +145,7 @@ def test_report_contains_the_main_figures(capsys: pytest.CaptureFixture[str]) ->
     assert max(map(len, captured.out.splitlines())) <= 120
 
 
-def test_report_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_report_can_be_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", "--json"]) == 0
     figures = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert list(figures) == ["axis1", "axis2"]
@@ -156,7 +156,7 @@ def test_report_as_json(capsys: pytest.CaptureFixture[str]) -> None:
         assert all(abs(complex(*pole["z"])) < 1.0 for loop in axis["loops"] for pole in loop["poles"])
 
 
-def test_report_as_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_report_can_be_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     picture = tmp_path / "new" / "tuning.png"
     assert main(["report", "--plot", str(picture)]) == 0
@@ -211,7 +211,7 @@ def test_gains_follow_from_bandwidth_and_motor(axes: Any) -> None:
         assert axis.torque_constant / Q15 == pytest.approx(k_t, rel=5e-4)
 
 
-def test_limits_and_sensing(axes: Any) -> None:
+def test_limits_and_sensing_are_scaled_correctly(axes: Any) -> None:
     axis = axes[0]
     assert axis.u_dc_max / Q15 * 36.3 == pytest.approx(33.0, abs=1e-3)
     assert axis.u_dc_min / Q15 * 36.3 == pytest.approx(16.0, abs=1e-3)

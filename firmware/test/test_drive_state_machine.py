@@ -121,7 +121,7 @@ def test_stop_waits_for_its_acknowledge(core: Core) -> None:
 @pytest.mark.parametrize(
     ("state", "transition"), [(STATE.INIT, "init_fault"), (STATE.STOP, "stop_fault"), (STATE.RUN, "run_fault")]
 )
-def test_fault_from_every_state(core: Core, state: int, transition: str) -> None:
+def test_a_pending_fault_leads_every_state_to_fault(core: Core, state: int, transition: str) -> None:
     """A pending fault: the state function is not called, as it could switch the outputs on."""
     machine = Machine(core, state, "FAULT")
     assert machine.step() == ([transition], STATE.FAULT)

@@ -52,7 +52,7 @@ def test_arm_opens_the_captures_and_the_interrupt(board: FakeBoard, axis: int) -
     assert [board[TMR[axis] + 0x10 * n + SCTRL] & (IEF | IEFIE) for n in (0, 1, 3)] == [IEFIE, 0, 0]
 
 
-def test_one_capture_per_arming(board: FakeBoard) -> None:
+def test_each_arming_allows_one_capture(board: FakeBoard) -> None:
     board.lib.hal_capture_arm(board.hal, 0)
     assert take(board, 0) is None
     edge(board, 0, 123, 456)

@@ -49,5 +49,5 @@ def test_wrong_nominal_value_violates_the_bounds(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize(("times", "expected"), [(1.0, 0.0), (2.0, 0.5), (0.5, 1.0), (0.25, 3.0)])
-def test_uncompensated_friction(times: float, expected: float) -> None:
+def test_uncompensated_friction_is_calculated(times: float, expected: float) -> None:
     assert friction.uncompensated(times) == pytest.approx(expected)

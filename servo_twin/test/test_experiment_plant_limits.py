@@ -131,7 +131,7 @@ def test_fault_ends_the_measurement_with_an_error(plant: PlantConfig, may_fail: 
                 record(board, [1], 1.0)
 
 
-def test_true_shaft_in_counts(plant: PlantConfig) -> None:
+def test_the_true_shaft_angle_is_recorded_in_counts(plant: PlantConfig) -> None:
     with spinning(plant, 3) as board:
         choose_mode(board, 0, "SPEED")
         command_speed(board, 0, 10.0)

@@ -54,7 +54,7 @@ def test_a_rotor_at_180_degrees_needs_the_second_vector(plant: PlantConfig) -> N
         assert search.current > 3.9  # the first vector reached its current limit without a movement
 
 
-def test_bound_of_the_error(plant: PlantConfig) -> None:
+def test_the_bound_of_the_error_depends_on_the_current(plant: PlantConfig) -> None:
     axis = plant.axes[0]
     assert rotor_search.error_bound(axis, 4.0) == pytest.approx(
         0.7 + math.degrees(math.asin(2e-3 / (3 * 0.0154 * 4.0))) + 0.36

@@ -344,7 +344,7 @@ def test_noise_is_in_the_measured_current(board: Board) -> None:
     assert np.std(again["axis1.i_d"]) < 1.5 * np.std(quiet["axis1.i_d"])
 
 
-def test_a_hot_power_stage(board: Board) -> None:
+def test_a_hot_power_stage_cools_after_the_fault(board: Board) -> None:
     board.inject(HotPowerStage(1, 95.0))
     board.run(0.01)
     assert board.truth(1).t_sink == 95.0

@@ -10,7 +10,7 @@ from native_library import Native, c_config, ideal_plant
 from servo_twin.plant import PlantConfig
 
 
-def test_24_volts_are_2708(plant_c: Native) -> None:
+def test_24_volts_are_code_2708(plant_c: Native) -> None:
     """DRM E46 on a 12-bit converter; shifted to Q1.15 it is 21664."""
     assert plant_c.lib.plant_code_unipolar(24.0, 36.3) == 2708
 

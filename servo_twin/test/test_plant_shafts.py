@@ -317,7 +317,7 @@ def test_inductance_falls_with_the_current(level: Level, current: float) -> None
     assert truth.torque_e == pytest.approx(torque, rel=1e-6)
 
 
-def test_warm_winding_and_magnet(level: Level) -> None:
+def test_a_warm_winding_and_magnet_change_the_motor(level: Level) -> None:
     config = PlantConfig.load().with_axis(0, winding_warms=1.0, magnet_coefficient=-0.002, magnet_time=0.05)
     axis = config.axes[0]
     with Board(config, level=level) as board:

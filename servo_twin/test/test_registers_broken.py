@@ -188,7 +188,7 @@ def test_wrong_converter_clock_is_corrected(board: Board) -> None:
     assert not resets_by_watchdog(board)
 
 
-def test_full_cycle_reload(board: Board) -> None:
+def test_a_full_cycle_reload_is_half_a_period_later(board: Board) -> None:
     """New duties are loaded half a period later."""
 
     def reload() -> int:

@@ -83,7 +83,7 @@ def test_results_do_not_depend_on_the_number_of_workers(workers: int) -> None:
     assert results == [number * number for number in NUMBERS]
 
 
-def test_more_workers_than_trials() -> None:
+def test_workers_may_outnumber_the_trials() -> None:
     assert run_in_order(Runner(8), Square(), [3], "squares") == [9]
     assert run_in_order(HERE, Square(), [], "squares") == []
 

@@ -124,7 +124,7 @@ def test_comparison_detects_a_wrong_dead_time(switching_c: Native) -> None:
     assert abs(switching.truth(0).phase[0] - reference.axes[0].phases()[0]) > 10 * AMPERES
 
 
-def test_every_gate_pattern(switching_c: Native) -> None:
+def test_every_gate_pattern_agrees_with_the_reference(switching_c: Native) -> None:
     """All 27 states of the legs in sequence; each starts with the currents of the previous one."""
     switching, reference = Switching(switching_c, plant()), Reference(plant())
     states = list(itertools.product((OPEN, HIGH, LOW), repeat=3))

@@ -70,7 +70,7 @@ def wrong(rows: list[Row]) -> set[str]:
     return {row.name for row in rows if not row.agrees}
 
 
-def test_right_timing_agrees() -> None:
+def test_correct_timing_agrees() -> None:
     rows = pwm_cycle(trace(ideal()))
     assert wrong(rows) == set()
     by_name = {row.name: row.measured for row in rows}
@@ -238,7 +238,7 @@ def beginning() -> list[Entry]:
     return entries + [(clock + 1000, kind, a, b) for clock, kind, a, b in ideal()]
 
 
-def test_right_start_agrees() -> None:
+def test_correct_start_agrees() -> None:
     assert wrong(start(trace(beginning()))) == set()
 
 
