@@ -50,5 +50,5 @@ def test_growth_reports_other_load() -> None:
         (b"\0", "a compiler that does not say"),
     ],
 )
-def test_compiler_of_a_library(comment: bytes, name: str) -> None:
+def test_compiler_of_a_library_is_identified(comment: bytes, name: str) -> None:
     assert twin.compiler(b"\x7fELF" + comment) == name

@@ -102,7 +102,7 @@ static point_refusal_t check_point(const axis_t *axis, const record_t *record, p
     const uint32_t duration = point->tick - place->tick;
     const hermite_state_t to = {trajectory_position(point, place->state.position),
                                 path_step_of(axis->config, point->speed)};
-    const path_position_t way = to.position - place->state.position;
+    const path_position_t distance = to.position - place->state.position;
     hermite_t segment;
     if ((int32_t)(point->tick - now) < (int32_t)LEAD) {
         return POINT_REFUSAL_PAST;
@@ -113,7 +113,7 @@ static point_refusal_t check_point(const axis_t *axis, const record_t *record, p
     if (duration < HERMITE_DURATION_MIN || duration > HERMITE_DURATION_MAX) {
         return POINT_REFUSAL_DURATION;
     }
-    if (way > HERMITE_DISTANCE_MAX || way < -HERMITE_DISTANCE_MAX) {
+    if (distance > HERMITE_DISTANCE_MAX || distance < -HERMITE_DISTANCE_MAX) {
         return POINT_REFUSAL_SPEED;
     }
     hermite_set(&segment, place->state, to, duration);

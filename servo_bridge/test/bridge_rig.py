@@ -395,7 +395,7 @@ class Rig:
         return parameters_from_message(messages[-1], self.link.catalogue) if messages else {}
 
     def set_parameter(self, name: str, value: Any) -> tuple[bool, str]:
-        """Set a parameter of the bridge as ``ros2 param set`` does."""
+        """Set a parameter of the bridge, like ``ros2 param set``."""
         client = self.user.create_client(SetParameters, "servo_bridge/set_parameters")
         self.until(client.service_is_ready)
         request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])

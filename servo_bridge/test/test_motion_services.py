@@ -62,7 +62,7 @@ def test_enable_accepts_set_points_after_its_effect() -> None:
     assert rig.arbiter.armed
 
 
-def test_enable_answers_when_a_set_point_would_pass() -> None:
+def test_enable_answers_when_set_points_are_accepted() -> None:
     rig = Rig().connected()
     answer = rig.services.enable(True)
     rig.dispatcher.acknowledged(rig.sent[-1], None)
@@ -145,7 +145,7 @@ def test_stop_refuses_set_points_at_once() -> None:
     assert not rig.arbiter.armed
 
 
-def test_a_refused_write_is_the_answer() -> None:
+def test_refusal_of_the_write_is_the_answer() -> None:
     rig = Rig().connected()
     answer = rig.services.enable(True)
     rig.dispatcher.acknowledged(rig.sent[-1], "the board answers 89, access denied")

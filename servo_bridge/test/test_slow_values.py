@@ -52,7 +52,7 @@ def test_motor_data_are_known_when_all_have_been_read() -> None:
     assert reads.motors == 1
 
 
-def test_a_failed_read_changes_nothing_and_the_next_one_is_taken() -> None:
+def test_a_failed_read_is_ignored_and_the_next_one_is_used() -> None:
     reads = Reads()
     reads.values.read_counters()
     reads.answer(late_loops=1.0)
@@ -63,7 +63,7 @@ def test_a_failed_read_changes_nothing_and_the_next_one_is_taken() -> None:
     assert reads.windings == [Winding(40.0, 8.0)] * 2
 
 
-def test_counters_are_not_read_twice_at_a_time() -> None:
+def test_counters_have_at_most_one_pending_read() -> None:
     reads = Reads()
     reads.values.read_counters()
     under_way = len(reads.waiting)

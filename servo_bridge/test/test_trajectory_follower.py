@@ -78,7 +78,7 @@ def rig() -> Rig:
     return rig
 
 
-def test_a_path_begins_from_where_the_axes_hold_and_ends_where_it_says(rig: Rig) -> None:
+def test_a_path_begins_at_the_held_positions_and_ends_at_its_target(rig: Rig) -> None:
     rig.move([2.0, 2.0])
     rig.sample(75)
     (end,) = rig.ends
@@ -125,7 +125,7 @@ def test_follower_waits_until_the_axes_follow_points_and_hold(rig: Rig) -> None:
     assert rig.of(1)[0].position == pytest.approx(-1.8, abs=1e-6)
 
 
-def test_no_more_points_than_the_queue_holds_and_all_in_time(rig: Rig) -> None:
+def test_points_are_sent_in_time_and_fit_the_queue(rig: Rig) -> None:
     rig.move([40.0, -40.0], seconds=4.0)
     worst = 0
     for _ in range(500):
@@ -136,7 +136,7 @@ def test_no_more_points_than_the_queue_holds_and_all_in_time(rig: Rig) -> None:
     assert 8 <= worst <= 14
 
 
-def test_another_path_takes_over_with_the_state_of_the_first(rig: Rig) -> None:
+def test_another_path_starts_with_the_state_of_the_first(rig: Rig) -> None:
     rig.move([3.0, 0.0], seconds=1.0)
     rig.sample(40)
     old = rig.follower.paths()["axis1"]
@@ -163,7 +163,7 @@ def test_the_other_joint_keeps_its_path(rig: Rig) -> None:
     assert len(rig.ends) == 2
 
 
-def test_a_path_for_later_waits_for_its_time(rig: Rig) -> None:
+def test_a_path_with_a_later_start_waits_for_its_time(rig: Rig) -> None:
     start = rig.tick * PERIOD + 1.0
     rig.move([2.0, -2.0], start=start)
     rig.sample(70)
@@ -198,7 +198,7 @@ def test_distance_of_points_is_not_below_the_minimum_of_the_board(spacing: int) 
         assert min(np.diff(queue)) >= 16
 
 
-def test_a_path_that_is_refused_moves_nothing(rig: Rig) -> None:
+def test_a_refused_path_causes_no_motion(rig: Rig) -> None:
     def refuse(_: Path) -> None:
         raise TrajectoryError("too fast")
 
@@ -211,7 +211,7 @@ def test_a_path_that_is_refused_moves_nothing(rig: Rig) -> None:
     assert rig.follower.axes == frozenset()
 
 
-def test_a_cancelled_axis_gets_no_points_any_more(rig: Rig) -> None:
+def test_a_cancelled_axis_gets_no_more_points(rig: Rig) -> None:
     rig.move([20.0, -20.0], seconds=3.0)
     rig.sample(5)
     rig.follower.cancel(0, "a set-point took over")

@@ -30,7 +30,7 @@ def test_goal_succeeds_at_the_end_of_its_path_within_its_tolerance() -> None:
     subject.begun(2.0)
     assert subject.moving
     assert subject.sample(1.0, TARGET, at(0.6)) is Step.NOTHING
-    assert subject.sample(2.5, TARGET, at(0.8)) is Step.NOTHING, "it may still come"
+    assert subject.sample(2.5, TARGET, at(0.8)) is Step.NOTHING, "it may still reach its tolerance"
     assert subject.sample(2.6, TARGET, at(0.95)) is Step.END
     assert subject.outcome.phase is Phase.SUCCEEDED
 

@@ -26,9 +26,9 @@ OMEGA = math.pi
 
 @dataclass
 class Result:
-    times: Array
-    positions: Array
-    velocities: Array
+    times: Array  # (points,), time of the receiver [s]
+    positions: Array  # (points,), [rad]
+    velocities: Array  # (points,), [rad/s]
     reports: list[PlayoutFigures]
     states: list[tuple[bool, bool]]  # moving, starved
 
@@ -82,8 +82,8 @@ def assert_smooth(result: Result) -> None:
 def error_of(result: Result, delay: float, begin: float = 3.0, end: float = 9.5) -> float:
     """Largest error to the sine with a delay [rad]."""
     inside = (result.times > BEGIN + begin) & (result.times < BEGIN + end)
-    wanted = 2.0 * np.sin(OMEGA * (result.times[inside] - BEGIN - delay))
-    return float(np.abs(result.positions[inside] - wanted).max())
+    expected = 2.0 * np.sin(OMEGA * (result.times[inside] - BEGIN - delay))
+    return float(np.abs(result.positions[inside] - expected).max())
 
 
 def test_an_even_stream_is_reproduced_a_period_later() -> None:
@@ -132,14 +132,14 @@ def test_losses_are_counted() -> None:
     assert disordered.lost <= 1
 
 
-def test_drift_of_the_clocks() -> None:
+def test_drift_of_the_clocks_is_followed() -> None:
     result = run(seconds=30.0, drift=5e-4)
     assert_smooth(result)
-    # After 25 s the clocks are 12.5 ms apart; the window looks 2.5 s back.
+    # After 25 s the clocks differ by 12.5 ms; the window covers the last 2.5 s.
     assert error_of(result, TRANSIT + LEAD + 0.02 + 12.5e-3, 24.9, 25.1) < 2.0 * OMEGA * 2e-3
 
 
-def test_a_stream_that_pauses_stops_and_goes_on() -> None:
+def test_a_stream_stops_in_a_pause_and_continues_after_it() -> None:
     result = run(pause=(4.0, 6.0))
     assert_smooth(result)
     assert (True, True) in result.states
@@ -197,7 +197,7 @@ def test_stream_continues_after_a_clock_step_of_the_sender(step: float) -> None:
     assert not stream.starved
 
 
-def test_a_velocity_limit() -> None:
+def test_velocity_limit_is_kept() -> None:
     stream = stream_from(0.0, 2.0)
     speeds: list[float] = []
     for k in range(300):

@@ -1,4 +1,4 @@
-"""The inverter: dead time and drops against arithmetic, free-wheeling through the diodes, the shunts."""
+"""The inverter: dead time and voltage drops against closed forms, freewheeling through the diodes, shunts."""
 
 from __future__ import annotations
 
@@ -37,9 +37,11 @@ class Leg:
 
     def run(self, steps: int) -> None:
         for _ in range(steps):
-            left = STEP
-            while left > 1e-15:
-                left -= self.native.lib.averaged_inverter_step(self.inverter, self.motor, self.bus, left, self._charge)
+            remaining = STEP
+            while remaining > 1e-15:
+                remaining -= self.native.lib.averaged_inverter_step(
+                    self.inverter, self.motor, self.bus, remaining, self._charge
+                )
 
     @property
     def charge(self) -> float:
@@ -69,7 +71,7 @@ def test_ideal_inverter_applies_its_mean_voltage(plant_c: Native) -> None:
 def test_error_voltage_against_the_current(
     plant_c: Native, dead_time: float, v_drop: float, r_on: float, sign: int
 ) -> None:
-    """Current forwards in one phase, backwards in two: the vector is short by 4/3 (t_d f u + V_drop)."""
+    """Positive current in one phase, negative in two: the voltage vector is reduced by 4/3 (t_d f u + V_drop)."""
     axis = ideal_plant(dead_time=dead_time, v_drop=v_drop, r_on=r_on).axes[0]
     leg = locked(plant_c, axis)
     swing = sign * 0.1
@@ -122,7 +124,9 @@ def test_the_transition_is_smooth_odd_and_inside_the_ripple(plant_c: Native) -> 
     assert volts_a == pytest.approx(-volts_a[::-1], abs=1e-12)
     assert np.all(np.diff(volts_a) <= 1e-12)
     assert volts_a[0] == pytest.approx(full)
-    band = 1e-6 * BUS / min(axis.l_d, axis.l_q)  # without modulation there is only what a dead time can build up
+    band = (
+        1e-6 * BUS / min(axis.l_d, axis.l_q)
+    )  # without modulation the ripple is only the current that rises in one dead time
     assert band < 0.07
     assert np.abs(volts_a[np.abs(currents) > band]) == pytest.approx(full)
     assert np.abs(volts_a[np.abs(currents) < 0.9 * band]).max() < full
@@ -143,7 +147,7 @@ def test_currents_decay_without_oscillation_at_rest(plant_c: Native) -> None:
 
 @pytest.mark.parametrize("swing", [0.01, 0.03, 0.1])
 def test_inverter_loss_is_bus_power_minus_winding_loss(plant_c: Native, swing: float) -> None:
-    """A held motor, also at currents so small that the drop of the legs has faded with them."""
+    """A locked motor, also at currents so small that the voltage drop of the legs decreases with them."""
     axis = ideal_plant(dead_time=1e-6, v_drop=0.7, r_on=0.03).axes[0]
     leg = locked(plant_c, axis)
     leg.duty(0.5 + swing, 0.5 - swing / 2, 0.5 - swing / 2)
@@ -157,7 +161,7 @@ def test_inverter_loss_is_bus_power_minus_winding_loss(plant_c: Native, swing: f
 
 class TestAllSwitchesOpen:
     def test_current_decays_into_the_bus(self, plant_c: Native) -> None:
-        """Phase a hangs on the lower rail, b and c on the upper one: -2/3 (u + 2 V_drop) along a."""
+        """Phase a is clamped to bus minus, b and c to bus plus: -2/3 (u + 2 V_drop) along a."""
         axis = ideal_plant(v_drop=0.7).axes[0]
         leg = locked(plant_c, axis, on=False)
         leg.native.lib.plant_motor_set_phases(leg.motor, 3.0, -1.5)
@@ -218,7 +222,7 @@ class TestAllSwitchesOpen:
         kinetic = 0.5 * axis.inertia * (omega**2 - leg.motor.omega**2)
         delivered = -leg.charge * BUS
         assert 0.3 * kinetic < delivered < kinetic
-        # the diodes clamp: no terminal leaves the bus
+        # the diodes clamp the terminals to the bus
         assert all(-0.7 - 1e-9 <= v <= BUS + 0.7 + 1e-9 for v in leg.inverter.leg)
 
     @settings(max_examples=60, deadline=None, derandomize=True)
@@ -246,7 +250,7 @@ class TestAllSwitchesOpen:
         for _ in range(40):
             leg.run(1)
             assert abs(sum(leg.phase)) < 1e-9
-        # voltages and currents of a step are means, hence a little slack
+        # voltages and currents of a step are means, hence a small tolerance
         assert energy() - leg.charge * bus <= before * 1.02 + 1e-5
 
 
@@ -256,14 +260,14 @@ class TestShunts:
         [
             (0.5, 2.0, 2.0, 0.0),
             (0.5, -2.0, -2.0, 0.0),
-            (0.0, 2.0, 2.0, 2.0),  # the low side never opens: the offset sample is false
+            (0.0, 2.0, 2.0, 2.0),  # the low side never opens: the offset sample is invalid
             (1.0, 2.0, 0.0, 0.0),  # the low side never conducts: there is nothing to sample
             (0.995, -2.0, 0.0, 0.0),  # the low side's pulse is shorter than the dead time
-            (0.995, 2.0, 2.0, 0.0),  # its diode conducts even so
-            (0.01, 2.0, 2.0, 2.0),  # no high-side pulse is left
+            (0.995, 2.0, 2.0, 0.0),  # its diode still conducts
+            (0.01, 2.0, 2.0, 2.0),  # no high-side pulse remains
         ],
     )
-    def test_carry_what_the_low_side_conducts(
+    def test_shunts_carry_the_current_of_the_low_side(
         self, plant_c: Native, duty: float, current: float, low: float, high: float
     ) -> None:
         leg = locked(plant_c, ideal_plant(dead_time=1e-6).axes[0])
@@ -275,7 +279,7 @@ class TestShunts:
         assert shunt(leg.inverter, leg.motor, 0, True) == (now if low else 0.0)
         assert shunt(leg.inverter, leg.motor, 0, False) == (now if high else 0.0)
 
-    def test_only_lower_diodes_pass_them(self, plant_c: Native) -> None:
+    def test_only_currents_of_lower_diodes_pass_the_shunts(self, plant_c: Native) -> None:
         leg = locked(plant_c, ideal_plant().axes[0], on=False)
         leg.native.lib.plant_motor_set_phases(leg.motor, 3.0, -1.0)
         shunt = leg.native.lib.averaged_inverter_shunt

@@ -2,8 +2,8 @@
 
 Real-time factors of one board with two axes, both levels in one run, and of several boards on several threads;
 instructions by part; and other simulators with one drive in the same run. Factors depend on the machine and its load,
-ratios and counts of instructions hardly. One board is timed by the CPU time of its thread; boards in parallel, and the
-one board that they are compared with, by wall-clock time.
+ratios and counts of instructions almost not. One board is timed by the CPU time of its thread; boards in parallel, and
+the one board that they are compared with, by wall-clock time.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ SIMULATED: Final[dict[str, float]] = {"registers": 1.0, "ideal": 10.0}
 LOAD: Final = 0.09  # [N m]
 ROUNDS: Final = 30
 """Runs of each state, in turn: other load slows a machine down for seconds."""
-ATTEMPTS: Final = 3  # the best one counts, as other load disturbs
+ATTEMPTS: Final = 3  # the best attempt is used, as other load disturbs
 IDLE_MIN: Final = 0.9
 """Smallest fraction of the available CPU time on a machine without other load."""
 THREADS: Final = (1, 2, 4)

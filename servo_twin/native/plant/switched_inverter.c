@@ -159,12 +159,12 @@ bool switched_inverter_amplifiers(const switched_inverter_t *inv, double h, doub
     if (h > LINEAR_MAX) {
         return false;
     }
-    const double left = amplifier_decay(inv, h);
+    const double decay = amplifier_decay(inv, h);
     for (int k = 0; k < 3; k++) {
         const double share = shunt_share(inv, k);
         const double slope = dot(inv->di, phase_axis[k]);
         const double begin = share * (inv->phase[k] - inv->tau * slope);
-        shown[INVERTER_LANE(k)] = begin + share * h * slope + (inv->amplifier[INVERTER_LANE(k)] - begin) * left;
+        shown[INVERTER_LANE(k)] = begin + share * h * slope + (inv->amplifier[INVERTER_LANE(k)] - begin) * decay;
     }
     return true;
 }

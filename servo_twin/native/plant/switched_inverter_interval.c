@@ -112,9 +112,9 @@ static inline bool shaft_keeps_moving(const switched_inverter_t *inv)
     const double i_max = fabs(inv->i.alpha) + fabs(inv->i.beta) + time * inv->u * inv->inv_l_max;
     const double torque =
         inv->k_torque * (inv->psi_m + fabs(inv->l_d - inv->l_q) * i_max) * i_max + fabs(inv->load) + inv->friction;
-    const double way = 2.0 * time * fabs(inv->omega);
-    return fabs(inv->omega) > 2.0 * time * torque * inv->inv_inertia && inv->theta - way > inv->stop_min &&
-           inv->theta + way < inv->stop_max;
+    const double distance = 2.0 * time * fabs(inv->omega);
+    return fabs(inv->omega) > 2.0 * time * torque * inv->inv_inertia && inv->theta - distance > inv->stop_min &&
+           inv->theta + distance < inv->stop_max;
 }
 
 /* True if friction holds the shaft at standstill against this torque. */
