@@ -171,7 +171,7 @@ demo test: export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 test: export ROS_DOMAIN_ID := $(TEST_DOMAIN_ID)
 test: export SERVO_TWIN_FLAGS := $(ARCH) -O1 -g0 -fno-lto -MD
 test: export PATH := $(addsuffix :,$(CCACHE))$(PATH)
-test: export CCACHE_DIR := $(CURDIR)/$(VENV)/ccache
+test: export CCACHE_BASEDIR := $(CURDIR)
 test: export CCACHE_NOHASHDIR := 1
 test: export CCACHE_DEPEND := 1
 # Tests start some hundred processes; without byte code each compiles what it imports, the bridge for 0.2 s.

@@ -114,8 +114,9 @@ class PathSimulation:
         """Request a path."""
         self.arbiter.admit("test", [JOINTS.index(joint) for joint in joints])
 
-        def postponed() -> None:
+        def postponed() -> bool:
             self.postponed += 1
+            return True
 
         self.follower.request(
             joints,

@@ -379,7 +379,7 @@ class Workspace:
 def workspace(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     """A clean copy of the checkout, built with options of ``colcon build`` from the parameter of the test.
 
-    All workspaces use the same path, so that the compiler cache is effective, and the same files with execution times.
+    All workspaces use the same path, so that the compiler cache is effective.
     """
     colcon = Path(sys.prefix) / "bin" / "colcon"
     if not colcon.exists() or shutil.which("cmake") is None:
@@ -392,7 +392,7 @@ def workspace(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathF
     for name in git_files():
         (folder / "src" / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, folder / "src" / name)
-    if kept.is_dir():
+    if kept.is_dir():  # instrumented C files, which the first workspace has shown to be generated
         charged.parent.mkdir()
         kept.replace(charged)
     # Fast to compile; no test runs it for long. -MD as in the Makefile.

@@ -140,8 +140,8 @@ STATES: Final = (
 )  # fmt: skip
 
 
-AT_BOTH_LEVELS: Final = (holding, turning, sensorless_turning)
-"""States in which the ripple of the switching plant matters; elsewhere the same C gives the same answer."""
+AT_BOTH_LEVELS: Final = (holding, turning, held_at_a_soft_limit, pushing, sensorless_turning)
+"""States of turning or held shafts, on which the ripple of the switching plant acts."""
 
 CASES: Final = [*(("ideal", reach) for reach in STATES), *(("registers", reach) for reach in AT_BOTH_LEVELS)]
 

@@ -1,6 +1,6 @@
 #include "diagnosis/stall_test.h"
 
-#define GOES_ON_OVER_MOVE 8 /* further movement, in multiples of the detection threshold, that proves a free shaft */
+#define FURTHER_OVER_MOVE 8 /* further movement, in multiples of the detection threshold, that proves a free shaft */
 #define STOPS_TICKS 16U /* after this time a shaft without torque has stopped; half of it is enough to decelerate */
 #define TURNS_OVER_MOVE 2 /* movement back from the farthest position: larger than a bounce */
 
@@ -94,7 +94,7 @@ static finding_set_t mirrored_step(stall_test_t *test, const rotor_search_config
     if (test->ticks == STOPS_TICKS / 2U && test->with_torque) {
         test->origin = test->farthest;
     }
-    if (movement >= GOES_ON_OVER_MOVE * move_min) {
+    if (movement >= FURTHER_OVER_MOVE * move_min) {
         return FOUND(FINDING_SHAFT_BLOCKED);
     }
     if (back >= TURNS_OVER_MOVE * move_min) {

@@ -200,7 +200,7 @@ def test_path_is_retuned_to_a_lowered_current_after_the_slow_loop(bench: Bench, 
     assert path.filter * axis.path_limits.omega_n_ts / 65536 == pytest.approx(step, rel=1e-6)
 
 
-def test_path_is_retuned_in_every_state_of_the_axis(core: Core) -> None:
+def test_path_of_a_stopped_axis_is_retuned(core: Core) -> None:
     bench = Bench(core)
     bench.to_stop()
     omega = bench.axis(0).path_limits.omega_n_ts

@@ -180,7 +180,7 @@ def test_outside_the_limits_only_inward_motion_is_permitted(bench: Bench, mode: 
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_outside_the_limits_a_target_across_the_wrap_is_refused(bench: Bench, sign: int) -> None:
+def test_outside_the_limits_a_target_across_the_wrap_causes_no_motion(bench: Bench, sign: int) -> None:
     """Across the wrap the target is beyond the opposite limit."""
     move_counters(bench, sign * 2_100_000_000)
     confine(bench, -900_000_000, 900_000_000)
@@ -235,7 +235,7 @@ def test_stop_before_the_limit_ends_before_the_limit(bench: Bench) -> None:
 @pytest.mark.parametrize("beyond", [0, 100_000])
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("before", [1000, 5000, 10_000, 14_000])
-def test_change_to_position_mode_before_the_limit_brakes_at_once(
+def test_change_to_position_mode_before_the_limit_passes_it_by_at_most_0_3_rad(
     bench: Bench, before: int, sign: int, beyond: int
 ) -> None:
     """Change from speed to position mode with a target at the limit: braking starts at once, overshoot <= 0.3 rad.

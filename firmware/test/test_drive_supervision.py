@@ -75,7 +75,7 @@ def test_gaining_speed_against_the_full_current_is_a_runaway(bench: Bench) -> No
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_speed_far_above_its_limit_is_a_runaway_in_every_mode(bench: Bench, sign: int) -> None:
+def test_speed_far_above_its_limit_is_a_runaway(bench: Bench, sign: int) -> None:
     bench.turn_without_current(0, sign * 300.0)
     bench.slow(100)
     assert bench.view(0).state == STATE.RUN

@@ -197,8 +197,7 @@ def test_the_temperature_is_kept_through_fault_and_disable(bench: Bench) -> None
     assert before - 0.3 < celsius(bench) < before, "it cools down"
 
 
-def test_currents_heat_the_winding_in_every_state(bench: Bench) -> None:
-    """Heating by the current of the rotor search."""
+def test_current_of_the_rotor_search_heats_the_winding(bench: Bench) -> None:
     bench.to_stop()
     before = celsius(bench)
     assert before == pytest.approx(100.0, abs=0.01), "start value after a reset"

@@ -331,7 +331,7 @@ def test_the_watchdog_is_serviced_with_both_words(board: FakeBoard) -> None:
     assert board.writes == [(0xE322, 0x5555), (0xE322, 0xAAAA)]
 
 
-def test_the_loops_have_a_minimum_of_register_accesses(board: FakeBoard) -> None:
+def test_the_loops_access_registers_no_more_often_than_necessary(board: FakeBoard) -> None:
     """Register accesses cost time in every period."""
     run_m1(board)
     assert sum(a.kind == READ for a in board.accesses) == 5  # two of them detect an omitted period

@@ -48,5 +48,5 @@ class BoardContext:
             error = next((error for error in map(error_of, futures) if error is not None), None)
             take([future.result() for future in futures] if error is None else [], error)
 
-        # The link works in order: the last future is the last to be done.
+        # The link works in order: the last future is the last to be done, unless the queue is full; then it has failed.
         self.when_done(futures[-1], all_read)

@@ -365,6 +365,10 @@ class Commander(Node):
             raise CommandError(log("rejected")[0])
         self._path_log = log
 
+    def path_starts(self) -> int:
+        """How often the bridge has begun the last trajectory: again if its first points came too late."""
+        return len(self._path_log("following a trajectory"))
+
     def path_refusal(self) -> str:
         """Message of the bridge about points of the last trajectory that the board refused; empty if there are none."""
         return next(iter(self._path_log("the board has refused points")), "")

@@ -1,4 +1,4 @@
-"""Set-points of all topics: counters, log of rejections, and what the classes of the topics share."""
+"""Arbiter, limits, counters and log of all command topics."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ class FaultRecords:
     Parameters
     ----------
     context : BoardContext
-        The board.
+        Access to the board, the executor and the log.
     changed : callable
         Called with a record that is new or whose fault has changed.
     """

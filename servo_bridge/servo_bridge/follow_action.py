@@ -164,9 +164,12 @@ class FollowAction:
             active.paths = {joint: paths[joint] for joint in goal.joints}
             active.path = merged(list(active.paths.values()))
 
-        def postponed() -> None:
+        def postponed() -> bool:
+            if goal.ended:
+                return False
             goal.postponed()
             active.paths, active.path = {}, None
+            return True
 
         active = _Active(handle, goal)
         active.plan = self._trajectories.follow(

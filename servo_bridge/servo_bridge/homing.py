@@ -93,7 +93,7 @@ class Homing:
     Parameters
     ----------
     context : BoardContext
-        The board.
+        Access to the board, the executor and the log.
     arbiter : Arbiter
         Checks whether an axis accepts set-points.
     dispatcher : Dispatcher

@@ -67,8 +67,13 @@ class PathSource(Protocol):
     @property
     def axes(self) -> Collection[int]: ...
     def next_points(self) -> tuple[int, ...] | None: ...
-    def points_accepted(self, axes: Iterable[int]) -> None: ...
-    def postpone(self, axes: Collection[int]) -> bool: ...
+    def points_accepted(self, axes: Iterable[int]) -> None:
+        """The board has accepted points of these axes."""
+
+    def postpone(self, axes: Collection[int]) -> bool:
+        """The board has refused points of these axes; True: their path begins later."""
+        ...
+
     def cancel(self, axis: int, reason: str) -> None: ...
 
 
@@ -157,23 +162,31 @@ class SetPointQueue:
         elif write.variable == _POINTS and self._paths is not None:
             self._paths.points_accepted(_axes_of(write))
 
-    def failed(self, write: CommandWrite) -> None:
+    def failed(self, write: CommandWrite) -> bool:
         """Record that the board refused a write: discard the pending set-points of its axes and forget their modes.
 
-        The board may still follow queued points of a path; a change of the mode stops it. A path of which the board has
-        not accepted a point may begin later.
+        The board may still follow queued points of a path, or points of the refused write if its answer to a first
+        transmission was lost; a change of the mode stops it.
+
+        Returns
+        -------
+        bool
+            False: nothing is discarded, the path begins later.
         """
         axes = _axes_of(write)
         if write.variable == _POINTS and self._paths is not None and self._paths.postpone(axes):
             self._stop(axes)
-        elif write.variable == _POINTS:
+            return False
+        if write.variable == _POINTS:
             self.halt(axes, POINTS_REFUSED)
         else:
             for axis in axes:
                 self._modes[axis] = None
                 self.drop(axis, f"the board refused {write.variable}")
+        return True
 
     def _stop(self, axes: Iterable[int]) -> None:
+        """Stop axes by a change of the mode."""
         for axis in axes:
             self._modes[axis] = None
             self._halted.add(axis)

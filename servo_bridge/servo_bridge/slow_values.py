@@ -20,7 +20,7 @@ class SlowValues:
     Parameters
     ----------
     context : BoardContext
-        The board.
+        Access to the board, the executor and the log.
     motors_known : callable
         Called after the motor data have been read.
     windings_known : callable

@@ -290,8 +290,8 @@ class Supervisor:
         """Start a write; its result returns through the inbox, in order with the samples."""
 
         def done(future: Future[WriteResult]) -> None:
-            self._dispatcher.acknowledged(write, error_of(future))
-            if write.variable == "cmd.points" and error_of(future) is not None:
+            discarded = self._dispatcher.acknowledged(write, error_of(future))
+            if discarded and write.variable == "cmd.points":
                 self._log_refusal()
 
         # A stop must not wait for parameters on a slow line; parameters must not wait for a stream of set-points.

@@ -107,7 +107,7 @@ class TrajectoryTopics:
         refused: Callable[[TrajectoryError], None],
         begun: Callable[[float], None] | None = None,
         abandoned: Callable[[str], None] | None = None,
-        postponed: Callable[[], None] = lambda: None,
+        postponed: Callable[[], bool] = lambda: True,
         takes_over: str | None = None,
     ) -> Plan:
         """Check a trajectory and start to follow it.
@@ -125,7 +125,7 @@ class TrajectoryTopics:
         abandoned : callable, optional
             Called with the reason if it has begun but is not followed to its end.
         postponed : callable, optional
-            Called if it has begun but the board has refused its first points; `begun` is called again.
+            Called if its first points have reached the board too late. True: `begun` is called again when it begins.
         takes_over : str, optional
             Reported for the paths that it replaces; default: a trajectory on this source.
 
@@ -156,9 +156,11 @@ class TrajectoryTopics:
             if begun is not None:
                 begun(end)
 
-        def repeated() -> None:
-            self._info(f"the board refused the first points for {', '.join(joints)}; the trajectory begins later")
-            postponed()
+        def begins_later() -> bool:
+            if not postponed():
+                return False
+            self._info(f"the first points of {', '.join(joints)} reached the board too late; they begin later")
+            return True
 
         # Errors of the trajectory itself are reported at once, not when the axes are ready.
         running = self._follower.running()
@@ -171,7 +173,7 @@ class TrajectoryTopics:
             refused=refused,
             start=(stamp_ns - origin_ns) * 1.0e-9 if stamp_ns else 0.0,
             abandoned=abandoned,
-            postponed=repeated,
+            postponed=begins_later,
             takes_over=takes_over or f"a trajectory on {source} took over",
         )
         self._context.accept()

@@ -26,7 +26,7 @@ class VariableTopics:
     Parameters
     ----------
     context : BoardContext
-        The board.
+        Access to the board, the executor and the log.
     node : Node
         Owner.
     joints : sequence of str

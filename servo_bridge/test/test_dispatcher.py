@@ -34,8 +34,9 @@ class Queue(SetPointQueue):
     def accepted(self, write: CommandWrite) -> None:
         self.taken.append(write)
 
-    def failed(self, write: CommandWrite) -> None:
+    def failed(self, write: CommandWrite) -> bool:
         self.void.append(write)
+        return True
 
 
 class Rig:

@@ -46,7 +46,7 @@ def test_link_reconnects_when_the_port_returns(fake_port: FakePort, connected: W
     assert connected.samples[-1].epoch == 0, "the board has continued to run"
 
 
-def test_link_reconnects_when_the_board_answers_again(
+def test_no_command_is_repeated_after_a_reconnection(
     fake_port: FakePort, connected: Watcher, fake_board: FakeServo
 ) -> None:
     connected.wait_samples(1)

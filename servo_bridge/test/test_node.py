@@ -667,7 +667,7 @@ def test_two_sources_are_reported_and_one_can_have_precedence(rig: Rig) -> None:
     try:
         rig.until(lambda: velocity.get_subscription_count())
 
-        def fight() -> None:
+        def command_alternately() -> None:
             accepted = rig.accepted()
             rig.position.publish(Float64(data=1.0))
             rig.until(lambda: rig.accepted() > accepted)
@@ -675,14 +675,14 @@ def test_two_sources_are_reported_and_one_can_have_precedence(rig: Rig) -> None:
             rig.until(lambda: rig.accepted() > accepted + 1)
 
         for _ in range(5):
-            fight()
+            command_alternately()
         warning = (
             "axis2 is commanded alternately by position on axis2/position (/servo/user) and velocity on "
             "joint_commands ("
         )
         rig.until(lambda: rig.warnings(warning))
         assert "/teleop" in rig.warnings(warning)[0]
-        fight()
+        command_alternately()
         status = rig.diagnosis("commands")
         assert (status.level, status.message[: len(warning)]) == (b"\x01", warning)
         assert len(rig.warnings(warning)) == 1, "throttled"

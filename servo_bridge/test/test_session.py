@@ -64,7 +64,7 @@ def test_board_of_another_version_is_refused() -> None:
     assert mismatch is not None
     assert f"{CATALOGUE.hash ^ 1:08X}" in mismatch.reason
     assert "flash the firmware" in mismatch.remedy
-    assert not mismatch.stranger
+    assert not mismatch.foreign
 
 
 def test_board_with_another_catalogue_is_read_by_its_own_types() -> None:
@@ -74,7 +74,7 @@ def test_board_with_another_catalogue_is_read_by_its_own_types() -> None:
     target.build()
     session = session_on(target)
     assert session.mismatch is not None
-    assert session.mismatch.stranger
+    assert session.mismatch.foreign
     session.write(session.variables["gain"], [1.5])
     assert session.read(session.variables["gain"]) == 1.5
     with pytest.raises(ValueError, match="can only be read"):

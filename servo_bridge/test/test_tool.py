@@ -35,7 +35,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
 
 
 @pytest.fixture
-def stranger(tmp_path: Path) -> Iterator[FakeTarget]:
+def foreign_target(tmp_path: Path) -> Iterator[FakeTarget]:
     rows = [
         FakeEntry("mode_t", ENUM, 0, 1, NONE),
         FakeEntry("ECO", CONST, 0, 0, NONE),
@@ -391,7 +391,7 @@ def test_save_without_a_match_writes_no_file(fake_port: FakePort, run: Run, tmp_
 
 # ---- other boards -------------------------------------------------------------------------------------------------
 def test_an_unknown_board_is_read_and_written_by_its_own_types(
-    stranger: FakeTarget, run: Run, capsys: pytest.CaptureFixture[str]
+    foreign_target: FakeTarget, run: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("set", "gain", "1.5") == 0
     assert run("set", "mode", "turbo") == 0
@@ -411,10 +411,10 @@ def test_an_unknown_board_is_read_and_written_by_its_own_types(
 
 
 def test_members_of_structures_are_variables(
-    stranger: FakeTarget, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    foreign_target: FakeTarget, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("set", "drive.loops[1].limits", "-5,5") == 0
-    assert stranger.peek(0x1048, 4) == b"\xfb\xff\x05\x00"
+    assert foreign_target.peek(0x1048, 4) == b"\xfb\xff\x05\x00"
     assert run("set", "drive.loops[1].limits[0]", "-6") == 0
     capsys.readouterr()
     assert run("get", "--json", "drive", "drive.loops[1]") == 0
@@ -432,21 +432,21 @@ def test_members_of_structures_are_variables(
 
 @pytest.mark.parametrize("pattern", ["*", "drive"])
 def test_structures_are_saved_and_loaded_by_member(
-    stranger: FakeTarget, run: Run, tmp_path: Path, pattern: str, capsys: pytest.CaptureFixture[str]
+    foreign_target: FakeTarget, run: Run, tmp_path: Path, pattern: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = str(tmp_path / "x.toml")
     assert run("set", "drive.loops[1].gain", "1.5") == 0
     assert run("save", file, "--match", pattern) == 0
-    before = stranger.peek(0x1040, 12)
-    stranger.poke(0x1040, bytes(range(12)))
+    before = foreign_target.peek(0x1040, 12)
+    foreign_target.poke(0x1040, bytes(range(12)))
     assert run("diff", file) == 1
     assert run("load", file) == 0
-    assert stranger.peek(0x1040, 12) == before
+    assert foreign_target.peek(0x1040, 12) == before
 
 
-def test_an_array_longer_than_the_buffer_is_written_in_pieces(stranger: FakeTarget, run: Run) -> None:
+def test_an_array_longer_than_the_buffer_is_written_in_pieces(foreign_target: FakeTarget, run: Run) -> None:
     assert run("set", "curve", ",".join(str(-k) for k in range(100))) == 0
-    assert [int.from_bytes(stranger.peek(0x1100 + 4 * k, 4), "little", signed=True) for k in (0, 57, 99)] == [
+    assert [int.from_bytes(foreign_target.peek(0x1100 + 4 * k, 4), "little", signed=True) for k in (0, 57, 99)] == [
         0, -57, -99,
     ]  # fmt: skip
 
@@ -524,8 +524,10 @@ def test_a_password_is_taken_from_the_environment(
     assert run("set", "x", "9", "--password", "look") == 1, "the command line has precedence"
 
 
-def test_log_prints_the_text_of_the_board(stranger: FakeTarget, run: Run, capsys: pytest.CaptureFixture[str]) -> None:
-    stranger.pipe += b"0 reset\n8 axis1 INIT\n"
+def test_log_prints_the_text_of_the_board(
+    foreign_target: FakeTarget, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    foreign_target.pipe += b"0 reset\n8 axis1 INIT\n"
     assert run("log") == 0
     assert capsys.readouterr().out == "0 reset\n8 axis1 INIT\n"
     assert run("log") == 0
@@ -549,7 +551,7 @@ def test_a_password_is_requested_at_a_terminal(
 
 
 def test_values_beyond_the_capacity_of_the_scope_are_read_separately(
-    stranger: FakeTarget, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    foreign_target: FakeTarget, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "x.csv"
     assert run("record", "gain", "table", "-o", str(file), "--duration", "0.1", "--rate", "100") == 0

@@ -52,6 +52,7 @@ class Rig:
             words = self.follower.next_points() if fetch else None
             if words is not None:
                 points = decode_points(CATALOGUE, words)
+                self.follower.points_accepted({point.axis for point in points})
                 self.sent += points
                 self.leads += [point.tick - self.tick for point in points]
 
@@ -273,6 +274,125 @@ def test_points_of_a_geared_reversed_joint_are_those_of_its_motor() -> None:
     motor.move([51.0], joints=["axis1"], seconds=1.0)
     motor.sample(150)
     assert abs(len(points) - len(motor.of(0))) <= 1
+
+
+# ---- first points that come too late --------------------------------------------------------------------------------
+
+
+class Late:
+    """Paths whose first points the board has refused because they came too late."""
+
+    def __init__(self, joints: Sequence[str] = JOINTS, start: float = 0.0, goal: float = 2.0) -> None:
+        self.rig = Rig()
+        self.rig.sample(2)
+        self.leads: list[float] = []  # of each plan [s]
+        self.abandoned: list[str] = []
+        self.wanted = True  # the owner still needs the path
+
+        def plan(running: Path, now: float) -> Path:
+            self.leads.append(now - self.rig.tick * PERIOD)
+            waypoints = Waypoints.of(joints, [max(now, start) + 0.05], [[goal] * len(joints)])
+            return path_through(waypoints, running.select(joints).state(max(now, start)), max(now, start))
+
+        self.rig.follower.request(
+            joints,
+            plan,
+            self.rig.ends.append,
+            lambda error: self.rig.refusals.append(str(error)),
+            start,
+            abandoned=self.abandoned.append,
+            postponed=lambda: self.wanted,
+        )
+        self.send()
+
+    def send(self) -> None:
+        """Take the first points from the follower; the board does not answer."""
+        for _ in range(3):
+            self.rig.sample(fetch=False)
+        assert self.rig.follower.next_points() is not None
+
+    def wait(self, seconds: float = 0.3) -> None:
+        """Samples of joints that do not move."""
+        for _ in range(round(seconds / PERIOD) // SAMPLE):
+            self.rig.tick += SAMPLE
+            reports = [AxisReport(reference, follows=True) for reference in (1.0, -2.0)]
+            self.rig.follower.on_sample(self.rig.tick, reports)
+
+
+def test_path_is_planned_again_with_a_longer_lead_twice() -> None:
+    late = Late()
+    for _ in range(2):
+        late.wait(1.0)
+        assert late.rig.follower.postpone([0, 1])
+        late.wait(0.03)
+        assert late.rig.follower.next_points() is not None
+    late.wait(1.0)
+    assert not late.rig.follower.postpone([0, 1])
+    assert late.leads == pytest.approx([LEAD, 3 * LEAD, 9 * LEAD], abs=0.02)
+    assert len(late.rig.ends) == 3
+    assert not late.abandoned
+
+
+def test_path_of_one_write_is_repeated_although_its_end_has_passed() -> None:
+    late = Late(["axis1"], goal=1.0)
+    assert late.rig.follower.next_points() is None
+    late.wait(1.0)
+    assert late.rig.follower.postpone([0])
+
+
+def test_path_is_not_repeated_if_its_points_came_in_time() -> None:
+    """The board has refused them for another reason."""
+    late = Late()
+    assert not late.rig.follower.postpone([0, 1])
+
+
+def test_path_is_not_repeated_after_the_board_has_accepted_points() -> None:
+    late = Late()
+    late.rig.follower.points_accepted([0])
+    late.wait()
+    assert not late.rig.follower.postpone([1])
+
+
+def test_path_with_a_start_time_is_not_repeated() -> None:
+    late = Late(start=(8000 + 3 * SAMPLE) * PERIOD + 0.1)
+    late.wait()
+    assert not late.rig.follower.postpone([0, 1])
+
+
+def test_path_is_not_repeated_if_another_command_has_taken_one_of_its_joints() -> None:
+    late = Late()
+    late.wait()
+    late.rig.follower.cancel(0, "a set-point took over")
+    assert late.abandoned == ["a set-point took over"]
+    assert not late.rig.follower.postpone([1])
+
+
+def test_path_is_not_repeated_while_another_one_waits() -> None:
+    late = Late()
+    late.wait()
+    late.rig.move([0.0], joints=["axis2"], start=1e3)
+    assert not late.rig.follower.postpone([0, 1])
+
+
+def test_path_is_not_repeated_if_its_owner_does_not_need_it() -> None:
+    late = Late()
+    late.wait()
+    late.wanted = False
+    assert not late.rig.follower.postpone([0, 1])
+    late.wait()
+    assert len(late.leads) == 1
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_cancelling_a_joint_ends_a_postponed_path_of_both(axis: int) -> None:
+    late = Late()
+    late.wait()
+    assert late.rig.follower.postpone([0, 1])
+    late.rig.follower.cancel(axis, "the axes were disabled")
+    assert late.rig.refusals == ["the axes were disabled"]
+    late.wait()
+    assert late.rig.follower.next_points() is None
+    assert late.rig.follower.axes == frozenset()
 
 
 def test_merged_paths_are_the_same_motions() -> None:

@@ -11,7 +11,13 @@ class PictureError(ValueError):
 
 
 def new_figure(width: float, height: float, dpi: int = 100) -> Any:
-    """Figure of matplotlib of this size [inch] with automatic layout; a `PictureError` if it is not installed."""
+    """Figure of matplotlib of this size [inch] with automatic layout.
+
+    Raises
+    ------
+    PictureError
+        If matplotlib is not installed.
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
@@ -20,7 +26,15 @@ def new_figure(width: float, height: float, dpi: int = 100) -> Any:
 
 
 def write_figure(figure: Any, path: Path) -> None:
-    """Write a figure in the format of the extension and create its folder; a `PictureError` if it is not supported."""
+    """Write a figure in the format of the extension, and create its folder.
+
+    Raises
+    ------
+    PictureError
+        If the format is not supported.
+    OSError
+        If the file cannot be written.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         figure.savefig(path)

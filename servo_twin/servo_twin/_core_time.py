@@ -424,6 +424,10 @@ def preprocessed(source: Path, include: Iterable[Path], options: Iterable[str] =
     return done.stdout
 
 
+_PARALLEL_MIN: Final = 10
+"""Smallest number of files for parallel processes; a file takes 0.1 s."""
+
+
 def _spend(factor: float) -> Callable[[float], str]:
     return lambda price: f"core_spend({round(UNITS * factor * price)})"
 
@@ -439,6 +443,7 @@ class _Stale:
     factor: float  # weight of the file
 
     def write(self) -> None:
+        """Instrument the file and replace the old output."""
         body = charged(self.text, str(self.source), _spend(self.factor))
         self.output.parent.mkdir(parents=True, exist_ok=True)
         # Flag 3 (system header) disables warnings in the generated code.
@@ -480,8 +485,11 @@ def write_charged(sources: Iterable[Path], firmware: Path, options: Sequence[str
         written.append(output)
         if not output.is_file() or output.open(encoding="utf-8").readline().rstrip() != head:
             stale.append(_Stale(source, output, head, text, factor))
-    if stale:
-        # The parser needs 0.1 s per file. A forked process does not import setup.py again.
+    if len(stale) < _PARALLEL_MIN:
+        for one in stale:
+            one.write()
+    else:
+        # A forked process does not import setup.py again.
         with ProcessPoolExecutor(mp_context=multiprocessing.get_context("fork")) as pool:
             list(pool.map(_Stale.write, stale))
     return written

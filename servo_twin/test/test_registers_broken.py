@@ -164,14 +164,14 @@ def test_without_pause_all_pairs_are_sampled_in_one_scan(board: Board) -> None:
     assert resets_by_watchdog(board)
 
 
-def test_too_few_pairs_restart_the_sequence(board: Board) -> None:
+def test_too_few_pairs_end_in_a_watchdog_reset(board: Board) -> None:
     board.poke(SDIS, 0xF0F0)
     assert {e.a for e in trace(board, 2 * PERIOD_S) if e.kind == "sample"} <= {0, 1, 2, 3, 8, 9, 10, 11}
     assert resets_by_watchdog(board)
 
 
 @pytest.mark.parametrize("term", [0x00DF, 0x7F00])
-def test_trigger_of_one_motor_only_restarts_the_sequence(board: Board, term: int) -> None:
+def test_trigger_of_one_motor_only_ends_in_a_watchdog_reset(board: Board, term: int) -> None:
     board.poke(0xE380, term)
     assert resets_by_watchdog(board)
 
@@ -219,7 +219,9 @@ def test_a_wrong_channel_causes_a_fault_of_its_axis_only(spinning: Board) -> Non
     ("register", "value"),
     [(sm(PWMA, 1, INTEN), 0), (sm(PWMA, 1, TCTRL), 0), (sm(PWMB, 0, TCTRL), 0), (ADC_CTRL1, 0x1005)],
 )
-def test_a_lost_interrupt_or_trigger_starts_the_sequence_anew(board: Board, register: int, value: int) -> None:
+def test_a_lost_interrupt_or_trigger_restarts_the_sequence_without_a_reset(
+    board: Board, register: int, value: int
+) -> None:
     board.poke(register, value)
     order = loops(trace(board, 12 * PERIOD_S))
     assert order.count(START) == 1

@@ -42,7 +42,7 @@ def of(log: NDArray[np.void], kind: int, a: int) -> NDArray[np.uint64]:
 # ---- start (DRM 4.3.3) ----------------------------------------------------------------------------------------------
 
 
-def test_start_sequence_from_power_on(board: Board) -> None:
+def test_start_sequence_runs_once_after_power_on(board: Board) -> None:
     """The start interrupt runs once, after motor 2's sampling point; the first sample is motor 1's."""
     log = board.trace(20 * PERIOD_NS)
     start = of(log, ENTER, START)

@@ -54,7 +54,7 @@ def test_ranges_and_lists_are_read(text: str, ends: tuple[float, float]) -> None
     assert all(ends[0] <= one.quantile(k / 100) <= one.quantile((k + 1) / 100) + 1e-12 for k in range(100))
 
 
-def test_quantiles_of_a_distribution() -> None:
+def test_quantiles_are_those_of_the_distribution() -> None:
     assert Varied.parse("a=1..100 log").quantile(0.5) == pytest.approx(10.0)
     assert Varied.parse("a=5+-2").quantile(0.5) == pytest.approx(5.0)
     assert Varied.parse("a=5+-2").quantile(0.8413) == pytest.approx(7.0, abs=1e-2)

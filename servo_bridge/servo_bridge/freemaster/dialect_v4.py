@@ -39,7 +39,7 @@ class DialectV4:
     exchange_pipe = staticmethod(commands.exchange_pipe)
 
     def identify(self, send: SendRequest) -> BoardInfo:
-        """Identify the target; determines the parameters of later requests."""
+        """Identify the target."""
 
         def text(key: str) -> str:
             value = self.get_config(send, key)

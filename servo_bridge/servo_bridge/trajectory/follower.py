@@ -34,6 +34,9 @@ _LEADS: Final = (LEAD, 3.0 * LEAD, 9.0 * LEAD)
 _LEAD_REMAINDER_MIN: Final = 0.7
 """Smallest fraction of the lead that must remain after the planning of a path."""
 
+_LATE: Final = 0.02
+"""Estimated time before the start of a path at which its points come too late for the board [s]."""
+
 _LEAD_MAX: Final = 5.0
 """Largest lead [s]."""
 
@@ -72,7 +75,7 @@ class _Request:
     begun: Callable[[float], None]
     refused: Callable[[TrajectoryError], None]
     abandoned: Callable[[str], None] | None
-    postponed: Callable[[], None] | None
+    postponed: Callable[[], bool] | None
     takes_over: str
     attempt: int = 0  # index in `_LEADS`
     repeatable: bool = False  # its joints had no path, and the board has not accepted a point
@@ -135,6 +138,7 @@ class Follower:
         self._axes = [_Axis() for _ in range(AXES)]
         self._request: _Request | None = None
         self._now = 0
+        self._sampled = 0.0  # time of the host at the newest sample [s]
         self.torque_constants: Sequence[float] | None = None
 
     # ---- requests
@@ -146,7 +150,7 @@ class Follower:
         refused: Callable[[TrajectoryError], None],
         start: float = 0.0,
         abandoned: Callable[[str], None] | None = None,
-        postponed: Callable[[], None] | None = None,
+        postponed: Callable[[], bool] | None = None,
         takes_over: str = "another trajectory took over",
     ) -> None:
         """Follow a path as soon as the axes are ready; a pending request is replaced.
@@ -166,8 +170,9 @@ class Follower:
         abandoned : callable, optional
             Called with the reason if the path has begun but is not followed to its end; once per joint.
         postponed : callable, optional
-            Called if the board has refused the first points of a path from standstill; the path is planned again and
-            begins later. Without this function it is abandoned.
+            Called if the first points of a path from standstill have reached the board too late. True: the path is
+            planned again and begins later. False, or without this function: it is abandoned. A path with `start` is
+            always abandoned.
         takes_over : str
             Reported for the replaced paths and request.
         """
@@ -205,25 +210,41 @@ class Follower:
                 request.repeatable = False
 
     def postpone(self, axes: Collection[int]) -> bool:
-        """Plan a path again with a longer lead, because the board has refused points of these axes.
+        """Plan a path again with a longer lead, if the board has refused its first points because they came too late.
+
+        Parameters
+        ----------
+        axes : collection of int
+            Axes of the refused points.
 
         Returns
         -------
         bool
-            False: the path cannot be repeated, because joints are moving or were refused several times.
+            False: nothing is changed; the caller ends the paths of these axes.
         """
-        requests = {id(request): request for request in (self._axes[axis].request for axis in axes)}
-        request = requests.popitem()[1] if len(requests) == 1 else None
-        if request is None or request.postponed is None or not request.repeatable or self._request is not None:
+        request = self._axes[min(axes)].request
+        if request is None or not request.repeatable or self._request is not None:
             return False
-        if request.attempt + 1 == len(_LEADS):
+        if any(self._axes[axis].request is not request for axis in (*axes, *request.axes)):
+            return False
+        late = self._time() > self._start(request) - _LATE
+        if not late or request.start or request.attempt + 1 == len(_LEADS):
+            return False
+        if request.postponed is None or not request.postponed():
             return False
         for axis in request.axes:
             self._discard(axis)
         request.attempt += 1
         self._request = request
-        request.postponed()
         return True
+
+    def _time(self) -> float:
+        """Board time, estimated with the clock of the host [s]."""
+        return self.now + self._clock() - self._sampled
+
+    def _start(self, request: _Request) -> float:
+        """Start of the path of a request [s]."""
+        return min(path.start_time for path in (self._axes[axis].path for axis in request.axes) if path is not None)
 
     @property
     def now(self) -> float:
@@ -282,11 +303,12 @@ class Follower:
         reports : sequence of AxisReport
             Per axis.
         """
-        self._now = tick
+        self._now, self._sampled = tick, self._clock()
         for one in self._axes:
             while one.sent and one.sent[0] <= tick:
                 one.sent.popleft()
-            if one.path is not None and not one.waiting and tick > one.end() + round(LEAD / PERIOD):
+            ended = one.path is not None and not one.waiting and tick > one.end() + round(LEAD / PERIOD)
+            if ended and not (one.request is not None and one.request.repeatable):
                 one.path = one.request = None
                 one.tail.clear()
         if self._request is not None and self._ready(self._request, reports):
@@ -318,14 +340,14 @@ class Follower:
     def _begin(self, request: _Request) -> None:
         self._request = None
         begin = self._clock()
-        shortest = lead = _LEADS[request.attempt]
+        lead_min = lead = _LEADS[request.attempt]
         try:
             while True:
                 time = (self._now + round((self._clock() - begin + lead) / PERIOD)) * PERIOD
                 path, points = self._plan(request, time)
                 # The planning time grows with the number of points; the board needs the first point in time.
                 spent = self._now * PERIOD + self._clock() - begin
-                if path.start_time - spent > _LEAD_REMAINDER_MIN * shortest or lead > _LEAD_MAX:
+                if path.start_time - spent > _LEAD_REMAINDER_MIN * lead_min or lead > _LEAD_MAX:
                     break
                 lead += LEAD + 2.0 * (self._clock() - begin)
         except TrajectoryError as error:

@@ -86,7 +86,7 @@ class Goal:
         self._monitor = GoalMonitor(*self._tolerances[:2], end, self._tolerances[2])
 
     def postponed(self) -> None:
-        """The board has refused the first points; the path will begin later."""
+        """The first points have reached the board too late; the path will begin later."""
         self._monitor = None
 
     def refused(self, error: Rejected) -> None:

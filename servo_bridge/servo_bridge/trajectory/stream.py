@@ -60,7 +60,7 @@ class Stream:
     ) -> None:
         if not (tracker.acceleration_max > 0.0 and tracker.velocity_max > 0.0):
             raise ValueError("limits must be above 0")
-        self.clock = PlayoutClock(lead, delay_max)
+        self.clock = PlayoutClock(lead, delay_max)  # delay of the messages, with figures for the report
         self.moving = False  # whether the stream is active
         self._tracker = tracker
         self._gear_ratio = gear_ratio

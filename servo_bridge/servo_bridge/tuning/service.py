@@ -63,7 +63,7 @@ class TuningService:
     Parameters
     ----------
     context : BoardContext
-        The board.
+        Access to the board, the executor and the log.
     node : Node
         Owner of service and topic.
     path : str

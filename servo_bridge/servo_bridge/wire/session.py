@@ -27,11 +27,11 @@ _SHOWN: Final = 4
 class BoardMismatchError(FreemasterError):
     """The variables of the board do not match the catalogue; commands are not permitted."""
 
-    def __init__(self, reason: str, remedy: str, *, stranger: bool = False) -> None:
+    def __init__(self, reason: str, remedy: str, *, foreign: bool = False) -> None:
         super().__init__(f"{reason}; {remedy}")
         self.reason = reason  # difference
         self.remedy = remedy  # action of the user
-        self.stranger = stranger  # not a servo board
+        self.foreign = foreign  # not a servo board
 
 
 def element_bytes(variable: Variable, raw: Sequence[int], first: int = 0) -> tuple[int, bytes]:
@@ -245,7 +245,7 @@ def check_contract(
         raise BoardMismatchError(
             f"{name} has no variable {_HASH}: it does not run the servo firmware",
             "use the port of the servo board, or flash the firmware of this release",
-            stranger=True,
+            foreign=True,
         )
     remedy = "flash the firmware of this release, or use the host software of the board's release"
     if reported_hash != catalogue.hash:
