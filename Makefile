@@ -25,7 +25,7 @@ REALTIME := --timeout 120 -o faulthandler_timeout=180
 REALTIME_FILES = $(if $(PYTEST_ARGS),,$(shell grep -rl --include='test_*.py' 'mark\.realtime' firmware $(PACKAGES) tests))
 # Many tests compile the C sources. With ccache (if there is one) a file that has been compiled is taken from the cache, where
 # the compiler lists the headers (-MD) without a run of the preprocessor; without link-time optimisation the rest takes a
-# fourth of the time. The numbers are the same bits.
+# fourth of the time. The numbers are the same bits. It is the cache of the user: another checkout finds the same files.
 CCACHE := $(wildcard /usr/lib/ccache)
 # The pytest of Ubuntu 24.04, which `colcon test` has to do with there.
 UBUNTU_PYTEST := $(VENV)/pytest-7.4
