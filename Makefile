@@ -107,7 +107,7 @@ targets: $(VENV)/.packages ## the same bits everywhere: replay recorded runs on 
 fuzz: $(VENV)/.packages ## libFuzzer (clang) on the FreeMASTER server for FUZZ_SECONDS=600; inputs that it finds in out/fuzz
 	@$(BIN)/python firmware/test/freemaster_fuzz.py --seconds $(or $(FUZZ_SECONDS),600)
 
-# Tests in real time run three at a time, each in a ROS domain of its own. Chains of processes may overload two cores for a
+# Tests in real time run two at a time, each in a ROS domain of its own. Two chains of processes may overload two cores for a
 # moment: what fails is run once more, alone; the last line counts what passed only then. Status 1: tests failed; 5: no test
 # was chosen.
 test: $(VENV)/.native $(VENV)/.dev ## every check and every test
@@ -117,7 +117,7 @@ test: $(VENV)/.native $(VENV)/.dev ## every check and every test
 	run "on every core" -m "not realtime$(if $(MARKS), and ($(MARKS)))" -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart 0; \
 	[ $$result -eq 0 ] || [ $$result -eq 5 ] || status=1; \
 	set -- -m "realtime$(if $(MARKS), and ($(MARKS)))" $(REALTIME) $(REALTIME_FILES); \
-	run "in real time" "$$@" -n 3 --dist loadfile --max-worker-restart 1; \
+	run "in real time" "$$@" -n 2 --dist loadfile --max-worker-restart 1; \
 	if [ $$result -eq 1 ]; then \
 	  repeated=$$(failed); run "what failed in real time, alone" "$$@" --last-failed; repeated=$$((repeated - $$(failed))); \
 	  [ $$result -eq 0 ] || status=1; \

@@ -167,9 +167,9 @@ def test_the_other_joint_keeps_its_path(rig: Rig) -> None:
 def test_a_path_with_a_later_start_waits_for_its_time(rig: Rig) -> None:
     start = rig.tick * PERIOD + 1.0
     rig.move([2.0, -2.0], start=start)
-    rig.sample(70)
+    rig.sample(55)
     assert not rig.sent
-    rig.sample(100)
+    rig.sample(115)
     assert rig.of(0)[0].tick * PERIOD == pytest.approx(start, abs=PERIOD)
 
 

@@ -40,7 +40,7 @@ _LATE: Final = 0.02
 _LEAD_MAX: Final = 5.0
 """Largest lead [s]."""
 
-_PLAN_AHEAD: Final = 0.2
+_PLAN_AHEAD: Final = 0.4
 """Time before its start at which a path is planned and sent [s]; until then the present path continues."""
 
 _HISTORY = round(0.2 / PERIOD)
