@@ -27,7 +27,7 @@ REALTIME_FILES = $(if $(PYTEST_ARGS),,$(shell grep -rl --include='test_*.py' 'ma
 # the compiler lists the headers (-MD) without a run of the preprocessor; without link-time optimisation the rest takes a
 # fourth of the time. The numbers are the same bits. It is the cache of the user: another checkout finds the same files.
 CCACHE := $(wildcard /usr/lib/ccache)
-# The pytest of Ubuntu 24.04, which `colcon test` has to do with there.
+# The pytest of Ubuntu 24.04, used by `colcon test` there.
 UBUNTU_PYTEST := $(VENV)/pytest-7.4
 # Tests publish commands: a domain of their own keeps them away from other nodes. Each worker adds its number (tests/conftest.py).
 TEST_DOMAIN_ID ?= $(shell echo $$(( $$$$ % 22 * 4 + 10 )))
@@ -146,7 +146,7 @@ format: $(VENV)/.dev ## lay out Python and C sources
 
 build: $(VENV)/.native ## compile the firmware and the virtual board (part of setup)
 
-fast: $(VENV)/.fast ## compile the virtual board anew, guided by a profile of itself: faster until a source changes, the same but for last bits
+fast: $(VENV)/.fast ## compile the virtual board anew, guided by a profile of itself: faster until a source changes, results equal except for rounding
 
 $(VENV)/.fast: $(VENV)/.native
 	@rm -f $(VENV)/.native

@@ -87,7 +87,7 @@ static uint16_t balance(rotor_search_t *search, const rotor_search_config_t *con
     const int32_t moved = i32_sub_wrap(position, search->last_position);
     const uint32_t per_count = (uint32_t)config->angle_per_count;
     const uint32_t angle = (uint32_t)off * per_count; /* modulo a turn, like the vector */
-    search->balance_angle -= (uint32_t)(off * (int32_t)(per_count >> INTEGRAL_SHIFT)); /* below a turn: see DISPLACEMENT_MAX */
+    search->balance_angle -= (uint32_t)(off * (int32_t)(per_count >> INTEGRAL_SHIFT)); /* below a turn */
     const int32_t first = (moved > 0) - (moved < 0); /* less damping for this count prevents dither */
     const int32_t rate = DAMPED_PARTS * moved - (DAMPED_PARTS - 1) * first;
     const uint32_t damped = (uint32_t)(rate * (int32_t)search->damping) * (per_count / DAMPED_PARTS);
@@ -143,7 +143,8 @@ void rotor_hold_step(rotor_search_t *search, const rotor_search_config_t *config
 {
     const frac32_t limit = f32_from_f16(config->current_limit);
     const int64_t displacement = (int64_t)i32_sub_wrap(position, search->origin) * config->angle_per_count;
-    const int64_t displacement_max = (search->stage > (uint16_t)STAGE_CATCH) ? DISPLACEMENT_MAX_CAUGHT : DISPLACEMENT_MAX;
+    const bool caught = search->stage > (uint16_t)STAGE_CATCH;
+    const int64_t displacement_max = caught ? DISPLACEMENT_MAX_CAUGHT : DISPLACEMENT_MAX;
     if (displacement > displacement_max || displacement < -displacement_max) {
         search->phase = ROTOR_SEARCH_NO_MOVEMENT;
         return;

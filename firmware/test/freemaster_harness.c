@@ -63,7 +63,7 @@ static void note(harness_t *harness, harness_event_t code, uint16_t offset, uint
     }
 }
 
-/* The memory is valid only while interrupts are masked: bytes copied at any other time have wrong values. */
+/* The memory is valid only while the server is locked: bytes copied at any other time have wrong values. */
 static void scramble(harness_t *harness)
 {
     for (uint16_t i = 0; i < fixture_memory_size; i++) {

@@ -204,8 +204,8 @@ class Commander(Node):
         for name, position, velocity in zip(last.name, last.position, last.velocity, strict=True):
             lines.append(f"  {name}: {position:.4f} rad, {velocity:.3f} rad/s")
             values = _values(statuses.get(self._part(name)))
-            if "position known" in values:
-                lines[-1] += f", position {values['position known']}"
+            if "home state" in values:
+                lines[-1] += f", position {values['home state']}"
             for key, heading in (("faults", "fault"), ("first fault", "first fault"), ("limits", "at limit")):
                 if values.get(key, "none") != "none":
                     lines.append(f"    {heading} {values[key]}")

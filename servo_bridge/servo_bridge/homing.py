@@ -32,7 +32,7 @@ _RETRY: Final = 3_200
 """PWM periods (0.2 s) between two attempts to restore a position."""
 
 _POLL: Final = 4_000
-"""PWM periods (0.25 s) between readings of the home states, which are not in the samples to keep these short."""
+"""PWM periods (0.25 s) between readings of the home states; they are omitted from the samples, to keep these short."""
 
 _POLL_FAST: Final = 800
 """PWM periods (0.05 s) between readings during a homing or restoring."""
@@ -49,7 +49,7 @@ _REASONS: Final = {
     "KNOWN": "the position is already known",
     "NOT_FOUND": "no stop or switch found within home.turns_max of the configuration",
     "TIMEOUT": "timeout: no stop or switch found",
-    "BLOCKED": "the shaft is blocked before it has reached the switch",
+    "BLOCKED": "the shaft was blocked before it reached the switch",
     "STUCK": "the shaft does not move away from the stop or the switch",
     "SPREAD": "the spread of the positions found exceeds home.spread of the configuration",
 }
@@ -157,7 +157,7 @@ class Homing:
             self._polled, self._next_poll = -1, 0
         self._epoch, self._connected = snapshot.epoch, True
         for number, axis in enumerate(self._axes):
-            self._remember(number, axis, snapshot, restarted, features)
+            self._store_or_restore(number, axis, snapshot, restarted, features)
         self._poll(snapshot)
         for job in self._jobs:
             homing = self._axes[job.axis].state == self._states["HOMING"]
@@ -273,7 +273,7 @@ class Homing:
         return False, f"{joint.name} is not homed: {_REASONS.get(label, label)}"
 
     # ---- after a restart
-    def _remember(
+    def _store_or_restore(
         self, number: int, axis: _Axis, snapshot: Snapshot, restarted: bool, features: Sequence[int] | None
     ) -> None:
         memory = axis.memory
@@ -292,9 +292,12 @@ class Homing:
             memory.until, memory.next, memory.tried = snapshot.tick + _TIMEOUT, snapshot.tick, self._polled
         if memory.until is None:
             memory.position = None  # lost, or being homed
-        elif snapshot.tick > memory.until or snapshot.axes[number].spinning:
+        elif snapshot.tick > memory.until or snapshot.axes[number].accepts_set_points:
             memory.until = memory.position = None
-            self._context.warn(f"{self.joints[number].name}: position not restored: the shaft was not at rest; home it")
+            self._context.warn(
+                f"{self.joints[number].name}: position not restored: the axis was enabled, or not at rest within 2 s; "
+                "home it"
+            )
         elif snapshot.tick >= memory.next and self._polled >= memory.tried:
             memory.next, memory.tried = snapshot.tick + _RETRY, snapshot.tick + _EFFECT
             position = memory.position

@@ -53,7 +53,7 @@ class MotionServices:
 
     def on_snapshot(self, snapshot: Snapshot) -> None:
         """Process the newest sample."""
-        if self._snapshot is None and any(axis.spinning for axis in snapshot.axes):
+        if self._snapshot is None and any(axis.accepts_set_points for axis in snapshot.axes):
             # The link has sent a quick stop at the first contact.
             self._warn("the board was enabled at the connection and has been stopped; call enable to continue")
         self._snapshot = snapshot

@@ -22,9 +22,9 @@ KT = [0.0462, 0.0414]
 LSB = CATALOGUE["cmd.position"].lsb
 REACH = CATALOGUE.bits["position"]["REACH"]
 TURN = 2.0 * math.pi
-SPINNING = AxisStatus("RUN/SPIN", spinning=True)
-STOPPED = AxisStatus("STOP", spinning=False)
-FAULTED = AxisStatus("FAULT", spinning=False, faulted=True)
+SPINNING = AxisStatus("RUN/SPIN", accepts_set_points=True)
+STOPPED = AxisStatus("STOP", accepts_set_points=False)
+FAULTED = AxisStatus("FAULT", accepts_set_points=False, faulted=True)
 
 
 def arbiter(*axes: AxisStatus, limits: JointLimits | None = None) -> Arbiter:
@@ -98,7 +98,7 @@ def test_axes_in_different_modes_get_their_own_writes() -> None:
 
 def at(counts: int) -> AxisStatus:
     """Status of an axis at a position [counts], which may exceed the range of the counter."""
-    return AxisStatus("RUN/SPIN", spinning=True, position=counts)
+    return AxisStatus("RUN/SPIN", accepts_set_points=True, position=counts)
 
 
 def wrapped(counts: int) -> int:

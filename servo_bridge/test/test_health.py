@@ -41,7 +41,7 @@ def test_late_loops_are_counted_across_the_wrap_of_the_counter() -> None:
 
 def axis_status(winding: Winding | None, limit: float | None, faults: int = 0) -> DiagnosticStatus:
     values = {"axis1.position": 0.0, "axis1.speed": 0.0, "axis1.i_q": 2.0}
-    state = AxisStatus("RUN/SPIN", spinning=True)
+    state = AxisStatus("RUN/SPIN", accepts_set_points=True)
     snapshot = Snapshot(8, 0, 0, values, 0, 0, (state, state), (faults, 0))
     return Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"]).axis(0, snapshot, None, winding, limit)
 
@@ -67,7 +67,7 @@ def test_a_winding_that_has_not_been_read_is_not_shown() -> None:
 def test_active_inputs_are_shown_if_they_are_in_the_telemetry() -> None:
     health = Health(Catalogue.load(), "bridge", "port", ["axis1", "axis2"])
     values = {"axis1.position": 0.0, "axis1.speed": 0.0, "axis1.i_q": 0.0}
-    axes = (AxisStatus("STOP", spinning=False), AxisStatus("STOP", spinning=False))
+    axes = (AxisStatus("STOP", accepts_set_points=False), AxisStatus("STOP", accepts_set_points=False))
 
     def inputs(**more: float) -> str | None:
         snapshot = Snapshot(

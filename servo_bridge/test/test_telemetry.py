@@ -56,7 +56,7 @@ def test_states_and_faults_are_decoded() -> None:
         sample(axis1_state=3, axis1_substate=3, axis2_state=0, axis2_faults=6, applied_tick=7, applied_count=9)
     )
     assert [a.label for a in snapshot.axes] == ["RUN/SPIN", "FAULT"]
-    assert [(a.spinning, a.faulted) for a in snapshot.axes] == [(True, False), (False, True)]
+    assert [(a.accepts_set_points, a.faulted) for a in snapshot.axes] == [(True, False), (False, True)]
     assert (snapshot.faults, snapshot.applied_tick, snapshot.applied_count) == ((0, 6), 7, 9)
 
 
@@ -65,7 +65,7 @@ def test_an_axis_without_an_encoder_waits_in_ready_for_its_set_point() -> None:
 
     def accepts(tick: int, substate: int, epoch: int = 0) -> bool:
         snapshot = telemetry.snapshot(sample(tick=tick, epoch=epoch, axis1_state=3, axis1_substate=substate))
-        return snapshot.axes[0].spinning
+        return snapshot.axes[0].accepts_set_points
 
     assert [accepts(8, 1), accepts(16, 2)] == [False, False], "READY as a transition to ALIGN"
     assert [accepts(tick, 1) for tick in (24, 32, 40, 48, 56)] == [False, False, False, True, True]

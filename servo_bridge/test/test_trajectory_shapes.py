@@ -53,8 +53,8 @@ def test_a_move_is_as_fast_as_the_limits_permit(limit: Limits) -> None:
     [
         ({"duration": 0.0}, "duration is 0 s; write a finite number above 0"),
         ({"duration": float("nan")}, "duration is nan s"),
-        ({}, "there is no duration"),
-        ({"limits": [Limits(), Limits(velocity_max=1.0)]}, "there is no duration"),
+        ({}, "no duration is given"),
+        ({"limits": [Limits(), Limits(velocity_max=1.0)]}, "no duration is given"),
         ({"limits": [Limits(torque_max=1.0, inertia=0.1, coulomb=2.0)] * 2}, "no duration is long enough: torque of"),
     ],
 )

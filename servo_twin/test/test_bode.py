@@ -179,8 +179,8 @@ def test_other_axis_still_stops_when_its_set_points_expire(access: VirtualBoardA
 def test_measurement_beyond_the_limits_is_refused_without_motion(access: VirtualBoardAccess) -> None:
     place = access.read("axis1.position")
     for request, why in (
-        (BodeRequest(0, "speed", speed=1000.0), "exceed the limit of axis1"),
-        (BodeRequest(0, "position", amplitude=400.0), "exceed the limit of axis1"),
+        (BodeRequest(0, "speed", speed=1000.0), "exceeds the limit of axis1"),
+        (BodeRequest(0, "position", amplitude=400.0), "exceeds the limit of axis1"),
         (BodeRequest(0, "speed", amplitude=3.0), "too large for the limit of axis1"),
         (BodeRequest(0, "current", amplitude=2.0), "too large for the limit of axis1"),
         (BodeRequest(0, "current", speed=10.0), "omit the speed"),

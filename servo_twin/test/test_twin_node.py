@@ -52,7 +52,12 @@ class Rig:
     """Twin node, a node in place of bridge and user, and the board, on one executor."""
 
     def __init__(
-        self, cli_args: list[str] | None = None, joints: Sequence[Joint] = DEFAULT_JOINTS, **parameters: Any
+        self,
+        cli_args: list[str] | None = None,
+        joints: Sequence[Joint] = DEFAULT_JOINTS,
+        *,
+        configured: bool = True,
+        **parameters: Any,
     ) -> None:
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=DOMAIN)
@@ -70,10 +75,13 @@ class Rig:
         self.state = self.user.create_publisher(String, topics.STATE, latched)
         self.board_parameters = self.user.create_publisher(Float64MultiArray, topics.PARAMETERS, latched)
         self.description = self.user.create_publisher(String, topics.ROBOT_DESCRIPTION, latched)
+        self.tuning = self.user.create_publisher(String, topics.TUNING, latched)
         self.messages: dict[str, list[Any]] = {}
         self._listen("/twin/joint_states", JointState, deep)
         self._listen("/twin/snapshot", Float64MultiArray, deep)
         self._listen("/twin/residual", JointState, deep)
+        if configured:
+            self.tuning.publish(String())  # unknown to the bridge
         if joints:
             self.describe(joints)
             self._listen(f"/twin/residual/{joints[0].name}/position", Float64, deep)
@@ -100,7 +108,7 @@ class Rig:
         self.description.publish(String(data=text))
 
     def _matched(self) -> bool:
-        publishers = (self.snapshot, self.applied, self.state, self.board_parameters, self.description)
+        publishers = (self.snapshot, self.applied, self.state, self.board_parameters, self.description, self.tuning)
         return (
             all(p.get_subscription_count() for p in publishers)
             and all(self.user.count_publishers(name) for name in self.messages)
@@ -345,6 +353,9 @@ def test_a_disconnected_board_makes_the_twin_unhealthy(rig: Rig) -> None:
     rig.until(lambda: rig.status("comparison").message == "the board is not connected")
     rig.state.publish(String(data="axis1=STOP axis2=STOP"))
     rig.board.run(0.7)
+    rig.until(lambda: "configuration unknown" in rig.last("/twin/state"))
+    rig.tuning.publish(String())
+    rig.board.run(0.7)
     rig.until(lambda: rig.last("/twin/healthy"))
 
 
@@ -402,12 +413,25 @@ def test_twin_has_the_configuration_that_the_bridge_reads_from_the_board(
 ) -> None:
     rig.board.run(0.3)
     rig.caught_up()
-    published = rig.user.create_publisher(String, topics.TUNING, latched_qos())
-    published.publish(String(data="not TOML ["))
+    rig.tuning.publish(String(data="not TOML ["))
     rig.until(lambda: "invalid configuration of the board" in capfd.readouterr().err)
     text = SERVO_TOML.read_text(encoding="utf-8")
-    published.publish(String(data=text.replace("position_gain     = 60.0", "position_gain = 50.0")))
+    rig.tuning.publish(String(data=text.replace("position_gain     = 60.0", "position_gain = 50.0")))
     rig.until(lambda: "changed configuration of the board" in rig.last("/twin/state"))
+
+
+def test_nothing_is_compared_before_the_configuration_of_the_board_is_known() -> None:
+    """A board with another configuration than that of the firmware would differ until it has been read."""
+    with Rig(configured=False) as rig:
+        rig.board.run(0.7)
+        rig.until(lambda: rig.last("/twin/state") == "SYNCHRONISING configuration unknown: no message on /servo/tuning")
+        rig.caught_up()
+        assert not rig.last("/twin/healthy")
+        assert not rig.messages["/twin/residual"]
+        rig.tuning.publish(String())
+        rig.board.run(0.7)
+        rig.until(lambda: rig.last("/twin/healthy"))
+        assert rig.messages["/twin/residual"]
 
 
 def test_status_reports_unknown_parameters_when_the_boards_differ(rig: Rig) -> None:

@@ -97,7 +97,7 @@ class ParallelRun:
     """Result of boards that run in parallel."""
 
     factor: float  # simulated time of all boards over wall-clock time [1]
-    had: float  # used fraction of the available CPU time [1]; 1 on an idle machine
+    cpu_share: float  # used fraction of the available CPU time [1]; 1 on an idle machine
 
 
 def run_in_parallel(level: Level, threads: int) -> ParallelRun:
@@ -137,7 +137,7 @@ def _run_once(level: Level, boards: Sequence[Board]) -> ParallelRun:
 def compiler(library: bytes) -> str:
     """Compiler of a library, from its identification string; clang first, as its libraries may contain parts of gcc."""
     found = re.search(rb"(clang) version ([\d.]+)", library) or re.search(rb"(GCC): \([^)]*\) ([\d.]+)", library)
-    return " ".join(part.decode().lower() for part in found.groups()) if found else "a compiler that does not say"
+    return " ".join(part.decode().lower() for part in found.groups()) if found else "unknown compiler"
 
 
 def measure(peer: bool, counted: bool) -> dict[str, Any]:
@@ -162,9 +162,9 @@ def growth(boards: dict[str, dict[str, float]]) -> list[str]:
     single = boards["1"]["factor"]
     many = ", ".join(f"{n}: {each['factor']:.1f} (x {each['factor'] / single:.1f})" for n, each in boards.items())
     lines = [f"turning boards, one per thread, in parallel, by wall-clock time: {many}"]
-    if min(each["had"] for each in boards.values()) < IDLE_MIN:
-        had = ", ".join(f"{n}: {each['had']:.0%}" for n, each in boards.items())
-        lines.append(f"others work on this machine, so this says little; of their time the boards had {had}")
+    if min(each["cpu_share"] for each in boards.values()) < IDLE_MIN:
+        shares = ", ".join(f"{n}: {each['cpu_share']:.0%}" for n, each in boards.items())
+        lines.append(f"other processes are running, so the result is not reliable; CPU share of the boards: {shares}")
     return lines
 
 

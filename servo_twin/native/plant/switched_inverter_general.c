@@ -44,7 +44,7 @@ static double direction_from_standstill(const switched_inverter_t *inv)
 void inverter_general_begin(switched_inverter_t *inv, double u)
 {
     inv->floating = -1;
-    inv->blocked = false;
+    inv->non_conducting = false;
     inv->segment_valid = inv->trajectory_changed = true;
     inv->u = u;
     update_curvature_bounds(inv);
@@ -53,7 +53,7 @@ void inverter_general_begin(switched_inverter_t *inv, double u)
         k = inverter_find_conducting_pair(inv, u);
     }
     update_conduction(inv);
-    if (inv->blocked) {
+    if (inv->non_conducting) {
         inv->switch_vector = inv->drop_vector = inv->di = (plant_vector_t){0.0, 0.0};
         inv->dtorque = 0.0;
     } else {

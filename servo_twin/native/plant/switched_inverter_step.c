@@ -70,7 +70,7 @@ PLANT_INLINE double step_floating(const switched_inverter_t *inv, double h, plan
 }
 
 /* Without any current. */
-static void step_blocked(const switched_inverter_t *inv, double h, step_end_t *e)
+static void step_non_conducting(const switched_inverter_t *inv, double h, step_end_t *e)
 {
     rotate(inv, h, e);
     e->omega = inv->omega + h * (inv->accel + 0.5 * h * inv->jerk);
@@ -85,8 +85,8 @@ void inverter_general_step(const switched_inverter_t *inv, double h, double u, s
 {
     const plant_vector_t drive = {h * (u * inv->switch_vector.alpha + inv->drop_vector.alpha),
                                   h * (u * inv->switch_vector.beta + inv->drop_vector.beta)};
-    if (inv->blocked) {
-        step_blocked(inv, h, e);
+    if (inv->non_conducting) {
+        step_non_conducting(inv, h, e);
     } else if (inv->floating >= 0) { /* nearly linear in time: the end differs by twice the mean's difference */
         *floating_volts = inv->floating_volts + 2.0 * step_floating(inv, h, drive, e);
     } else {
@@ -262,14 +262,14 @@ step_limit_t inverter_general_step_to_event(const switched_inverter_t *inv, doub
 {
     double floating_volts = 0.0;
     int expected = -1;
-    double t = inv->blocked ? h : first_zero_by_slope(inv, h, &expected);
+    double t = inv->non_conducting ? h : first_zero_by_slope(inv, h, &expected);
     if (t < INSTANT && t < h) { /* a current at zero with a slope against its sign */
         *e = (step_end_t){.psi = inv->psi};
         return (step_limit_t){0.0, STEP_CURRENT_ZERO, expected, 0};
     }
     step_limit_t limit = {t, STEP_COMPLETE, 0, 0};
     inverter_general_step(inv, t, u, e, &floating_volts);
-    if (inv->blocked) {
+    if (inv->non_conducting) {
         find_conduction(inv, t, u, e, &limit);
     } else if (t < h || current_crossed_zero(inv, e)) {
         double remaining = approach_zero(inv, h, u, &t, &expected, e, &floating_volts);

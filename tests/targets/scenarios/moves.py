@@ -50,7 +50,7 @@ def reenabled(rig: Rig) -> None:
     stop(rig)
 
 
-def once_more(rig: Rig) -> None:
+def second_alignment(rig: Rig) -> None:
     """A second alignment, which keeps the position; the other axis is off."""
     ready(rig)
     for _ in range(2):
@@ -216,7 +216,7 @@ def trajectory(rig: Rig) -> None:
     stop(rig)
 
 
-def weakened(rig: Rig) -> None:
+def field_weakening(rig: Rig) -> None:
     """Field weakening above the base speed: load, a sag of the bus to the limit, and switching it off."""
     spin(rig)
     rig.set("param.features", features("FIELD_WEAKENING"))
